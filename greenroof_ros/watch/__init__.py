@@ -1,1 +1,1 @@
-"""Web page, MQTT bridge and short text summary that show people the state of a running graph."""
+"""Web page, MQTT bridge and short text summary that show operators the state of a running graph."""

@@ -23,9 +23,9 @@ def list_alarms(store: GraphStore) -> list[dict[str, Any]]:
 
     Within each group, the alarms of the pump node and of the pump's state come first. The others
     are sorted by acknowledgement (unacknowledged first), severity (worst first) and time (newest
-    first), since operators already know older and acknowledged alarms.
+    first), since operators already know about older and acknowledged alarms.
 
-    ``plain`` states whether there is a text ``do`` for the alarm's code. If so, the page shows
+    ``plain`` states whether the alarm's code has an advice text, ``do``. If so, the page shows
     ``do`` more prominently than ``what``, which is the node's own wording.
     """
 
@@ -62,9 +62,9 @@ def list_events(store: GraphStore) -> list[dict[str, Any]]:
 
 
 def count_alarms(store: GraphStore) -> tuple[int, int, int]:
-    """Return the numbers of causes with an alarm, causes with a warning, and resulting alarms.
+    """Return the number of causes at alarm level, of causes at warning level, and of consequences.
 
-    A cause is counted at the most severe level among the cause itself and its consequences.
+    The level of a cause is the most severe among the cause itself and its consequences.
     """
     present = store.judge.present.values()
     following = sum(bool(alarm.follows) for alarm in present)
@@ -75,10 +75,10 @@ def count_alarms(store: GraphStore) -> tuple[int, int, int]:
 def choose_advice(present: Sequence[Mapping[str, Any]]) -> str:
     """Return the advice for the cause of the first unacknowledged alarm.
 
-    If that cause is only a hold, which is intended, the advice for a second alarm is added.
+    If this cause is only a hold, which is intentional, the advice for a second alarm is added.
 
     Args:
-        present: the present alarms as returned by :func:`list_alarms`; at least one.
+        present: the current alarms as returned by :func:`list_alarms`; at least one.
     """
     rows = sorted(present, key=lambda row: row["acknowledged"])
     first = next((row for row in rows if row["id"] == rows[0]["follows"]), rows[0])

@@ -1,4 +1,4 @@
-"""MQTT bridge that publishes what the page shows and accepts a stop; see :class:`Bridge`."""
+"""MQTT bridge that publishes the values on the page and accepts a stop; see :class:`Bridge`."""
 
 from __future__ import annotations
 
@@ -46,27 +46,27 @@ _STOP_S = 60.0
 
 
 class Bridge:
-    """A bridge that publishes a site over MQTT and accepts one request: a stop of the pump.
+    """A bridge that publishes a site over MQTT and accepts only one request, to stop the pump.
 
     The bridge publishes ``state``, ``alarms`` and ``availability``, and subscribes to ``stop``, all
     under ``greenroof/SITE/``. The state and the alarms are sent on every change, and at least every
     10 s. The state and the alarms are not retained, since a client that connects later would
-    mistake an old value for a present one. A stop that the broker has retained is ignored, since it
-    would stop the pump again at every connection. While connected, the bridge obeys every stop.
-    MQTT 3.1.1 does not tell a connected subscriber whether the sender asked for the message to be
-    retained, and a stop requested by a person must be obeyed. The broker queues no stop while the
+    mistake an old value for a current one. A stop that the broker has retained is ignored, since it
+    would stop the pump again each time the bridge connects. While connected, the bridge obeys every
+    stop. MQTT 3.1.1 does not tell a connected subscriber whether a message was sent as a retained
+    message, and a stop requested by a person must be obeyed. The broker queues no stop while the
     bridge is disconnected.
 
     The bridge subscribes to its own topics. If another client has published on one of these topics,
     the bridge reports this, publishes its own message again, and clears any state and alarms that
-    the broker would retain.
+    the broker has retained.
     """
 
     def __init__(self, store: GraphStore, feed: Feed, broker: Broker) -> None:
         """Prepare the bridge without connecting to the broker.
 
         Args:
-            store: state of the graph to publish.
+            store: graph state to publish.
             feed: feed of the store, through which the pump is stopped.
             broker: MQTT broker to publish to.
 
@@ -157,7 +157,7 @@ class Bridge:
                 self._client.publish(f"{self._base}/{name}", text)
 
     def _restore_topics(self) -> None:
-        """Publish again on topics where another client has published, at most once every 10 s.
+        """Publish again on topics on which another client has published, at most once every 10 s.
 
         If two bridges publish on the same topics, they take turns.
         """
@@ -184,7 +184,7 @@ class Bridge:
         self._publish_all()
 
     def _publish_all(self) -> None:
-        """Publish all messages, after a connection to the broker or a start of Home Assistant."""
+        """Publish all messages, after connecting to the broker or a start of Home Assistant."""
         for topic, text in self._kept.items():
             self._client.publish(topic, text, retain=True)
         self._publish_availability()
@@ -193,8 +193,8 @@ class Bridge:
     def _publish_availability(self) -> Any:
         """Publish the bridge's availability, and return the message so that a caller can await it.
 
-        A bridge that connects while it is shutting down publishes ``offline`` itself. It
-        disconnects normally afterwards, so the broker would not publish the bridge's will.
+        A bridge that connects while it is shutting down publishes ``offline`` itself. Since it then
+        disconnects normally, the broker does not publish the bridge's will.
         """
         with self._availability:
             word = OFFLINE if self._ending else ONLINE
@@ -229,8 +229,9 @@ class Bridge:
             return  # what the broker had kept was replaced when this bridge connected
         self._foreign[topic] = retained
         print_seldom("foreign", (
-            f"{topic}: another client has published on this topic, perhaps another bridge with the "
-            "same namespace; this bridge publishes its own message again. Configure the broker so "
+            f"{topic}: another client, perhaps another bridge with the same namespace, has "
+            "published on this topic; this bridge will publish its own message again. Configure "
+            "the broker so "
             "that only this bridge may publish on this topic"
         ))
 
@@ -280,7 +281,7 @@ def _round_number(topic: str, value: float | None) -> float | None:
 
 
 def make_alarms(shown: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the summary, the advice and the present alarms, as in the document."""
+    """Return the summary, the advice and the current alarms, as in the document."""
     keys = "code", "level", "id", "what", "do", "follows", "since"
     return {
         "summary": join_summary(shown),

@@ -1,6 +1,6 @@
-"""The document and the charts' series that the page and the status command show, as JSON data.
+"""The document and the chart series shown by the page and the status command, as JSON data.
 
-:func:`make_document` makes the document from a store, and :func:`make_series` the series.
+:func:`make_document` creates the document from a store, and :func:`make_series` creates the series.
 
 A document has the entries ``heading``, ``mode``, ``namespace``, ``time``, ``notes``, ``tiles``
 (with the ``summary``), ``advice``, ``alarms``, ``events`` and ``stop``.
@@ -42,13 +42,14 @@ _HEADINGS = {
 
 
 def make_document(store: GraphStore, wall: float) -> dict[str, Any]:
-    """Return the document for the page and the status command: plain texts below 100 kB in total.
+    """Return the document for the page and the status command, in plain text of less than 100 kB.
 
-    Each part is made separately. A part that cannot be made is replaced, and a note says so.
+    Each part is made separately. If making a part fails, a placeholder takes its place, and a note
+    states this.
 
     Args:
         store: state of the graph.
-        wall: present time (steady clock, s).
+        wall: current time (steady clock, s).
     """
     with store.lock:
         return _make_document(store, wall)
@@ -62,7 +63,7 @@ def _make_document(store: GraphStore, wall: float) -> dict[str, Any]:
     listed, present = _trim(rows, _MAX_ALARMS), [row for row in rows if row["over"] is None]
     shown = {
         name: parts.make(
-            f"The tile of the {name}", partial(make, *given), tiles.make_unknown_tile(label)
+            f"The {name} tile", partial(make, *given), tiles.make_unknown_tile(label)
         )
         for name, label, make, *given in (
             ("roof", "Roof level", tiles.make_roof_tile, store),
@@ -73,7 +74,7 @@ def _make_document(store: GraphStore, wall: float) -> dict[str, Any]:
         )
     }
     waits = parts.make(
-        "The rain that is awaited", lambda: tiles.describe_wait(store, shown["pump"]["idle"]), ""
+        "The awaited rain", lambda: tiles.describe_wait(store, shown["pump"]["idle"]), ""
     )
     serious, warnings, following = parts.make(
         "The number of alarms", lambda: alarms.count_alarms(store), (0, 0, 0)
@@ -158,7 +159,7 @@ def _write_counts(alarms: int, warnings: int, following: int) -> str:
 def _judge_level(shown: dict[str, Tile]) -> str:
     """Return the level to show if there are no alarms: ``ok`` or ``warn``.
 
-    The level is never ``ok`` if a tile shows a problem, even if there is nothing to do.
+    The level is never ``ok`` if a tile shows a problem, even if no action is needed.
     """
     attention = (
         any(shown[tank]["state"] != "good" for tank in ("roof", "cistern"))
@@ -168,12 +169,12 @@ def _judge_level(shown: dict[str, Tile]) -> str:
 
 
 def _write_sentence(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
-    """Return a sentence on the condition of roof and pump, and on the rain that is awaited."""
+    """Return a sentence on the state of the roof and the pump, and on any rain that is awaited."""
     if store.mode == "none":
         return "no run or site has been found."
     if store.ended:
         doubt = f"; {_write_pump_clause(shown['pump'])}" if shown["pump"]["alarm"] else ""
-        return f"The run has ended: this is its last state{doubt}."
+        return f"The run has ended, and its last state is shown{doubt}."
     roof = shown["roof"]
     if roof["state"] in ("unknown", "alarm"):
         level_clause = f"The roof's level is {roof['value']}"
@@ -191,7 +192,7 @@ def _write_pump_clause(pump: Tile) -> str:
     if pump["alarm"]:
         return "it is unknown whether the pump is stopped"
     if state == "unknown":
-        return "it is unknown what the pump is doing"
+        return "the state of the pump is unknown"
     if state in ("running", "starting", "stopping"):
         clause = f"the pump is {state}"
         return f"{clause} at {tiles.write_flow(pump['number'])}" if pump["number"] else clause
@@ -206,7 +207,7 @@ def _advise(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
     """Return the advice or explanation to show if there is no alarm."""
     if store.judge.missing:
         return (
-            "Nothing to do: the site is starting. Anything that is still missing is listed below."
+            "Nothing to do: the site is starting. Whatever is still missing is listed below."
         )
     roof, pump = shown["roof"]["state"], shown["pump"]
     if store.mode == "none":
@@ -223,7 +224,10 @@ def _advise(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
         )
     runs = pump["state"] in ("starting", "running")
     if roof == "high" and runs:
-        return "The roof has enough water, but the pump is running: check whether it should be."
+        return (
+            "The roof has enough water, but the pump is running: check whether it should be "
+            "running."
+        )
     if roof != "low" or runs or waits:
         return "Nothing to do."
     if pump["idle"]:
@@ -233,7 +237,7 @@ def _advise(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
 
 
 def _trim(rows: list[dict[str, Any]], max_length: int) -> list[dict[str, Any]]:
-    """Return the first rows, as many as fit into ``max_length`` characters of JSON."""
+    """Return as many of the first rows as fit into ``max_length`` characters of JSON."""
     lengths = accumulate(len(json.dumps(row)) + 2 for row in rows)
     return [row for row, length in zip(rows, lengths, strict=True) if length <= max_length]
 
@@ -244,14 +248,14 @@ def _trim(rows: list[dict[str, Any]], max_length: int) -> list[dict[str, Any]]:
 def make_series(store: GraphStore, hours: float) -> dict[str, Any]:
     """Return the series that the charts show, from ``hours`` ago to 12 h ahead, in SI units.
 
-    Each row covers a ``stretch`` (s). Its length is a fraction of the time for which there are
-    values, so even a run that has just begun has many rows. The last point of a line is the newest
-    value, which the tiles also show. A line has a gap between two rows that are more than ``gap``
-    (s) apart, since no value is valid for longer, and from a row of None to the next row.
+    Each row covers a ``stretch`` (s), which is a fraction of the time for which there are values,
+    so even a run that has just begun has many rows. The last point of a line is the latest value,
+    which the tiles also show. A line has a gap between two rows that are more than ``gap`` (s)
+    apart, since no value is valid for longer, and from a row of None to the next row.
 
     Args:
         store: state of the graph.
-        hours: length of the past to return (h), within :data:`HOURS`.
+        hours: length of the history to return (h), within :data:`HOURS`.
     """
     with store.lock:
         now, site = store.now, store.site

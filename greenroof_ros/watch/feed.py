@@ -1,9 +1,8 @@
-"""Feed that passes the messages of a running graph to the store, and requests to the pump node.
+"""Feed that passes messages from a running graph to the store, and requests to the pump node.
 
-A watcher must not slow down the graph: see :mod:`greenroof_ros.watch.graph_client`. Each
-subscription of a watcher nevertheless costs the publisher time in every tick, so the watcher
-receives the numbers of a run only up to a certain speed. Above that speed, the watcher receives
-only /diagnostics.
+A watcher must not slow down the graph: see :mod:`greenroof_ros.watch.graph_client`. Each of a
+watcher's subscriptions nevertheless costs the publisher time in every tick, so the watcher receives
+the values of a run only up to a certain speed. Above this speed, it receives only /diagnostics.
 """
 
 from __future__ import annotations
@@ -56,7 +55,8 @@ class Feed:
 
         Args:
             store: the store to feed.
-            past_file: file that keeps the history of a live site across restarts; None for no file.
+            past_file: file in which the history of a live site is kept across restarts; None for no
+                file.
         """
         self._store = store
         self._graph = store.graph
@@ -121,7 +121,7 @@ class Feed:
         if not self._requesting.acquire(timeout=2 * _STOP_S + 0.5):
             self._stops.discard(this)
             raise PumpRequestError(
-                "The watcher is busy, so the pump node was not asked and nothing was done."
+                "The watcher is busy, so no request was sent to the pump node and nothing was done."
             )
         try:
             assert self._client is not None
@@ -141,7 +141,7 @@ class Feed:
     # --- the graph ------------------------------------------------------------------------------
 
     def _watch_graph(self) -> None:
-        """Receive messages and update the store; a step that fails does not prevent the others."""
+        """Receive messages and update the store, even if one of the steps fails."""
         steps = self._receive, self._find_pumps, self._update_graph
         while not self._closing.is_set():
             if sum(map(self._fails, steps)):  # it may fail again immediately
@@ -172,7 +172,7 @@ class Feed:
         store, was_live, now = self._store, self._times.live, time.monotonic()
         if self._times.update(now):
             store.reset()
-            store.add_event("Another run has begun.")
+            store.add_event("Another run has started.")
         if self._times.live and not was_live:
             self._load()
         mode = self._times.mode
@@ -184,8 +184,8 @@ class Feed:
         note = self._problem if now < self._problem_until else ""
         if not self._subscribed and (factor or 0.0) > FASTEST:
             note = (
-                "This run is faster than 60 times real time, so its values are not shown. See "
-                "its report afterwards."
+                "This run is faster than 60 times real time, so its values are not shown. Use "
+                "greenroof report after the run."
             )
         store.set_present(mode=mode, factor=factor, note=note)
         store.update(now, time.time())
@@ -204,12 +204,15 @@ class Feed:
         if as_is == self._site:
             return
         self._site = as_is
-        note = "" if path else "Levels are judged as at the paper's site, config/site.yaml."
+        note = "" if path else (
+            "Levels are judged by the parameters of the paper's site, config/site.yaml."
+        )
         try:
             site = read_site(file)
         except ConfigurationError as error:
             note = (
-                f"The site file cannot be read; levels are judged as at the paper's site: {error}"
+                "The site file cannot be read; levels are judged by the parameters of the "
+                f"paper's site: {error}"
             )
             site = read_site(default_site_file())
         self._store.set_site(site, note)
@@ -236,7 +239,7 @@ class Feed:
     # --- incoming messages ----------------------------------------------------------------------
 
     def _on_message(self, *message: Any) -> None:
-        """Receive a message; if it cannot be processed, later messages are still received."""
+        """Receive a message; after a message that cannot be processed, go on with the next."""
         self._fails(lambda: self._receive_message(*message))
 
     def _excuse_own_pause(self) -> None:
@@ -263,7 +266,7 @@ class Feed:
     # --- the past of a live site ----------------------------------------------------------------
 
     def _load(self) -> None:
-        """Load the history of a live site; if it cannot be read, the charts start empty."""
+        """Load the history of a live site; if the file cannot be read, the charts start empty."""
         if self._past_file is None:
             return
         store, file = self._store, self._past_file

@@ -1,7 +1,7 @@
-"""Serves a running graph to Foxglove and Lichtblick over the Foxglove WebSocket protocol.
+"""Server of a running graph for Foxglove and Lichtblick over the Foxglove WebSocket protocol.
 
-The server subscribes to a topic only while a viewer shows the topic, and does so in the same way as
-the page. Even a slow viewer therefore delays no node (see
+The server subscribes to a topic only while a viewer shows the topic, with the same type of
+subscription as the page. Even a slow viewer therefore does not delay any node (see
 :mod:`greenroof_ros.watch.graph_client`). Each message has the same time as in a bag: in a
 simulation, the simulated time of its tick; otherwise, its time of arrival.
 """
@@ -28,7 +28,7 @@ _CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 
 
 def refuse_unusable(port: int) -> None:
-    """Reject a port that is in use, or a missing SDK, before anything is started.
+    """Raise an error if the port is in use or the SDK is missing, before anything is started.
 
     Raises:
         ConfigurationError: if the graph cannot be served on this port.
@@ -39,7 +39,7 @@ def refuse_unusable(port: int) -> None:
         socket.create_server((LOOPBACK, port)).close()
     except OSError as error:
         raise ConfigurationError(
-            f"this port cannot be used: {os.strerror(error.errno or 0)}; choose another",
+            f"this port cannot be used: {os.strerror(error.errno or 0)}; choose another port",
             key="--foxglove", value=str(port),
         ) from error
 
@@ -119,8 +119,8 @@ class FoxgloveServer:
     def _pass_on(self) -> None:
         """Pass on the waiting messages in order of time.
 
-        The time is sent before the messages, since Lichtblick assigns each message the last time
-        that was sent.
+        The time is sent before the messages, since Lichtblick assigns to each message the last time
+        that it has received.
         """
         self._waiting.sort(key=lambda each: each[0])
         for time_ns, name, message in self._waiting:

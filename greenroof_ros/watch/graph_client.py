@@ -1,10 +1,10 @@
-"""A client of a graph, which receives chosen topics and can hold the pump.
+"""A client of a graph, which receives selected topics and can hold the pump.
 
 The client can also release the pump, clear some faults and, if the site allows it, request a dose.
 
 The client must not delay any node. It therefore subscribes with best-effort reliability and
-volatile durability, so no publisher stores or repeats a message, or waits, on the client's behalf.
-The client uses only UDP, since a stopped process that uses shared memory can hold a lock that other
+volatile durability, so no publisher stores or resends messages for the client, or waits for it. The
+client uses only UDP, since a stopped process that uses shared memory can hold a lock that other
 processes need. It polls instead of being woken by messages, and takes each message together with
 the publisher's sequence number, which rclpy's fast executor does not provide.
 """
@@ -100,7 +100,7 @@ class GraphClient:
         self.subscribe(())
 
     def subscribe(self, topics: Collection[str]) -> None:
-        """Subscribe to these topics of the interface and /diagnostics, and to no others."""
+        """Subscribe to the given topics of the interface and to /diagnostics, and to no others."""
         from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
         from greenroof_ros.graph.messages import message_class
@@ -129,9 +129,9 @@ class GraphClient:
                 self._on_message(name, message, number, info["received_timestamp"])
 
     def find_pumps(self) -> Collection[str]:
-        """Return the names of the nodes that offer to hold the pump, whatever any node reports.
+        """Return the names of the nodes that offer a hold service, regardless of any reports.
 
-        A client is opened for each hold service, so that a later stop finds the service.
+        A client is opened for each hold service, so that the service is ready for a later stop.
         """
         hold = "rcl_interfaces/srv/SetParametersAtomically"
         pattern = re.compile(re.escape(self._namespace) + "(/[^/]+)/hold")
@@ -168,8 +168,8 @@ class GraphClient:
         Args:
             action: name of the action. ``stop`` holds the pump until someone releases it, or until
                 a given time. ``release`` ends the hold, whoever requested it. ``clear`` clears a
-                latched fault that may be cleared remotely. ``reset`` clears any fault, for a person
-                at the pump. ``dose`` delivers a volume.
+                latched fault that may be cleared remotely. ``reset`` clears any fault, and is meant
+                for a person at the pump. ``dose`` delivers a volume.
             timeout_s: maximum time to wait for the answer (s).
             reported: full names of the nodes that claim to be the pump node.
             parameters: parameters of the action. A stop has an ``owner`` (the person or program
@@ -213,7 +213,8 @@ class GraphClient:
         silent = {*reported} - self._pumps
         if not self._pumps:
             raise PumpRequestError(
-                f"There is no pump node to ask: no node provides the service {service}"
+                "There is no pump node to send the request to: no node provides the service "
+                f"{service}"
                 + (f" of {list_names(silent)}" if silent else "") + ". Start the pump node's graph "
                 "first, with the same ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE and --namespace."
             )
@@ -234,8 +235,9 @@ class GraphClient:
             said = [f"{name}: {text}" for name, text in zip(answers, said, strict=True)]
         if silent:
             said.append(
-                "but other nodes that claim to be the pump node could not be asked "
-                f"({list_names(silent)}): if the pump turns, stop it at its drive's panel"
+                "but the request could not be sent to other nodes that claim to be the pump "
+                f"node ({list_names(silent)}): if the pump is still turning, stop it at its "
+                "drive's panel"
             )
         if not all(ok for ok, _ in answers.values()):
             # A hold with this answer may be in force, but it would not survive a restart.
@@ -254,7 +256,7 @@ class GraphClient:
 
 
 def _make_parameters(values: Mapping[str, float | str]) -> dict[str, Any]:
-    """Return the fields of a request with these parameters; empty if there are no parameters."""
+    """Return the fields of a request with the given parameters; empty without parameters."""
     from rclpy.parameter import Parameter
 
     return {"parameters": [

@@ -1,4 +1,4 @@
-"""History of each line of the charts over the past week, in stretches of 20 s, and its file.
+"""History of each chart line over the past week, in 20 s stretches, and the history file.
 
 An unknown value is NaN; the line has a gap from this value to the next known value.
 """
@@ -55,7 +55,7 @@ class History:
 
     @property
     def first_ns(self) -> int | None:
-        """Time at which the first stretch ended (ns since 1970); None if there are no values."""
+        """Time of the end of the first stretch (ns since 1970); None if there are no values."""
         return int(self.rows["ended"][0]) if self._count else None
 
     def add(self, time_ns: int, value: float) -> None:
@@ -85,7 +85,7 @@ class History:
     def window(
         self, first: int, last: int, stretch_ns: int, *, steps: bool
     ) -> list[list[Any]]:
-        """Return the values from ``first`` to ``last`` (both included).
+        """Return the values from ``first`` to ``last``, inclusive.
 
         Args:
             first: beginning (ns).
@@ -97,8 +97,8 @@ class History:
             Rows, each with a time (s) and the minimum, the maximum and the last value of a stretch.
             All three values are None if the last value is unknown. The time of a row is that of the
             last value or, for steps, that of the greatest change, so that a step is shown where it
-            happened. For steps, the last value before a stretch without values and the last value
-            of all have additional rows.
+            happened. For steps, there are additional rows for the last value before a stretch
+            without values, and for the very last value.
         """
         rows = self.rows
         rows = rows[slice(*np.searchsorted(rows["ended"], (first, last + 1)))]
@@ -120,7 +120,7 @@ class History:
 
 
 def _condense(rows: NDArray[np.void], stretch_ns: int) -> NDArray[np.void]:
-    """Combine the rows into longer stretches; among equal changes, the first one is kept."""
+    """Combine the rows into longer stretches; of equal changes, the first is kept."""
     begins = np.flatnonzero(np.diff(rows["ended"] // stretch_ns, prepend=-1))
     ends = np.append(begins[1:], len(rows)) - 1
     condensed: NDArray[np.void] = rows[ends].copy()
@@ -171,7 +171,7 @@ def read_histories(file: Path, names: Iterable[str], until_ns: int) -> dict[str,
     Args:
         file: file that :func:`write_histories` wrote.
         names: names of the histories to read; any others in the file are ignored.
-        until_ns: present time (ns since 1970). Later values are ignored, since they were written
+        until_ns: current time (ns since 1970). Later values are ignored, since they were written
             before the clock was set back.
 
     Raises:

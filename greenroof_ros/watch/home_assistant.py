@@ -1,8 +1,8 @@
-"""Discovery messages with which Home Assistant shows a site, one message for each entity.
+"""Discovery messages that let Home Assistant show a site, one message for each entity.
 
 Every entity takes its value from a field of one message, ``greenroof/SITE/state``. Each entity has
-its own discovery message, since releases of Home Assistant before 2024.11 do not support the
-discovery of a whole device.
+its own discovery message, since Home Assistant releases before 2024.11 do not support device
+discovery.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def make_discovery(site: str) -> dict[str, str]:
     """Return the discovery messages by topic.
 
     Args:
-        site: name of the site in topics and IDs, made up of letters, digits and _.
+        site: name of the site in topics and IDs, consisting of letters, digits and _.
     """
     base, node = make_prefix(site), f"greenroof_{site}"
     bridge = {"topic": f"{base}/availability"}

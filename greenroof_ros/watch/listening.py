@@ -75,7 +75,7 @@ def listen(host: str, port: int | None) -> Listener:
     """Listen on a single address of this machine.
 
     Args:
-        host: address or name; 0.0.0.0 stands for every address.
+        host: address or name; 0.0.0.0 means all addresses.
         port: TCP port; 0 for any free port, None for the first free port from 8080 on.
 
     Raises:
@@ -117,7 +117,7 @@ def new_token() -> str:
 
 
 def read_token(file: Path) -> str:
-    """Return the token in a file; if the file does not exist, create it with a new token.
+    """Return the token in a file; if there is no file, create one with a new token.
 
     Raises:
         ConfigurationError: if the file cannot be used, or if other users may read or change it.

@@ -1,4 +1,4 @@
-"""Times of the messages in the graph that is watched."""
+"""Times of messages in the watched graph."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ class MessageTimes:
 
     The time is that of the tick in a simulated graph, and that of arrival at a live site.
 
-    In lockstep, the j-th message on a topic belongs to tick j - 1, where j is the number that its
-    publisher gave it. The order of arrival is less reliable, since the plant's next clock message
+    In lockstep, the j-th message on a topic belongs to tick j - 1, where j is the number assigned
+    by its publisher. The order of arrival is less reliable, since the plant's next clock message
     may arrive before the messages of the previous tick.
 
     Attributes:
         mode: kind of graph, as reported by the registry.
-        live: whether the present or last graph is live; None before the first graph.
+        live: whether the current or last graph is live; None before the first graph.
     """
 
     def __init__(self, registry: Registry) -> None:
@@ -40,7 +40,7 @@ class MessageTimes:
         self._period = 0  # ns
 
     def update(self, wall: float) -> bool:
-        """Return whether a new run or graph has begun by the time ``wall`` (steady clock, s)."""
+        """Return whether a new run or graph has started by the time ``wall`` (steady clock, s)."""
         was_live, self.mode = self.live, self._registry.mode(wall)
         self.live = {"simulated": False, "live": True}.get(self.mode, was_live)
         if self._registry.runs == self._runs and was_live in (None, self.live):

@@ -1,4 +1,4 @@
-"""Forecast of rain and controller's plan for the hours ahead."""
+"""Rain forecast and controller's plan for the hours ahead."""
 
 from __future__ import annotations
 
@@ -67,10 +67,10 @@ class _Steps:
 
 @dataclass(frozen=True)
 class Forecast(_Steps):
-    """The newest forecast of rain.
+    """The latest rain forecast.
 
     Attributes:
-        rain: mean rain in each step (m/s), shape (members, steps).
+        rain: mean rain rate in each step (m/s), shape (members, steps).
         issued: time of issue (s since 1970); None if unknown.
     """
 
@@ -91,14 +91,14 @@ class Forecast(_Steps):
         return RainAmount(float(amounts.mean()), low, high, reach, fallen_at, len(amounts))
 
     def rows(self) -> list[list[float]]:
-        """Return start and end (s since 1970) and mean, low and high rain (m/s) of each step."""
+        """Return start, end (s since 1970) and mean, low and high rain rate (m/s) of each step."""
         columns = (self.begins, self.ends, self.rain.mean(axis=0), *_compute_ranges(self.rain))
         rows: list[list[float]] = np.column_stack(columns).tolist()
         return rows
 
 
 def _compute_ranges(values: Values) -> tuple[Values, Values]:
-    """Return the members' range: percentiles 10 to 90, or minimum to maximum if there are few."""
+    """Return the members' range: 10th to 90th percentile, or minimum to maximum for few members."""
     if len(values) < _TENTHS:
         return values.min(axis=0), values.max(axis=0)
     low, high = np.percentile(values, (10, 90), axis=0)
@@ -127,7 +127,7 @@ class Plan(_Steps):
         return PlannedPumping(float(self.flow @ lengths), begin, float(self.level[pumps].max()))
 
     def rows(self, now: float) -> list[list[float]]:
-        """Return start and end (s since 1970), flow and final roof level of each future step."""
+        """Return the start, end (s since 1970), flow and final roof level of each future step."""
         columns = np.column_stack((self.begins, self.ends, self.flow, self.level))
         rows: list[list[float]] = columns[self.ends > now].tolist()
         return rows

@@ -15,7 +15,7 @@ _PRINTED: set[str] = set()
 
 
 class Parts:
-    """Makes the parts of a document; a part that fails is replaced, and the others are shown.
+    """Maker of the parts of a document, which replaces a part that fails and keeps the others.
 
     Attributes:
         failed: reason for each failure, by the name of the part.
@@ -31,7 +31,7 @@ class Parts:
         The traceback of a failure is printed, once for each place in the code.
 
         Args:
-            name: name of the part, in the form in which it begins a sentence.
+            name: name of the part, worded as the subject at the start of a sentence.
             make: function that makes the part.
             instead: replacement for a part that cannot be made.
         """

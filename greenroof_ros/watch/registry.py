@@ -1,7 +1,7 @@
 """Registry of the nodes of a graph and their latest reports on /diagnostics.
 
-No other module reads these reports: alarms, tiles and subscriptions are all based on this registry.
-A node is identified by its name; another process under the same name counts as a restart.
+No other module reads the reports: alarms, tiles and subscriptions are all based on the registry. A
+node is identified by its name; another process with the same name counts as a restart of the node.
 """
 
 from __future__ import annotations
@@ -57,15 +57,16 @@ class Node(NodeReport):
     """A process of this package, with the information that the page reads from its values.
 
     Attributes:
-        number: number of the last message of the process, as counted by its publisher.
-        copied_at: time at which another publisher last reported as this process (steady clock, s).
+        number: number of the last message from the process, as counted by its publisher.
+        copied_at: time of the last report that another publisher sent as this process (steady
+            clock, s).
     """
 
     number = 0
     copied_at = -math.inf
 
     def count_message(self, wall: float, number: int) -> None:
-        """Detect a second publisher, since the message numbers of a single publisher only rise."""
+        """Detect a second publisher, since the numbers of a single publisher only increase."""
         if number <= self.number:
             self.copied_at = wall
         self.number = number
@@ -104,9 +105,10 @@ class Registry:
     """Registry of the nodes in one namespace, filled from their reports on /diagnostics.
 
     Attributes:
-        runs: number of times that a new run has begun because the plant was restarted.
-        time_ns: time of the plant's newest tick (ns since 1970); 0 before the first.
-        offered: names of the nodes that offer to hold the pump, whatever any node reports.
+        runs: number of new runs begun by a restart of the plant node.
+        time_ns: time of the plant's latest tick (ns since 1970); 0 before the first.
+        offered: names of the nodes that offer a hold service for the pump, regardless of any
+            reports.
     """
 
     def __init__(self, namespace: str = "", on_event: Callable[[str], None] | None = None) -> None:
@@ -142,12 +144,12 @@ class Registry:
         self, wall: float, statuses: Sequence[WireStatus], *, now: float = 0.0, stamp_ns: int = 0,
         number: int | None = None,
     ) -> None:
-        """Receive the statuses of one or more messages; invalid content raises no exception.
+        """Receive the statuses from one or more messages; invalid content raises no exception.
 
         Args:
-            wall: present time (steady clock, s).
+            wall: current time (steady clock, s).
             statuses: the statuses.
-            now: time of the graph, with which alarms are dated (s since 1970).
+            now: graph time with which alarms are stamped (s since 1970).
             stamp_ns: time stamp of the message (ns since 1970); in a simulation, the time of the
                 tick.
             number: number of the message, as counted by its publisher; None if unknown.
@@ -224,7 +226,7 @@ class Registry:
         return node
 
     def _make_room(self, wall: float, role: str) -> bool:
-        """Return whether a role has room for a node, after forgetting a silent one if necessary."""
+        """Return whether a role has room for a node, after dropping a silent node if necessary."""
         same = [node for node in self._nodes.values() if node.role == role]
         if len(same) < _NODES:
             return True
@@ -294,7 +296,7 @@ class Registry:
             self.time_ns = stamp_ns
 
     def excuse_silence(self, seconds: float) -> None:
-        """Exclude a time in which nothing could be received (s) from the silence of all nodes."""
+        """Exclude a period without reception (s) from the silent time of all nodes."""
         for node in self._nodes.values():
             node.received_at += seconds
         for parts in (self._foreign, *(node.parts for node in self._nodes.values())):
@@ -304,7 +306,7 @@ class Registry:
     # --- kind of graph --------------------------------------------------------------------------
 
     def node(self, role: str) -> Node | None:
-        """Return the node that has a role; None if no such node has reported."""
+        """Return the node with a given role; None if no node with this role has reported."""
         return self._by_role.get(role)
 
     def starting(self, wall: float) -> bool:
@@ -312,7 +314,7 @@ class Registry:
         return is_starting([*self._latest.values()], wall)
 
     def factor(self, tau: float) -> float | None:
-        """Return the ratio of simulated to wall time over the last seconds; None if unknown."""
+        """Return the ratio of simulated to wall time over the last few seconds; None if unknown."""
         if len(self._ticks) < 2:
             return None
         (began, first), (ended, last) = self._ticks[0], self._ticks[-1]
@@ -360,14 +362,14 @@ class Registry:
             return ""
         return (
             f"Two nodes claim to be the pump node ({list_names(names)}), so it is unknown which "
-            "one controls the pump. A stop is sent to all of them; no other request is sent from "
-            "here. Shut down the node that should not be running."
+            "of them controls the pump. A stop is sent to all of them; no other request is sent "
+            "from here. Shut down the node that should not be running."
         )
 
     def _find_twins(self, name: str, wall: float) -> tuple[Node, Node] | None:
-        """Return two processes that report alternately under a name, older first; None if none do.
+        """Return two processes that report in turn under one name, older first; None if none do.
 
-        If another publisher copies the reports of a process, this process is returned twice. A
+        If another publisher copies a process's reports, that process is returned twice. A
         process that replaced another one is not a twin: the earlier process did not report after
         the later one began.
         """
@@ -399,7 +401,7 @@ class Registry:
     # --- what is wrong ----------------------------------------------------------------------------
 
     def diagnoses(self, wall: float) -> dict[str, StatusDiagnosis]:
-        """Return the diagnoses of everything that is wrong now, by the name of the status."""
+        """Return the diagnoses of all current faults by the name of the status."""
         diagnoses: dict[str, StatusDiagnosis] = {}
         for name, part in self._foreign.items():
             silent = wall - part.received_at > _FOREIGN_SILENT_S
@@ -446,8 +448,8 @@ def _read_hold(values: Mapping[str, Any]) -> str:
 def _read_value(text: str) -> Any:
     """Return the value of a JSON text in a status from a node of this package.
 
-    A number that is not finite, or an integer of 20 or more characters, is read as None: no
-    quantity has such a value, and calculations with it would fail.
+    Numbers that are not finite and integers of 20 or more characters are read as None, since no
+    quantity has such values, and calculations with them would fail.
     """
     return json.loads(
         text, parse_int=lambda digits: int(digits) if len(digits) < 20 else None,
@@ -457,9 +459,9 @@ def _read_value(text: str) -> Any:
 
 
 def _find_changes(before: Mapping[str, Any], values: Mapping[str, Any]) -> tuple[list[Any], int]:
-    """Return the parameter changes since a node's last report, and the number not listed.
+    """Return the parameter changes since a node's last report, and the number of unlisted changes.
 
-    The node keeps only the newest changes, but counts all of them.
+    The node keeps only the latest changes, but counts all of them.
     """
     listed = values.get("parameter_changes")
     first, last = (known.get("parameter_change_count") for known in (before, values))

@@ -1,14 +1,14 @@
-"""HTTP server of the page: its files, the events pushed to it, and the actions it can request.
+"""HTTP server for the page: files, pushed events, and the actions that the page can request.
 
-Anyone who reaches the address may view the page and stop the pump. If there is a token, the token
-is required for both. The page can release a hold only if this was allowed at the start, which
-requires a token. The page can then also clear a fault that needs no person at the pump and, if the
-site file allows doses, give a dose.
+Anyone who can reach the address can view the page and stop the pump. If there is a token, it is
+required for both. The page can release a hold only if this was allowed when the server was started,
+which requires a token. The page can then also clear a fault that does not require a person at the
+pump and, if the site file allows doses, request a dose.
 
-Every path is a fixed route, and no path is looked up as a file. Another page in the same browser
-cannot do anything: a request must name this host (and not another name that resolves to its
-address), and an action needs a header that only this page can send. No connection can hold up the
-others: the number of connections is limited, each has a time limit, and a browser that does not
+Every path is a fixed route; no path is looked up in the file system. Other pages in the same
+browser cannot make requests: a request must name this host (and not another name that resolves to
+its address), and an action needs a header that only this page can send. No connection can hold up
+the others: the number of connections is limited, each has a time limit, and a browser that does not
 read is skipped.
 """
 
@@ -90,7 +90,7 @@ _Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
 class ServerEvent:
-    """One server-sent event, plain and compressed.
+    """One server-sent event, both plain and compressed.
 
     Each event is compressed once for all readers. Compressed events can follow a :data:`GZIP_HEAD`
     in any order, since no event refers to an earlier event and each event ends with a full flush.
@@ -112,9 +112,9 @@ class ServerEvent:
 
 
 class EventStream:
-    """A stream of events with the document and the series, renewed while someone reads them.
+    """A stream of events with the document and the series, updated while there are readers.
 
-    A reader receives the newest event as soon as it has read the previous one. Events in between
+    A reader receives the latest event as soon as it has read the previous one. Events in between
     are dropped, so a thousand slow readers need no more memory than a single reader.
 
     Attributes:
@@ -133,14 +133,14 @@ class EventStream:
         self._making = asyncio.Lock()
 
     async def events(self, hours: float) -> AsyncGenerator[ServerEvent, None]:
-        """Yield new events as they are made, skipping all but the newest.
+        """Yield new events as they are made, skipping all but the latest.
 
-        Charts that cannot be made are replaced by the reason. If no document can be made at all,
-        the error is printed and every stream ends. The page then reports that it is not connected,
-        rather than presenting old values as current, and keeps its stop button.
+        Charts that cannot be made are replaced by an error message. If no document can be made at
+        all, the error is printed and every stream ends. The page then keeps its stop button, and
+        reports that it is not connected, rather than presenting old values as current.
 
         Args:
-            hours: length of the past in the series (h).
+            hours: length of the history in the series (h).
         """
         wanted: tuple[str | float, ...] = ("state", hours)
         sent: dict[str | float, ServerEvent] = {}
@@ -159,7 +159,7 @@ class EventStream:
             self.readers -= 1
 
     async def _newest_event(self, key: str | float) -> ServerEvent | None:
-        """Return the newest event, made once for all readers; None if it cannot be made."""
+        """Return the latest event, made once for all readers; None if it cannot be made."""
         async with self._making:
             now, lifetime = time.monotonic(), _STATE_S if isinstance(key, str) else _SERIES_S
             self._newest = {  # events for readers who have gone are dropped
@@ -193,10 +193,10 @@ class EventStream:
 
 
 class _Connections:
-    """The connections of a server, which always accepts a new one and drops the oldest if needed.
+    """The connections of a server that always accepts new ones and drops the oldest if needed.
 
-    A new connection therefore has time to make its request until a hundred others have connected. A
-    stop gets through however many clients connect, and whether or not they send and read.
+    A new connection therefore has time for its request until a hundred others have connected. A
+    stop gets through no matter how many clients connect, and whether or not they send and read.
     """
 
     def __init__(self, server: web.Server) -> None:
@@ -229,7 +229,7 @@ class _Connections:
 
     @contextmanager
     def keep(self, request: web.Request) -> Iterator[None]:
-        """Lift the time limit of a connection during its answer, and read nothing more from it."""
+        """Lift a connection's time limit during its answer, and read nothing more from it."""
         if request.transport is not None:
             request.transport.pause_reading()
         self._until[request.protocol] = math.inf
@@ -239,7 +239,7 @@ class _Connections:
             self._until[request.protocol] = time.monotonic() + _ANSWER_S
 
     async def drop_overdue(self) -> None:
-        """Periodically end the connections that take too long."""
+        """Periodically close the connections that take too long."""
         while True:
             await asyncio.sleep(1.0)
             now = time.monotonic()
@@ -252,7 +252,7 @@ class _Connections:
             self._drop(handler)
 
     def drop_gone(self) -> bool:
-        """End one kept connection whose reader has gone or reads nothing; return False if none."""
+        """Close one kept connection whose reader is gone or reads nothing; return False if none."""
         for handler, until in self._until.items():
             transport = handler.transport
             if until < math.inf or transport is None:
@@ -308,14 +308,14 @@ class _PageApplication:
     async def _check_origin(
         self, request: web.Request, handler: _Handler
     ) -> web.StreamResponse:
-        """Reject a request that names another host than this one, or that comes from another page.
+        """Reject a request that names a host other than this one, or that comes from another page.
 
         If the name of another host resolved to this address, a browser would treat a page from that
         host as a page of this server (DNS rebinding).
         """
         if self._names is not None and _read_host(request) not in self._names:
             raise web.HTTPForbidden(
-                reason="the host name in the address is unknown here; use localhost"
+                reason="the host name in the address is not recognized; use localhost"
             )
         if request.method == "POST" or request.path == "/events":
             given = request.headers.get("Authorization", "")
@@ -368,7 +368,7 @@ class _PageApplication:
         return _make_response(known, "" if known else "This alarm is no longer listed.")
 
     async def _act(self, request: web.Request) -> web.Response:
-        """Carry out an action on the pump; a request repeated meanwhile gets the same answer.
+        """Carry out an action on the pump; a request repeated in the meantime gets the same answer.
 
         Doses are an exception: if a dose is requested twice, only the first request is carried out.
         """
@@ -441,7 +441,7 @@ def _read_host(request: web.Request) -> str | None:
 
 
 def _is_of_another_page(request: web.Request) -> bool:
-    """Return whether the browser reports that the request comes from a page of another site.
+    """Return whether, according to the browser, the request comes from a page of another site.
 
     Browsers report the origin of a request in Sec-Fetch-Site, but over plain HTTP to another
     machine only in Origin.
@@ -455,7 +455,7 @@ def _is_of_another_page(request: web.Request) -> bool:
 async def _send(
     answer: web.StreamResponse, data: bytes, transport: asyncio.Transport | None
 ) -> None:
-    """Send data, and wait until none is left in the buffer, where it would become outdated."""
+    """Send data, and wait until the buffer, in which data would become outdated, is empty."""
     await answer.write(data)
     while transport is not None and transport.get_write_buffer_size():
         await asyncio.sleep(_DRAIN_S)
@@ -470,7 +470,7 @@ def _read_number(body: Mapping[str, object], name: str, unit: str) -> float:
 
 
 def _read_hours(text: str) -> float:
-    """Return the requested length of the past (h)."""
+    """Return the requested length of the history (h)."""
     with suppress(ValueError):
         hours = read_number(text)
         if hours in HOURS:
@@ -484,7 +484,7 @@ async def _read_body(request: web.Request) -> dict[str, Any]:
     try:
         content = json.loads(await asyncio.wait_for(request.read(), _BODY_S))
     except asyncio.TimeoutError:
-        raise web.HTTPRequestTimeout(reason="the request was not complete within 5 s") from None
+        raise web.HTTPRequestTimeout(reason="the request was not completed within 5 s") from None
     except (ValueError, RecursionError, web.RequestPayloadError):
         content = None
     if not isinstance(content, dict):

@@ -1,7 +1,7 @@
-"""Actions on the pump that the page offers: stop, release, clear a fault and give a dose.
+"""Actions on the pump that the page offers: stop, release, clear a fault and request a dose.
 
-The actions do not depend on the tiles or the alarms, so the pump can be stopped even if the tiles
-and the alarms cannot be shown.
+The actions do not depend on the tiles or the alarms, so the pump can be stopped even if neither can
+be shown.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
     """Return whether the pump can be stopped from here, whether it is stopped, and a warning.
 
     The pump can be stopped if any node may control it, whatever the nodes report. The pump counts
-    as stopped if someone holds it and it is at rest; the hold alone only means that the pump should
-    be stopped. ``release`` is the command that releases the pump; empty if it would have no effect.
+    as stopped if it is held and at standstill; a hold alone only means that the pump should be
+    stopped. ``release`` is the command that releases the pump; empty if it would have no effect.
     Entries that end in ``_here`` state whether an action is allowed here, and entries that end in
-    ``_then`` describe the effect of an action. A request for a dose returns ``asked_at``, so that a
-    delayed request is recognized.
+    ``_then`` describe the effect of an action. A request for a dose includes ``asked_at``, so that
+    a delayed request is recognized.
     """
     two = store.graph.two_pumps(store.wall)
     node = None if two else store.graph.pump(store.wall)
@@ -45,7 +45,7 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
     if hold and not at_rest and not is_silent:
         warning = (
             "The stop was accepted, but the pump is still turning, or it is unknown whether it has "
-            "stopped. Stop it at its drive's panel if it does not stop within seconds."
+            "stopped. If it does not stop within seconds, stop it at its drive's panel."
         )
     report = store.pump_report
     off = report is not None and report.state in ("off", "held", "fault") and at_rest
@@ -108,17 +108,19 @@ def _write_limits(minimum: float, maximum: float, area: float) -> str:
     """Write the range of a dose (m3) and the resulting water depth on a roof of an area (m2)."""
     volumes = f"from {minimum:.3f} to {maximum:g} m³" if minimum else f"at most {maximum:g} m³"
     depths = [words.write_rain(volume / area) for volume in (minimum, maximum) if volume and area]
-    return volumes + (f", which is {' to '.join(depths)} of water on the roof" if depths else "")
+    return volumes + (
+        f", equivalent to {' to '.join(depths)} of water on the roof" if depths else ""
+    )
 
 
 def _write_then(*others: str) -> str:
-    """Write the effect on the pump; ``others`` are other reasons that keep it off, or empty."""
+    """Describe the effect on the pump; ``others`` are other reasons that keep it off, or empty."""
     remain = "; ".join(filter(None, others))
     return f"The pump nevertheless stays off: {remain}. " if remain else _THEN
 
 
 def make_bare_stop() -> dict[str, Any]:
-    """Return the stop to offer if nothing is known; any pump node receives the request."""
+    """Return the stop action to offer if nothing is known; any pump node receives the request."""
     return {
         "possible": True, "stopped": False, "label": "Stop the pump",
         "sentence": "A stop holds the pump off until someone releases it. " + LOCK_OUT,

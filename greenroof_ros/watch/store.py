@@ -1,8 +1,8 @@
-"""State of one graph: newest values and their history, plan, forecast, and reports of the nodes.
+"""State of one graph: latest values and their history, plan, forecast, and reports of the nodes.
 
-Each message that :mod:`.feed` receives is passed to the store once, with
-:meth:`GraphStore.receive` or :meth:`GraphStore.add_statuses`. From the store, :mod:`.document`
-makes the document that people see.
+Each message that :mod:`.feed` receives is passed to the store once, with :meth:`GraphStore.receive`
+or :meth:`GraphStore.add_statuses`. From the store, :mod:`.document` creates the document shown to
+operators.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ _MAX_EVENTS = 50
 
 
 class TopicValue:
-    """The newest value on a topic, with a check at every update for an overdue next value.
+    """The latest value on a topic; every update checks whether the next value is overdue.
 
     Attributes:
         time_ns: time of the value (ns since 1970).
@@ -101,23 +101,23 @@ class GraphStore:
     clock (s), so a change of the system's clock does not affect the age of a value.
 
     Attributes:
-        lock: lock to hold while more than one attribute is read.
+        lock: lock that must be held while more than one attribute is read.
         namespace: namespace of the graph; empty if it has none.
         site: site whose parameters are used to judge levels: the paper's until another is known.
         wall: time of the last update of the store (steady clock, s).
-        notes: notes to the operator about the site file, and about the graph that is watched.
+        notes: notes to the operator about the site file and the watched graph.
         mode: ``none`` if nothing has been received yet, ``simulated``, ``live``, or ``ended`` for a
             run that is over.
         factor: ratio of simulated to wall time; None if there is no such ratio.
         allow_release: whether the pump may be released from the page.
         graph: registry of the nodes and their reports.
-        judge: judge of the present faults, and of the nodes that are only missing because the site
-            is still starting.
-        events: newest events, each with its time (s since 1970).
-        newest: newest value on each topic.
+        judge: judge of the current faults, and of nodes that are missing only because the site is
+            still starting.
+        events: latest events, each with its time (s since 1970).
+        newest: latest value on each topic.
         past: history of each line of the charts.
-        forecast: newest forecast of rain; None if it is unknown.
-        plan: plan of the controller; None if it is unknown or there is none.
+        forecast: latest rain forecast; None if unknown.
+        plan: plan of the controller; None if unknown or if there is none.
     """
 
     def __init__(self, namespace: str = "") -> None:
@@ -141,7 +141,7 @@ class GraphStore:
         self.reset()
 
     def reset(self) -> None:
-        """Reset everything for a new run, except the nodes and the way they are watched."""
+        """Reset everything for a new run, except the nodes and how they are watched."""
         with self.lock:
             self.judge = Judge()
             self.events: deque[tuple[float, str]] = deque(maxlen=_MAX_EVENTS)
@@ -177,7 +177,7 @@ class GraphStore:
             self.notes[0] = clean_text(note)
 
     def set_present(self, *, mode: str, factor: float | None, note: str) -> None:
-        """Set the mode and the speed of the graph that is watched.
+        """Set the mode and the speed of the watched graph.
 
         Args:
             mode: mode, as in the attribute of this name.
@@ -190,13 +190,13 @@ class GraphStore:
             self.notes[1] = clean_text(note)
 
     def update(self, wall: float, system: float | None = None) -> None:
-        """Update the overdue values and the alarms; called often, even if no document is shown.
+        """Update the overdue values and the alarms; call this often, even without a document.
 
         If the clock of a live site is set back, the charts start again, since new values would be
         older than the existing ones.
 
         Args:
-            wall: present time (steady clock, s).
+            wall: current time (steady clock, s).
             system: system time, which a live site follows (s since 1970); None if unchanged.
         """
         with self.lock:
@@ -237,7 +237,7 @@ class GraphStore:
 
     @property
     def flow_known(self) -> bool:
-        """Whether the pump node knows the flow; while it does not, the flow's topic reports 0."""
+        """Whether the pump node knows the flow; if not, its flow topic reports 0."""
         return self.pump is None or self.pump.values.get("flow", 0.0) is not None
 
     # --- messages -------------------------------------------------------------------------------
@@ -262,10 +262,10 @@ class GraphStore:
                 self.add(topic, time_ns, value)
 
     def add(self, topic: str, time_ns: int, value: float) -> None:
-        """Add a value from a topic of single numbers.
+        """Add a value from a topic that carries single numbers.
 
         A value that is not newer than the last one is ignored. A value outside the topic's range is
-        shown as not plausible, and leaves a gap in its line.
+        shown as not plausible, and leaves a gap in its chart line.
 
         Args:
             topic: name of the topic in the interface, without a namespace.
@@ -286,16 +286,17 @@ class GraphStore:
                 self.past[_NAMES[topic]].add(time_ns, value if is_known else math.nan)
 
     def present_value(self, topic: str) -> float | None:
-        """Return the present value on a topic; None if there is none or it is stale."""
+        """Return the current value on a topic; None if there is none or it is stale."""
         newest = self.newest.get(topic)
         return None if newest is None or newest.stale else newest.value
 
     def add_forecast(self, time_ns: int, values: Values, front: Values) -> None:
-        """Add a forecast of rain; an invalid forecast clears the present one.
+        """Add a rain forecast; an invalid forecast clears the current one.
 
         Args:
             time_ns: beginning of the first step (ns since 1970).
-            values: rain in each step (m/s), shape (steps,), or (members, steps) for an ensemble.
+            values: rain rate in each step (m/s), shape (steps,), or (members, steps) for an
+                ensemble.
             front: time of issue (s since 1970, NaN if unknown), and the end of each step (s after
                 ``time_ns``), shape (1 + steps,).
         """
@@ -325,7 +326,7 @@ class GraphStore:
                 plan is ignored.
             rows: for each step, its end (s after ``time_ns``), the mean flow (m3/s), the expected
                 roof level at the end (m), and a level that is not shown; shape (steps, 4). Empty
-                rows leave the plan unchanged. Rows with an impossible number clear the plan.
+                rows leave the plan unchanged. Rows with an impossible value clear the plan.
         """
         at = time_ns / 1e9
         if not 0 < time_ns < _LATEST_NS:
@@ -347,7 +348,7 @@ class GraphStore:
         """Add the statuses in a message on /diagnostics.
 
         Args:
-            wall: present time (steady clock, s).
+            wall: current time (steady clock, s).
             statuses: statuses of one message.
             stamp_ns: time stamp of the message (ns since 1970); in a simulation, a simulated time.
             number: number of the message, as counted by its publisher; None if unknown.
@@ -395,7 +396,7 @@ class GraphStore:
             return alarm is not None
 
     def is_acknowledged(self, alarm: Alarm) -> bool:
-        """Return whether an alarm is acknowledged with its present level and present subjects."""
+        """Return whether an alarm is acknowledged with its current level and current subjects."""
         return self._acknowledged.get(alarm.name) == (alarm.number, alarm.level, alarm.about)
 
     # --- time -----------------------------------------------------------------------------------
@@ -404,7 +405,7 @@ class GraphStore:
     def now(self) -> float | None:
         """The graph's time (s since 1970); None if no time is known yet.
 
-        On a live site, the graph's time is the system time; otherwise, it is the time of the newest
+        On a live site, the graph's time is the system time; otherwise, it is the time of the latest
         value or of the plant's last report, whichever is later.
         """
         if self.mode == "live" and self._system is not None:
@@ -414,11 +415,11 @@ class GraphStore:
 
     @property
     def _event_time(self) -> float:
-        """Time of an event that happens now (s since 1970)."""
+        """Time at which an event that occurs now is recorded (s since 1970)."""
         return (self._system or 0.0) if self.now is None else self.now
 
     def clock(self) -> dict[str, Any]:
-        """Return the time in words, and the clock for the page's charts.
+        """Return the time as text, and the clock for the page's charts.
 
         The clock is a list of times (s since 1970), each with the offset from UTC (h) that applies
         from this time on. The list covers the longest chart.
@@ -432,8 +433,8 @@ class GraphStore:
     def time_of_day(self, at: float) -> str:
         """Write a time of the graph (s since 1970).
 
-        In a simulation, events before the first tick have the system's time, which is later than
-        the simulated time. They are dated ``the start``.
+        In a simulation, events before the first tick are stamped with the system time, which is
+        later than the simulated time. Their time is written as ``the start``.
         """
         if self.now is not None and self.mode != "live" and at > self.now:
             return "the start"
@@ -445,7 +446,7 @@ class GraphStore:
 
 
 def _read_plan(at: float, rows: Values) -> Plan | None:
-    """Return the plan made at a time (s since 1970); None if one of its numbers is impossible."""
+    """Return the plan made at a time (s since 1970); None if any of its values is impossible."""
     plan = np.asarray(rows, dtype=np.float64)
     if plan.ndim != 2 or plan.shape[1] != 4 or len(plan) > _MAX_STEPS:
         return None

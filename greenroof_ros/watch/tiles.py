@@ -1,8 +1,8 @@
-"""The five tiles to see at a glance: roof level, cistern level, pump, rain and controller.
+"""The five tiles to read at a glance: roof level, cistern level, pump, rain and controller.
 
 Every tile has a ``label``, a ``value`` in words, this value as a ``number``, a ``state`` that rates
-the value, and a ``sentence`` with details. A flag states whether the value is ``stale`` and
-therefore unknown.
+the value, and a ``sentence`` with details. The flag ``stale`` states whether the value is overdue
+and therefore unknown.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ write_level = partial(words.write_value, _ROOF)
 write_flow = partial(words.write_value, _FLOW)
 
 # In place of a value that was never received: it may come, or its absence is reported as a fault.
-_NOT_YET, _NONE_NOW = "nothing received from it yet", "no values arrive"
+_NOT_YET, _NONE_NOW = "no value received yet", "no values arrive"
 
 Tile = dict[str, Any]
 
@@ -42,7 +42,7 @@ def _make_tile(
     store: GraphStore, label: str, topic: str, judged: Callable[[float], tuple[str, str]],
     **more: Any,
 ) -> Tile:
-    """Return the tile of a topic; ``judged`` returns the state and the sentence for a value.
+    """Return the tile for a topic; ``judged`` returns the state and the sentence for a value.
 
     A missing or stale value is shown as unknown; for a stale value, the sentence states the last
     value and its time. ``why`` is the reported reason for a missing value, if any. A value that is
@@ -69,7 +69,7 @@ def _make_tile(
 
 
 def _find_reason(store: GraphStore, topic: str) -> str:
-    """Return the reason why a topic has no values, as its publisher or else its readers report it.
+    """Return the reported reason why a topic has no values, from its publisher or its readers.
 
     The reason is empty if no fault is reported, since the first value may still arrive.
     """
@@ -96,7 +96,7 @@ def make_unknown_tile(label: str) -> Tile:
 
 
 def find_band(site: Site) -> list[float]:
-    """Return the levels between which the roof is near its target (m)."""
+    """Return the lowest and the highest level at which the roof is near its target (m)."""
     return [site.z_veg * (1 - NEAR_TARGET), site.z_veg * (1 + NEAR_TARGET)]
 
 
@@ -110,11 +110,11 @@ def make_roof_tile(store: GraphStore) -> Tile:
     top = max(full, shown) if shown > 2 * site.z_veg else 2 * site.z_veg
     marks = [{"at": site.z_veg, "label": f"target {write_level(site.z_veg)}"}]
     if full <= top:
-        marks.append({"at": full, "label": f"soil is full at {write_level(full)}"})
+        marks.append({"at": full, "label": f"soil full at {write_level(full)}"})
 
     def judged(level: float) -> tuple[str, str]:
         state = "low" if level < low else "high" if level > high else "good"
-        drains = "; the soil is full, and water drains off" if level >= full else ""
+        drains = "; the soil is full, and water is draining off" if level >= full else ""
         return state, _write_difference(level - site.z_veg) + drains
 
     return _make_tile(
@@ -123,7 +123,7 @@ def make_roof_tile(store: GraphStore) -> Tile:
 
 
 def _write_difference(difference: float) -> str:
-    """Write the distance of the roof's level from its target: ``0.4 mm below its target``."""
+    """Write the deviation of the roof's level from its target: ``0.4 mm below its target``."""
     text = write_level(abs(difference))
     if text == write_level(0.0):
         return "at its target"
@@ -146,13 +146,13 @@ def make_cistern_tile(store: GraphStore) -> Tile:
         if usable <= 0:
             return "low", "too low for the pump, since it is not above the suction level"
         if level > site.z_o:
-            return "high", "above its overflow, so water runs to the sewer"
+            return "high", "above its overflow, so water is running to the sewer"
         usable_text = words.write_quantity(usable, "m³", 1)
         text = f"{usable_text} above the suction level can be pumped"
         if site.low_outlet_valve:
             share = store.present_value(_VALVE)
             return "good", text + _write_opened(share)
-        drains = "; the low outlet drains the cistern" if level > site.min_outlet_level else ""
+        drains = "; the low outlet is draining the cistern" if level > site.min_outlet_level else ""
         return "good", text + drains
 
     shown = 0.0 if newest is None else newest.value or 0.0
@@ -174,12 +174,12 @@ def _write_opened(share: float | None) -> str:
 def make_pump_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     """Return the tile of the pump: its state and, below it, the flow, the command and the reason.
 
-    ``alarm`` states whether the pump may be turning without anyone knowing, and ``idle`` whether
-    the pump is off only because the controller commands nothing.
+    ``alarm`` states whether the pump might be turning unnoticed, and ``idle`` whether the pump is
+    off only because the controller commands a flow of 0.
 
     Args:
         store: state of the graph.
-        wrong: the present alarms.
+        wrong: the current alarms.
     """
     node, report = store.pump, store.pump_report
     values = {} if node is None else node.values
@@ -239,7 +239,7 @@ def _write_commanded(share: float | None) -> str:
 
 
 def _read_pump_state(store: GraphStore, report: PumpState | None) -> tuple[str, str]:
-    """Return the pump's state and the reason; in a simulation, derive them if not reported."""
+    """Return the pump's state and the reason; in a simulation, derive both if not reported."""
     if report is not None:
         return report.state, report.why
     if store.mode == "live":
@@ -261,7 +261,7 @@ def _is_quiet(store: GraphStore) -> bool:
 
 
 def make_rain_tile(store: GraphStore) -> Tile:
-    """Return the tile of the rain, with the present rain and the forecast rain."""
+    """Return the tile of the rain, with the current and the forecast rain."""
     topic = _GAUGE if store.newest.get(_RAIN) is None else _RAIN
     tile = _make_tile(store, "Rain", topic, lambda _: ("good", ""))
     return tile if tile["stale"] else {**tile, "sentence": _write_coming_rain(store)}
@@ -270,19 +270,19 @@ def make_rain_tile(store: GraphStore) -> Tile:
 def _write_coming_rain(store: GraphStore) -> str:
     forecast, now = store.forecast, store.now
     if forecast is None or now is None:
-        return "no forecast is known"
+        return "no forecast received"
     # The age of a forecast counts from its issue, if known; it is too old only if it is no longer
     # published.
     made_at = forecast.at if forecast.issued is None else forecast.issued
     age, made = now - made_at, store.hour(made_at)
     amount = forecast.amount(now)
     if amount is None:
-        return f"no forecast is known: the one from {made} has ended"
+        return f"no current forecast: the forecast from {made} has ended"
     reach = words.write_horizon(amount.reach_s)
     if amount.reach_s < SOON_S:
-        return f"no forecast for the next hours: the newest forecast covers only {reach}"
+        return f"no forecast for the next few hours: the latest forecast covers only {reach}"
     if now - forecast.at > OLD_S:
-        return f"the forecast from {made} is too old"
+        return f"the latest forecast, from {made}, is too old"
     sentence = f"{words.write_rain(amount.mean)} expected in the next {reach}{_write_range(amount)}"
     return sentence if age <= _RENEWED_S else f"{sentence}, according to the forecast from {made}"
 
@@ -300,7 +300,7 @@ def make_controller_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) 
 
     Args:
         store: state of the graph.
-        wrong: the present alarms.
+        wrong: the current alarms.
     """
     node = store.graph.node("controller")
     name = None if node is None else node.name.rpartition("/")[2]
@@ -316,7 +316,7 @@ def make_controller_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) 
     elif plan is not None and now is not None:
         sentence = _write_plan(store, plan, now)
     elif name is None and command is None:
-        sentence = "no controller is known"
+        sentence = "no controller found"
     elif command is None or command.value is None:
         sentence = "the controller's command is unknown"
     elif command.value:
@@ -335,7 +335,7 @@ def make_controller_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) 
 
 
 def _has_forecast(store: GraphStore) -> bool:
-    """Return whether the present time is covered by a forecast that is not too old."""
+    """Return whether a forecast that is not too old covers the current time."""
     forecast, now = store.forecast, store.now
     return (
         forecast is not None and now is not None and forecast.amount(now) is not None

@@ -1,4 +1,4 @@
-"""Messages of a graph, read from bytes; an incomplete or far too large message becomes None."""
+"""Messages from a graph, decoded from bytes; incomplete or far too large messages become None."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class WireStatus:
 
 
 def _read(message: bytes, decode: Callable[[bytes], Any]) -> Any:
-    """Return the content of a message; None if it is incomplete or too large."""
+    """Return the content of a message; None if the message is incomplete or too large."""
     if len(message) > _MAX_BYTES:
         return None
     with suppress(Exception):  # from the middleware, or because a text is not UTF-8

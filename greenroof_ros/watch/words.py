@@ -1,4 +1,4 @@
-"""Formats of the numbers, times and sentences that operators read on the page and in the status."""
+"""Formats of the numbers, times and sentences on the page and in the status output."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _MAX_NAMES = 3
 
 
 def write_number(value: float, decimals: int) -> str:
-    """Write a number with this many decimals, zero without a sign, and *unknown* from 1e12 on."""
+    """Write a number with the given decimals, zero without a sign, and *unknown* from 1e12."""
     if not math.isfinite(value) or abs(value) >= 1e12:
         return UNKNOWN
     text = f"{value:.{decimals}f}"
@@ -47,7 +47,7 @@ def write_quantity(value: float, unit: str, decimals: int, factor: float = 1.0) 
 
 
 def write_value(topic: str, value: float) -> str:
-    """Write a value of a topic, or a difference of values, in the interface's format: ``45.3 mm``.
+    """Write a topic's value, or a difference of values, in the interface's format: ``45.3 mm``.
 
     Args:
         topic: name of the topic in the interface.
@@ -79,14 +79,14 @@ def write_command(share: float) -> str:
 
 
 def write_horizon(seconds: float) -> str:
-    """Write the time that a forecast or plan covers, in whole hours from 90 min on: ``12 h``."""
+    """Write the time covered by a forecast or plan, in whole hours from 90 min upward: ``12 h``."""
     if seconds >= 5400:
         return write_quantity(seconds / 3600, "h", 0)
     return duration(round(seconds)).replace(" ", SPACE)
 
 
 def convert_time(seconds: float, zone: tzinfo) -> datetime | None:
-    """Return a time since 1970 (s) in a time zone; None if it is beyond the calendar."""
+    """Return a time since 1970 (s) in a time zone; None if it is outside the calendar's range."""
     try:
         return datetime.fromtimestamp(seconds, zone)
     except (ValueError, OverflowError, OSError):
@@ -137,7 +137,7 @@ def write_clock_time(seconds: float, zone: tzinfo, now: float) -> str:
 
 
 def write_coming_time(seconds: float, zone: tzinfo, now: float) -> str:
-    """Write a future time (s since 1970): ``06:20``, ``tomorrow 06:20``, or later with the date."""
+    """Write a future time (s since 1970): ``06:20``, ``tomorrow 06:20``, or a date and time."""
     at, today = convert_time(seconds, zone), convert_time(now, zone)
     if at is None or today is None:
         return UNKNOWN
@@ -147,12 +147,12 @@ def write_coming_time(seconds: float, zone: tzinfo, now: float) -> str:
 
 
 def clean_sentence(text: str) -> str:
-    """Return a node's sentence for lay readers: without names of parameters, and with m³ for m3."""
+    """Return a node's sentence for lay readers, without parameter names and with m³ for m3."""
     return _CUBIC.sub("m³", _PARAMETERS.sub("", clean_text(text)))
 
 
 def list_names(names: Iterable[str]) -> str:
-    """List the first few names of nodes, since anyone can report any number of nodes."""
+    """List only the first few node names, since any number of nodes can be reported."""
     listed = sorted({*names})
     more = len(listed) - _MAX_NAMES
     return " and ".join(listed[:_MAX_NAMES] + ([f"{more} more"] if more > 0 else []))

@@ -478,7 +478,7 @@ def test_commands_without_a_graph_say_what_to_do(domain: int, tmp_path: Path) ->
     assert (past.wait(300), "must be in the future" in past.stderr()) == (2, True)
     for process in (dose, reset):
         assert process.wait(300) == 1
-        assert process.stderr().startswith("error: There is no pump node to ask: ")
+        assert process.stderr().startswith("error: There is no pump node to send the request to: ")
         assert (
             "Start the pump node's graph first, with the same ROS_DOMAIN_ID, "
             "ROS_AUTOMATIC_DISCOVERY_RANGE and --namespace"

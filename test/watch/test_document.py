@@ -121,12 +121,12 @@ LOW_OUTLET = replace(SITE, low_outlet_level=1.0, low_outlet_radius=0.02)
 @pytest.mark.parametrize(("name", "site", "level", "state", "sentence"), [
     ("roof", SITE, 0.04566, "good", "at its target"),
     ("roof", SITE, 0.55, "high",
-     "504.3 mm above its target; the soil is full, and water drains off"),
+     "504.3 mm above its target; the soil is full, and water is draining off"),
     ("roof", SITE, -0.0, "low", "45.7 mm below its target"),
     ("cistern", SITE, 0.75, "low", "too low for the pump, since it is not above the suction level"),
-    ("cistern", SITE, 3.01, "high", "above its overflow, so water runs to the sewer"),
+    ("cistern", SITE, 3.01, "high", "above its overflow, so water is running to the sewer"),
     ("cistern", LOW_OUTLET, 2.5, "good",
-     "43.8 m³ above the suction level can be pumped; the low outlet drains the cistern"),
+     "43.8 m³ above the suction level can be pumped; the low outlet is draining the cistern"),
 ])
 def test_levels(name: str, site: Site, level: float, state: str, sentence: str) -> None:
     """The roof's band is 5 % of the target of 45.7 mm: from 43.415 to 47.985 mm."""
@@ -189,7 +189,7 @@ def test_rain_and_what_is_to_come() -> None:
     graph, front = watched(), np.array([math.nan, *range(1, 11)])
     graph.add_forecast(MINUTE, np.full(10, 1e-7), front)
     assert tile_of(graph, "rain")["sentence"] == (
-        "no forecast for the next hours: the newest forecast covers only 10 s"
+        "no forecast for the next few hours: the latest forecast covers only 10 s"
     )
 
 
@@ -265,7 +265,7 @@ def test_hostile_forecasts_and_plans() -> None:
         (ten, [*range(1, 11), 12]), (ten, range(10)), (ten, [*range(1, 10), math.inf]),
     ):
         graph.add_forecast(MINUTE, values, np.array([math.nan, *ends]))
-        assert tile_of(graph, "rain")["sentence"] == "no forecast is known"
+        assert tile_of(graph, "rain")["sentence"] == "no forecast received"
         assert read_series(graph, 3)["forecast"] == []
     for later, rows in enumerate((
         np.ones(4), np.ones((2, 3)), np.ones((2, 4, 1)), np.full((2, 4), 1e300), np.ones((2, 4)),
@@ -323,11 +323,11 @@ SENDS_NOTHING = f"{read_conditions()['sensor_lost'].meaning}: no answer"
 
 
 @pytest.mark.parametrize(("reports", "sentence", "why"), [
-    ([], "nothing received from it yet", ""),
+    ([], "no value received yet", ""),
     ([node("/pump", "pump", ("levels", ERROR, "/roof/level has not arrived yet", "input_waiting",
-                             {"topics": "/roof/level"}))], "nothing received from it yet", ""),
+                             {"topics": "/roof/level"}))], "no value received yet", ""),
     ([node("/roof_sensor", "roof_sensor", DEAD)], "no values arrive", SENDS_NOTHING),
-    ([node("/cistern_sensor", "cistern_sensor", DEAD)], "nothing received from it yet", ""),
+    ([node("/cistern_sensor", "cistern_sensor", DEAD)], "no value received yet", ""),
     # Another program publishes the level, and has died: only its readers report that.
     ([node("/pump", "pump", ("levels", ERROR, "/roof/level is older than 5 s (level_limit)",
                              "input_silent", {"topics": "/roof/level"}))],
@@ -444,7 +444,7 @@ def test_what_stop_does_as_the_pump_is(
     assert (told["possible"], told["stopped"]) == (True, held and stands)
     assert told["hold"] == ("A hold by the operator." if held else "")
     assert (told["label"], told["release"]) == (label, "greenroof release" if held else "")
-    assert ("Stop it at its drive's panel" in told["warning"]) == unsure
+    assert ("stop it at its drive's panel" in told["warning"]) == unsure
     assert (summary["level"] == "error") == unsure
     assert (f"the pump is held off: {HELD}" in summary["sentence"]) == held
     assert "must lock it out at the pump itself" in told["sentence"]
@@ -512,8 +512,8 @@ DOSE = {"max_dose": 0.688, "min_dose": 0.00688, "no_dose": "", "dose": {"said": 
 
 
 @pytest.mark.parametrize(("said", "maximum", "limits"), [
-    (DOSE, 0.688, "from 0.007 to 0.688 m³, which is 0.1 mm to 10 mm of water on the roof"),
-    (DOSE | {"min_dose": 0.0}, 0.688, "at most 0.688 m³, which is 10 mm of water on the roof"),
+    (DOSE, 0.688, "from 0.007 to 0.688 m³, equivalent to 0.1 mm to 10 mm of water on the roof"),
+    (DOSE | {"min_dose": 0.0}, 0.688, "at most 0.688 m³, equivalent to 10 mm of water on the roof"),
     (DOSE | {"no_dose": "the pump may not run: there is frost"}, 0.688, None),
     (DOSE | {"max_dose": None, "no_dose": "the site file allows no dose"}, None, None),
     (DOSE | {"max_dose": "1"}, None, None),
@@ -542,7 +542,7 @@ def test_nothing_is_held_off_by_a_node_that_is_gone() -> None:
     assert not stop["stopped"]
     assert stop["sentence"].startswith("The pump was held off at last contact.")
     assert pump["value"] == "unknown" and pump["sentence"].startswith("held at last contact")
-    assert "it is unknown what the pump is doing" in document["tiles"]["summary"]["sentence"]
+    assert "the state of the pump is unknown" in document["tiles"]["summary"]["sentence"]
 
 
 def with_pump(
@@ -699,8 +699,8 @@ def test_a_plan_goes_with_its_controller() -> None:
 @pytest.mark.parametrize(("hours", "sentence"), [
     (0.9, "4.3 mm expected in the next 12 h"),
     (2.0, "4.3 mm expected in the next 12 h, according to the forecast from 00:00"),
-    (7.0, "the forecast from 00:00 is too old"),
-    (49.0, "no forecast is known: the one from 20 Jul 00:00 has ended"),
+    (7.0, "the latest forecast, from 00:00, is too old"),
+    (49.0, "no current forecast: the forecast from 20 Jul 00:00 has ended"),
 ])
 def test_a_forecast_has_an_age(hours: float, sentence: str) -> None:
     """While it is published, it is as old as its issue, and the weather node withholds old ones."""

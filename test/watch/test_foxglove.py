@@ -148,7 +148,7 @@ def test_a_port_in_use_is_refused(unused_domain: int, tmp_path: Path) -> None:
         )
     assert (done.returncode, done.stderr) == (
         2, f"error: --foxglove = '{port}': this port cannot be used: Address already in use; "
-        "choose another\n"
+        "choose another port\n"
     )
     assert not (tmp_path / "runs").exists()
     done = run_command(

@@ -463,7 +463,7 @@ def test_every_time_is_by_the_sites_clock(open_page: Open) -> None:
     assert tip.startswith("2021-11-07 0")
     until_shown(page, "#stop-button", "Keep the pump off").click()
     page.locator("#ask-yes").click()
-    answer = until_shown(page, "#answer.failed", "was not asked").inner_text()
+    answer = until_shown(page, "#answer.failed", "no request was sent").inner_text()
     assert re.match("0(2:59:5|3:00:)", answer)
 
 
@@ -584,14 +584,14 @@ def test_stop_asks_once_and_reports_what_came_of_it(open_page: Open) -> None:
     assert posted(page) == []
     stop.click()
     page.locator("#ask-yes").click()
-    until_shown(page, "#answer.failed", "was not asked")
+    until_shown(page, "#answer.failed", "no request was sent")
     assert posted(page) == ["stop"]
     until_shown(page, "#stop-button:enabled")
     assert not page.locator("#lost").is_visible()
     assert not page.locator("#release").is_visible()
     turns = f"held: {HELD}; the pump still turns, at 0.80 of its rated speed"
     said[:] = pump(turns, stands=False, hold=HOLD)
-    until_shown(page, "#stop-warning", "Stop it at its drive's panel")
+    until_shown(page, "#stop-warning", "stop it at its drive's panel")
     until_shown(page, "#stop-button:enabled", "Stop the pump")
     said[:] = pump(f"held: {HELD}", hold=HOLD)
     until_shown(page, "#stop-button:enabled", "The pump is held off")
@@ -631,7 +631,7 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: A
         assert posted(page) == []
         page.locator("#release-button").click()
         page.locator("#ask-yes").click()
-        until_shown(page, "#answer.failed", "was not asked")
+        until_shown(page, "#answer.failed", "no request was sent")
         assert posted(page) == ["release"]
         page.locator("#release-button").click()
         said[:] = pump(f"held: {HELD}", hold=HOLD, fault="a slow start", no_clear="")
@@ -640,7 +640,7 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: A
         page.locator("#clear-button").click()
         until_shown(page, "#ask", "The pump nevertheless stays off: a hold by the operator.")
         page.locator("#ask-yes").click()
-        until_shown(page, "#answer.failed", "was not asked")
+        until_shown(page, "#answer.failed", "no request was sent")
         assert posted(page) == ["release", "clear"]
         said[:] = pump("off: the command is 0", max_dose=0.5, no_dose="")
         page.wait_for_selector("#dose-button", state="visible")
@@ -657,7 +657,7 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: A
         body = sent.value.post_data_json
         assert (body["volume"], body.keys()) == (0.25, {"volume", "asked_at"})
         assert time.time() - 10 < body["asked_at"] < time.time()
-        until_shown(page, "#answer.failed", "was not asked")
+        until_shown(page, "#answer.failed", "no request was sent")
         page.locator("#dose-button").click()
         said[:] = pump("held: frost", max_dose=0.5, no_dose="the pump may not run: frost")
         until_shown(page, "#dose", "No dose is possible now: the pump may not run: frost.")
@@ -712,5 +712,5 @@ def test_a_fresh_page_has_its_stop_if_a_part_cannot_be_shown(
         page.click("#stop-button")
         page.click("#ask-yes")
         page.wait_for_selector("#answer.failed")
-        assert "The watcher is busy, so the pump node was not asked" in page.inner_text("#answer")
+        assert "The watcher is busy, so no request was sent" in page.inner_text("#answer")
         page.close()

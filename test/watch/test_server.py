@@ -175,7 +175,8 @@ def test_a_stop_that_did_not_take_hold_reports_it_and_many_are_one(
     assert answer.status == 200
     assert answer.json() == {
         "ok": False,
-        "sentence": "The watcher is busy, so the pump node was not asked and nothing was done.",
+        "sentence":
+            "The watcher is busy, so no request was sent to the pump node and nothing was done.",
     }
     (event,) = shown(watched)["events"]
     assert "Stop, from 127.0.0.1" in event["what"]

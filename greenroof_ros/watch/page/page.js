@@ -243,7 +243,7 @@ const show = (document_) => {
     ["the clock", () => setClock(document_.time.clock)],
     ["the summary", () => showSummary(document_)],
     ["the heading", () => showHead(document_)],
-    ...TILES.map((key) => [`the tile of the ${key}`, () => showTile(key, document_.tiles[key])]),
+    ...TILES.map((key) => [`the ${key} tile`, () => showTile(key, document_.tiles[key])]),
     ["the alarms", () => showAlarms(document_)],
     ["the events", () => showEvents(document_.events)],
   ]) {
