@@ -116,7 +116,7 @@ class AlarmLog:
         try:
             self._resume()
         except (OSError, ValueError) as error:
-            print_line(f"warning: {error}; the alarms of earlier starts will not be shown")
+            print_line(f"warning: {error}; alarms from before this start will not be shown")
 
     def _resume(self) -> None:
         if self._file.is_file():  # a crash may have cut off its last line
@@ -140,7 +140,7 @@ class AlarmLog:
                 follows = f" (follows from {alarm.follows})" if alarm.follows else ""
                 self._print_line(f"{title}: {alarm.name}: {alarm.sentence}{follows}")
             elif what == "returns":
-                self._print_line(f"{title} is back: {alarm.name}: {alarm.sentence}")
+                self._print_line(f"{title} has returned: {alarm.name}: {alarm.sentence}")
             elif what == "ends":
                 self._print_line(f"{title} is over, after {alarm.seconds:.1f} s: {alarm.name}")
             if what == "begins" or alarm.number in self._newest:

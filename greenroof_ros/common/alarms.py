@@ -53,7 +53,10 @@ _RESET = "greenroof reset, in a terminal on the site's machine"
 _OF_INPUTS = ": inputs", ": refused"
 
 OTHER = "There is no advice for this code; read the log of the node that reports it."
-FOREIGN = "Reported by another device or program, not by the green roof: see its own instructions."
+FOREIGN = (
+    "Reported by another device or program, not by the green roof: see the documentation of that "
+    "device or program."
+)
 """Advice for unknown codes, and for other devices, about which nothing is known here."""
 
 

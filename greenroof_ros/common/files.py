@@ -179,9 +179,9 @@ def read_lines(path: Path) -> Iterator[str]:
             stream.seek(0)
             if size > MAX_BYTES:
                 raise ConfigurationError(
-                    f"has {size / 1e6:.0f} MB, but a file may have at most {MAX_BYTES / 1e6:g} "
-                    "MB: delete what no run needs, or split the file, since weather can consist "
-                    "of several files, and forecasts of a directory of files", file=path,
+                    f"is {size / 1e6:.0f} MB in size, but the limit is {MAX_BYTES / 1e6:g} MB: "
+                    "delete the data that no run needs, or split the file (weather can be given "
+                    "as several files, and forecasts as a directory of files)", file=path,
                 )
             for number, raw in enumerate(stream, start=1):
                 try:
@@ -322,7 +322,7 @@ def check_private(file: Path) -> None:
         if as_started(file).stat().st_mode & 0o077:
             raise ConfigurationError(
                 "can be read or changed by other users: protect the file with chmod 600, and "
-                "replace the secret in it if someone may have read it", file=file,
+                "replace the secret in it if somebody might have read it", file=file,
             )
 
 

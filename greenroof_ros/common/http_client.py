@@ -149,12 +149,12 @@ def _request(name: str, url: str) -> Answer:
         )
     length = response.headers.get("Content-Length", "")
     if length.isdecimal() and len(body) < int(length):
-        raise ServiceError(f"{name}: the answer broke off after {len(body)} of {length} bytes")
+        raise ServiceError(f"{name}: the response ended after {len(body)} of {length} bytes")
     return Answer(body, response.headers.get("Date", ""))
 
 
 def _late(seconds: float) -> TimeoutError:
-    return TimeoutError(f"sent no complete answer within {seconds:g} s")
+    return TimeoutError(f"sent no complete response within {seconds:g} s")
 
 
 def _within(seconds: float, get: Callable[[], Answer]) -> Answer:

@@ -204,8 +204,8 @@ def make_client(
         lost = "the connection was lost"
         if not answered and not broker.tls:
             lost += (
-                " before the broker answered; if the broker expects TLS, its address begins with "
-                "mqtts://"
+                " before the broker responded; if the broker expects TLS, its address must begin "
+                "with mqtts://"
             )
         if not refused:  # otherwise the reason has already been reported
             on_disconnect(lost if code.value == _UNSPECIFIED else str(code))
@@ -230,8 +230,11 @@ def _why_not_connected(broker: Broker, error: BaseException | None) -> str:
     if isinstance(error, ssl.SSLCertVerificationError):
         return f"the certificate of {broker} is not trusted: {error.verify_message}"
     if broker.tls and isinstance(error, ssl.SSLError | ConnectionResetError):
-        return f"{broker} does not answer over TLS; without TLS, its address begins with mqtt://"
-    return f"no answer from {broker}: {getattr(error, 'strerror', None) or error}"
+        return (
+            f"{broker} does not respond over TLS; if the broker does not use TLS, its address must "
+            "begin with mqtt://"
+        )
+    return f"no response from {broker}: {getattr(error, 'strerror', None) or error}"
 
 
 def _read_login(file: Path) -> tuple[str, str]:

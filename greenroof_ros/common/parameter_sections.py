@@ -71,7 +71,7 @@ def _sections(
             yield from _sections(file, part, nested, content.lines[name])
         else:
             raise ConfigurationError(
-                f"has no effect in this place: write /**/NODE: {{{_SECTION}: {{NAME: VALUE}}}}",
+                f"has no effect at this level: write /**/NODE: {{{_SECTION}: {{NAME: VALUE}}}}",
                 file=file, line=content.lines[name], value=None if part == "" else part,
                 key=f"{section}: {name}" if section else name,
             )

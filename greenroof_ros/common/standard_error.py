@@ -62,7 +62,7 @@ class Lines:
                 self._kinds[kind] = due, left_out + 1
                 return
             self._kinds[kind] = now + _SELDOM_S, 0
-        more = f" (and {left_out} more messages like this before it)" if left_out else ""
+        more = f" (and {left_out} similar messages before it)" if left_out else ""
         self.print_line(text + more)
 
     def write(self, text: str) -> None:

@@ -30,9 +30,9 @@ _ISO = re.compile(
 _HINTS = (
     (r"\d{5}(\.\d+)?", "a spreadsheet counts days: format its cells as yyyy-mm-dd hh:mm"),
     (r"\d{9,}(\.\d+)?", "write a date and a time, with hyphens and colons"),
-    (r".*\d *[AaPp]\.?[Mm]\.?", "hours must be from 00 to 23"),
+    (r".*\d *[AaPp]\.?[Mm]\.?", "hours range from 00 to 23"),
     (r"\d{1,4}[./]\d{1,2}[./]\d{1,4}.*", "write year, month and day, in this order, with hyphens"),
-    (r".*[ T]\d:.*", "hours need two digits: 00:00"),
+    (r".*[ T]\d:.*", "write hours with two digits, as in 00:00"),
     (r".*:\d\d *[A-Za-z\[].*", "write the offset from UTC as a number, or Z for UTC"),
 )
 

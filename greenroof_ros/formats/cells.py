@@ -160,7 +160,7 @@ class Table:
         """Reject a header with different columns or a different order of columns."""
         for cell, name in itertools.zip_longest(self.header, columns):
             if cell != name:
-                wrong = "is one column too many" if name is None else f"the column must be '{name}'"
+                wrong = "is an extra column" if name is None else f"the column must be '{name}'"
                 raise self.refuse(f"{wrong}{why}", cell or "")
 
     def read_number(
@@ -207,7 +207,7 @@ class Table:
             time = parse(text)
         except ValueError:
             what = "" if re.search(r"\d", text) else (
-                "; if the line contains units or a total instead of a record, leave it out"
+                "; if this line contains units or a total instead of a record, delete it"
             )
             raise self.refuse(
                 f"must be a time such as {example}, {FIRST_YEAR} to {LAST_YEAR}"
@@ -263,7 +263,7 @@ class Table:
         for row in self.rows:
             if station and self.cell(row, station) != self.cell(self.first, station):
                 raise self.refuse(
-                    "is a different station: make a separate file for each station", station, row,
+                    "is a different station: write a separate file for each station", station, row,
                 )
             time = self.read_time(row, column, parse, example)
             hour = round((time - first) / HOUR)
@@ -432,8 +432,8 @@ def find_running_total(given: Given) -> str:
         return ""
     return (
         f"is a running total: it rises {rises} times, stays the same in {same} rows and falls "
-        f"{falls} times; in each row, write the amount of its own interval, which is the "
-        "difference from the previous row"
+        f"{falls} times; in each row, write only the amount for that row's interval, which is "
+        "the difference from the previous row"
     )
 
 
@@ -445,8 +445,8 @@ def find_event_total(given: Given) -> str:
     if given.name != PRECIPITATION or rises < _MANY_RISES or (changes < 0).any():
         return ""
     return (
-        f"rises {rises} times from one wet row to the next, and never falls: is it a total since "
-        "the event began?"
+        f"rises {rises} times from one wet row to the next, and never falls: is it the total "
+        "since the rain event began?"
     )
 
 
@@ -455,7 +455,7 @@ def find_fraction(given: Given) -> str:
     share = given.values * (1.0 if given.quantity.unit == "%" else 100.0)
     if given.unit != "%" or not share.size or not 0 < share.max() <= _MAX_FRACTION:
         return ""
-    return f"has no value above {_MAX_FRACTION:g}: are they fractions? If so, the unit is [1]"
+    return f"has no value above {_MAX_FRACTION:g}: are the values fractions? If so, the unit is [1]"
 
 
 def find_sum(given: Given) -> str:
@@ -500,7 +500,7 @@ def find_sliding_sum(given: Given) -> str:
         return ""
     return (
         f"has no wet spell of fewer than {rows} rows: is each value the sum of the last {rows} "
-        "rows? In each row, write only the rain of its own interval"
+        "rows? In each row, write only the rain of that row's interval"
     )
 
 
@@ -619,8 +619,8 @@ class Column:
         """
         if self._grouped and self._has_hundreds and not self._has_decimals:
             raise self._table.refuse(
-                "is in a column with numbers of 100 and more that have no decimals: is it "
-                f"written with a thousands separator? {_PLAIN}", self._name, self._grouped,
+                "is in a column in which numbers of 100 or more have no decimals: does it "
+                f"contain a thousands separator? {_PLAIN}", self._name, self._grouped,
             )
         numbers = np.array(self._given)
         given = Given(
@@ -644,11 +644,11 @@ class Column:
             values[ends] = math.nan
             self._table.notes.append(
                 f"{self._table.file.name}: {self._name} of {end:g} degC in "
-                f"{np.count_nonzero(ends)} rows is at least {_APART:g} K from all other values, "
-                "like the end of a sensor's scale, and is treated as missing"
+                f"{np.count_nonzero(ends)} rows differs from all other values by at least "
+                f"{_APART:g} K, like the end of a sensor's scale, and is treated as missing"
             )
         unit, low, high, *_ = self._quantity
-        self._note(near, f"is set to the nearest limit of its range, {low:g} to {high:g} {unit}")
+        self._note(near, f"was set to the nearest limit of the range, {low:g} to {high:g} {unit}")
         self._note(sorted(codes + wrong), "is not a plausible value, and is treated as missing")
         return values
 
@@ -751,7 +751,7 @@ def read_table(
         for line, text in numbered:
             cells = _split(file, line, text, separator)
             if [cell for cell in cells if cell] == [name for name in header if name]:
-                table.notes.append(f"{file.name}: line {line} repeats the header and is ignored")
+                table.notes.append(f"{file.name}: line {line} repeats the header and was ignored")
                 continue
             if begun and cells[0] == header[0]:
                 raise ConfigurationError(
@@ -778,7 +778,7 @@ def read_table(
                 if marks - {mark}:
                     raise error
             if begun and len(cells) < len(header) and text == text.rstrip(_LINE_END):
-                table.notes.append(f"{file.name}: line {line} is cut off and ignored")
+                table.notes.append(f"{file.name}: line {line} is incomplete and was ignored")
                 return
             begun = True
             if len(cells) <= first:
@@ -790,7 +790,8 @@ def read_table(
                 if separator == "," and len(cells) > len(header):
                     hint = "; quote numbers with decimal commas, or separate cells by semicolons"
                 raise ConfigurationError(
-                    f"must have {len(header)} cells, like the header, but has {len(cells)}{hint}",
+                    f"must have {len(header)} cells, as many as the header, but has "
+                    f"{len(cells)}{hint}",
                     file=file, line=line,
                 )
             yield line, cells

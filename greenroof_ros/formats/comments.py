@@ -92,8 +92,8 @@ def read_comments(file: Path) -> Stated:
                     value = _read_value(key, text, file, number)
                 if value is None:
                     notes.append(
-                        f"{file.name}: the comment in line {number} is ignored because its value "
-                        f"is not valid: {match[0]}"
+                        f"{file.name}: the comment in line {number} was ignored because its "
+                        f"value is invalid: {match[0]}"
                     )
                 elif value != stated.setdefault(key, value if is_head else START):
                     raise ConfigurationError(
@@ -120,9 +120,8 @@ def _read_value(key: str, text: str, file: Path, line: int) -> float | None:
         return None
     if side and match[2].startswith("-"):
         raise ConfigurationError(
-            "has both a sign and a cardinal direction: leave one of them "
-            "out", file=file, line=line, key=key,
-            value=text,
+            "has both a sign and a cardinal direction: remove one of them",
+            file=file, line=line, key=key, value=text,
         )
     if (match[3] and (degrees % 1 or not 0 <= minutes < 60)) or not 0 <= seconds < 60:
         return None

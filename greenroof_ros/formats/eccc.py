@@ -170,7 +170,7 @@ def _check_kind(table: Table, names: Iterable[str], quantities: Container[str]) 
     if any(_LONGER in name for name in names):
         what = "contains daily or monthly values instead of hourly values"
     elif PRECIPITATION not in quantities:
-        what = "contains hourly values without precipitation, which files from before 2021 lack"
+        what = "contains hourly values without precipitation (files from before 2021 have none)"
     else:
         return
     raise table.refuse(f"is a file from Environment Canada that {what}: {_DOWNLOAD}")
@@ -181,7 +181,7 @@ def _check_zone(table: Table, column: str, utc_offset: float) -> None:
     longitude = table.read_number(table.first, column, Range(-180.0, 180.0, "degrees"))
     if abs(longitude / 15 - utc_offset) > _MAX_FROM_SOLAR_TIME:
         raise table.refuse(
-            f"does not fit the standard time of the site, utc_offset = {utc_offset:g} h, which "
+            f"does not match the standard time of the site, utc_offset = {utc_offset:g} h, which "
             f"corresponds to a longitude of about {15 * utc_offset:g}",
             column, table.first,
         )

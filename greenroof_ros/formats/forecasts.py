@@ -87,8 +87,8 @@ def join_members(numbered: Iterable[tuple[float, IssuedForecast]]) -> IssuedFore
     first, wrong = issues[0], ""
     if numbers != list(range(len(numbers))):
         wrong = (
-            f"has members {', '.join(f'{number:g}' for number in numbers)}, but must have the "
-            "members 0, 1, 2 and so on, each of them once"
+            f"has the members {', '.join(f'{number:g}' for number in numbers)}, but the members "
+            "must be numbered 0, 1, 2 and so on, without gaps or repetitions"
         )
     elif len(numbers) > MAX_MEMBERS:
         wrong = f"has {len(numbers)} members, but at most {MAX_MEMBERS} are allowed"
@@ -122,7 +122,8 @@ def mend_forecast(issue: IssuedForecast) -> IssuedForecast:
     used = [number for number, hours in enumerate(lengths) if hours and 2 * hours >= max(lengths)]
     if not used:
         raise ConfigurationError(
-            f"contains no precipitation after its run, {to_minutes(issue.issued)}", file=issue.file,
+            "contains no precipitation after the time of its run, "
+            f"{to_minutes(issue.issued)}", file=issue.file,
             line=issue.line,
         )
     notes = [
@@ -153,7 +154,8 @@ def mend_forecast(issue: IssuedForecast) -> IssuedForecast:
         else:
             hours = min(hours, known)
     if hours < max(lengths):
-        notes.append(f"ends after {hours} of {max(lengths)} hours: later values are missing")
+        notes.append(f"is used only for {hours} of {max(lengths)} hours, because later values are "
+        "missing")
     count = int(np.isnan(issue.rain[used, :hours]).sum())
     if count:
         notes.append(f"{count} missing hours of precipitation were filled with the mean of the "
@@ -193,7 +195,7 @@ class Repetition:
             return ""
         return (
             f"the forecasts have not changed since {to_minutes(self._since)}: all of them "
-            "contain the same model run of that time"
+            "contain the model run of that time"
         )
 
 

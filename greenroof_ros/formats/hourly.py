@@ -85,9 +85,8 @@ class Records:
         """Warning that every result computed from the rain must include; usually empty."""
         return self.rain_kind and (
             f"rain is from a {self.rain_kind}, whose values are means over a grid cell; its "
-            "peaks "
-            "are lower than those of a rain gauge, so overflow, discharge and peaks of runoff are "
-            "underestimated"
+            "peaks are lower than those of a rain gauge, so overflow, discharge and peak runoff "
+            "are underestimated"
         )
 
     @property
@@ -286,8 +285,8 @@ def _add_quantities(first: Records, other: Records) -> Records:
     """
     if (other.first - first.first) % HOUR:
         raise ConfigurationError(
-            f"hours must begin at the same minute as those of {first.source}, which contains "
-            "other quantities",
+            f"hours must begin at the same minute as in {first.source}, which contains the other "
+            "quantities",
             file=other.source,
         )
     begin = min(first.first, other.first)

@@ -252,7 +252,8 @@ def _read_tables(file: Path) -> tuple[Table | None, Table]:
     header = next(hours, None)
     if header is None:
         raise ConfigurationError(
-            "must begin with two lines about the place, followed by a header and records", file=file
+            "must begin with two lines that describe the location, followed by a header and "
+            "records", file=file
         )
     return read_table(file, about), read_table(file, itertools.chain([header], hours))
 
@@ -281,8 +282,8 @@ def _select_hours(
                 place = next(lines, (0, ""))[1]
                 if [line[1].strip(), place.strip()] != [text.strip() for _, text in about]:
                     raise ConfigurationError(
-                        "begins a download for a different place or clock: move it to a separate "
-                        "file",
+                        "begins a download for a different location or time zone: move it to a "
+                        "separate file",
                         file=file, line=line[0],
                     )
                 continue
@@ -320,7 +321,7 @@ def _read_json_tables(file: Path, text: str) -> tuple[Table, Table]:
     except json.JSONDecodeError as error:
         raise refuse(f"is not valid JSON: {error}", line=error.lineno) from error
     except RecursionError as error:
-        raise refuse("is JSON that is nested too deeply to be a response") from error
+        raise refuse("is JSON that is nested too deeply to be a response of Open-Meteo") from error
     if isinstance(content, list) and "hourly" in str(content)[:_JUDGED_ROWS]:
         raise refuse("must be for one place; download places separately")
     if not isinstance(content, dict):
@@ -331,7 +332,7 @@ def _read_json_tables(file: Path, text: str) -> tuple[Table, Table]:
     units, hourly = (content.get(key, {}) for key in ("hourly_units", "hourly"))
     for key, value in (("hourly_units", units), ("hourly", hourly)):
         if not isinstance(value, dict):
-            raise refuse("must be a mapping, as in responses with hourly data", key=key)
+            raise refuse("must be a mapping, as in a response with hourly data", key=key)
     if "hourly" not in content:
         present = ", ".join(key for key in ("current", "minutely_15", "daily") if key in content)
         raise refuse(
@@ -341,7 +342,7 @@ def _read_json_tables(file: Path, text: str) -> tuple[Table, Table]:
     hourly = {"time": [], **hourly}
     for name, series in hourly.items():
         if not isinstance(series, list) or len(series) != len(hourly["time"]) or not series:
-            raise refuse("must be a list of values, one for each time", key=f"hourly.{name}")
+            raise refuse("must be a list with one value for each time", key=f"hourly.{name}")
     about = [_write_cell(value, "NaN") for value in content.values()]
     hours = {
         name if name == "time" else f"{name} ({units.get(name) or ''})": [*map(_write_cell, series)]
@@ -590,9 +591,9 @@ def _make_issues(previous: Records) -> list[IssuedForecast]:
     if not issues:
         nothing = all(np.isnan(series).all() for series in previous.values.values())
         raise ConfigurationError(
-            "has no precipitation: every value is missing" if nothing else
-            "must contain a value for an hour that starts at 00, 06, 12 or 18 UTC, when issues "
-            "begin",
+            "contains no precipitation: every value is missing" if nothing else
+            "must contain a value for an hour that starts at 00, 06, 12 or 18 UTC, the times at "
+            "which forecasts are issued",
             file=previous.files[0],
         )
     return issues

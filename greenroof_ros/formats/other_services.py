@@ -16,7 +16,7 @@ from greenroof_ros.common.files import read_lines
 _TIME, _RAIN, _TEMPERATURE = "time", "rain [mm]", "temperature [degC]"
 _DEW_POINT, _WIND, _PRESSURE = "dew point [degC]", "wind speed [km/h]", "station pressure [kPa]"
 _HUMIDITY, _RADIATION = "relative humidity [%]", "solar radiation [W/m2]"
-_ENDED = "add the comment '# stamped: end', because the time stamp is the end of each hour"
+_ENDED = "add the comment '# stamped: end', because the time stamps are at the end of each hour"
 
 
 class OtherService(NamedTuple):
@@ -118,7 +118,7 @@ SERVICES = (
             _TIME: "DATE (local standard time)",
             _RAIN: "HPCP (* 25.4 if in inches; 999.99 or 25399.75 is missing)",
         },
-        f"add rows for dry hours, which are missing; {_ENDED}",
+        f"add rows for dry hours, which are missing from the file; {_ENDED}",
     ),
     OtherService(
         "NOAA, daily summaries", r"\bSTATION\W.*\bDATE\W.*\b(PRCP|TMAX)\b", {},

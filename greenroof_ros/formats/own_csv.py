@@ -142,8 +142,8 @@ def read_rows(
         rows, since = _end_at_stamps(rows, since)
         first -= timedelta(seconds=float(rows.durations[0]))
         notes.append(
-            f"{file.name}: the time of each row is the end of its interval, and was moved to the "
-            "start",
+            f"{file.name}: the time of each row was the end of its interval, and was moved to "
+            "the start",
         )
     table = _open(file)  # again: amounts per row can be judged now that the step is known
     read: dict[float, dict[str, Column]] = {}
@@ -170,7 +170,7 @@ def read_rows(
     if (np.diff(steps) == 0).any():
         notes.append(
             f"{file.name}: {np.count_nonzero(np.diff(steps) == 0)} rows are in the same step as "
-            "the previous row, probably because a clock was set; their amounts are added, and "
+            "the previous row, probably because a clock was adjusted; amounts are added, and all "
             "other values are averaged"
         )
         steps, begins, counts = np.unique(steps, return_index=True, return_counts=True)
@@ -255,7 +255,9 @@ def _find_columns(table: Table) -> tuple[dict[str, tuple[str, str]], str]:
     for column in table.header[1:]:
         match = _COLUMN.fullmatch(column)
         if match is None:
-            raise table.refuse("the name of a column must have a form such as 'rain [mm]'", column)
+            raise table.refuse(
+                "the name of a column must have the form 'name [unit]', such as 'rain [mm]'", column
+            )
         name, unit = match.groups()
         quantity = EVAPOTRANSPIRATION if name.endswith(EVAPOTRANSPIRATION) else name
         quantity = _SYNONYMS.get(quantity, quantity)
@@ -522,7 +524,7 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForeca
             raise table.refuse(
                 f"must be {to_minutes(expected.astimezone(time.tzinfo))}: every forecast must "
                 "have consecutive "
-                "hours from its time of issue on, without gaps or repetitions", "time", row,
+                "hours from its time of issue onward, without gaps or repetitions", "time", row,
             )
         rows.append(row.number)
         for column in read.values():

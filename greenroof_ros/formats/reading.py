@@ -122,7 +122,10 @@ def _equalise_members(issues: Sequence[IssuedForecast]) -> tuple[list[IssuedFore
     for issue in issues[1:]:
         earlier = alike[-1]
         if issue.issued == earlier.issued and np.array_equal(issue.rain, earlier.rain):
-            notes.append(f"{issue.file.name} is left out: it is the same as {earlier.file.name}")
+            notes.append(
+                f"{issue.file.name} is left out because it has the same content as "
+                f"{earlier.file.name}"
+            )
             continue
         check_same_form(earlier, issue)
         alike.append(issue)
@@ -146,7 +149,9 @@ def _find_format(
     file: Path, recognisers: Mapping[ModuleType, Callable[[bytes], bool]]
 ) -> ModuleType:
     if file.exists() and not file.is_file():
-        raise ConfigurationError("must be a regular file, or a directory of such files", file=file)
+        raise ConfigurationError(
+            "must be a regular file, or a directory of regular files", file=file
+        )
     try:
         with file.open("rb") as stream:
             head = stream.read(_HEAD_BYTES)

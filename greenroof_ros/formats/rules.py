@@ -124,7 +124,7 @@ def find_wrong_amounts(record: StepRecord, site: Site) -> Iterator[str]:
     if record.reference_column:
         _, day = np.unique(record.seconds // DAY_S, return_inverse=True)
         highest = float(np.bincount(day, record.reference).max())
-        amounts.append((record.reference_column, "mm in a day", highest, 0.0, _MAX_EVAPORATED))
+        amounts.append((record.reference_column, "mm in one day", highest, 0.0, _MAX_EVAPORATED))
     if record.dew_point is not None and record.temperature is not None:
         above = _find_median(record.dew_point - record.temperature)
         amounts.append((DEW_POINT, "K above the temperature", above, -math.inf, _MAX_ABOVE))
@@ -138,8 +138,8 @@ def find_wrong_amounts(record: StepRecord, site: Site) -> Iterator[str]:
         if value < low or value > high:
             bound = f"no more than {high:.4g}" if value > high else f"at least {low:.4g}"
             yield (
-                f"{column}: is {value:.3g} {what}; it must be {bound}: is the unit of this "
-                "column right, and are the units of the other columns?"
+                f"{column}: is {value:.3g} {what}, but must be {bound}: are the units of this "
+                "column and of the other columns right?"
             )
 
 
@@ -173,7 +173,7 @@ def find_wrong_rain(record: StepRecord, _site: Site) -> Iterator[str]:
     if wet.size >= _FEW_WET and mean > _MAX_MEAN_WET:
         yield (
             f"rain has a mean of {mean:.3g} mm in {wet.size} wet hours; more than "
-            f"{_MAX_MEAN_WET:g} is rare: is it in tenths of a millimetre?"
+            f"{_MAX_MEAN_WET:g} mm is rare: is it in tenths of a millimetre?"
         )
     if wet.size >= _MANY_WET and float(wet.max()) < _MIN_WETTEST:
         yield (
@@ -217,7 +217,8 @@ def find_unlike_sun(record: StepRecord, site: Site) -> Iterator[str]:
         ))
     if record.temperature is not None and count >= _MIN_ENERGY_DAYS:
         amounts.append((
-            TEMPERATURE, _find_median(record.temperature), "degC as a median under this sun",
+            TEMPERATURE, _find_median(record.temperature), "degC as a median, for this latitude "
+            "and season",
             -math.inf, _WARMEST + _WARMEST_PER_MJ * energy.mean(),
         ))
     for column, value, what, low, high in amounts:
@@ -246,7 +247,7 @@ def find_unlike_air(record: StepRecord, _site: Site) -> Iterator[str]:
                 yield (
                     f"{DEW_POINT} is more than {_MAX_ABOVE:g} K above the temperature in "
                     f"{saturated} rows: is it vapour pressure, or was it measured at a different "
-                    "place?"
+                    "location?"
                 )
         if len(dew_point) * record.step_s >= _DEW_HOURS * HOUR_S and (
             dew_point.min() >= 0 and dew_point.max() <= _VAPOUR_KPA
@@ -289,7 +290,7 @@ def find_imbalance(record: StepRecord, site: Site) -> Iterator[str]:
     # A watered roof may retain all of it.
     if 0 < total < _MIN_SHARE * inflow and not np.any(record.pumped > 0):
         yield (
-            f"runoff is only {total:.2g} mm of {inflow:.4g} mm of rain: is the unit of the "
+            f"runoff is only {total:.2g} mm for {inflow:.4g} mm of rain: is the unit of the "
             "column right?"
         )
     water = record.rain + record.pumped
@@ -300,14 +301,14 @@ def find_imbalance(record: StepRecord, site: Site) -> Iterator[str]:
     excess = float(np.sum(np.maximum(gone - came, 0.0)))
     if excess > max(_DROPS, _MAX_EXCESS * float(np.sum(gone))):
         yield (
-            f"runoff is {excess:.3g} mm more than the rain and pumped water of its storms: are "
+            f"runoff is {excess:.3g} mm more than the rain and pumped water that caused it: are "
             "the units and a2 right?"
         )
     kept = float(np.max(came - gone, initial=0.0))
     if kept > 1000 * site.z_soil + _EXTRA_STORAGE:
         yield (
-            f"rain is {kept:.3g} mm more than runoff in one storm, and the soil cannot hold as "
-            "much: are the units and z_soil right?"
+            f"rain exceeds runoff by {kept:.3g} mm in one storm, which is more than the soil can "
+            "hold: are the units and z_soil right?"
         )
 
 
@@ -362,8 +363,8 @@ def find_shifted_clock(record: StepRecord, _site: Site) -> Iterator[str]:
     if (early or lag > usual_s[1]) and best > _CLEAR and best > better * usual:
         yield (
             f"{column} responds to the rain {name_time(abs(lag))} "
-            f"{'before' if early else 'after'} it falls (correlation {best:.2f}, but {usual:.2f} "
-            "without a shift): is a clock shifted, or is it in a different time zone?"
+            f"{'before' if early else 'after'} the rain falls (correlation {best:.2f}, but "
+            f"{usual:.2f} without a shift): is a clock wrong, or set to a different time zone?"
         )
 
 
@@ -413,7 +414,7 @@ def find_stuck_sensor(record: StepRecord, site: Site) -> Iterator[str]:
                     f"{column} is {value:g} {'m' if column == 'level' else 'mm'} for "
                     f"{same_s / HOUR_S:.0f} h from {record.time(int(same[0]))}, although "
                     f"{np.sum(record.water[same]):.3g} mm of water arrived: is the sensor stuck "
-                    "or dead? Leave these cells empty"
+                    "or defective? Leave these cells empty"
                 )
                 break
 
@@ -430,7 +431,7 @@ def find_blocked_gauge(record: StepRecord, _site: Site) -> Iterator[str]:
             yield (
                 f"rain is 0 for {(high - low + since - 1) * record.step_s / DAY_S:.0f} days before "
                 f"{record.time(high)}, although runoff is {outflow:.3g} mm: is the gauge blocked "
-                "or stuck, or is the runoff melted snow? Leave these cells empty"
+                "or stuck, or is the runoff snowmelt? Leave these cells empty"
             )
             return
 

@@ -19,7 +19,7 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
     group = parser.add_argument_group("the graph")
     group.add_argument(
         "--pump", choices=[*filter(None, [pump]), EXTERNAL], default=pump,
-        help="source of /pump/flow; external: a pump driver that you start yourself"
+        help="source of /pump/flow; external selects a pump driver that you start yourself"
         + (f" (default: {pump})" if pump else ""),
     )
     group.add_argument(
@@ -29,14 +29,14 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
     )
     group.add_argument(
         "--peer-limit", type=make_number_type(2, 1e6), default=5.0, metavar="S",
-        help="maximum wait for a node (s of wall time); at least 2 s, because a node that joins "
-        "the graph first listens for one second (default: %(default)s s)",
+        help="longest time to wait for a node (s of wall time); at least 2 s, because a node that "
+        "joins the graph first listens for one second (default: %(default)s s)",
     )
     group.add_argument(
         "--watch", action="store_true",
-        help="show the graph on a page in a browser and print the address of the page; for a run, "
-        "only at a --speed of 60 or less. The page closes when the graph stops, whereas the page "
-        "of greenroof watch stays open. Requires the extra [watch]",
+        help="show the graph on a page in a web browser, and print the address of the page; for a "
+        "run, only at a --speed of 60 or less. The page closes when the graph stops, whereas the "
+        "page of greenroof watch stays open. Requires the extra [watch]",
     )
     add_foxglove(
         group, "serve the graph to Foxglove or Lichtblick on this machine until the graph stops, "
@@ -44,7 +44,7 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
     )
     group.add_argument(
         "--node-parameters", type=Path, metavar="FILE",
-        help="ROS 2 file of the parameters that bringup does not set, such as the limits of the "
-        "pump node; the --help of each node lists its parameters, and unknown parameters are "
-        "rejected",
+        help="ROS 2 parameter file for the parameters that bringup does not set, such as the "
+        "limits of the pump node; --help of each node lists the node's parameters, and unknown "
+        "parameters are rejected",
     )

@@ -99,8 +99,8 @@ class Lockstep:
                 kind = LockstepError if self.tick else OccupiedError
                 raise kind(
                     f"{entry.name} has a second message in tick {self.tick} "
-                    f"({self._publishers_of(name)}); there is another publisher, or a node of an "
-                    "earlier run, in this graph"
+                    f"({self._publishers_of(name)}); another publisher, or a node of an earlier "
+                    "run, is in this graph"
                 )
             awaited.discard(name)
             if not awaited:

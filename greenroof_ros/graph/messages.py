@@ -164,7 +164,7 @@ def deserialize(kind: Any, message: bytes, size: int | None = None) -> Any:
     with suppress(Exception):  # errors of the middleware or of the class
         if size in (None, len(message)):
             return deserialize_message(message, kind)
-    raise MalformedMessageError(f"{len(message)} bytes do not form a {kind.__name__} message")
+    raise MalformedMessageError(f"{len(message)} bytes are not a valid {kind.__name__} message")
 
 
 def _decode_number(message: bytes) -> float:
@@ -231,5 +231,7 @@ def decode_numbers(message: bytes) -> WithFront:
     if len(shape) < 2:
         return WithFront(front, data)
     if len(shape) > 2 or math.prod(shape) != len(data):
-        raise MalformedMessageError(f"the layout {shape} does not fit {len(data)} values")
+        raise MalformedMessageError(
+            f"the layout {shape} does not match the number of values, {len(data)}"
+        )
     return WithFront(front, np.asarray(data).reshape(shape))

@@ -82,7 +82,7 @@ def _refuse_unknown(
         if not matching:
             names = {node.rpartition("/")[2] for node in known}
             raise ConfigurationError(
-                "bringup starts no such node; the closest match is "
+                "bringup starts no node of this name; the closest match is "
                 f"/**/{find_closest(section.name.rpartition('/')[2], names)}; bringup starts "
                 f"{', '.join(sorted(known))}", file=file, line=section.line, key=section.name,
             )

@@ -49,7 +49,7 @@ def look_ahead_parameters() -> list[Parameter]:
     return [
         Parameter(
             "horizon", 0.0, "", 0.0, MAX_HORIZON, "length of the forecasts (h), in steps of "
-            "increasing duration; 0 for a forecast of the next M ticks",
+            "increasing duration; 0 selects forecasts of the next M ticks",
         ),
         Parameter(
             "all_members", False, meaning="publish all members of a forecast ensemble, for a "

@@ -132,7 +132,7 @@ def display_name(name: str) -> str:
     killed node, but never its name.
     """
     if name == _UNKNOWN_NAME:
-        return "a node of unknown name, perhaps because it was killed"
+        return "a node whose name is unknown, perhaps because it was killed"
     return name
 
 

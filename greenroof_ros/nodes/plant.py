@@ -46,11 +46,12 @@ def parameters(site: Site) -> list[Parameter]:
     return [
         site_file(),
         Parameter(
-            "initial_cistern_volume", cistern, "m3", 0, 1e9, "volume of water in the cistern at "
-            "tick 0",
+            "initial_cistern_volume", cistern, "m3", 0, 1e9, "initial volume of water in the "
+            "cistern, at tick 0",
         ),
         Parameter(
-            "initial_roof_volume", roof, "m3", 0, 1e9, "volume of water on the roof at tick 0",
+            "initial_roof_volume", roof, "m3", 0, 1e9, "initial volume of water on the roof, at "
+            "tick 0",
         ),
         Parameter(
             "start", DEFAULT_START, meaning="time of tick 0 in ISO 8601 format with UTC offset",
@@ -66,11 +67,16 @@ def parameters(site: Site) -> list[Parameter]:
             among=("internal", "external"),
         ),
         *PARAMETERS.values(),
-        Parameter("record", False, meaning="wait for the recorder at the start and during the run"),
-        Parameter("peer_limit", 5.0, "", 2, 1e6, "maximum wait for another node (s of wall time)"),
         Parameter(
-            "start_limit", 30.0, "", 0.1, 1e6, "maximum wait for the other nodes to appear (s of "
-            "wall time)",
+            "record", False,
+            meaning="whether to wait for the recorder at the start and during the run",
+        ),
+        Parameter(
+            "peer_limit", 5.0, "", 2, 1e6, "longest time to wait for another node (s of wall time)",
+        ),
+        Parameter(
+            "start_limit", 30.0, "", 0.1, 1e6, "longest time to wait for the other nodes to "
+            "appear (s of wall time)",
         ),
     ]
 
@@ -237,7 +243,8 @@ class PlantNode(SimulationNode):
                 self._publish_tick()
             elif now - self._began > self._start_limit:
                 raise LockstepError(
-                    f"no start within {self._start_limit:g} s: {self.peers.describe(absent)}"
+                    f"the run did not start within {self._start_limit:g} s: "
+                    f"{self.peers.describe(absent)}"
                 )
             return
         if self._paused and not self._behind():

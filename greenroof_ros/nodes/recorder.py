@@ -34,7 +34,8 @@ def parameters(site: Site | None = None) -> list[Parameter]:
             "controller", DEFAULT, meaning="name of the active controller, or package.module:Class",
         ),
         Parameter(
-            "peer_limit", 5.0, "s", 0.1, 1e6, "maximum wait for the messages of the last tick",
+            "peer_limit", 5.0, "s", 0.1, 1e6, "longest time to wait for the messages of the last "
+            "tick",
         ),
     ]
 
@@ -92,8 +93,8 @@ class RecorderNode(SimulationNode):
         if len(queue) > _MAX_AHEAD:
             late = min(self._queues, key=lambda other: len(self._queues[other]))
             raise LockstepError(
-                f"{name} is {len(queue)} messages ahead of {late}, but every topic must have one "
-                "message per tick"
+                f"{name} is {len(queue)} messages ahead of {late}, but every topic must have "
+                "exactly one message per tick"
             )
         while all(self._every_queue):
             now = decode_clock(self._queues[CLOCK][0])
@@ -169,8 +170,8 @@ class RecorderNode(SimulationNode):
         self._bag.cut()
         bag = self._bag.directory
         return OSError(
-            f"{bag}: {error.strerror}; 'greenroof recover {bag}' restores its first "
-            f"{self._bag.safe} ticks"
+            f"{bag}: {error.strerror}; 'greenroof recover {bag}' restores the first "
+            f"{self._bag.safe} ticks of the bag"
         )
 
     def on_stop(self) -> None:

@@ -31,7 +31,7 @@ def parameters(site: Site) -> list[Parameter]:
         site_file(),
         Parameter(
             "weather_files", [str(default_weather())], meaning="files of hourly weather records, "
-            "joined in time",
+            "joined in chronological order",
         ),
         Parameter("start", DEFAULT_START, meaning="time of tick 0 in ISO 8601 format"),
         Parameter("run_length", site.N, "ticks", 1, 2**40, "number N of the last tick"),
@@ -48,8 +48,8 @@ def parameters(site: Site) -> list[Parameter]:
         ),
         *look_ahead_parameters(),
         Parameter(
-            "outlet_horizon", 0.0, "", 0.0, MAX_HORIZON, "length of the forecasts for a plan of "
-            "the outlet valve (h), in additional steps; 0 for no additional steps",
+            "outlet_horizon", 0.0, "", 0.0, MAX_HORIZON, "length of the forecasts for planning "
+            "the outlet valve (h), reached by appending steps; 0 if the valve is not planned",
         ),
         Parameter(
             "forecast", PERFECT,
@@ -130,8 +130,8 @@ class WeatherNode(SimulationNode):
         tick, remainder = divmod(time_ns - self._start_ns, self._tick_ns)
         if remainder or not 0 <= tick <= self._last_tick:
             raise LockstepError(
-                f"/clock is at tick {tick}, but this run has ticks 0 to {self._last_tick}: plant "
-                "and weather were started for different runs"
+                f"/clock is at tick {tick}, but this run has ticks 0 to {self._last_tick}: the "
+                "plant node and the weather node were started for different runs"
             )
         return tick
 

@@ -175,8 +175,9 @@ def _keep_one_time(
         for stamp in (first, last)
     )
     return kept, [
-        f"{len(stamps) - int(np.diff(edges)[most])} of {len(stamps)} messages are more than a year "
-        f"away from the other messages, {low} to {high}, and are left out: was a clock not set?"
+        f"{len(stamps) - int(np.diff(edges)[most])} of {len(stamps)} messages are more than a "
+        f"year before or after the other messages, {low} to {high}, and were left out: was a "
+        "clock not set?"
     ]
 
 
@@ -290,7 +291,7 @@ def _compute_maxima(site: Site) -> dict[str, tuple[float, str]]:
         "/pump/flow": (3 * full, "three times the maximum flow of the pumps"),
         "/weather/precipitation": (rain / 3.6e6, f"{rain:g} mm/h"),
         "/weather/evapotranspiration": (
-            evaporation / 8.64e7 * site.a2, f"{evaporation:g} mm/day over a2"
+            evaporation / 8.64e7 * site.a2, f"{evaporation:g} mm/day on the area a2"
         ),
     }
 
@@ -359,6 +360,6 @@ def _describe_gaps(samples: Stamps, gaps: NDArray[np.intp], zone: tzinfo) -> str
     if len(gaps) > _MAX_NAMED:
         named.append(f"and {len(gaps) - _MAX_NAMED} more gaps, {hours.sum():.3g} h in total")
     return (
-        f"there are no messages from {', '.join(named)}: in these gaps, command, weather and "
-        "flows are unknown and are treated as 0, and the levels keep their last values"
+        f"there are no messages from {', '.join(named)}: in these gaps, the command, the weather "
+        "and the flows are unknown and are treated as 0, and the levels keep their last values"
     )

@@ -71,7 +71,7 @@ def read_events(file: Path) -> list[EventRow]:
             }))
         except (TypeError, ValueError) as error:
             raise ConfigurationError(
-                "is not a rain event; repeat the run", file=file, line=table.line_num
+                "is not a valid rain event; repeat the run", file=file, line=table.line_num
             ) from error
     return rows
 

@@ -188,15 +188,15 @@ NO_EFFECT = {
         "line 3: /site1/plant: run_length = 4: must not be set for the node plant in this file: "
         "under bringup, an option of greenroof run sets it",
     "/plant:\n  ros__parameters:\n    record: true\n":
-        "line 1: /plant: bringup starts no such node; the closest match is /**/plant; "
+        "line 1: /plant: bringup starts no node of this name; the closest match is /**/plant; "
         "bringup starts /site1/",
     "/**/pump:\n  ros__parameters:\n    min_off: 1.0\n    max_volume_per_dai: 0.5\n":
         "line 4: /**/pump: max_volume_per_dai = 0.5: there is no such parameter; the closest match "
         "is max_volume_per_day;",
     "# mine\n/**/pum:\n  ros__parameters:\n    min_off: 1.0\n":
-        "line 2: /**/pum: bringup starts no such node; the closest match is /**/pump;",
+        "line 2: /**/pum: bringup starts no node of this name; the closest match is /**/pump;",
     "pump:\n  max_volume_per_day: 0.5\n":
-        "line 2: pump: max_volume_per_day = 0.5: has no effect in this place: write /**",
+        "line 2: pump: max_volume_per_day = 0.5: has no effect at this level: write /**",
 }
 
 

@@ -49,7 +49,7 @@ def test_each_change_is_printed_and_stored_at_once(tmp_path: Path) -> None:
         "alarm 1: /pump: drive: no connection",
         "warning 2: /pump: pump: no connection (follows from /pump: drive)",
         "alarm 1 is over, after 7.8 s: /pump: drive",
-        "alarm 1 is back: /pump: drive: no connection",
+        "alarm 1 has returned: /pump: drive: no connection",
         "alarm 1 is over, after 7.8 s: /pump: drive",
     ]
     assert read_alarms(tmp_path) == [ends().alarm, begins(2, **follows).alarm]
@@ -117,7 +117,7 @@ def test_a_disk_that_is_full_and_a_damaged_file_stop_no_one(tmp_path: Path) -> N
         with pytest.raises(ValueError, match=r"alarms.jsonl, line 2: is not an alarm"):
             read_alarms(tmp_path)
         written(tmp_path, read=printed.append)
-        assert "the alarms of earlier starts will not be shown" in printed[-1]
+        assert "alarms from before this start will not be shown" in printed[-1]
     (tmp_path / ALARMS).unlink()
     for foreign in ({"alarms": 7}, {"alarms": [7]}, {"alarms": [{}]}):
         (tmp_path / "summary.json").write_text(json.dumps(foreign))

@@ -92,5 +92,5 @@ def test_a_line_that_others_can_cause_is_printed_once_a_minute(
         lines.print_seldom("stop", f"refused at {now:g}")
     lines.print_seldom("another kind", "printed")
     assert printed == [
-        "refused at 100", "refused at 160 (and 2 more messages like this before it)", "printed",
+        "refused at 100", "refused at 160 (and 2 similar messages before it)", "printed",
     ]

@@ -42,7 +42,7 @@ OPTIONS = {
 FORECASTS = [
     ([HEADER.replace("mm/day", "mm/h"), f"{H0},{H0},0,2"], 1, "'evapotranspiration [mm/day]'"),
     (["issued,time", f"{H0},{H0}"], 1, "'precipitation [mm/h]'"),
-    ([f"{HEADER},snow [cm]", f"{H0},{H0},0,2,1"], 1, "one column too many"),
+    ([f"{HEADER},snow [cm]", f"{H0},{H0},0,2,1"], 1, "an extra column"),
     ([HEADER, f"{H0},{H0},0,2", f"{H0},{H2},0,2"], 3, f"must be {H1}"),
     ([HEADER, f"{H1},{H1},0,2", f"{H0},{H0},0,2"], 3, "must be in chronological order"),
     ([MEMBERS, f"{H0},{H0},-1,0"], 2, "member = '-1': must be a number from 0 to 99 (whole)"),

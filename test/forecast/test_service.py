@@ -83,14 +83,14 @@ def test_each_hour_has_the_rain_and_temperature_that_are_forecast_for_it(server)
 
 @pytest.mark.parametrize(("fault", "reason"), [
     ("refused", "Remote end closed connection"),
-    ("slow", "sent no complete answer within 0.5 s"),
-    ("slow head", "sent no complete answer within 0.5 s"),
-    ("truncated", "broke off after .* bytes"),
+    ("slow", "sent no complete response within 0.5 s"),
+    ("slow head", "sent no complete response within 0.5 s"),
+    ("truncated", "ended after .* bytes"),
     ("broken", "is not a forecast in JSON: <html>"),
     ("limit", "429 Too Many Requests: .*Minutely API request limit"),
     ("error", "503 Service Unavailable: upstream is down"),
-    ("length", "temperature_2m: must be a list of values, one for each time"),
-    ("missing", "contains no precipitation after its run"),
+    ("length", "temperature_2m: must be a list with one value for each time"),
+    ("missing", "contains no precipitation after the time of its run"),
     ("clock", "check the clock of this machine"),
 ])
 def test_a_bad_answer_is_refused_and_replaces_nothing(server, tmp_path, monkeypatch, fault, reason):

@@ -63,7 +63,7 @@ def test_what_is_no_table() -> None:
     """The error has file and line."""
     for rows, reason in (
         ([ROWS[0], "2021-07-07T04:00-05:00,3.0"],
-         ", line 5: must have 3 cells, like the header, but has 2"),
+         ", line 5: must have 3 cells, as many as the header, but has 2"),
         ([ROWS[0], '2021-07-07T04:00-05:00,3.0,"1.2'],
          ", line 5: is not valid CSV: unexpected end of data"),
         ([], ": has a header but no records"),

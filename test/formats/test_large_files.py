@@ -99,9 +99,9 @@ def test_a_file_of_any_kind_that_is_too_large(
     with file.open("w") as stream:
         stream.truncate(150_000_000)
     assert refusal(read, file) == (
-        f"{file}: has 150 MB, but a file may have at most 100 MB: delete what no run needs, or "
-        "split the file, since weather can consist of several files, and forecasts of a directory "
-        "of files"
+        f"{file}: is 150 MB in size, but the limit is 100 MB: delete the data that no run needs, "
+        "or split the file (weather can be given as several files, and forecasts as a directory of "
+        "files)"
     )
 
 

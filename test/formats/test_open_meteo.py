@@ -261,7 +261,7 @@ WRONG = {
         ": is not a forecast but an error message from the service: Daily API request limit",
     ),
     "days.json": ('{"daily": {"time": ["2021-07-07"]}}', ": contains no hourly values, only "),
-    "daily.json": ('{"hourly": null}', ": hourly: must be a mapping, as in responses"),
+    "daily.json": ('{"hourly": null}', ": hourly: must be a mapping, as in a response"),
     "temperature.csv": (
         "\n".join([HEAD.replace("precipitation", "temperature_2m"), *ROWS, ""]),
         ", line 1: must contain precipitation, precipitation_member01 or precipitation_previous",

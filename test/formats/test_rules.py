@@ -57,7 +57,7 @@ def changed(record: StepRecord, column: str, change: Change) -> StepRecord:
 
 
 UNIT, BALANCE, LATE, EARLY, STUCK, BLOCKED = (
-    "is the unit", "are the units", "after it falls", "before it falls", "stuck or dead",
+    "is the unit", "are the units", "after it falls", "before it falls", "stuck or defective",
     "gauge blocked",
 )
 
@@ -144,7 +144,7 @@ def test_a_stuck_gauge_is_found_by_a_run_and_a_calibration(
     run = WeatherSeries(weather, replace(TORONTO, tau=600.0), weather.first, 450 * 6)
     record = read_csv_record(file, TORONTO)
     for sentences in (run.suspicious, check_steps(record, TORONTO)):
-        found = [sentence for sentence in sentences if "stuck or dead" in sentence]
+        found = [sentence for sentence in sentences if "stuck or defective" in sentence]
         assert [sentence[:41] for sentence in found] == (
             ["rain is 0.9 mm for 24 h from 2021-06-09 0"] if stuck else []
         )
@@ -221,7 +221,7 @@ def test_a_well_kept_roof_off_which_nothing_runs_is_right() -> None:
     )
     assert dead == (
         "runoff is 0 mm for 648 h from 2021-07-01 00:00:00, although 415 mm of water arrived: is "
-        "the sensor stuck or dead? Leave these cells empty"
+        "the sensor stuck or defective? Leave these cells empty"
     )
     # 720 mm in a month on 100 mm of soil: four dry months after it excuse nothing.
     wet = np.repeat([24 / DAY, 0.0, 0.0, 0.0, 0.0], 30 * DAY)

@@ -155,7 +155,7 @@ def test_a_short_control_an_hour_and_an_empty_member(tmp_path: Path) -> None:
     where = "gem_2021070705.json, issue of 2021-07-07T05:00+00:00: "
     assert archive.notes == (
         f"{where}member 3 is left out: it has 0 hours, but the longest member has 71",
-        f"{where}ends after 47 of 71 hours: later values are missing",
+        f"{where}is used only for 47 of 71 hours, because later values are missing",
         f"{where}1 missing hours of precipitation were filled with the mean of the adjacent hours",
     )
 
@@ -224,7 +224,7 @@ def test_downloads_that_failed(tmp_path: Path) -> None:
     refused, short, nothing, fewer = archive.notes
     assert "limit exceeded; the file is left out" in refused
     assert "gem_2021070605.json" in short and "is not valid JSON" in short
-    assert "gem_2021070705.json: contains no precipitation after its run" in nothing
+    assert "gem_2021070705.json: contains no precipitation after the time of its run" in nothing
     assert fewer == "the number of members used from every issue is 1, as in the smallest issue"
 
 
@@ -341,7 +341,8 @@ def test_second_downloads(tmp_path: Path, name: str) -> None:
     assert len(read_archive(run(tmp_path, name), TORONTO).issues) == 1
     run(tmp_path, "gem_2021070705.json")
     archive = read_archive(tmp_path, TORONTO)
-    assert len(archive.issues) == 1 and "is left out: it is the same as" in archive.notes[0]
+    assert len(archive.issues) == 1
+    assert "is left out because it has the same content as" in archive.notes[0]
     run(tmp_path, "gem_2021070705.json", precipitation=[1.0] * 72)
     refusal(read_archive, tmp_path, TORONTO, match="contains the issue of 2021-07-07T05:00.00:00")
 
@@ -480,7 +481,7 @@ def test_a_last_line_that_is_cut_off_is_left_out(tmp_path: Path, rest: str) -> N
     file.write_text(text)
     read = read_weather([file], TORONTO, rain_only=True)
     assert read.precipitation.tolist() == [0.5, 1.0]
-    assert "logger.csv: line 4 is cut off and ignored" in read.notes
+    assert "logger.csv: line 4 is incomplete and was ignored" in read.notes
     if rest == "2":
         file.write_text(f"{text}\n")
         assert "line 4: time = '2'" in refusal(read_weather, [file], TORONTO)

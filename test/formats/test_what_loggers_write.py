@@ -128,7 +128,7 @@ def test_the_separator_in_a_line_of_its_own(tmp_path: Path, head: str) -> None:
 def test_lines_that_are_no_records(tmp_path: Path, line: str) -> None:
     """Units below the header, and totals at the end."""
     for text in (write_rows(3).replace("\n", f"\n{line}\n", 1), f"{write_rows(3)}{line}\n"):
-        assert "units or a total instead of a record, leave it out" in refusal(read, tmp_path, text)
+        assert "units or a total instead of a record, delete it" in refusal(read, tmp_path, text)
 
 
 def test_files_that_were_appended(tmp_path: Path) -> None:
@@ -186,7 +186,7 @@ def test_a_total_that_only_rises(tmp_path: Path) -> None:
     for step_s, rain in ((HOUR, lambda row: EVENTS[row]), (600, lambda row: 0.2 + row / 10)):
         (note,) = (
             note for note in read(tmp_path, write_rows(144, step_s, rain)).notes
-            if "total since the event began" in note
+            if "total since the rain event began" in note
         )
         assert note.startswith("gauge.csv: rain [mm] rises ")
 
@@ -315,7 +315,7 @@ def test_fractions_of_humidity(tmp_path: Path) -> None:
         48, rain=lambda row: f"0,20,{0.6 + 0.42 * shine(row):.2f}",
         header="time,rain [mm],temperature [degC],relative humidity [%]\n",
     )
-    assert "are they fractions? If so, the unit is [1]" in refusal(read, tmp_path, text)
+    assert "are the values fractions? If so, the unit is [1]" in refusal(read, tmp_path, text)
     fractions = read(tmp_path, text.replace("[%]", "[1]"))
     # By FAO-56 Eqs. 11 and 14: 0.6 of 2.338 kPa at 20 degC is 1.403 kPa, which 12.0 degC have.
     assert fractions.values["dew point"][0] == pytest.approx(12.0, abs=0.05)
@@ -393,7 +393,7 @@ def test_a_point_between_thousands_of_one_column(
         header="time,rain [mm],solar radiation [W/m2]\n",
     )
     if is_refused:
-        assert "written with a thousands separator?" in refusal(read, tmp_path, text)
+        assert "contain a thousands separator?" in refusal(read, tmp_path, text)
     else:
         read(tmp_path, text)
 
@@ -411,7 +411,7 @@ SUSPICIOUS: dict[str, tuple[str, Callable[[int], object], str]] = {
     "degC of dew": (f"{HOT},{DEW}", lambda row: f"{RAIN[row]},{20 + 5 * shine(row)},"
                     f"{9 + row // 72 % 3}", ""),
     "hPa of vapour": (f"{HOT},{DEW}", lambda row: f"{RAIN[row]},{20 - 9 * shine(row)},13.1",
-                      "is it vapour pressure, or was it measured at a different place?"),
+                      "is it vapour pressure, or was it measured at a different location?"),
     "kPa of vapour": (f"{HOT},{DEW}", lambda row: f"{RAIN[row]},{20 + 5 * shine(row)},"
                       f"{1.2 + row // 72 % 3 / 10}", "is it vapour pressure?"),
     "kPa in frost": (f"{HOT},{DEW}", lambda row: f"{RAIN[row]},{-6 + 5 * shine(row)},0.3{row % 9}",
@@ -474,7 +474,7 @@ def test_prose_in_comments(tmp_path: Path, comment: str) -> None:
     records = read(tmp_path, f"# {comment}\n{write_rows(3)}")
     assert (records.places, records.wind_height) == ({}, None)
     assert records.notes == (
-        "gauge.csv: the comment in line 1 is ignored because its value is not valid: " + comment,
+        "gauge.csv: the comment in line 1 was ignored because its value is invalid: " + comment,
     )
 
 
@@ -515,8 +515,8 @@ GEOMET = (
     (gzip.compress(b"time", mtime=0), "gzip"), (b"PK\x03\x04", "workbook"),
     (b"\xd0\xcf\x11\xe0", "Excel"),
     ("time,rain [mm]".encode("utf-16"), "UTF-16"), (b"%PDF-1.4", "PDF"),
-    ("time,precipitation,temperature\n2024-06-01T00:00,1,20\n", "a form such as 'rain [mm]'"),
-    ("time,precipitation (mm)\n2024-06-01T00:00,1\n", "a form such as 'rain [mm]'"),
+    ("time,precipitation,temperature\n2024-06-01T00:00,1,20\n", "'name [unit]', such as 'rain [mm]'"),
+    ("time,precipitation (mm)\n2024-06-01T00:00,1\n", "'name [unit]', such as 'rain [mm]'"),
     ("date,precipitation\n2024-06-01T00:00,1\n", "the first column must be 'time'"),
     ("# STN,YYYYMMDD,   HH,    T,   RH\n  260,20240601,    1,  150,  -1\n", "KNMI, hourly"),
     ("STN,YYYYMMDD,TG,RH\n260,20240601,150,10\n", "KNMI, daily"),
@@ -641,4 +641,4 @@ def test_open_meteo_downloads_that_were_appended(tmp_path: Path) -> None:
 def test_names_like_open_meteos(tmp_path: Path) -> None:
     """A logger's own temp_2m is not the service's temperature_2m, whose times would be in UTC."""
     text = "time,precipitation,temp_2m\n2024-06-01 00:00,1,20\n2024-06-01 01:00,1,20\n"
-    assert "a form such as 'rain [mm]'" in refusal(read, tmp_path, text)
+    assert "the form 'name [unit]', such as 'rain [mm]'" in refusal(read, tmp_path, text)

@@ -156,7 +156,7 @@ def test_a_node_without_a_command_to_the_valve_is_named(domain: int, tmp_path: P
 node.create_publisher(Float64, "outlet/command", qos)
 publisher = """)
     for number, (source, arguments, codes, words) in enumerate((
-        (EXAMPLE, (), {1}, r"no start within 30 s: /outlet/command from controller$"),
+        (EXAMPLE, (), {1}, r"the run did not start within 30 s: /outlet/command from controller$"),
         (stops, VALVE_ARGUMENTS, {1}, r"no message within 5 s on /outlet/command from controller$"),
         (twice, VALVE_ARGUMENTS, {1}, r"/outlet/command has a second message in tick \d+ \(contr"),
         # Whether it is found before the first tick depends on the discovery.

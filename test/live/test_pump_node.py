@@ -151,7 +151,7 @@ def test_malformed_messages_stop_the_motor_and_not_the_node(rig: PumpRig) -> Non
             return bool(rig.observer.values("/pump")["refused"].get(topic) == 3)
 
         rig.tick_until(0.5, is_counted, LATE, "its count")
-    reported = "/pump/command was rejected: 8 bytes do not form a Float64"
+    reported = "/pump/command was rejected: 8 bytes are not a valid Float64"
     assert any(reported in it for it in rig.observer.messages)
     assert node.poll() is None
 

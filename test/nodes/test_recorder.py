@@ -55,7 +55,7 @@ def test_full_disk(domain: int, tmp_path: Path) -> None:
         assert summary["status"] == "failed"
         reason = re.fullmatch(
             r".*/bag: No space left on device; "
-            r"'greenroof recover .*/bag' restores its first (\d+) ticks",
+            r"'greenroof recover .*/bag' restores the first (\d+) ticks of the bag",
             summary["reason"],
         )
         assert reason is not None, summary["reason"]

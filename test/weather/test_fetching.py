@@ -78,7 +78,7 @@ def test_two_years_come_in_spite_of_all_that_services_send(service, tmp_path):
     service.faults = ["html", "half", "limit", "limit 1", "error", "JSON error", "", "short"]
     done = run(service, tmp_path, "--years", "2023-2024")
     assert (done.returncode, [*tmp_path.iterdir()]) == (0, [tmp_path / "out.csv"]), done.stderr
-    for reason in ("maintenance", "broke off after", "429 Too Many Requests", "503", "went wrong",
+    for reason in ("maintenance", "ended after", "429 Too Many Requests", "503", "went wrong",
                    "sent 8784 hours instead of 8808", "next attempt in 1 s"):
         assert reason in done.stderr
     # Each year until it came; years are of the site's clock, so there is a day more at both ends.
@@ -356,7 +356,7 @@ def failure(service: WeatherService, directory: Path, source: Source) -> str:
     ("fewer", 1, "sent no shortwave_radiation"),
     ("tomorrow", 1, "Daily API request limit exceeded"),
     ("html", 8, "sent invalid or incomplete JSON: <!DOCTYPE html>"),
-    ("half", 8, "broke off after"),
+    ("half", 8, "ended after"),
     ("short", 8, "sent 8808 hours instead of 8832"),
     ("odd", 8, "sent 0 hours instead of 8832"),
     ("other", 8, "sent hours that start at 2009-12-31T00:00 instead of 2019-12-31"),
@@ -376,7 +376,7 @@ def test_what_does_not_pass_is_tried_once_and_what_may_pass_eight_times(
 def test_a_slow_service_is_given_up(service, tmp_path, monkeypatch):
     monkeypatch.setattr(http_client, "ANSWER_S", 0.2)
     service.faults = 9 * ["slow"]
-    assert "no complete answer within 0.2 s" in failure(service, tmp_path, archive(service))
+    assert "no complete response within 0.2 s" in failure(service, tmp_path, archive(service))
 
 
 @pytest.mark.parametrize(("error", "wait"), [
@@ -400,7 +400,7 @@ def test_rain_that_no_gauge_measured_is_noted_also_beside_a_gauges(tmp_path):
         read_measured([tmp_path / name], SITE) for name in ("gauge.csv", "model.csv", "radar.csv")
     )
     assert (gauge.rain_note, radar.rain_note) == ("", "")
-    assert any("its value is not valid: rain_kind: radar" in note for note in radar.left_out)
+    assert any("its value is invalid: rain_kind: radar" in note for note in radar.left_out)
     both = read_measured([tmp_path / "gauge.csv", tmp_path / "model.csv"], SITE)
     assert LOW_PEAKS in both.rain_note == model.rain_note
     # Written again by greenroof weather, it still says so; and the description does.

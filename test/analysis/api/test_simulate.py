@@ -307,7 +307,7 @@ ROWS: dict[str, list[Any]] = {
     ("precipitation [mm/h]", [0.0] * 7 + [5e3] * 2 + [0.0] * 15,
      r"^the data frame, row 7: precipitation \[mm/h\] = '5000.0': must be a number from 0 to 500"),
     ("time", [*ROWS["time"][:23], "noon"], "^the data frame, row 23: time = 'noon': must be a "),
-    ("rain", [0.0] * 24, "^the data frame: 'rain': the name of a column must have a form"),
+    ("rain", [0.0] * 24, "^the data frame: 'rain': the name of a column must have the form"),
     ("temperature [degC]", [20.0] * 2 + [None] * 22,
      "^the data frame: temperature is missing at 2024-06-01T02:00.*or fill the gaps .gaps: fill.,"),
 ])

@@ -174,7 +174,7 @@ WRONG_CSV = {
     "line 2: catchment_area = 'nan': must be a number from": CSV.replace("120", "nan"),
     "line 3: cell = 'north': must be one of the cells east, west": CSV.replace("east", "north"),
     "line 3: id = '': must contain a name or number": CSV.replace("B,", ","),
-    "line 3: must have 5 cells, like the header, but has 4": CSV.replace(",Lane 2", ""),
+    "line 3: must have 5 cells, as many as the header, but has 4": CSV.replace(",Lane 2", ""),
     "has a header but no records": CSV.partition("\n")[0] + "\n",
     "is empty": "",
     "is a zip archive or a spreadsheet": "PK\x03\x04",

@@ -454,12 +454,12 @@ def test_how_runs_ended(tmp_path: Path) -> None:
     reason = "node weather ended (SIGKILL); its last lines:\n  none"
     broken = ended_run(tmp_path / "broken", "failed", last_tick=72, reason=reason)
     done = ended_run(tmp_path / "done")
-    nothing = ended_run(tmp_path / "nothing", "failed", reason="no start within 30 s")
+    nothing = ended_run(tmp_path / "nothing", "failed", reason="the run did not start within 30 s")
     shutil.rmtree(nothing / "bag")
     silent = ended_run(tmp_path / "silent", "interrupted", last_tick=0)
     shutil.rmtree(silent / "bag")
     small_bag(silent / "bag", roof_level=[], cistern_level=[], pump_command=[], pump_flow=[])
-    refusal(report_of, nothing, match="nothing failed: no start within 30 s; .*: no bag")
+    refusal(report_of, nothing, match="failed: the run did not start within 30 s; .*: no bag")
     refusal(report_of, silent, match="For example, silent was interrupted at tick 0 of 720")
     ending = (
         "failed at tick 72 of 720 (00:01:12): node weather ended (SIGKILL); its last lines: none"

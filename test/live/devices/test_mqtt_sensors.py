@@ -133,8 +133,8 @@ def test_why_a_broker_cannot_be_used_is_reported(tmp_path: Path) -> None:
     for lines, scheme, changed, why in (
         (secret, "mqtts", {}, "is not trusted: self-signed certificate"),
         (secret, "mqtts", {"authority": str(certificate)}, "is not trusted: IP address mismatch"),
-        (secret, "mqtt", {}, "if the broker expects TLS, its address begins with mqtts://"),
-        (open_to_all, "mqtts", {}, "does not answer over TLS"),
+        (secret, "mqtt", {}, "if the broker expects TLS, its address must begin with mqtts://"),
+        (open_to_all, "mqtts", {}, "does not respond over TLS"),
         (strict, "mqtt", {"login": str(login)}, "Not authorized"),
     ):
         with mosquitto(tmp_path, *lines) as broker:
@@ -227,7 +227,7 @@ def test_a_broker_that_comes_or_is_killed_or_stops_answering_is_used(tmp_path: P
 
         broker.kill()
         reader.start()
-        until(lambda: "no answer from" in reader.snapshot.problem, 20)
+        until(lambda: "no response from" in reader.snapshot.problem, 20)
         assert reader.snapshot.code == "broker_lost"
         broker.start()
         talk("1")

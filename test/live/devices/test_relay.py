@@ -275,7 +275,7 @@ def test_the_supervisor_stops_one_whose_driver_was_killed(bench: Bench) -> None:
 def test_no_one_there() -> None:
     (port,) = free_ports(1)
     relay = endpoint("tasmota", f"mqtt://127.0.0.1:{port}/roof").connection()
-    with closing(relay.line), pytest.raises(DriveError, match="no answer from") as caught:
+    with closing(relay.line), pytest.raises(DriveError, match="no response from") as caught:
         relay.line.connect()
     assert caught.value.kind == "connection"
 
