@@ -515,7 +515,7 @@ GEOMET = (
     (gzip.compress(b"time", mtime=0), "gzip"), (b"PK\x03\x04", "workbook"),
     (b"\xd0\xcf\x11\xe0", "Excel"),
     ("time,rain [mm]".encode("utf-16"), "UTF-16"), (b"%PDF-1.4", "PDF"),
-    ("time,precipitation,temperature\n2024-06-01T00:00,1,20\n", "'name [unit]', such as 'rain [mm]'"),
+    ("time,precipitation,temperature\n2024-06-01T00:00,1,20\n", "[unit]', such as 'rain [mm]'"),
     ("time,precipitation (mm)\n2024-06-01T00:00,1\n", "'name [unit]', such as 'rain [mm]'"),
     ("date,precipitation\n2024-06-01T00:00,1\n", "the first column must be 'time'"),
     ("# STN,YYYYMMDD,   HH,    T,   RH\n  260,20240601,    1,  150,  -1\n", "KNMI, hourly"),
