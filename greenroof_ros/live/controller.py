@@ -63,12 +63,12 @@ _DECIDING_S = 3.0
 _STARTING_S = 12.0
 LIVE_PARAMETERS = live_parameters([*_INPUTS, _FLOW, _GAUGE])
 STATE_FILE = Parameter(
-    "state_file", "", meaning="file that preserves the cost of waiting for rain across restarts; "
-        "if empty, the cost is not preserved",
+    "state_file", "", meaning="file in which the cost of waiting for rain is preserved across "
+        "restarts; if empty, the cost is not preserved",
 )
 GIVEN_UP = Parameter(
-    "given_up", "", meaning="reason for which bringup has replaced the controller by on/off "
-        "control; empty if the controller runs",
+    "given_up", "", meaning="reason why bringup has replaced the controller with on/off control; "
+        "empty if the controller is running",
 )
 # How often learned values are saved (s).
 _SAVE_S = 600.0
@@ -270,7 +270,7 @@ class LiveControllerNode(LiveNode):
                 "command", Diagnosis.of("controller_failed", case, **values), level=level
             )
         elif "command" in self.reports.diagnoses:
-            self.reports.diagnose("command", None, "the controller commands again")
+            self.reports.diagnose("command", None, "the controller is in command again")
 
     def _load_learned(self) -> dict[str, float] | None:
         """Return the values that the controller had learned; None, with a warning, if lost."""

@@ -13,8 +13,8 @@ from greenroof_ros.live.devices.endpoint import CHOICE, Endpoint, read_endpoint
 from greenroof_ros.live.supervisor import StopDrive
 
 _MAY_RUN = (
-    "THE PUMP MAY BE RUNNING: only the drive's own communication timeout stops it now, if that "
-    "timeout is on; check the pump, and stop it at the drive's panel or at the main switch"
+    "THE PUMP MAY BE RUNNING: now only the drive's own communication timeout can stop it, if "
+    "that timeout is on; check the pump, and stop it at the drive's panel or at the main switch"
 )
 
 
@@ -66,8 +66,8 @@ class DriveChoice:
                 status = stop_drive(endpoint, driver=pump_node)
             except DriveInUseError as error:
                 return False, (
-                    f"another program (process {error.holder}) runs the drive, and may run the "
-                    "pump: the drive is left to that program"
+                    f"another program (process {error.holder}) controls the drive, and the pump "
+                    "may be running: the drive is left to that program"
                 )
             except Exception as error:  # whatever the error, someone must check the pump
                 return False, f"bringup could not stop the drive: {error}; {_MAY_RUN}"
@@ -100,13 +100,13 @@ def read_drive_choice(arguments: argparse.Namespace) -> DriveChoice | None:
     drive, at = arguments.drive, arguments.drive_at
     refuse(
         (at and not drive, "--drive-at", at,
-         "needs --drive with the make of the drive"),
+         "requires --drive with the make of the drive"),
         (drive and not at, "--drive", drive,
-         "needs --drive-at, such as tcp://192.168.0.20:502, gateway://..., /dev/ttyUSB0 or "
+         "requires --drive-at, such as tcp://192.168.0.20:502, gateway://..., /dev/ttyUSB0 or "
          "mqtt://..."),
         (drive and arguments.pump == EXTERNAL, "--pump", EXTERNAL,
-         "leaves the pump to your own node, but --drive leaves it to the pump node; use only one "
-         "of these options"),
+         "assigns the pump to your own node, but --drive assigns it to the pump node; use only "
+         "one of these options"),
     )
     files = [
         str(Path(file).resolve()) if file else ""

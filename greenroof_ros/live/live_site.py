@@ -63,12 +63,13 @@ class LiveSite:
         others_weather, has_forecast = arguments.weather is not None, arguments.forecast is not None
         refuse(
             (arguments.sensors is None, "--sensors FILE", None,
-             "is missing: a live site needs this file to know where the levels are measured; "
+             "is missing: a live site needs this file, which describes the level sensors; "
              "alternatively, use --sensors external if your own nodes publish /cistern/level "
              "and /roof/level"),
             (drive is None and not arguments.pump, "--drive NAME", None,
-             "is missing: a live site needs this option to know the pump's drive, and --drive-at "
-             "to know its address; alternatively, use --pump external if your own node runs the "
+             "is missing: a live site needs this option for the make of the pump's drive, and "
+             "--drive-at for its address; alternatively, use --pump external if your own node "
+             "runs the "
              "pump"),
             (others_weather and has_forecast, "--forecast", arguments.forecast,
              "is for the weather node, which --weather external replaces"),
@@ -90,7 +91,7 @@ class LiveSite:
             depth = self.sensed.roof.substrate_depth
             refuse((
                 depth not in (None, site.z_soil), f"{self.sensors}: roof.substrate_depth", depth,
-                f"must be z_soil of the site file, {site.z_soil:g} m",
+                f"must equal z_soil of the site file, {site.z_soil:g} m",
             ))
             if drive is not None:
                 _refuse_shared_line(drive, self.sensed)
@@ -99,12 +100,11 @@ class LiveSite:
             (not others_weather and not has_forecast and arguments.thermometer is None
              and not has_thermometer,
              "--thermometer external", None,
-             "is missing: without --forecast FILE.csv only a thermometer can show whether there "
-             "is frost; use this option if your own node publishes /gauge/temperature (degC), or "
-             "add a "
-             "thermometer to the file of --sensors, or specify a forecast"),
+             "is missing: without --forecast FILE.csv, frost can only be detected with a "
+             "thermometer; use this option if your own node publishes /gauge/temperature (degC), "
+             "or add a thermometer to the sensor file, or specify a forecast"),
             (has_thermometer and arguments.thermometer is not None, "--thermometer", EXTERNAL,
-             "contradicts the file of --sensors, which contains a thermometer"),
+             "contradicts the sensor file, which contains a thermometer"),
         )
         self.weather = not others_weather
         self.forecast = _forecast(arguments)
@@ -175,9 +175,9 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="greenroof live",
         usage="%(prog)s [options]",
-        description="Keep a site with sensors and a pump running on the system clock; nothing is "
-        "simulated. It does not end by itself: Ctrl-C or SIGTERM stops the pump, and then the "
-        "nodes.",
+        description="Operate a real site with sensors and a pump on the system clock; nothing is "
+            "simulated. The command runs until it receives Ctrl-C or SIGTERM; it then stops the "
+            "pump, and then the nodes.",
         epilog="examples:\n"
         "  greenroof live --sensors sensors.yaml --forecast forecast.csv \\\n"
         "    --drive danfoss_fc202 --drive-at /dev/ttyUSB0\n\n"
@@ -195,16 +195,14 @@ def make_parser() -> Parser:
     group.add_argument(
         "--forecast", metavar="{FILE.csv,open-meteo}",
         help="read forecasts from FILE.csv, and read the file again whenever it is replaced; "
-            "open-meteo: fetch forecasts from Open-Meteo for the place of the site, as set by the "
-            "weather node's parameters fetch_... (--node-parameters), and keep them in the state "
-            "directory. With a thermometer, onoff "
-        "and lookahead need no forecast",
+            "open-meteo: fetch forecasts from Open-Meteo for the location of the site, according "
+            "to the weather node's parameters fetch_... (--node-parameters), and keep them in "
+            "the state directory. With a thermometer, onoff and lookahead need no forecast",
     )
     group.add_argument(
         "--thermometer", choices=[EXTERNAL],
-        help="external: your own node publishes /gauge/temperature (degC), because the file of "
-        "--sensors has no thermometer; without --forecast, nothing else can show whether there is "
-        "frost",
+        help="external: your own node publishes /gauge/temperature (degC), because the sensor file "
+            "contains no thermometer; without --forecast, nothing else can indicate frost",
     )
     group.add_argument(
         "--weather", choices=[EXTERNAL],
@@ -212,13 +210,14 @@ def make_parser() -> Parser:
     )
     group.add_argument(
         "--state", type=Path, default=Path("live"), metavar="DIR",
-        help="directory for the state that must survive a restart (a hold, a fault, the pump's use "
-            "in 24 h), the bag, the logs and the summary (default: live)",
+        help="directory for the state that must survive a restart (holds, faults, pump usage in "
+            "the last 24 h), the bag, the logs and the summary (default: live)",
     )
     group.add_argument(
         "--bag-limit", type=make_number_type(MIN_BAG_MB, 1e9), default=10_000.0, metavar="MB",
         help="remove the bag's oldest files when the bag exceeds this size (default: %(default)g "
-            "MB); the size is limited to nine tenths of the free space on the disk at the start",
+            "MB); the size is also limited to nine tenths of the disk space that is free at the "
+            "start",
     )
     add_graph_arguments(parser)
     add_drive_arguments(parser)
@@ -273,7 +272,7 @@ def _refuse_shared_line(drive: DriveChoice, sensors: Sensors) -> None:
             parse_address(sensor.address)
         ):
             raise ConfigurationError(
-                f"is also the serial line of the sensor {section}, but only one program can open "
+                f"is also the serial line of sensor {section}, but only one program can open "
                 "a serial line: connect a Modbus TCP gateway to this line, or use another line",
                 key="--drive-at", value=drive.address,
             )

@@ -64,12 +64,12 @@ _OWN = (
     ),
     Parameter(
         "local_settings_stop_the_pump", False, meaning="confirmation that the drive has been set "
-            "to stop the pump when the bus connection is lost, and that the pump has been seen to "
-            "stop; must be true if that setting cannot be read",
+            "to stop the pump when the bus connection is lost, and that the pump was observed to "
+            "stop in a test; must be true if that setting cannot be read",
     ),
     Parameter(
-        "state_file", "", meaning="file that preserves a hold, a fault and the pump's use in 24 h "
-            "across restarts; if empty, greenroof_ros/NAME.json in $XDG_STATE_HOME or "
+        "state_file", "", meaning="file that preserves holds, faults and the pump's usage in the "
+            "last 24 h across restarts; if empty, greenroof_ros/NAME.json in $XDG_STATE_HOME or "
             "~/.local/state",
     ),
 )
@@ -97,7 +97,7 @@ class PumpNode(LiveNode):
         values = declare(self, parameters(site))
         if values[_COMMAND_LIMIT.name] <= site.tau:
             raise ConfigurationError(
-                f"must be more than tau of the site, {site.tau:g} s: one command arrives per "
+                f"must exceed tau of the site, {site.tau:g} s: one command arrives per "
                 "tau", key=f"parameter {_COMMAND_LIMIT.name} of {self.get_name()}",
                 value=values[_COMMAND_LIMIT.name],
             )
@@ -220,8 +220,9 @@ class PumpNode(LiveNode):
     def _dose(self, request: SetParametersAtomically.Request) -> tuple[bool, str]:
         fields = {parameter.name: parameter.value.double_value for parameter in request.parameters}
         if fields.keys() != {"volume", "asked_at"}:
-            raise ValueError("a dose needs volume (m3) and asked_at (s since 1970), and nothing "
-                "else")
+            raise ValueError(
+                "a dose must have volume (m3) and asked_at (s since 1970); other keys are not "
+                "allowed")
         self._step()  # a reason against the dose may have just arrived
         refusal = self._control.request_dose(fields["asked_at"], fields["volume"])
         self._step()
@@ -293,7 +294,8 @@ class PumpNode(LiveNode):
             self._suspended_at = now
             self.reports.diagnose("suspend", Diagnosis.of("suspended", suspended_s=seconds))
         elif now - self._suspended_at > _REPORTED_S:
-            self.reports.diagnose("suspend", None, "the machine stays awake while the pump is on")
+            self.reports.diagnose("suspend", None,
+                "the computer is kept awake while the pump is on")
 
     # --- the pump ---------------------------------------------------------------------------------
 
@@ -449,8 +451,8 @@ def _parse_hold(request: SetParametersAtomically.Request) -> dict[str, Any]:
         name in kinds and isinstance(value, kinds[name]) for name, value in fields.items()
     ):
         raise ValueError(
-            "a hold needs an owner (text), and may have a reason (text) and until (s since 1970, a "
-            "floating-point number), and nothing else"
+            "a hold must have an owner (text) and may have a reason (text) and until (s since "
+            "1970, a floating-point number); other keys are not allowed"
         )
     if "until" in fields and not time.time() < fields["until"] <= MAX_NUMBER:
         raise ValueError(

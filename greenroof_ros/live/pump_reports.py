@@ -80,7 +80,7 @@ class PumpReports:
         diagnosis, level = Diagnosis.if_any("state_not_kept", unsaved), ERROR
         if diagnosis is None and changed:
             diagnosis, level = Diagnosis.of("record_changed"), WARN
-        diagnose("state file", diagnosis, "holds and faults are kept", level)
+        diagnose("state file", diagnosis, "holds and faults are being saved", level)
         self._diagnose_drive(now)
 
     def _diagnose_inputs(self, decision: Decision) -> None:
@@ -149,7 +149,7 @@ class PumpReports:
 
     def _diagnose_timeout(self, snapshot: DriveSnapshot) -> None:
         guard = self._exchange.endpoint.guard
-        well = f"without this machine, the drive stops after {snapshot.timeout_s or 0:g} s"
+        well = f"if this computer fails, the drive stops after {snapshot.timeout_s or 0:g} s"
         if guard is not None and guard.traps:
             well += f"; beware: {guard.traps}"
         diagnosis, level = self._exchange.timeout_problem(snapshot), ERROR

@@ -40,7 +40,8 @@ _DIAGNOSTICS = "/diagnostics"
 def parameters(site: Site | None = None) -> list[Parameter]:
     """Return the node's parameters, which are the same at every site."""
     return [
-        Parameter("directory", "bag", meaning="directory of the bag; an existing bag is continued"),
+        Parameter("directory", "bag", meaning="directory of the bag; recording continues in an "
+            "existing bag"),
         Parameter(
             "total_limit", 10_000.0, "MB", 0.2, 1e9, "size beyond which the bag's oldest files are "
                 "removed; each file is limited to a tenth of this size, and to 100 MB",
@@ -137,7 +138,7 @@ class LiveRecorderNode(LiveNode):
         """Close the bag; if the disk hangs, leave the bag as if the node had been killed."""
         problem = ""
         if not (DISK.do(self._bag.close) and DISK.wait(_WRITTEN_S)):
-            problem = f"{self._bag.directory}: the disk does not respond; the bag is not closed"
+            problem = f"{self._bag.directory}: the disk does not respond; the bag was not closed"
         if problem or self._bag.problem:
             self.get_logger().error(problem or self._bag.problem)
 

@@ -96,7 +96,7 @@ class SensorNode(LiveNode):
         if problem is None or problem.code == "sensor_lost":  # a lost broker is not a reading
             # Without new readings, this becomes a lost sensor after a while.
             problem = self._reader.share.diagnosis or problem
-        self.reports.diagnose(self._part, problem, "the sensor is read", self._level)
+        self.reports.diagnose(self._part, problem, "the sensor is being read", self._level)
 
     def on_stop(self) -> None:
         """Close the connection to the sensor."""

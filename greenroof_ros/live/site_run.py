@@ -130,7 +130,7 @@ def _supervise(
             start.update(record.alarms.judge, supervisor.last, unready)
             if not ready and not unready:
                 ready = True
-                print_line("all nodes have joined")
+                print_line("all nodes have joined the graph")
                 notify("READY=1")
             now = time.monotonic()
             if now - notified >= _NOTIFY_S:
@@ -140,7 +140,7 @@ def _supervise(
     finally:
         notify("STOPPING=1")
         if site.drive is not None:
-            print_line("waiting for the pump to come to rest")
+            print_line("waiting for the pump to come to a standstill")
 
 
 def _report_end(record: _SiteRecord, supervisor: LiveSupervisor, error: Exception) -> int:
@@ -148,7 +148,7 @@ def _report_end(record: _SiteRecord, supervisor: LiveSupervisor, error: Exceptio
     if isinstance(error, InterruptedRun) and not supervisor.may_run:
         record.write(summary.DONE, str(error))
         record.wait()
-        print_line(f"{error}: the pump and the nodes are stopped")
+        print_line(f"{error}: the pump and the nodes are being stopped")
         print_line(add_alarm_count("done", record.alarms.log.count))
         return EXIT_DONE
     reason, last_lines, code = str(error), "", EXIT_FAILED
@@ -275,12 +275,13 @@ class _SiteRecord:
         warnings = {self._summary.problem} if self._summary.problem else set()
         if DISK.late:
             warnings.add(
-                f"{self._state}: the disk does not respond; logs and summary wait in memory"
+                f"{self._state}: the disk does not respond; the logs and the summary are held in "
+                "memory"
             )
         elif DISK.refused:
             warnings.add(
-                f"{self._state}: {DISK.refused} pieces of log output have not fitted into memory "
-                "since the start, and are lost"
+                f"{self._state}: {DISK.refused} pieces of log output have been lost since the "
+                "start, because they did not fit into memory"
             )
         for text in sorted((of_nodes | warnings) - self._warnings):
             print_line(f"warning: {text}")
@@ -304,7 +305,7 @@ class _SiteRecord:
         """Wait until all data are on the disk; warn if that takes more than 5 s."""
         if not DISK.wait(_WRITTEN_S):
             self._summary.problem = (
-                f"{self._state}: the disk does not respond; {summary.SUMMARY} is not kept"
+                f"{self._state}: the disk does not respond; {summary.SUMMARY} is not saved"
             )
         self._warn(self._warnings)
 
@@ -372,8 +373,10 @@ def _fit_bag(site: LiveSite, bag: Path) -> None:
     reduced = max(MIN_BAG_MB, 0.9 * fits / 1e6)
     if site.bag_limit > reduced:
         print_line(
-            f"warning: {bag}: the disk has space for {fits / 1e6:.0f} MB of the bag, which is less "
-            f"than --bag-limit {site.bag_limit:g}; the bag's oldest files are removed beyond "
+            f"warning: {bag}: there is only enough disk space for {fits / 1e6:.0f} MB of the "
+            "bag, which is less "
+            f"than --bag-limit {site.bag_limit:g}; the bag's oldest files are removed once it "
+            "exceeds "
             f"{reduced:.0f} MB"
         )
         site.bag_limit = reduced
@@ -461,5 +464,5 @@ class _Configuration:
             part.rename(kept)
         except OSError as error:
             shutil.rmtree(part, ignore_errors=True)
-            why = f"{error.strerror}; the configuration of this start is not kept"
+            why = f"{error.strerror}; the configuration used for this start is not saved"
             print_line(f"warning: {kept}: {why}")

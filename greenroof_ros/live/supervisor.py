@@ -383,7 +383,7 @@ class LiveSupervisor:
             why, before = error.strerror or str(error), record.cannot_start
             record.cannot_start = why
             if why != before:
-                again = f"tried again every {_MAX_WAIT_S:g} s{_unrecorded(name)}"
+                again = f"another attempt is made every {_MAX_WAIT_S:g} s{_unrecorded(name)}"
                 self._on_failure(name, f"cannot be started: {why}; {again}")
 
     def update(self) -> None:
@@ -440,8 +440,8 @@ class LiveSupervisor:
                 raise NodeFailed(f"node {name} {failure}", self.last_lines_of(name), code)
             if too_often:
                 raise NodeFailed(
-                    f"node {name} {failure}; it was restarted {len(record.restarts)} times in the "
-                    f"last {_WINDOW_S / 60:g} minutes, and is not restarted again",
+                    f"node {name} {failure}; it has been restarted {len(record.restarts)} times "
+                    f"in the last {_WINDOW_S / 60:g} minutes, and will not be restarted again",
                     self.last_lines_of(name), EXIT_FAILED,
                 )
         wait = _WINDOW_S if too_often else min(2.0 ** len(record.restarts), _MAX_WAIT_S)
@@ -495,4 +495,4 @@ def _log_file(path: Path) -> RotatingFileHandler:
 
 
 def _unrecorded(name: str) -> str:
-    return "; nothing is recorded until then" if name == RECORDER else ""
+    return "; until then, nothing is recorded" if name == RECORDER else ""

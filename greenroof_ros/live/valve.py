@@ -21,6 +21,6 @@ def refuse_valve(site: Site, file: Path | None) -> None:
     if site.low_outlet_valve:
         raise ConfigurationError(
             "must be false: a live site cannot command the valve yet, so the valve would not "
-            "move although the controller plans to use "
+            "move although the controller's plan relies on "
             "it", file=file, key="low_outlet_valve", value=True,
         )

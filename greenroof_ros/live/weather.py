@@ -55,7 +55,7 @@ def parameters(site: Site) -> list[Parameter]:
                 "replaced; empty for no forecast",
         ),
         Parameter(
-            "fetch", "", meaning="interface of Open-Meteo from which forecasts are fetched; they "
+            "fetch", "", meaning="Open-Meteo API from which forecasts are fetched; they "
                 "are stored in the file that the parameter forecast names, and next to it. If "
                 "empty, another program writes that file",
             among=("", *INTERFACES),
@@ -64,18 +64,18 @@ def parameters(site: Site) -> list[Parameter]:
             "fetch_model", "", meaning="Open-Meteo's name for the weather model; if empty, "
                 "Open-Meteo chooses the model",
         ),
-        Parameter("fetch_url", "", meaning="address of a server that is compatible with "
-            "Open-Meteo; if empty, Open-Meteo's own server is used"),
+        Parameter("fetch_url", "", meaning="address of an Open-Meteo-compatible server; if empty, "
+            "Open-Meteo's own server is used"),
         Parameter(
             "fetch_every", 30.0, "min", 10.0, 1440.0, "interval at which forecasts are fetched"
         ),
         Parameter(
-            "issue_limit", 7200.0, "s", 1.0, 1e6, "maximum age of the newest forecast in the file, "
-                "counted from its time of issue",
+            "issue_limit", 7200.0, "s", 1.0, 1e6,
+                "maximum age of the latest forecast in the file, counted from its time of issue",
         ),
         Parameter(
             "unknown_frost_may_pump", False, meaning="whether an unknown temperature is treated as "
-                "no frost; if false, it keeps the pumps off",
+                "frost-free; if false, an unknown temperature keeps the pumps off",
         ),
         *live_parameters(_GAUGES),
     ]
@@ -127,7 +127,8 @@ class LiveWeatherNode(LiveNode):
             self.reports.diagnose("forecast service", unfetched, ATTRIBUTION, WARN)
             before, self._unkept = self._unkept, self._kept.problem
             if self._unkept not in ("", before):
-                self.get_logger().warning(f"the forecast is used, but not saved: {self._unkept}")
+                self.get_logger().warning(
+                    f"the forecast is used, but has not been saved: {self._unkept}")
         forecast = self._forecast
         outlook = None if forecast is None else self._outlook(forecast, now, rain)
         temperature = math.nan if outlook is None else outlook.temperature
@@ -138,7 +139,7 @@ class LiveWeatherNode(LiveNode):
             else ", and the forecast has no temperature column"
         )
         thermometer = self._thermometer
-        why = "no reading of a thermometer"
+        why = "no thermometer reading"
         if thermometer.received and thermometer.diagnosis is not None:
             why = thermometer.diagnosis.sentence
         self.publish(FROST, self._frost(temperature, f"{why}{instead}"))
@@ -156,9 +157,9 @@ class LiveWeatherNode(LiveNode):
         if evapotranspiration is not None:
             self.publish(EVAPOTRANSPIRATION, evapotranspiration)
         instead = "unknown" if forecast is None else "forecast"
-        self._diagnose_gauge("rain gauge", self._rain_gauge, f"the present rain is {instead}")
+        self._diagnose_gauge("rain gauge", self._rain_gauge, f"the current rain rate is {instead}")
         self._diagnose_gauge(
-            "thermometer", self._thermometer, f"the present temperature is {instead}"
+            "thermometer", self._thermometer, f"the current temperature is {instead}"
         )
 
     def _fetch(self, values: dict[str, Any], file: Path) -> Fetcher:
@@ -215,7 +216,7 @@ class LiveWeatherNode(LiveNode):
             wrong = Diagnosis.of("forecast_unreadable", issued=issued, why=problem)
         self.reports.diagnose(
             "forecast", wrong, "; ".join(
-                filter(None, (f"the newest forecast was issued at {issued}", repeated))
+                filter(None, (f"the latest forecast was issued at {issued}", repeated))
             ), WARN,
         )
         return outlook
@@ -253,7 +254,7 @@ class LiveWeatherNode(LiveNode):
             return
         bad, well, diagnosis = None, f"{gauge.name} is good", gauge.diagnosis
         if part not in self._gauges and not gauge.publishers.count:
-            well = f"no one publishes {gauge.name}"
+            well = f"no node publishes {gauge.name}"
         elif diagnosis is not None and diagnosis.code == "input_recovering" and (
             part not in self._gauges  # it has just been received for the first time
         ):

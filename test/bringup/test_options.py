@@ -67,14 +67,14 @@ WRONG = {
     WEATHERED:
         "--forecast FILE.csv: is missing: mpc needs a forecast; alternatively, use --weather",
     f"{WEATHERED} --controller onoff":
-        "--thermometer external: is missing: without --forecast FILE.csv only a thermometer can "
-        "show whether there is frost; use this option if your own node publishes",
+        "--thermometer external: is missing: without --forecast FILE.csv, frost can only be "
+        "detected with a thermometer; use this option if your own node publishes",
     f"{WEATHERED} --forecast no.json": "--forecast = 'no.json': must be a FILE.csv, which is",
     f"{SENSED} --drive no_such_drive --drive-at tcp://127.0.0.1:1": "drive = 'no_such_drive': is",
     f"{SENSED} --pump external --thermometer external":
-        "--thermometer = 'external': contradicts the file of --sensors, which contains a therm",
+        "--thermometer = 'external': contradicts the sensor file, which contains a therm",
     f"{SENSED} --pump external {DRIVE}":
-        "--pump = 'external': leaves the pump to your own node",
+        "--pump = 'external': assigns the pump to your own node",
     "run --pump external --pump-min-on 60": "minimum on and off times: must be set in the pump",
 }
 
@@ -139,7 +139,7 @@ def test_wrong_namespace(name: str, capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(("old", "new", "drive", "wrong"), [
     # Table I: the soil is 0.5 m deep.
     ("high: 0.6 ", "high: 0.1\n  substrate_depth: 0.108 ", DRIVE,
-     "FILE: roof.substrate_depth = 0.108: must be z_soil of the site file, 0.5 m"),
+     "FILE: roof.substrate_depth = 0.108: must equal z_soil of the site file, 0.5 m"),
     # Only one program can open a serial line, so the sensor or the drive would never answer.
     ("tcp://127.0.0.1:5031", "/dev/ttyS0", "--drive danfoss_fc202 --drive-at /dev/ttyS0,1",
      "--drive-at = '/dev/ttyS0,1': is also the serial line of the sensor roof"),
@@ -241,8 +241,8 @@ def test_a_drive_of_another_program_is_left_to_it() -> None:
         driver, stop = acquire_drive_lock(choice.read()), choice.stopper()
         assert stop(1) == (
             False,
-            f"another program (process {os.getpid()}) runs the drive, and may run the pump: "
-            "the drive is left to that program",
+            f"another program (process {os.getpid()}) controls the drive, and the pump may be "
+            "running: the drive is left to that program",
         )
         assert wire.connections == 0
         message = "bringup commanded the drive to stop; the drive then reported: speed 0.0%"

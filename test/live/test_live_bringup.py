@@ -393,7 +393,7 @@ def test_nodes_read_what_the_site_was_started_with_on_a_full_disk(
         )
         with live(domain, tmp_path, *options) as process:
             process.until_printed("for 0 MB of the bag, which is less than --bag-limit 10000", 60)
-            process.until_printed("the configuration of this start is not kept", 60)
+            process.until_printed("the configuration used for this start is not saved", 60)
             process.until_printed("/recorder: recording: nothing is recorded: ", 60)
             for restart in (True, False):
                 site.until(lambda: f":{here[1]}" in device(), 60, "the sensor of this start")

@@ -109,7 +109,7 @@ def test_without_the_drives_own_timeout_it_does_not_run(rig: PumpRig) -> None:
     for _ in range(10):
         assert rig.tick(0.5) == 0.0
     assert rig.drive.speed() == 0.0
-    words = "did not answer at the end", "only its own panel can stop it now"
+    words = "did not respond at the end", "it can now only be stopped at its panel"
     ends_in_words(rig, node, "silence", *words)
 
 
@@ -180,7 +180,7 @@ def test_a_state_that_another_program_keeps(rig: PumpRig) -> None:
     file = rig.cwd / "pump.json"
     with closing(Ledger(file, time.time)) as holder:
         assert holder.flush(20.0) == ""
-        words = f"process {os.getpid()} already uses it"
+        words = f"process {os.getpid()} is already using it"
         before = file.read_bytes()
         node = rig.start(state_file=file)
         rig.join()
@@ -296,7 +296,7 @@ def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(rig: Pump
     stays_off(STOPPED)
     assert rig.call(SetBool, "stop", data=False).success
     rig.run()
-    words = "is not stopped at the end", "its own timeout of 1.5 s must stop it"
+    words = "was not stopped at the end", "its own timeout of 1.5 s must stop it"
     ends_in_words(rig, node, "stuck_running", *words)
 
 
@@ -416,7 +416,7 @@ def test_what_is_no_hold_is_refused(rig: PumpRig) -> None:
         ]
         result = rig.call(SetParametersAtomically, "hold", parameters=parameters).result
         assert not result.successful, request
-        assert "a hold needs an owner" in result.reason or "until = " in result.reason, request
+        assert "a hold must have an owner" in result.reason or "until = " in result.reason, request
         assert [rig.tick(0.5) > 0 for _ in range(3)] == [True] * 3, request
 
 

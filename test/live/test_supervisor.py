@@ -186,8 +186,9 @@ def test_a_silent_pump_node_whose_pump_may_turn_is_killed_sooner(site: Site) -> 
 @pytest.mark.parametrize(
     ("kind", "code", "tried", "reason"),
     [
-        ("fails", 1, 2, "ended (exit code 1); it was restarted 2 times in the last 10 minutes, and "
-         "is not restarted again"),
+        ("fails", 1, 2,
+            "ended (exit code 1); it has been restarted 2 times in the last 10 minutes, and will "
+            "not be restarted again"),
         ("wrong", 2, 0, "ended (exit code 2): parameter x must be a number"),
     ],
 )
@@ -259,7 +260,7 @@ def test_a_recorder_that_fails_ends_nothing(site: Site) -> None:
     site.end()
     assert site.failures == [
         ("recorder", "ended (exit code 2): parameter x must be a number; "
-         f"starts again in {wait} s; nothing is recorded until then") for wait in (1, 600)
+         f"starts again in {wait} s; until then, nothing is recorded") for wait in (1, 600)
     ]
 
 
@@ -371,7 +372,7 @@ def test_a_node_that_cannot_be_started_again_for_now(
     site.end()
     assert [reason for _, reason in site.failures] == [
         "ended (SIGKILL); starts again in 1 s",
-        "cannot be started: Too many open files; tried again every 1 s",
+        "cannot be started: Too many open files; another attempt is made every 1 s",
     ]
 
 

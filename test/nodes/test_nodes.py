@@ -147,7 +147,7 @@ REFUSED = {
     "live.sensors --sensors login.yaml":
         ("/no/greenroof/broker.yaml: ",),
     f"live.pump {DRIVE} -p site_file:=slow.yaml -p command_limit:=3.0":
-        ("command_limit of pump = 3.0: must be more than tau of the",),
+        ("command_limit of pump = 3.0: must exceed tau of the",),
     f"live.pump {DRIVE} -p folow_time:=9.0":
         ("folow_time of pump = '9.0': there is no such parameter; the closest",),
 }

@@ -429,7 +429,7 @@ def test_what_a_watcher_knows_before_during_and_after_a_run() -> None:
     ("off: the command is 0", True, None, "Keep the pump off"),
     ("fault: leak", True, None, "Keep the pump off"),
     # Only accepted: the pump may still turn, with what to do.
-    (f"held: {HELD}; the pump still turns", False, HOLD, "Stop the pump"),
+    (f"held: {HELD}; the pump is still turning", False, HOLD, "Stop the pump"),
     ("off: of another version", True, 7, "Keep the pump off"),
 ])
 def test_what_stop_does_as_the_pump_is(
@@ -515,7 +515,7 @@ DOSE = {"max_dose": 0.688, "min_dose": 0.00688, "no_dose": "", "dose": {"said": 
     (DOSE, 0.688, "from 0.007 to 0.688 m³, equivalent to 0.1 mm to 10 mm of water on the roof"),
     (DOSE | {"min_dose": 0.0}, 0.688, "at most 0.688 m³, equivalent to 10 mm of water on the roof"),
     (DOSE | {"no_dose": "the pump may not run: there is frost"}, 0.688, None),
-    (DOSE | {"max_dose": None, "no_dose": "the site file allows no dose"}, None, None),
+    (DOSE | {"max_dose": None, "no_dose": "the site file does not allow doses"}, None, None),
     (DOSE | {"max_dose": "1"}, None, None),
 ])
 def test_where_a_dose_may_be_given(

@@ -589,7 +589,7 @@ def test_stop_asks_once_and_reports_what_came_of_it(open_page: Open) -> None:
     until_shown(page, "#stop-button:enabled")
     assert not page.locator("#lost").is_visible()
     assert not page.locator("#release").is_visible()
-    turns = f"held: {HELD}; the pump still turns, at 0.80 of its rated speed"
+    turns = f"held: {HELD}; the pump is still turning, at 0.80 of its rated speed"
     said[:] = pump(turns, stands=False, hold=HOLD)
     until_shown(page, "#stop-warning", "stop it at its drive's panel")
     until_shown(page, "#stop-button:enabled", "Stop the pump")

@@ -125,7 +125,7 @@ class Drive:
         if timeout is None:
             raise self.line.error(
                 "answer",
-                f"{self.file.path} has no communication timeout for this interface "
+                f"{self.file.path} does not describe a communication timeout for this interface "
                 f"(timeout.{self._address.interface}); if the address is a gateway to the drive's "
                 "serial port, write gateway://HOST:PORT",
             )
@@ -162,7 +162,7 @@ class Drive:
         if -STANDSTILL <= speed <= 0:
             speed = 0.0
         elif speed < 0:
-            backwards = f"the pump turns backwards (speed {speed:.1%})"
+            backwards = f"the pump is turning backwards (speed {speed:.1%})"
             fault, timed_out = "; ".join(filter(None, (fault, backwards))), False
         flow = None
         if "flow" in self.file.registers:
@@ -346,7 +346,7 @@ class Drive:
     def _cause(self, codes: Codes | None) -> tuple[int, str]:
         """Return the code, or bits, of the present fault or warning, and its text."""
         raw = 0 if codes is None else self._read_number(codes.register)
-        return raw, (codes and codes.text(raw)) or "the drive states no cause"
+        return raw, (codes and codes.text(raw)) or "the drive gives no cause"
 
     def _read_number(self, name: str) -> int:
         raw = self._read_raw(name)
@@ -396,7 +396,7 @@ class Drive:
         if not low <= raw <= high:
             raise self.line.error(
                 "drive",
-                f"a speed of {value:.1%} would be {raw} in {self._named(name)}, whose range is "
+                f"a speed of {value:.1%} would be {raw} in {self._named(name)}, which can hold "
                 f"{low:g} to {high:g}",
             )
         return raw & 0xFFFF

@@ -34,15 +34,15 @@ class Source:
 
     title: str = entry("title of the document")
     document: str = entry("number and revision of the document, as printed on its title page")
-    where: str = entry("web address, and the pages or section that were read")
+    where: str = entry("web address of the document, and the pages or sections consulted")
 
 
 @dataclass(frozen=True)
 class Numbering:
     """The relation between the register numbers in the manual and the addresses on the wire."""
 
-    offset: int = entry("register number in the manual minus address on the wire", 0, 465536)
-    meaning: str = entry("numbering rule that the manual states, as a sentence")
+    offset: int = entry("register number in the manual minus the address on the wire", 0, 465536)
+    meaning: str = entry("numbering rule stated in the manual, as a sentence")
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,8 @@ class Tcp:
 
     port: int = entry("TCP port of the drive or of a gateway", 1, 65535)
     device_id: int = entry(
-        "unit identifier on TCP; a drive behind a gateway uses the one in `serial`", 0, 255
+        "unit identifier on TCP; for a drive behind a gateway, the slave address in `serial` is "
+        "used", 0, 255
     )
 
 
@@ -64,26 +65,28 @@ class Register:
     """
 
     address: int = entry(
-        "address of the register on the wire, where the first register is 0", 0, 65535
+        "address of the register on the wire, counted from 0", 0, 65535
     )
     manual: int = entry(
         "number of the register in the manual, which must be address + numbering.offset", 0
     )
     type: str = entry("encoding of the value", choices=(*WIDTHS, "text"))
     meaning: str = entry("meaning of the value, for messages")
-    source: str = entry("page or table in one of the sources, or 'none'")
+    source: str = entry("page or table of one of the sources, or 'none'")
     word_order: str = entry(
-        "order of the words of a value that takes more than one register",
+        "word order of a value that occupies more than one register",
         choices=WORD_ORDERS, default="",
     )
     length: int = entry(
-        "for the type text only: number of registers, with two characters in each", 0, 64, default=0
+        "for the type text only: number of registers, each of which holds two "
+        "characters", 0, 64, default=0
     )
-    unit: str = entry("unit of the scaled value; empty for a plain word", choices=UNITS, default="")
+    unit: str = entry(
+        "unit of the scaled value; empty for a plain (unscaled) word", choices=UNITS, default="")
     scale: float = entry("factor: value = scale x raw", default=1.0)
     full_scale: str = entry(
-        "name of a second register by whose value the scaled value is divided; the second "
-        "register is read on connecting", default=""
+        "name of a second register, whose value divides the scaled value; the second register is "
+        "read when the connection is established", default=""
     )
     low: float = entry("minimum plausible value, in the unit of the register", default=-math.inf)
     high: float = entry("maximum plausible value, in the unit of the register", default=math.inf)
@@ -119,7 +122,9 @@ class Step:
     until: RegisterCondition | None = entry(
         "condition that must be true before the next step", default=None
     )
-    within_s: float = entry("maximum wait for the condition in `until` (s)", 0.05, 60, default=1.0)
+    within_s: float = entry(
+        "maximum time to wait for the condition in `until` (s)", 0.05, 60, default=1.0
+    )
 
 
 @dataclass(frozen=True)
@@ -127,8 +132,8 @@ class Sequences:
     """The sequences of writes that bring the drive from one state to another."""
 
     ready: tuple[Step, ...] = entry(
-        "steps that lead from any state except a fault (power-up, reset, local control) to a "
-        "state in which `run` works"
+        "steps that bring the drive from any state except a fault (such as after power-up, reset "
+        "or local control) to a state in which `run` works"
     )
     run: tuple[Step, ...] = entry(
         "steps that set the speed and then start the pump; the steps are repeated in every cycle "
@@ -157,10 +162,10 @@ class StatusWord:
         "condition that is true while a warning is active", default=None
     )
     remote: RegisterCondition | None = entry(
-        "condition that is true while the drive obeys the bus", default=None
+        "condition that is true while the drive is controlled over the bus", default=None
     )
     bits: dict[int, str] = entry(
-        "texts for the status word's bits; bit 0 is the least significant", 0, 31, factory=dict
+        "texts for the bits of the status word; bit 0 is the least significant", 0, 31, factory=dict
     )
 
 
@@ -169,7 +174,7 @@ class Codes:
     """A register of faults or warnings, and the texts of its values."""
 
     register: str = entry("name of the register")
-    kind: str = entry("encoding: one code, or one bit for each fault", choices=("code", "bits"))
+    kind: str = entry("encoding: a single code, or one bit per fault", choices=("code", "bits"))
     texts: dict[Word, str] = entry(
         "texts of the codes, or of the bits (bit 0 is the least "
         "significant)", 0, 0xFFFFFFFF, factory=dict
@@ -196,10 +201,11 @@ class Action:
     """A setting that decides whether the communication timeout stops the pump."""
 
     register: str = entry("name of the register")
-    stops: dict[int, str] = entry("values with which the drive stops the pump, with their names", 0)
+    stops: dict[int, str] = entry(
+        "values with which the drive stops the pump, each with its name", 0)
     runs_on: dict[int, str] = entry(
-        "values with which the drive may fail to stop the pump, or starts it again with the next "
-        "control word; the timeout is then treated as off", 0,
+        "values with which the drive may fail to stop the pump, or may restart it at the next "
+        "control word; with any of these, the timeout is treated as off", 0,
     )
 
 
@@ -209,8 +215,8 @@ class Timeout:
 
     register: str = entry("name of the register that holds the time")
     kept_alive_by: str = entry("messages that restart the timeout")
-    how_to_set: str = entry("instruction for setting the timeout by hand: parameter and value")
-    off_values: tuple[Word, ...] = entry("raw times with which the timeout is off", default=())
+    how_to_set: str = entry("instructions for setting the timeout manually: parameter and value")
+    off_values: tuple[Word, ...] = entry("raw time values that switch the timeout off", default=())
     action: Action | None = entry("setting that selects what happens when the timeout "
         "expires", default=None)
     mode: Action | None = entry(
@@ -221,13 +227,13 @@ class Timeout:
         "codes (or bits) of `faults` that report the expiry of the timeout", 0, default=()
     )
     unguarded_after_power_up_s: float = entry(
-        "time after power-up for which the timeout is not effective (s); the pump is kept off "
-        "for this time after every connection, since the drive may have just been switched "
-        "on", 0, 600, default=0.0,
+        "time after power-up during which the timeout is not effective (s); the pump is kept off "
+        "for this time after every connection, since the drive may just have been powered "
+        "up", 0, 600, default=0.0,
     )
     local_settings_decide: bool = entry(
-        "whether settings in the drive that cannot be read decide the reaction to the timeout; a "
-        "person must then confirm that the pump stops "
+        "whether the reaction to the timeout depends on drive settings that cannot be read; the "
+        "operator must then confirm that the pump stops "
         "(`local_settings_stop_the_pump`)", default=False,
     )
     traps: str = entry("cases in which the timeout is not effective", default="")
@@ -237,7 +243,8 @@ class Timeout:
 class Timeouts:
     """The drive's own communication timeouts, one for each interface."""
 
-    serial: Timeout | None = entry("timeout of the serial port, which is reached over a line or a "
+    serial: Timeout | None = entry(
+        "timeout of the serial port, which is reached over a serial line or a "
         "gateway", default=None)
     tcp: Timeout | None = entry(
         "timeout of the Ethernet port of the drive or of its adapter", default=None
@@ -265,9 +272,9 @@ class Nameplate:
 class DriveFile:
     """The description of a make of drive."""
 
-    make: str = entry("name of the maker")
+    make: str = entry("name of the manufacturer")
     model: str = entry("model of the drive, and the option or adapter that provides Modbus")
-    sources: tuple[Source, ...] = entry("documents from which the file was made")
+    sources: tuple[Source, ...] = entry("documents on which the file is based")
     unverified: tuple[str, ...] = entry(
         "keys of this file (such as registers.control) that could not be verified against a manual"
     )
@@ -277,17 +284,18 @@ class DriveFile:
     registers: dict[str, Register] = entry(
         "registers by name; `control`, `reference`, `status` and `speed` are required"
     )
-    sequences: Sequences = entry("sequences of writes that start, stop and reset the drive")
+    sequences: Sequences = entry(
+        "sequences of register writes that start, stop and reset the drive")
     status: StatusWord = entry("meaning of the status word")
     faults: Codes = entry("register and texts of the faults")
     timeout: Timeouts = entry("the drive's own communication timeouts")
     nameplate: tuple[Nameplate, ...] = entry(
-        "registers that identify the drive, read on connecting"
+        "registers that identify the drive; they are read when the connection is established"
     )
     min_speed: float = entry(
-        "minimum speed at which the pump is run (share of the rated speed)", 0, 1
+        "minimum speed at which the pump may run (share of the rated speed)", 0, 1
     )
-    set_up: tuple[str, ...] = entry("other settings that have to be made by hand in the drive")
+    set_up: tuple[str, ...] = entry("other parameters that must be set manually on the drive")
     warnings: Codes | None = entry("register and texts of the warnings", default=None)
     path: Path = Path()
 
@@ -401,7 +409,7 @@ def _mistakes(drive: DriveFile, content: YamlMapping) -> Iterator[tuple[str, str
     for key, name, like in _references(drive):
         target = registers.get(name)
         if target is None and key == "registers":
-            yield key, f"must contain {name}, which every drive needs"
+            yield key, f"must contain {name}, which is required for every drive"
         elif target is None:
             yield key, f"must be the name of a register in this file: {', '.join(registers)}"
         elif like == _BITS and not target.type.startswith("uint"):
@@ -411,14 +419,15 @@ def _mistakes(drive: DriveFile, content: YamlMapping) -> Iterator[tuple[str, str
         elif like in UNITS and target.unit != like:
             yield (
                 f"registers.{name}.unit" if target.unit else f"registers.{name}",
-                f"must have the unit {like}" if like else "must be a plain word, without a unit",
+                "must have the unit "
+                f"{like}" if like else "must be a plain (unscaled) word, without a unit",
             )
     for name, register in registers.items():
         if register.full_scale:
             full = registers[register.full_scale]
             if full.low <= 0 or math.isinf(full.high) or full.full_scale:
                 yield f"registers.{register.full_scale}", (
-                    f"must have a low above 0, a high and no full_scale, since {name} is divided "
+                    f"must have high, a low above 0 and no full_scale, since {name} is divided "
                     "by its value"
                 )
     for key, part in _parts(drive, ""):
@@ -445,17 +454,17 @@ def _register_mistakes(register: Register, offset: int) -> Iterator[tuple[str, s
     text = register.type == "text"
     if text != bool(register.length):
         yield "length", (
-            "must be the number of registers that the text takes" if text
-            else f"is only for the type text, not for {register.type}"
+            "must be the number of registers that the text occupies" if text
+            else f"is only allowed for the type text, not for {register.type}"
         )
     if register.address + register.width > 65536:
-        yield "address", "leaves no room for all registers of the value"
+        yield "address", "is too high: the value would extend beyond the last register address"
     if register.scale == 0 or not math.isfinite(register.scale):
         yield "scale", "must be finite and not 0"
     if register.low > register.high:
         yield "low", f"must be at most high, which is {register.high:g}"
     if register.unit and text:
-        yield "unit", "is not for the type text"
+        yield "unit", "is not allowed for the type text"
 
 
 def _sequence_mistakes(drive: DriveFile) -> Iterator[tuple[str, str]]:
@@ -464,7 +473,7 @@ def _sequence_mistakes(drive: DriveFile) -> Iterator[tuple[str, str]]:
             share = drive.registers[step.write].unit == "share"
             if step.value == SPEED and not (name == "run" and share):
                 yield f"sequences.{name}.{number}.value", (
-                    "can only be written in sequences.run, and only to a register whose unit is "
+                    "may only be written in sequences.run, and only to a register whose unit is "
                     "share"
                 )
         written = [step.write for step in steps]

@@ -24,11 +24,11 @@ CHOICE = (
         "address", "", meaning="address of the drive: tcp://HOST:PORT for its own Ethernet port, "
         "gateway://HOST:PORT for a gateway to its serial port, or a serial line such as "
         "/dev/ttyUSB0. If the device id differs from that in the drive file, append it after a "
-        "comma: gateway://HOST:PORT,17. For a relay: mqtt://HOST[:PORT]/DEVICE, with the relay's "
-        "topic at the broker, or mqtts:// for TLS",
+        "comma: gateway://HOST:PORT,17. For a relay: mqtt://HOST[:PORT]/DEVICE, where DEVICE is "
+        "the relay's topic at the broker; mqtts:// for TLS",
     ),
     Parameter(
-        "broker_login", "", meaning="YAML file with username and password for a relay's broker",
+        "broker_login", "", meaning="YAML file with the username and password for a relay's broker",
     ),
     Parameter(
         "broker_authority", "", meaning="file of trusted certificates (PEM) for a relay's broker, "
@@ -62,7 +62,8 @@ def read_endpoint(
         return RelayEndpoint(read_relay_file(file), *parse_topic(at, key, login, authority))
     if login or authority:
         raise ConfigurationError(
-            "has no broker to log in to: login and certificates are only for a relay on MQTT",
+            "has no broker to log in to: a login and certificates are only used for a relay on "
+            "MQTT",
             key=key, value=at,
         )
     return DriveEndpoint(read_drive_file(file), parse_drive_address(at, key))

@@ -217,7 +217,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         self._rest_deadline = time.monotonic() + REST_LIMIT_S
         if not self._stop_thread(REST_LIMIT_S + MAX_WAIT_S):
             self._update(state=ExchangeState.CONNECTING, status=None)
-            self._fail("could not confirm that the pump is stopped: the connection hangs")
+            self._fail("could not confirm that the pump has stopped: the connection hangs")
 
     def outcome(self) -> str:
         """Return a message about the release of the drive, after `close`.
@@ -227,15 +227,15 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         """
         snapshot = self.snapshot
         status = snapshot.status
-        problem = f"the drive is not stopped at the end: {status}"
+        problem = f"the drive was not stopped at the end of the connection: {status}"
         if status is None or snapshot.connected:
             # If still connected, the thread has not read that the drive is stopped.
-            why = snapshot.problem or "no last answer"
-            problem = f"the drive did not answer at the end ({why})"
+            why = snapshot.problem or "no final response"
+            problem = f"the drive did not respond at the end of the connection ({why})"
         elif status.at_rest:
             return f"released the drive: {status}"
         timeout = "off" if snapshot.timeout_known else "unknown"
-        ending = f"only its own panel can stop it now; its communication timeout is {timeout}"
+        ending = f"it can now only be stopped at its panel; its communication timeout is {timeout}"
         if snapshot.timeout_s is not None:
             ending = f"its own timeout of {snapshot.timeout_s:g} s must stop it"
         raise OSError(f"{problem}; {ending}")
@@ -346,8 +346,9 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             self._connect_at = now + silence_s
             self._stop_monitor.silence_started(self._connect_at)
             self._fail(
-                f"{problem}{why}, so nothing is sent for {silence_s:g} s, in which the drive's "
-                f"own communication timeout ({timeout}) must stop it; any message could restart "
+                f"{problem}{why}, so nothing is sent for {silence_s:g} s, during which the "
+                f"drive's own communication timeout ({timeout}) must stop it; any message could "
+                "restart "
                 "that timeout",
                 state=ExchangeState.SILENT, status=None,
             )
@@ -363,7 +364,9 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         if own_s is None:
             return limit_s, f"assumed to be at most {limit_s:g} s"
         if own_s > limit_s:
-            return limit_s, f"read as {own_s:g} s, which is above {limit_s:g} s and is not trusted"
+            return limit_s, (
+                f"read as {own_s:g} s, which is above the limit of {limit_s:g} s and is not trusted"
+            )
         return min(own_s + SILENCE_MARGIN_S, limit_s), f"{own_s:g} s"
 
     def _disconnect(self) -> None:

@@ -42,12 +42,12 @@ def acquire_drive_lock(drive: Endpoint) -> socket.socket:
         return acquire_name_lock(f"drive-{name}")
     except LockedError as error:
         raise DriveInUseError(
-            f"{drive}: process {error.holder or 'unknown'} on this machine already runs this "
-            "drive; end that process and this one continues automatically", error.holder,
+            f"{drive}: process {error.holder or 'unknown'} on this computer is already running "
+            "this drive; once that process ends, this one continues automatically", error.holder,
         ) from None
     except OSError as error:
         raise DriveError(
             "drive",
-            f"{drive}: its lock cannot be acquired ({error.strerror}); without it two programs "
-            "could run the same drive",
+            f"{drive}: its lock cannot be acquired ({error.strerror}); without the lock, two "
+            "programs could run the same drive",
         ) from error

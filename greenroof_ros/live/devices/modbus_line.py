@@ -48,14 +48,14 @@ _WRITE = 6
 # Section 7 of the specification.
 _EXCEPTIONS = {
     1: "illegal function",
-    2: "illegal data address: there is no such register",
+    2: "illegal data address: the register does not exist",
     3: "illegal data value",
     4: "server device failure",
     5: "acknowledged, but not yet completed",
     6: "server device busy",
     8: "memory parity error",
     10: "gateway: path unavailable",
-    11: "gateway: the target device does not answer",
+    11: "gateway: the target device does not respond",
 }
 
 
@@ -328,7 +328,7 @@ class ModbusLine:
         if len(answer.registers) != count:
             received = len(answer.registers)
             raise self.error(
-                "answer", f"{action}: the answer contains {received} registers, not {count}"
+                "answer", f"{action}: the response contains {received} registers, not {count}"
             )
         return list(answer.registers)
 
@@ -343,7 +343,7 @@ class ModbusLine:
         if answer.address != address or list(answer.registers) != [word]:
             raise self.error(
                 "answer",
-                f"{action}: the answer confirms {answer.registers} in register {answer.address}",
+                f"{action}: the response confirms {answer.registers} in register {answer.address}",
             )
 
     def _request(
@@ -369,7 +369,7 @@ class ModbusLine:
         if answer.function_code != function:
             raise self.error(
                 "answer",
-                f"{action}: the answer has function code {answer.function_code}, not {function}",
+                f"{action}: the response has function code {answer.function_code}, not {function}",
             )
         return answer
 
@@ -394,7 +394,7 @@ class ModbusLine:
         if any(request.echoed for request in self._recent):
             raise self.error(
                 "answer",
-                f"{action}: the line returns what was sent: switch off the adapter's local echo",
+                f"{action}: the line echoes the request: switch off the adapter's local echo",
             )
 
     def _silence(self, action: str, error: Exception) -> DriveError:
@@ -405,7 +405,8 @@ class ModbusLine:
         plug = self._client.socket
         if isinstance(plug, socket.socket):
             plug.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        return self.error("connection", f"{action}: no valid answer within {self._timeout_s:.3g} s")
+        return self.error("connection",
+            f"{action}: no valid response within {self._timeout_s:.3g} s")
 
     def error(self, kind: str, problem: str) -> DriveError:
         """Return an error that names the device and the problem."""
@@ -448,7 +449,7 @@ def coding_mistakes(kind: str, word_order: str) -> Iterator[tuple[str, str]]:
     if WIDTHS.get(kind, 1) > 1 and not word_order:
         yield "word_order", "must be 'high first' or 'low first'"
     elif word_order and WIDTHS.get(kind, 1) == 1:
-        yield "word_order", f"is for numbers of 32 or 64 bits, not for {kind}"
+        yield "word_order", f"is only allowed for numbers of 32 or 64 bits, not for {kind}"
 
 
 def limits(kind: str) -> tuple[float, float]:

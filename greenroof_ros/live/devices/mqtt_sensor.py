@@ -33,7 +33,7 @@ def read_number(payload: bytes, sensor: MqttSensor) -> float:
         ValueError: if the message contains no number at the path.
     """
     if len(payload) > _MAX_BYTES:
-        raise ValueError(f"a message has {len(payload)} bytes, which is more than {_MAX_BYTES}")
+        raise ValueError(f"a message has {len(payload)} bytes, but the limit is {_MAX_BYTES}")
     value: object = payload.decode(errors="replace")
     if sensor.value or not _NUMBER.fullmatch(str(value)):
         try:
@@ -127,13 +127,13 @@ class MqttReader(SensorReader):
     def _receive(self, payload: bytes, retained: bool) -> None:
         now = time.monotonic()
         if retained:
-            raise ValueError("has sent nothing yet; the retained message may be old")
+            raise ValueError("has not yet sent a new message; the retained message may be old")
         suspended, before, self._heard_at = (
             self._readings.clear_after_suspend(), self._heard_at, now
         )
         if suspended or now - before > self._sensor.max_age:
             self._ignoring_until = now + _IGNORING_S
-            raise ValueError("sends again, but its first messages may be old")
+            raise ValueError("is sending again, but its first messages may be old")
         if now < self._ignoring_until:
             return
         value = self._readings.add(read_number(payload, self._sensor))

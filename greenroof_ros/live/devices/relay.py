@@ -135,7 +135,7 @@ class RelayLine:
         with self._changed:
             self._changed.wait_for(lambda: self._connected or self._closed_by, _CONNECT_S)
         if not self.connected:
-            why = self._closed_by or f"no answer within {_CONNECT_S:g} s"
+            why = self._closed_by or f"no reply within {_CONNECT_S:g} s"
             raise self.error("connection", f"cannot connect: {why}")
 
     def close(self) -> None:
@@ -190,11 +190,11 @@ class RelayLine:
                 return answer
         if payload and self.connected:
             raise self.error("answer", (
-                f"no valid answer to the question {name!r} within {self._timeout_s:g} s; received "
+                f"no valid reply to the request {name!r} within {self._timeout_s:g} s; received "
                 f"{payload[:_SHOWN]!r}"
             ))
         raise self.error("connection", (
-            f"no answer to the question {name!r} within {self._timeout_s:g} s"
+            f"no reply to the request {name!r} within {self._timeout_s:g} s"
             if self.connected else f"the connection was closed: {self._closed_by}"
         ))
 
@@ -347,7 +347,8 @@ class Relay:
             ValueError: if the speed is out of range.
         """
         if not 0 < speed <= 1:
-            raise ValueError(f"{speed} is not a speed for a relay that is on (above 0, at most 1)")
+            raise ValueError(
+                f"{speed} is not a valid speed for a relay that is on (above 0, at most 1)")
         timer_s = self._timer_s
         if timer_s is None:
             raise self.line.error(
@@ -431,7 +432,7 @@ class Relay:
             return value_at(answer, value.path)
         except LookupError:
             raise self.line.error(
-                "answer", f"the answer does not contain {value.path}: {answer}"
+                "answer", f"the reply does not contain {value.path}: {answer}"
             ) from None
 
 

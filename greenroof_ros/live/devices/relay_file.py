@@ -33,33 +33,33 @@ class RelayMessage:
 class Question:
     """A question to the relay, and the features by which its answer is recognized."""
 
-    topic: str = entry("topic on which the question is published")
-    answer: str = entry("topic of the answer, which is a JSON object")
-    known_by: str = entry("path whose presence identifies the answer, such as result.output")
-    payload: str = entry("payload of the question", default="")
+    topic: str = entry("topic on which the request is published")
+    answer: str = entry("topic of the reply, which is a JSON object")
+    known_by: str = entry("path whose presence identifies the reply, such as result.output")
+    payload: str = entry("payload of the request", default="")
 
 
 @dataclass(frozen=True)
 class Value:
     """A value in the answer to a question."""
 
-    question: str = entry("name of the question")
-    path: str = entry("path of the value in the answer, such as result.output")
+    question: str = entry("name of the request (a key of `questions`)")
+    path: str = entry("path of the value in the reply, such as result.output")
 
 
 @dataclass(frozen=True)
 class RelayState(Value):
     """The state of the relay, on or off."""
 
-    is_on: str = entry("value that means on, written as in JSON", default="true")
-    is_off: str = entry("value that means off, written as in JSON", default="false")
+    is_on: str = entry("value that means on, in JSON notation", default="true")
+    is_off: str = entry("value that means off, in JSON notation", default="false")
 
 
 @dataclass(frozen=True)
 class Setting(Value):
     """A setting with a required value, without which the relay could be on unintentionally."""
 
-    value: str = entry("required value, written as in JSON")
+    value: str = entry("required value, in JSON notation")
     meaning: str = entry("description of the setting, for messages")
 
 
@@ -78,9 +78,11 @@ class Timer(Value):
     """The relay's own timer, which switches the relay off and is its communication timeout."""
 
     scales: tuple[Scale, ...] = entry(
-        "conversions to seconds, by range of the raw value; a value outside all ranges means off"
+        "conversions to seconds, one for each range of raw values; a value outside all ranges "
+        "means off"
     )
-    how_to_set: str = entry("instruction for setting the timer by hand: place and value")
+    how_to_set: str = entry(
+        "instructions for setting the timer manually: location of the setting, and value")
     traps: str = entry("cases in which the timer is not effective", default="")
 
     # Drives on Modbus may have these, but no relay does.
@@ -102,35 +104,36 @@ class RelayFile:
     protocol: str = entry(
         "protocol of the relay, always mqtt; only relay files have this key", choices=(MQTT,)
     )
-    make: str = entry("name of the maker")
+    make: str = entry("name of the manufacturer")
     model: str = entry("model of the relay, and its firmware")
-    sources: tuple[Source, ...] = entry("documents from which the file was made")
+    sources: tuple[Source, ...] = entry("documents on which the file is based")
     unverified: tuple[str, ...] = entry(
-        "keys of this file (such as timer) that could not be verified in the maker's documents"
+        "keys of this file (such as timer) that could not be verified against the manufacturer's "
+        "documents"
     )
-    questions: dict[str, Question] = entry("questions to the relay, by name")
-    state: RelayState = entry("value in an answer that shows whether the relay is on")
+    questions: dict[str, Question] = entry("requests to the relay, by name")
+    state: RelayState = entry("value in a reply that shows whether the relay is on")
     timer: Timer = entry(
-        "value in an answer that shows the time after which the relay switches itself off"
+        "value in a reply that gives the time after which the relay switches itself off"
     )
     must: tuple[Setting, ...] = entry(
         "settings that must have certain values; they are read together with the timer"
     )
-    name: Value = entry("value in an answer with which the relay identifies itself, for messages")
+    name: Value = entry("value in a reply that identifies the relay, for messages")
     switch_on: RelayMessage = entry(
-        "message that switches the relay on, and that is repeated to keep the relay on"
+        "message that switches the relay on; it is repeated to keep the relay on"
     )
     switch_off: RelayMessage = entry(
-        "message that switches the relay off, and that is repeated while the relay must be off"
+        "message that switches the relay off; it is repeated for as long as the relay must be off"
     )
-    set_up: tuple[str, ...] = entry("other settings that have to be made by hand in the relay")
+    set_up: tuple[str, ...] = entry("other settings that must be made manually on the relay")
     number: str = entry(
-        "path of the question's $id in every answer; empty if the answers have no id, but arrive "
-        "in the order of the questions",
+        "path of the request's $id in every reply; empty if the replies have no id but arrive in "
+        "the order of the requests",
         default="",
     )
-    period: float = entry("minimum time between two rounds of questions (s)", 0.05, 5, default=0.5)
-    answer_within: float = entry("maximum wait for an answer (s)", 0.1, 10, default=1.0)
+    period: float = entry("minimum polling interval (s)", 0.05, 5, default=0.5)
+    answer_within: float = entry("maximum time to wait for a reply (s)", 0.1, 10, default=1.0)
     path: Path = Path()
 
     # A relay is on or off, with no speed in between.
@@ -164,7 +167,8 @@ def _mistakes(relay: RelayFile, content: YamlMapping) -> Iterator[tuple[str, str
     for key, value in values.items():
         if value.question not in relay.questions:
             yield f"{key}.question", (
-                f"must be the name of a question in this file: {', '.join(relay.questions)}"
+                "must be the name of a request under questions in this file: "
+                f"{', '.join(relay.questions)}"
             )
     texts = {
         f"{key}.{name}": text
@@ -178,13 +182,14 @@ def _mistakes(relay: RelayFile, content: YamlMapping) -> Iterator[tuple[str, str
         if key.endswith(".payload"):
             names += ["id", "seconds"] if key == "switch_on.payload" else ["id"]
         elif set(text) & set("#+"):
-            yield key, "must be a single topic, without # and +"
+            yield key, "must be a single topic, without the wildcards # and +"
         try:
             Template(text).substitute(dict.fromkeys(names, ""))
         except (KeyError, ValueError):
-            yield key, f"may contain only these $ names: {', '.join(f'${name}' for name in names)}"
+            allowed = ", ".join(f"${name}" for name in names)
+            yield key, f"may contain only these placeholders: {allowed}"
     if relay.number and any("$id" not in question.payload for question in relay.questions.values()):
-        yield "number", "requires $id in the payload of every question"
+        yield "number", "requires $id in the payload of every request"
     if relay.state.is_on == relay.state.is_off:
         yield "state.is_off", "must differ from is_on"
     for number, scale in enumerate(relay.timer.scales, start=1):

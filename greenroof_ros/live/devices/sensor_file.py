@@ -80,12 +80,14 @@ class Sensor:
     )
     low: float = entry(
         "minimum accepted value, in the unit of the quantity; a minimum below 0 allows for noise "
-        "at 0, and negative values are then treated as 0 (not for a temperature)", -100, 100,
+        "around zero: negative values are then treated as 0, except for temperatures", -100, 100,
     )
     high: float = entry("maximum accepted value, in the unit of the quantity", -100, 100)
-    offset: float = entry("value at raw 0, in the unit of the quantity", -1e3, 1e3, default=0.0)
+    offset: float = entry(
+        "value at a raw reading of 0, in the unit of the quantity", -1e3, 1e3, default=0.0)
     median: int = entry(
-        "number of readings in the median, which must be odd; 1 for no filter", 1, 99, default=5
+        "number of readings in the median filter, which must be odd; 1 for no "
+        "filter", 1, 99, default=5
     )
     counts: bool = entry(
         "if true, scale x raw is a running total (m or m3), and the value is its increase per "
@@ -115,14 +117,14 @@ class ModbusSensor(Sensor):
     )
     device_id: int = entry("unit identifier or slave address of the sensor", 0, 255)
     register: int = entry(
-        "address of the register on the wire, where the first register is 0", 0, 65535
+        "address of the register on the wire, counted from 0", 0, 65535
     )
     kind: str = entry(
-        "kind of register: input (function 4) or holding (function 3)", choices=("input", "holding")
+        "register type: input (function 4) or holding (function 3)", choices=("input", "holding")
     )
     type: str = entry("encoding of the value", choices=tuple(WIDTHS))
     word_order: str = entry(
-        "order of the words of a value that takes more than one register",
+        "word order of a value that occupies more than one register",
         choices=WORD_ORDERS, default="",
     )
     missing: Word | None = entry("raw value that means 'no reading'", default=None)
@@ -190,13 +192,13 @@ class MqttSensor(Sensor):
         0.1, 3600,
     )
     login: str = entry(
-        "absolute path of a file with username and password, which no other user may read (chmod "
-        "600)",
+        "absolute path of a file with the username and password; the file must not be readable "
+        "by other users (chmod 600)",
         default="",
     )
     authority: str = entry(
-        "absolute path of a file of trusted certificates (PEM); by default, the certificates of "
-        "the system",
+        "absolute path of a file of trusted certificates (PEM); by default, the system's "
+        "certificates",
         default="",
     )
 
@@ -230,16 +232,16 @@ class MqttSensor(Sensor):
 class Sensors:
     """The sensors of a site."""
 
-    cistern: ModbusSensor | MqttSensor = entry("sensor for the level of the cistern (m)")
-    roof: ModbusSensor | MqttSensor = entry("sensor for the level of the roof (m)")
+    cistern: ModbusSensor | MqttSensor = entry("level sensor of the cistern (m)")
+    roof: ModbusSensor | MqttSensor = entry("level sensor of the roof (m)")
     flow_meter: ModbusSensor | MqttSensor | None = entry(
-        "sensor for the flow of the pump (m3/s)", default=None
+        "flow meter of the pump (m3/s)", default=None
     )
     rain_gauge: ModbusSensor | MqttSensor | None = entry(
-        "sensor for the rain rate (m/s)", default=None
+        "rain gauge (m/s)", default=None
     )
     thermometer: ModbusSensor | MqttSensor | None = entry(
-        "sensor for the temperature of the air (degC)", default=None
+        "thermometer for the air temperature (degC)", default=None
     )
 
     @property
@@ -286,16 +288,16 @@ def _mistakes(
         if earlier.unique_key == later.unique_key:
             key = "register" if isinstance(later, ModbusSensor) else "address"
             yield f"{second}.{key}", (
-                f"is also the {key} of the {of}: two sections would describe the same sensor"
+                f"is also the {key} of the {of}: the two sections would describe the same sensor"
             )
         if isinstance(earlier, ModbusSensor) and isinstance(later, ModbusSensor) and parse_address(
             later.address
         ).shares_line(parse_address(earlier.address)):
             if later.device_id == earlier.device_id:
                 yield f"{second}.device_id", (
-                    f"is also the device id of the {of} on the same serial line, so a late answer "
-                    "could be taken for that of the other sensor: give each sensor a slave address "
-                    "of its own"
+                    f"is also the device id of the {of} on the same serial line, so a late "
+                    "response could be mistaken for that of the other sensor: give each sensor "
+                    "its own slave address"
                 )
             for key in ("baud_rate", "parity", "stop_bits"):
                 if getattr(later, key) != (value := getattr(earlier, key)):
@@ -310,24 +312,26 @@ def _sensor_mistakes(sensor: Sensor, section: str) -> Iterator[tuple[str, str]]:
         yield "high", f"must be above low, which is {sensor.low:g} {topic.unit}"
     if section in TANKS and sensor.low < topic.low - _LEVEL_NOISE:
         yield "low", (
-            f"must be at least {topic.low - _LEVEL_NOISE:g} {topic.unit}: a lower level cannot be "
-            "the noise of a sensor"
+            f"must be at least {topic.low - _LEVEL_NOISE:g} {topic.unit}: sensor noise cannot "
+            "account for a lower level"
         )
     if sensor.high > topic.high:
         yield "high", f"must be at most {topic.high:g} {topic.unit}: higher values are not accepted"
     if sensor.median % 2 == 0:
         yield "median", "must be odd, so that the median is one of the readings"
     if sensor.substrate_depth is not None and section != "roof":
-        yield "substrate_depth", "is only for the roof"
+        yield "substrate_depth", "is only allowed for the roof"
     if sensor.substrate_depth is not None and sensor.high > sensor.substrate_depth:
         yield "high", (
             f"must be at most substrate_depth, which is {sensor.substrate_depth:g} m: the "
             "substrate cannot hold more water than its volume"
         )
     if sensor.counts and section not in ("flow_meter", "rain_gauge"):
-        yield "counts", "is only for a flow meter or a rain gauge"
+        yield "counts", "is only allowed for a flow meter or a rain gauge"
     if sensor.counts and sensor.median > 1:
-        yield "counts", "requires median: 1, because a median removes occasional pulses"
+        yield "counts", (
+            "requires median: 1, because a longer median filter would remove occasional pulses"
+        )
 
 
 def _period_mistakes(
@@ -338,7 +342,8 @@ def _period_mistakes(
     if quantity is QUANTITIES["flow_meter"] and shown > _MAX_AFTERFLOW_S:
         yield "median", (
             f"shows a flow for up to {shown:g} s after its end, at one reading every "
-            f"{interval:g} s; more than {_MAX_AFTERFLOW_S:g} s would look like a welded contact"
+            f"{interval:g} s; an afterflow of more than {_MAX_AFTERFLOW_S:g} s would look like a "
+            "welded contact"
         )
     if late > _MAX_FILTER_S:
         yield "median", (
@@ -356,7 +361,7 @@ def _modbus_mistakes(
         yield "address", f"{error.expected}; or mqtt://HOST[:PORT]/TOPIC"
     yield from coding_mistakes(sensor.type, sensor.word_order)
     if sensor.register + sensor.registers > 65536:
-        yield "register", "leaves no room for all registers of the value"
+        yield "register", "is too high: the value would extend beyond the last register address"
     ends = sorted(map(sensor.convert, limits(sensor.type)))
     step, unit = abs(sensor.scale) * (sensor.substrate_depth or 1.0), quantity.topic.unit
     if not sensor.counts and (ends[0] > sensor.low + step or ends[1] < sensor.high - step):
@@ -382,12 +387,13 @@ def _mqtt_mistakes(
         return
     if sensor.value and not _PATH.fullmatch(sensor.value):
         yield "value", (
-            "must be a path of names and indices, such as ANALOG.Range1 or sensors[0].distance"
+            "must be a path made up of names and indices, such as ANALOG.Range1 or "
+            "sensors[0].distance"
         )
     for key in ("login", "authority"):
         file = getattr(sensor, key)
         if file and not Path(file).is_absolute():
-            yield key, "must be an absolute path, because a copy of this file is read"
+            yield key, "must be an absolute path, because the program reads a copy of this file"
     yield from _period_mistakes(sensor, quantity, sensor.max_age)
     if sensor.max_age > max_age:
         yield "max_age", (

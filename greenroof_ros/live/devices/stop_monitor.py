@@ -93,7 +93,7 @@ class StopMonitor:
         fall, reported_at, self._reported_at = self._fall, self._reported_at, math.inf
         if disbelieved and fall is not None and status.at_rest:
             raise RunsOnError(
-                "drive", f"{self._where}: the drive reports that it is at rest, but water flows"
+                "drive", f"{self._where}: the drive reports standstill, but water is flowing"
             )
         if fall is None or status.at_rest or not status.remote:
             self._fall, self._silent_until = None, -math.inf
@@ -129,7 +129,7 @@ class StopMonitor:
         if stopped and unread and now - self._silent_until > RUNS_ON_AGAIN_S:
             return (
                 f"; the speed cannot be read, and for {RUNS_ON_S:g} s it has been unknown "
-                "whether " "the drive has stopped, although *stop* is written"
+                "whether the drive has stopped, although *stop* is written"
             )
         if self._refusals > 1:
             return "; *stop* could not be written on two successive connections"

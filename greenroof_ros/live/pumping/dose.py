@@ -54,7 +54,9 @@ class Dose:
         """State of the dose, as a sentence."""
         progress = f"{self.delivered:.3f} of {self.volume:g} m3"
         if not self.over:
-            return f"a dose: {progress}; {self.why}" if self.begun else f"a dose waits: {self.why}"
+            if self.begun:
+                return f"a dose: {progress}; {self.why}"
+            return f"a dose is waiting: {self.why}"
         if self.over == DONE:
             return f"the dose of {self.volume:g} m3 was delivered"
         return self.ended_early.sentence
@@ -101,7 +103,7 @@ class Doses:
             inhibit_reason: reason why the pump must not run now; empty if it may run.
         """
         if self._largest is None:
-            return "the site file allows no dose (max_dose)"
+            return "the site file does not allow doses (max_dose)"
         if (present := self.present) is not None:
             return f"another dose is under way: {present.sentence}"
         return inhibit_reason and f"the pump must not run now: {inhibit_reason}"
@@ -125,8 +127,8 @@ class Doses:
         age = now - requested_at
         if not -_AHEAD_S <= age <= EXPIRES_S:
             return (
-                f"the request is {age:.0f} s old; the limit is {EXPIRES_S:g} s: repeat the "
-                "request, or set the clocks"
+                f"the request was made {age:.0f} s ago; the limit is {EXPIRES_S:g} s: repeat the "
+                "request, or synchronize the clocks"
             )
         if requested_at <= self._newest:
             self._newest = min(self._newest, now + _AHEAD_S)  # this machine's clock was ahead
@@ -162,7 +164,7 @@ class Doses:
         if dose.delivered >= dose.volume:
             self.end(DONE)
         elif not dose.begun and dose.age > EXPIRES_S:
-            self.end(EXPIRED, f"the dose could not begin within {EXPIRES_S:g} s: {dose.why}")
+            self.end(EXPIRED, f"the dose could not be started within {EXPIRES_S:g} s: {dose.why}")
 
     def share(self, max_flow: float) -> float:
         """Return the share of the maximum flow (m3/s) that the present dose requires."""

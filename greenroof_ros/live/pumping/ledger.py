@@ -408,15 +408,14 @@ class _Lines:
 def _error_text(file: Path, error: Exception) -> str:
     if isinstance(error, LockedError):
         return (
-            f"{file} cannot be written: process {error.holder or 'unknown'} already uses it; end "
-            "that process, and this process continues automatically; or give this process "
-            "another file "
-            "(--state, state_file)"
+            f"{file} cannot be written: process {error.holder or 'unknown'} is already using it; "
+            "end that process, and this process continues automatically; or give this process "
+            "another file (--state, state_file)"
         )
     why = getattr(error, "strerror", None) or repr(error)
     return (
-        f"{file} cannot be written: {why}; after a restart, a hold, a fault and the pumped "
-        "volume would be unknown"
+        f"{file} cannot be written: {why}; after a restart, holds, faults and the pumped volume "
+        "would be unknown"
     )
 
 
@@ -542,11 +541,11 @@ def _read(file: Path, noted: int | None) -> tuple[PumpRecord, int, bool]:
     # The broken line is written next, which repairs the file.
     sequence, record = max(numbered, key=lambda pair: pair[0], default=(0, PumpRecord()))
     if noted and numbered and not problems and not noted <= sequence <= noted + _UNNOTED:
-        problems, sequence = ["it is an older copy, or another site's"], noted
+        problems, sequence = ["it is an older copy, or belongs to another site"], noted
     if problems:
         unknown = (
-            f"{file} cannot be read ({'; '.join(problems)}), so it is unknown whether there was a "
-            "hold or a fault; check the pump, then reset it"
+            f"{file} cannot be read ({'; '.join(problems)}), so it is unknown whether there was "
+            "a hold or a fault; check the pump, then reset the fault"
         )
         record = replace(record, unknown=record.unknown or unknown)
     return record, sequence, not problems
@@ -555,7 +554,7 @@ def _read(file: Path, noted: int | None) -> tuple[PumpRecord, int, bool]:
 def _traces(file: Path, noted: int | None) -> list[str]:
     """Return the evidence that a missing file existed before; see `_read`."""
     if file.is_symlink():
-        return [f"it is a link to {file.readlink()}, which is missing"]
+        return [f"it is a link to {file.readlink()}, which does not exist"]
     names = *(file.name + ending for ending in _LEFTOVERS), *_OF_SITE
     left = [
         name for name in names if os.path.lexists(file.with_name(name))
@@ -563,7 +562,7 @@ def _traces(file: Path, noted: int | None) -> list[str]:
     ]
     if noted is not None:
         left.append(_lock_file(file).name)
-    return [f"it is missing, but {name} is there" for name in left]
+    return [f"it is missing, although {name} exists" for name in left]
 
 
 def _is_empty_disk(path: Path) -> bool:
@@ -590,12 +589,12 @@ def _parse(line: bytes, number: int) -> tuple[int, PumpRecord]:
     if not isinstance(content, dict):
         raise ValueError("it must be a table of keys")
     if content.get("version", _VERSION) != _VERSION:
-        raise ValueError(f"its format is {content['version']}, but this version knows {_VERSION}")
+        raise ValueError(f"its format is {content['version']}, but this version reads {_VERSION}")
     if "use" not in content:  # written by a version that counted fixed days
         content["use"] = [[content.get("day_run", 0.0), content.get("day_volume", 0.0)]]
     for name, (kind, is_right) in _KINDS.items():
         if name not in content and name in _REQUIRED:
-            raise ValueError(f"it has no {name}")
+            raise ValueError(f"it does not contain {name}")
         if name in content and not is_right(content[name]):
             raise ValueError(f"{name} must be {kind}")
     sequence = content.pop("sequence")

@@ -74,55 +74,56 @@ class PumpSettings:
         0.01, 1.0, unit="1", default=_MIN_FLOW,
     )
     min_on: float = entry(
-        "minimum time for which the pump stays on after a "
+        "minimum time for which the pump must stay on after a "
         "start", 0.0, 3600.0, unit="s", default=10.0
     )
     min_off: float = entry(
-        "minimum time for which the pump stays off after a "
+        "minimum time for which the pump must stay off after a "
         "stop", 0.0, 3600.0, unit="s", default=10.0
     )
     starts_per_hour: float = entry(
-        "maximum number of starts in any hour; by default the number in the site "
+        "maximum number of starts in any hour; by default, the number in the site "
         "file", 1.0, 3600.0, unit="1/h"
     )
     max_run: float = entry(
-        "maximum time on without a break; by default the time in which a fifth of the maximum "
+        "maximum time on without a break; by default, the time in which a fifth of the maximum "
         "flow fills an empty roof",
         1.0, DAY_S, unit="s",
     )
     max_run_per_day: float = entry(
-        "maximum time on in any 24 h; by default the time in which a fifth of the maximum flow "
+        "maximum time on in any 24 h; by default, the time in which a fifth of the maximum flow "
         "delivers the default of max_volume_per_day",
         1.0, DAY_S, unit="s",
     )
     max_volume_per_day: float = entry(
-        "maximum volume pumped in any 24 h; by default 1.5 times the volume that fills an empty "
+        "maximum volume pumped in any 24 h; by default, 1.5 times the volume that fills an empty "
         "roof and replaces 10 mm of evapotranspiration",
         1e-6, 1e9, unit="m3",
     )
     drive_ramp: float = entry(
-        "duration of the drive's own ramp between rest and rated speed, up or down, whichever is "
-        "longer; the default is the longest permitted ramp",
+        "duration of the drive's own ramp between standstill and rated speed, up or down, "
+        "whichever is longer; the default is the maximum permitted",
         0.0, 30.0, unit="s", default=30.0,
     )
     follow_time: float = entry(
-        "maximum time for which the speed may differ from the requested speed, or from the speed "
-        "that the ramp has reached on the way to it, before a fault is latched",
+        "maximum time for which the speed may deviate from the requested speed (during a ramp, "
+        "from the speed that the ramp should have reached) before a fault is latched",
         0.1, 600.0, unit="s", default=12.0,
     )
     averaging_time: float = entry(
-        "time over which the delivery check averages levels and volumes",
+        "averaging time of the levels and volumes in the delivery check",
         1.0, 3600.0, unit="s", default=60.0,
     )
     level_tolerance: float = entry(
-        "unexplained change of a mean level that the delivery check tolerates; must exceed the "
+        "maximum unexplained change of a mean level that the delivery check tolerates; must "
+        "exceed the "
         "sensor's resolution. The default is 13 times the noise of the mean if readings arrive "
         "every second with errors of 5 mm",
         1e-4, 1.0, unit="m", default=0.006,
     )
     level_offset: float = entry(
-        "maximum permanent error of a level sensor, up or down; also the height of the dry-run "
-        "cut-off above the suction level",
+        "maximum systematic error of a level sensor, in either direction; also the height above "
+        "the suction level at which the dry-run protection stops the pump",
         0.0, 1.0, unit="m", default=0.02,
     )
     min_delivery: float = entry(
@@ -194,11 +195,11 @@ class PumpLimits:
         min_off, allowed = self._settings.min_off, int(self._settings.starts_per_hour)
         waits = [
             (0.0, ""),
-            (min_off - (now - self._off_since), f"it stays off for at least {min_off:g} s"),
+            (min_off - (now - self._off_since), f"it must stay off for at least {min_off:g} s"),
         ]
         if len(starts) >= allowed:
             again = starts[-allowed] + _HOUR_S - now
-            waits.append((again, f"it starts at most {allowed} times an hour"))
+            waits.append((again, f"it may start at most {allowed} times an hour"))
         return max(waits)
 
     def count(self, dt: float, on: bool) -> None:

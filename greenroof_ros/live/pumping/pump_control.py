@@ -187,7 +187,7 @@ class PumpControl:
         self._delivery.step(dt, None, None, 0.0, volume)
         self._blind_for += dt
         self._pulses.clear()
-        self.doses.end(UNSEEN, f"no one watched the pump for {dt:.0f} s")
+        self.doses.end(UNSEEN, f"the pump was not monitored for {dt:.0f} s")
         if self._setpoint is not None:
             self._limits.switch(False)
         self._setpoint = None
@@ -286,12 +286,12 @@ class PumpControl:
         elif state == "off" and turning:
             state = "stopping"
         elif state in ("fault", "held") and turning:
-            why += f"; the pump still turns, at {observed.speed:.2f} of its rated speed"
+            why += f"; the pump is still turning, at {observed.speed:.2f} of its rated speed"
         if observed.speed is None:
             # A drive that answers but reports an implausible speed has not timed out.
             at_rest = not speed_known and self._must_be_at_rest()
             if not at_rest and not backwards:
-                why += "; it is unknown whether the pump is stopped"
+                why += "; it is unknown whether the pump has stopped"
                 state = "unknown" if state == "off" else state
         else:
             at_rest = setpoint is None and not turning and not self._flows_on
@@ -462,13 +462,13 @@ class PumpControl:
         minimum, pulse = pulses.min_share(cistern_level), pulses.min_pulse(cistern_level)
         why = "as commanded"
         if demanded < minimum:
-            why = "in a pulse, since the command is below the minimum flow"
+            why = "in pulses, since the command is below the minimum flow"
             if pulses.outstanding > pulse:
                 warnings.append(Diagnosis.of(
                     "limited", "outstanding", volume=pulses.outstanding, pulse=pulse
                 ))
         if on and share == 0 and since_start < self._settings.min_on:
-            share, why = minimum, f"it stays on for at least {self._settings.min_on:g} s"
+            share, why = minimum, f"it must stay on for at least {self._settings.min_on:g} s"
         wait, why_wait = self._limits.wait()
         if not on and share > 0 and wait > 0:
             return None, f"it may start in {math.ceil(wait)} s: {why_wait}"

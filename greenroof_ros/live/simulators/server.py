@@ -131,8 +131,8 @@ class Server:
         )
         if not await server.listen():
             raise ConfigurationError(
-                "cannot be opened: another program uses the port, this machine does not have the "
-                "address, the serial device does not exist, or you lack permission",
+                "cannot be opened: another program uses the port, the address does not belong to "
+                "this computer, the serial device does not exist, or you lack permission",
                 key="address", value=str(self.address),
             )
         if not self.address.line:

@@ -77,7 +77,7 @@ SECONDS = "    type: uint16\n    unit: s"
         ("    register: timeout_time\n", "    register: rating\n",
          "registers.rating: must have the unit s"),
         ("    scale: 5.0e-5\n    low: -1.6\n", "    full_scale: rating\n    low: -1.6\n",
-         "registers.rating: must have a low above 0, a high and no full_scale, since speed"),
+         "registers.rating: must have high, a low above 0 and no full_scale, since speed"),
         ("  - registers.fault\n", "  - registers.faulty\n",
          "unverified.5 = 'registers.faulty': is not a key of this file"),
         ("  speed:\n    address: 4", "  pace:\n    address: 4", "registers: must contain speed"),

@@ -215,7 +215,7 @@ def test_one_lost_answer_stops_nothing_and_a_half_open_connection_heals() -> Non
         bound = 2 * (timeout_s + PERIOD) + PERIOD
         assert wait(lambda: not bench.now.connected) < bound + timeout_s / 2
         assert bench.now.status is None
-        assert "no valid answer within 1 s" in bench.now.problem
+        assert "no valid response within 1 s" in bench.now.problem
         bench.drive.written.clear()
         bench.drive.silent = False
         wait(lambda: bench.drive.values[4] == 10000 and bench.now.connected)
@@ -602,7 +602,7 @@ def test_one_that_is_known_to_run_although_it_reports_rest_is_left() -> None:
     monitor, rest = StopMonitor("there"), DriveStatus(True, False, "", "", 0.0, None, True)
     assert monitor.check(rest, 1.0, disbelieved=True) == rest
     monitor.stop_written(1.1)
-    with pytest.raises(RunsOnError, match="there: the drive reports that it is at rest, but"):
+    with pytest.raises(RunsOnError, match="there: the drive reports standstill, but"):
         monitor.check(rest, 1.1, disbelieved=True)
 
 
@@ -653,7 +653,7 @@ def test_the_rated_speed_is_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("status", [None, DriveStatus(True, False, "", "", 0.0, None, True)])
-@pytest.mark.parametrize("problem", ["", "no valid answer within 0.5 s"])
+@pytest.mark.parametrize("problem", ["", "no valid response within 0.5 s"])
 @pytest.mark.parametrize("age", [0.0, 9.9, 10.1, math.inf])
 def test_a_drive_has_a_status_or_a_reason_for_none(
     status: DriveStatus | None, problem: str, age: float
@@ -784,7 +784,7 @@ def test_who_stops_a_drive_that_turns_on_reports_what_it_reports_and_keeps_drive
         stop = pool.submit(stop_drive, DriveEndpoint(ABB, parse_address(bench.wire.at)))
         wait(lambda: bench.wire.requests)
         bench.exchange.start()
-        wait(lambda: "already runs this drive" in bench.now.problem)
+        wait(lambda: "is already running this drive" in bench.now.problem)
         at_end = stop.result()
     assert time.monotonic() - began < exchange.RUNS_ON_S
     wait(lambda: bench.now.connected)

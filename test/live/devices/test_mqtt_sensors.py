@@ -26,7 +26,7 @@ from greenroof_ros.live.devices.sensor_file import MqttSensor, read_sensors
 
 pytestmark = needs_mosquitto
 TOPIC = "tele/roof/SENSOR"
-MAY_BE_OLD = "sends again, but its first messages may be old"
+MAY_BE_OLD = "is sending again, but its first messages may be old"
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +107,7 @@ MESSAGES: list[tuple[str, str, float | str]] = [
     ('{"level": 2.3}', "level.m", "reports b'{\"level\": 2.3}', which does not contain level.m"),
     ('{"level": []}', "level[0]", "reports b'{\"level\": []}', which does not contain level[0]"),
     ("[" * 60_000, "", f"reports {b'[' * 40!r}, which is not JSON"),
-    ("1" + " " * 65_536, "", "a message has 65537 bytes, which is more than 65536"),
+    ("1" + " " * 65_536, "", "a message has 65537 bytes, but the limit is 65536"),
 ]
 
 
@@ -254,7 +254,7 @@ SHIPPED = (CONFIG / "sensors_mqtt.yaml").read_text()
         ("/cistern/sensor/level/state  #", " #", 10, "cistern.address = "
          "'mqtt://127.0.0.1:1883': must be mqtt://HOST[:PORT]/TOPIC"),
         ("sensors[0].distance  ", "sensors[x].distance  ", 21, "roof.value = "
-         "'sensors[x].distance': must be a path of names and indices"),
+         "'sensors[x].distance': must be a path made up of names and indices"),
         ("  max_age: 5.0  ", "  max_age: 6.0  ", 16, "cistern.max_age = 6.0: must be at most 5 s, "
          "which is level_limit"),
         ("# login: /etc/greenroof/broker.yaml", "login: broker.yaml", 17, "cistern.login = "
@@ -262,7 +262,7 @@ SHIPPED = (CONFIG / "sensors_mqtt.yaml").read_text()
         ("# login:", "authority: /ca.pem #", 10, "certificates can be used only with mqtts://"),
         ("counts: true ", "period: 1.0 #", 31, "rain_gauge.period = 1.0: is not a valid key"),
         ("  low: -40.0   ", "  counts: true\n  low: -40.0   ", 41, "thermometer.counts = True: is "
-         "only for a flow meter or a rain gauge"),
+         "only allowed for a flow meter or a rain gauge"),
         ("0.0001               ", "0.1 ", 34, "rain_gauge.high = 0.1: must be at most 0.001 m/s"),
         ("  high: 0.0001    ", "  # high: 0.0001 ", 29, "rain_gauge.high: is missing"),
         ("median: 1", "median: 3", 31, "rain_gauge.counts = True: requires median: 1"),

@@ -210,7 +210,7 @@ def test_a_relay_that_is_not_understood_is_off_within_its_timer(bench: Bench) ->
         took = wait(lambda: not bench.closed, 20)
         assert took < TIMER_S + SLACK_S, fault
         wait(lambda: not bench.now.connected, 10)
-        assert re.search("no (valid )?answer to the question", bench.now.problem), fault
+        assert re.search("no (valid )?reply to the request", bench.now.problem), fault
         bench.relay.inject("none")
         wait(lambda: bench.closed, 60)
 
@@ -261,7 +261,7 @@ def test_a_retained_message_is_no_answer(tmp_path: Path) -> None:
         tap.publish("stat/roof/STATUS11", '{"StatusSTS": {"POWER": "ON"}}', retain=True)
         bench.relay.inject("silence")
         bench.exchange.start()
-        wait(lambda: "no answer to the question 'state' within 1 s" in bench.now.problem, 10)
+        wait(lambda: "no reply to the request 'state' within 1 s" in bench.now.problem, 10)
         assert not bench.now.connected
 
 
@@ -288,14 +288,16 @@ SHELLY = (CONFIG / "drives" / "shelly_gen2.yaml").read_text(encoding="utf-8")
     ("text", "old", "new", "message"),
     [
         (TASMOTA, "state: {question: state,", "state: {question: status,",
-         "state.question = 'status': must be the name of a question in this file: state, timer"),
+         "state.question = 'status': must be the name of a request under questions in this file: "
+         "state, timer"),
         (TASMOTA, "payload: \"ON\"}", "payload: $on}",
-         "switch_on.payload = '$on': may contain only these $ names: $device, $me, $id, $seconds"),
+         "switch_on.payload = '$on': may contain only these placeholders: $device, $me, $id, "
+         "$seconds"),
         (TASMOTA, 'is_off: "OFF"', 'is_off: "ON"', "state.is_off = 'ON': must differ from is_on"),
         (TASMOTA, "{low: 1, high: 111,", "{low: 112, high: 111,", "must be at most high, which is"),
         (TASMOTA, "unverified: []", "unverified: [clock]", "is not a key of this file"),
         (SHELLY, '{"id": $id, "src": "$me", "method": "Shelly.GetDeviceInfo"}', "{}",
-         "number = 'id': requires $id in the payload of every question"),
+         "number = 'id': requires $id in the payload of every request"),
         (SHELLY, "protocol: mqtt", "protocol: coap", "protocol = 'coap': must be one of mqtt"),
     ],
 )

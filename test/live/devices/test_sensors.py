@@ -225,7 +225,7 @@ def test_a_sensor_next_to_a_silent_or_wrong_one_on_a_serial_line() -> None:
                 reader.start()
             until(lambda: (first.snapshot.value, second.snapshot.value) == (1.0, 3.0))
             for data, problem in (
-                ("", "no valid answer within 0.25 s"), ("FFFF", "which is not from 0 to 6 m"),
+                ("", "no valid response within 0.25 s"), ("FFFF", "which is not from 0 to 6 m"),
                 ("27102710", "2 registers, not 1"),
             ):
                 devices.data[1] = data
@@ -338,7 +338,7 @@ def test_sensors_behind_one_gateway_share_a_connection() -> None:
         (["high: 6.0 ", "high: -6.0 "], 19, "cistern.high = -6.0: must be above low, which is 0 m"),
         (["scale: 0.0001 ", "scale: 0.00001 "], 16, "cistern.scale = 1e-05: cannot yield 0 to 6 m"),
         (["median: 5  ", "substrate_depth: 0.5\n  median: 5  "], 21,
-         "cistern.substrate_depth = 0.5: is only for the roof"),
+         "cistern.substrate_depth = 0.5: is only allowed for the roof"),
         (["high: 0.6 ", "substrate_depth: 0.5\n  high: 0.6 "], 34,
          "roof.high = 0.6: must be at most substrate_depth, which is 0.5 m: the substrate"),
         (["high: 0.6 ", "substrate_depth: 0.1\n  high: 0.1 ",
@@ -365,8 +365,8 @@ def test_a_wrong_file_is_refused_with_line_key_and_value(
         (2, "", 0, ""),
         (2, "parity: even\n  stop_bits: 1\n  baud_rate: 19200", 0, ""),  # the defaults
         (1, "register: 4", 26, "roof.device_id = 1: is also the device id of the cistern on the "
-         "same serial line, so a late answer could be taken for that of the other sensor: give "
-         "each sensor a slave address of its own"),
+         "same serial line, so a late response could be mistaken for that of the other sensor: "
+         "give each sensor its own slave address"),
         (2, "baud_rate: 9600", 37, "roof.baud_rate = 9600: must be 19200, as for the cistern on "
          "the same line"),
         (2, "parity: none", 37, "roof.parity = 'none': must be even, as for the cistern"),

@@ -255,7 +255,7 @@ READS: list[tuple[str, str, dict[str, Any]]] = [
     ("abb_acs880", """
 400004        : 03 0003 0001 -> 03 02 1231
 400005        : 03 0004 0001 -> 03 02 E0C0 : -8000
-""", {"speed": -0.4, "fault": "the pump turns backwards (speed -40.0%)", "at_rest": False}),
+""", {"speed": -0.4, "fault": "the pump is turning backwards (speed -40.0%)", "at_rest": False}),
     # The alarm word bit by bit, high word first; there is another fault besides the timeout.
     ("danfoss_fc202", """
 50200         : 03 C417 0001 -> 03 02 060B : trip
@@ -357,7 +357,8 @@ def test_a_frame_with_a_wrong_check_is_no_answer() -> None:
         DriveError
     ) as raised:
         talk("abb_acs880", wire.line, Drive.read)
-    assert raised.value.kind == "connection" and "no valid answer within 0.3 s" in str(raised.value)
+    assert raised.value.kind == "connection"
+    assert "no valid response within 0.3 s" in str(raised.value)
 
 
 # --- wrong answers --------------------------------------------------------------------------------
@@ -382,7 +383,7 @@ def first(*answers: tuple[float, bytes]) -> Callable[[bytes], Answer]:
         ([(0, frame("0001 0000 0005 01 04 02 1337"))], "answer", "function code 4, not 3"),
         ([(0, frame("0001 0000 0007 01 03 04 1337 0000"))], "answer", "2 registers, not 1"),
         ([(0, bytes(range(255, 0, -1)) * 4)], "connection", ""),
-        ([], "connection", "no valid answer within 0.3 s"),
+        ([], "connection", "no valid response within 0.3 s"),
     ],
 )
 def test_wrong_answers_have_a_name_and_a_time(
@@ -421,7 +422,7 @@ def test_a_write_is_not_taken_for_done(answer: Answer, kind: str, message: str) 
     assert raised.value.kind == kind
 
 
-ECHO = "the line returns what was sent: switch off the adapter's local echo"
+ECHO = "the line echoes the request: switch off the adapter's local echo"
 
 
 @pytest.mark.parametrize("echo", [

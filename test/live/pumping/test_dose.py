@@ -68,7 +68,7 @@ def test_the_controller_commands_on_after_it(rig: Rig) -> None:
         (0.51, 0.0, "must be above 0 and at most 0.5 m3"),
         (0.0, 0.0, "must be above 0 and at most 0.5 m3"),
         (0.01, 0.0, "must be at least 0.0"),
-        (0.2, 61.0, "61 s old; the limit is 60 s"),
+        (0.2, 61.0, "61 s ago; the limit is 60 s"),
         (0.2, -10.0, "the limit is 60 s"),
         (0.2, math.nan, "the limit is 60 s"),
         (0.2, 30.0, "before the pump node was started"),
@@ -82,7 +82,7 @@ def test_what_is_refused(rig: Rig, volume: float, age: float, words: str) -> Non
 
 def test_a_site_that_does_not_allow_it_gives_none() -> None:
     rig = ready(Rig(x2=0.5))
-    assert ask(rig) == rig.control.dose_refusal == "the site file allows no dose (max_dose)"
+    assert ask(rig) == rig.control.dose_refusal == "the site file does not allow doses (max_dose)"
     assert rig.run(30, 0.0).speed is None
 
 

@@ -166,7 +166,7 @@ def test_one_release_ends_a_hold_whoever_made_it() -> None:
     rig.run(15, 0.5)
     rig.ledger.hold("the page")
     decision = rig.step(0.5)
-    assert decision.state == "held" and "; the pump still turns, at 0.6" in decision.why
+    assert decision.state == "held" and "; the pump is still turning, at 0.6" in decision.why
     rig.ledger.hold("the operator", "a leak")
     decision = rig.step(0.5)
     assert [reason.sentence for reason in decision.interlocks.values()] == [

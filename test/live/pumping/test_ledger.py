@@ -94,7 +94,7 @@ def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
     assert first.flush() == ""
     problem = second.flush()
     assert problem.startswith(
-        f"{file} cannot be written: process {os.getpid()} already uses it; end that process"
+        f"{file} cannot be written: process {os.getpid()} is already using it; end that process"
     )
     assert "--state, state_file" in problem
     second.release()
@@ -292,7 +292,7 @@ def lines_of(**changes: Any) -> bytes:
     # A stop under another key, as in an older version, is not forgotten.
     ({"hold_owner": ..., "stopped": "by someone"}, "it has no hold_owner"),
     ({"fault": ...}, "it has no fault"),
-    ({"version": 2}, "its format is 2, but this version knows 1"),
+    ({"version": 2}, "its format is 2, but this version reads 1"),
     ({"starts": [1.0, "2"]}, "starts must be a list of numbers"),
     ({"elapsed": math.nan}, "elapsed must be a number from 0 to 1e+11"),
     ({"use": [[0.0, -1e9]]}, "use must be at most 49 pairs of numbers"),
@@ -406,14 +406,14 @@ def test_a_hold_is_not_forgotten_with_its_file(how: str, tmp_path: Path, clock: 
     if how == "older of before it was made again":
         file.unlink()
         again = Ledger(file, clock)
-        assert "is missing, but pump.json.lock is there" in again.record.unknown
+        assert "is missing, although pump.json.lock exists" in again.record.unknown
         again.clear_unknown()
         again.hold("the operator")
         assert again.close() == ""
     file.unlink()
     if how != "removed":
         file.write_bytes(other.read_bytes() if how == "other" else before)
-    words = "is missing" if how == "removed" else "it is an older copy, or another site's"
+    words = "is missing" if how == "removed" else "it is an older copy, or belongs to another site"
     for _ in range(2):  # likewise at the next start
         rig = Rig(file=file)
         decision = rig.run(30, 1.0)
@@ -485,7 +485,7 @@ def test_a_broken_file_stops_the_pump(content: bytes, tmp_path: Path) -> None:
     assert (decision.speed, decision.state) == (None, "fault")
     assert decision.why.startswith(f"{file} cannot be read (")
     assert ("it must be 8192 bytes long" in decision.why) == (len(content) != 8192)
-    assert decision.why.endswith("check the pump, then reset it")
+    assert decision.why.endswith("check the pump, then reset the fault")
     assert rig.ledger.flush() == ""
     assert {path.name for path in tmp_path.iterdir()} == {"pump.json", "pump.json.lock"}
     assert Rig(file=file).run(30, 1.0).state == "fault"
@@ -523,7 +523,7 @@ def test_a_full_disk(tmp_path: Path, clock: Clock) -> None:
         assert rig.step(1.0).state == "held"
         rig.ledger.release()
         assert rig.ledger.flush().startswith(
-            f"{file} cannot be written: No space left on device; after a restart, a hold"
+            f"{file} cannot be written: No space left on device; after a restart, holds"
         )
         assert rig.run(30, 1.0).state == "running"
         assert not list(disk.glob("pump.json*.new"))
@@ -646,7 +646,7 @@ def test_a_slow_disk_stops_nothing(tmp_path: Path) -> None:
     )
     # A ledger that must not write reports that, regardless of what the disk does.
     second = Ledger(tmp_path / "pump.json", time.time)
-    assert f"process {os.getpid()} already uses it" in second.problem
+    assert f"process {os.getpid()} is already using it" in second.problem
     # The next attempt finds no pipe, and the disk's thread is free for other tests.
     (tmp_path / "pump.json.new").rename(tmp_path / "pipe").open().close()
 

@@ -52,8 +52,8 @@ def test_minimum_times() -> None:
         rig.run(seconds, command)
     on = [decision.speed is not None for decision in rig.decisions]
     assert [k for k in range(1, len(on)) if on[k] != on[k - 1]] == [10, 20, 54, 64, 87]
-    assert rig.decisions[5].why == "it may start in 5 s: it stays off for at least 10 s"
-    assert rig.decisions[13].why == "it stays on for at least 10 s"
+    assert rig.decisions[5].why == "it may start in 5 s: it must stay off for at least 10 s"
+    assert rig.decisions[13].why == "it must stay on for at least 10 s"
 
 
 def test_a_command_above_1() -> None:
