@@ -144,7 +144,7 @@ class Composition:
 
     @property
     def refused(self) -> dict[str, int]:
-        """The number of values that the nodes rejected, by topic."""
+        """The number of values that the nodes have rejected, by topic."""
         refused: Counter[str] = Counter()
         for node in self._nodes.values():
             refused.update({

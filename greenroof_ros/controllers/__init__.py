@@ -1,1 +1,1 @@
-"""The controllers, each in a file of its own."""
+"""The controllers, each in its own module."""

@@ -94,10 +94,11 @@ class AfterForecast:
         fits = (rains.shape[1], *evaporated.shape) == (self.steps, self.steps)
         if not fits or len(rains) > max_members:
             raise ConfigurationError(
-                f"the rain forecast has {len(rains)} members of {rains.shape[1]} entries, and the "
-                f"evapotranspiration forecast has {len(evaporated)} entries, but {self.steps} "
-                f"entries and at most {max_members} members are allowed; set the same horizon "
-                "for the weather node and the controller, and use all members only with lookahead"
+                f"the rain forecast must have at most {max_members} x {self.steps} values "
+                f"(members x steps), but has {len(rains)} x {rains.shape[1]}; the "
+                f"evapotranspiration forecast must have {self.steps} values, and has "
+                f"{len(evaporated)}. Set the same horizon for the weather node and the controller, "
+                "and use all members only with lookahead"
             )
         return rains, evaporated
 

@@ -1,4 +1,4 @@
-"""Errors in a controller's code, reported with file and line."""
+"""Errors in a controller's code, reported with the file and the line."""
 
 from __future__ import annotations
 

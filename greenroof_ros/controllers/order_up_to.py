@@ -75,7 +75,7 @@ class Cistern:
         Args:
             x1: volume in the cistern (m3).
             demand: maximum demand for water from the cistern (m3).
-            seconds: time in which the demand may occur (s).
+            seconds: period during which the demand can occur (s).
         """
         supplied = (self._site.mains_flow or 0.0) * seconds
         if min(self.usable(x1), self._low) + supplied >= demand:
@@ -145,7 +145,7 @@ class OrderUpTo:
         self._water = np.zeros(1)
 
     def _place(self, below: int, above: int) -> None:
-        """Place the nodes at x* -+ (k / n)^2 of the range."""
+        """Place the nodes at x* plus or minus (k / n)^2 of the range."""
         room = self._soil.above_target
         self._below = below
         self._nodes = np.concatenate((
@@ -441,9 +441,9 @@ def halve_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:
     No forecast reveals immediately which member will come true. A controller that assumed otherwise
     would wait, because it would expect to know everything soon. Heitsch and Roemisch (2009,
     Scenario tree modeling for multistage stochastic programs, doi:10.1007/s10107-007-0197-2) build
-    a tree from scenarios that are alike until each stage; here the members are split by rank, so
-    that the size of the tree does not depend on the rain. The order in which the members are given
-    does not matter.
+    a tree from scenarios that are identical up to each stage; here the members are split by rank,
+    so that the size of the tree does not depend on the rain. The order in which the members are
+    given does not matter.
 
     Args:
         rain: forecast of rain (m/s), shape (members, n).

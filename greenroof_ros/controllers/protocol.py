@@ -20,10 +20,10 @@ class Controller(Protocol):
     - ``ensemble = True``: the controller takes all members of an ensemble of forecasts.
       ``precipitation`` is then an array of shape (members, steps); a single forecast has one
       member.
-    - ``needs_forecast = False``: the controller can decide from the levels alone. Such a class is
-      also called without a usable forecast, when both forecasts are empty. Any other class is not
-      called without a forecast; on a live site, the on/off controller takes over if the forecast
-      stays missing.
+    - ``needs_forecast = False``: the controller can decide from the levels alone. A class with this
+      setting is also called without a usable forecast; both forecasts are then empty. Any other
+      class is not called without a forecast; on a live site, the on/off controller takes over if
+      the forecast stays missing.
     - ``outputs``: topics of ``msg_defs/topics.yaml`` that the controller's node publishes after
       every command, each with the attribute that holds the value: ``{"/controller/cost": "cost"}``.
       The value is a number; for ``/controller/plan`` it is a numpy array of shape (steps, 4).
@@ -78,7 +78,8 @@ class Controller(Protocol):
         NaN. In this case, the method must return a command or raise a
         :class:`~greenroof_ros.common.errors.ConfigurationError`, which ends a simulated run; a live
         site treats this error as a missing forecast. Any other error also ends a simulated run,
-        with a message that names file and line; on a live site, on/off control then takes over.
+        with a message that names the file and the line; on a live site, on/off control then takes
+        over.
 
         Returns:
             Share of the pumps' maximum flow (1), finite and not negative.

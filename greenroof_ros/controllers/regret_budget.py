@@ -55,10 +55,10 @@ class RegretBudget:
     apart from the loss in one tick, the pumps' wait for their next start, and the time by which
     evapotranspiration prolongs the filling. The reason is that L is below the limit while forecasts
     count, and that the limit already covers the filling of the roof when forecasts cease to count.
-    Such a guarantee is called the robustness of an online algorithm with predictions; making good
-    use of a good forecast is called its consistency (Lykouris and Vassilvitskii 2021, Competitive
-    Caching with Machine Learned Advice, J. ACM 68(4), doi:10.1145/3447579). In frost, pumping is
-    not allowed, so the loss continues.
+    Such a guarantee is called the robustness of an online algorithm with predictions; the benefit
+    from accurate predictions is called its consistency (Lykouris and Vassilvitskii 2021,
+    Competitive Caching with Machine Learned Advice, J. ACM 68(4), doi:10.1145/3447579). In frost,
+    pumping is not allowed, so the loss continues.
 
     If the cistern overflows while the controller waits, the site loses water that on/off control
     would have pumped by then. The lost water costs nothing until a drought empties the cistern.

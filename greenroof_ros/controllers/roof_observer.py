@@ -1,4 +1,4 @@
-"""Estimation of the water on the roof from both the model and the level sensor."""
+"""Estimation of the water on the roof from the model combined with the level sensor."""
 
 from __future__ import annotations
 

@@ -51,8 +51,8 @@ def clairvoyant_bound(run: Run, block_s: float, max_command: float = 1.0) -> flo
     The program neglects four facts, so there can be a gap between the bound and the best run. The
     cistern can overflow, and the pump flow falls with the cistern's level. Pumping stops at z_veg,
     even if the range of the roof's volume also extends below it. Drainage and dryness follow from
-    the roof's actual volume. A plan that is carried out
-    (:func:`greenroof_ros.experiment.plan.simulate_plan`) shows the gap.
+    the roof's actual volume. A simulated plan (:func:`greenroof_ros.experiment.plan.simulate_plan`)
+    shows the gap.
 
     For each block of n ticks, the program has a single volume, the mean. The sum of \|x - x*\| over
     the block is at least n \|mean - x*\| (Jensen). If G_k is the sum of the largest changes before
@@ -115,7 +115,7 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> float:
     block. The program minimises the sum of n_b (p_b + m_b) subject to y_b = p_b - m_b = y_{b-1} +
     c_b, where y_{-1} is 0, and p, m and c have bounds. On a field-capacity soil, y_{b-1} is
     multiplied by a factor. In the optimum either p_b or m_b is 0, so the limits of y_b are limits
-    of both.
+    of both p_b and m_b.
 
     The result is the cost of the dual program. Every variable z is between two limits, and the
     balance A z is 0. For any multipliers v, the sum of the minimum values of (w - A'v) z is a lower

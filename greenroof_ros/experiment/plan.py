@@ -24,7 +24,7 @@ _NODES = 3000, 1000
 
 
 class PlanResult(NamedTuple):
-    """The result of a plan that was carried out."""
+    """The result of a plan that was simulated."""
 
     total_m3: float
     """total deviation (m3, summed over the ticks)"""
@@ -79,7 +79,7 @@ class _PlanController:
         return min(command, self._max_command)
 
     def skip(self) -> None:
-        """Count a tick in which the pumps may not run."""
+        """Count a tick in which the pumps must not run."""
         self._tick += 1
 
     def statistics(self) -> None:

@@ -35,7 +35,7 @@ class Run:
     """All data that determine the results of a run.
 
     Attributes:
-        site_file: file of the site; None if a program passed the site.
+        site_file: site file; None if a program passed the site.
         site: parameters of the site.
         weather: hourly records.
         series: the weather, tick by tick.

@@ -72,7 +72,7 @@ def _make_dated_directory(controller: str) -> Path:
 def write_configuration(
     directory: Path, run: Run, nodes: dict[str, object]
 ) -> Path:
-    """Copy the input files of a run, and write the parameters of its nodes.
+    """Copy a run's input files, and write the parameters of its nodes.
 
     Args:
         directory: directory of the run.
@@ -138,7 +138,7 @@ def write_configuration(
 
 
 def write_parameters(directory: Path, parameters: Mapping[str, Mapping[str, object]]) -> Path:
-    """Write the ROS 2 parameter file of some nodes, and return its path.
+    """Write a ROS 2 parameter file for some nodes, and return the path of the file.
 
     Args:
         directory: directory of the file.

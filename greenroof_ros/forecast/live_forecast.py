@@ -77,7 +77,7 @@ class LiveForecast:
     """Forecasts for the look-ahead at any time, from the latest forecast issued.
 
     Attributes:
-        issues: the known forecasts, in order of issue, all with evapotranspiration.
+        issues: the known forecasts, in order of their time of issue, all with evapotranspiration.
     """
 
     def __init__(self, site: Site, horizon: float, limit: float, all_members: bool) -> None:
@@ -101,7 +101,7 @@ class LiveForecast:
         self._issue: IssuedForecast | None = None
 
     def at(self, now: datetime, observed_rain: float | None = None) -> Outlook:
-        """Return the outlook at a given time.
+        """Return the current weather and the forecast at a given time.
 
         After the end of the forecast, rain is assumed to be 0, and the evapotranspiration of the
         last day is repeated, as in a simulation.

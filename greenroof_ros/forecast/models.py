@@ -145,7 +145,7 @@ class FileModel(ForecastModel):
         Args:
             archive: archive of forecasts.
             weather: the records of the run.
-            all_members: whether to use all members of each issue, or only member 0.
+            all_members: whether to use all members of each forecast, or only member 0.
         """
         super().__init__(weather)
         self.notes = archive.notes
@@ -215,8 +215,8 @@ class NormalRecords:
     The rain of a wet hour determines its z. The z of a dry hour is only known to be at most c; it
     is drawn repeatedly from its distribution given its neighbours (Gibbs sampling; Geman and Geman,
     IEEE Trans. PAMI 6:721, 1984), every other hour at a time. The z of a missing hour is drawn in
-    the same way, without this limit. So the z of a dry hour amid rain is close to that of rain, and
-    the z of an hour in a dry week is far below c.
+    the same way, without this limit. The z of a dry hour amid rain is therefore close to that of a
+    wet hour, and the z of an hour in a dry week is far below c.
 
     A draw depends only on the hour since 1970, and not on the order of the requests. Three weeks or
     more from the ends of the records, a draw does not depend on these ends either.
@@ -391,7 +391,7 @@ class ErrorModel(ForecastModel):
         """Return the noise of a forecast, which is correlated with that of the previous forecast.
 
         Args:
-            issue: time of the issue (h since 1970).
+            issue: time of issue (h since 1970).
             hours: length of the noise, which begins the same number of hours before every issue.
 
         Returns:

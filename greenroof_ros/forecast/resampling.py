@@ -279,7 +279,7 @@ def make_forecast(
         choice: choice of the forecasts.
         all_members: whether to return the rain of all members of an ensemble, or of the first
             member only.
-        outlet_horizon: look-ahead of the plan of the outlet valve (h); 0 without such a plan.
+        outlet_horizon: look-ahead of the outlet valve's plan (h); 0 without a plan for the valve.
 
     Raises:
         ConfigurationError: if a forecast file is invalid, or if there is no forecast for a part

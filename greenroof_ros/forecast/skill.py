@@ -12,14 +12,14 @@ can be described by correlated normal variables. A censored Gaussian process of 
 common model of rain: Sigrist, Kuensch and Stahel, Annals of Applied Statistics 6(4):1452 (2012);
 Bardossy and Plate, Water Resources Research 28(5):1247 (1992).
 
-**Skill.** Each frequency f (1/h) of the weather is known at a lead l (h) with the coherence
+**Skill.** Each frequency f (1/h) of the weather is known at a lead time l (h) with the coherence
 
     s(f, l) = exp(-(l / L)^p) exp(-(2 pi f sigma)^2 / 2),  sigma = sigma_1 (l / 24)^q
 
 The first factor is the general skill of the forecast; the second factor is an error of timing,
 which affects short showers first. Small scales are lost first in real rain forecasts, too (Bowler,
-Pierce and Seed, Quarterly Journal of the Royal Meteorological Society 132:2127, 2006). At lead 0
-everything is known.
+Pierce and Seed, Quarterly Journal of the Royal Meteorological Society 132:2127, 2006). At lead time
+0, everything is known.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ class Errors:
         "factor applied to the rain at a lead time at which nothing is known (1)", 0.0, 10.0
     )
     persistence: float = entry(
-        "time between two issues of a forecast at which the correlation of their errors is 1/e "
+        "time between the issue of two forecasts at which the correlation of their errors is 1/e "
         "(h)", 1.0, 240.0
     )
     evapotranspiration: float = entry(
@@ -144,7 +144,7 @@ class Skill:
         """Return a skill that has at lead time l the errors of this skill at ``factor`` times l.
 
         With an infinite factor, only the climate is known from the next hour on, and it rains at
-        random times, as often as in the climate.
+        random times, with the frequency given by the climate.
         """
         errors = replace(self.errors, reach=_NO_REACH, timing=0.0, wetness=0.0, amount=1.0)
         if math.isfinite(factor):

@@ -640,7 +640,7 @@ METRICS = (
     ),
     Metric(
         "excess_starts", "1", "too many starts",
-        "number of pump starts in excess of the site's starts_per_hour, counted over the hour "
+        "number of pump starts in excess of starts_per_hour, counted over the hour "
         "before each start",
         _excess_starts, _count, "d", max=0,
     ),
