@@ -94,11 +94,11 @@ class AfterForecast:
         fits = (rains.shape[1], *evaporated.shape) == (self.steps, self.steps)
         if not fits or len(rains) > max_members:
             raise ConfigurationError(
-                f"the rain forecast must have at most {max_members} x {self.steps} values "
-                f"(members x steps), but has {len(rains)} x {rains.shape[1]}; the "
-                f"evapotranspiration forecast must have {self.steps} values, and has "
-                f"{len(evaporated)}. Set the same horizon for the weather node and the controller, "
-                "and use all members only with lookahead"
+                f"the rain forecast has {len(rains)} x {rains.shape[1]} values (members x steps), "
+                f"and the evapotranspiration forecast has {len(evaporated)}, but at most "
+                f"{max_members} x {self.steps} and exactly {self.steps} values are allowed; set the "
+                "same horizon for the weather node and the controller, and use all members only "
+                "with lookahead"
             )
         return rains, evaporated
 
