@@ -96,9 +96,9 @@ class AfterForecast:
             raise ConfigurationError(
                 f"the rain forecast has {len(rains)} x {rains.shape[1]} values (members x steps), "
                 f"and the evapotranspiration forecast has {len(evaporated)}, but at most "
-                f"{max_members} x {self.steps} and exactly {self.steps} values are allowed; set the "
-                "same horizon for the weather node and the controller, and use all members only "
-                "with lookahead"
+                f"{max_members} x {self.steps} and exactly {self.steps} values are allowed; set "
+                "the same horizon for the weather node and the controller, and use all members "
+                "only with lookahead"
             )
         return rains, evaporated
 
