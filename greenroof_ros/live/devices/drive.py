@@ -1,4 +1,4 @@
-"""Operation of one drive on Modbus according to its drive file."""
+"""Operation of a single Modbus drive according to its drive file."""
 
 from __future__ import annotations
 
@@ -29,13 +29,14 @@ class DriveStatus:
     """The status that a drive reports.
 
     Attributes:
-        ready: whether the drive has neither a fault nor an interlock that prevents a start.
+        ready: whether neither a fault nor an interlock prevents the drive from starting.
         running: whether the motor is energized.
-        fault: description of the active fault, which may be turning backwards; empty for none.
+        fault: description of the active fault, including a pump that turns backwards; empty for
+            none.
         warning: description of the active warning; empty for none.
         speed: speed (share of the rated speed); negative only if the pump turns backwards.
         flow: flow of the pump (m3/s); None if the drive does not measure the flow.
-        remote: whether the drive obeys the bus.
+        remote: whether the drive is controlled over the bus.
         timed_out: whether the only fault is the expiry of the drive's own communication timeout.
         runs_on: whether the fault is a speed that does not fall after *stop*.
     """
@@ -52,7 +53,7 @@ class DriveStatus:
 
     @property
     def at_rest(self) -> bool:
-        """Whether the pump is at rest."""
+        """Whether the drive reports standstill."""
         return abs(self.speed) <= STANDSTILL
 
     def __str__(self) -> str:
@@ -64,7 +65,7 @@ class DriveStatus:
 
 
 class Drive:
-    """One drive on one connection, which the caller opens and closes.
+    """A drive on a single connection, which the caller opens and closes.
 
     Attributes:
         file: the drive file.
@@ -78,7 +79,7 @@ class Drive:
         Args:
             file: the drive file.
             address: address of the drive.
-            timeout_s: maximum wait for a connection, and for each answer (s).
+            timeout_s: maximum time to wait for a connection and for each response (s).
         """
         self.file, self.line = file, file.line(address, timeout_s)
         self.stopped: bool | None = None
@@ -98,7 +99,7 @@ class Drive:
                     self._bits |= step.value
 
     def identify(self) -> str:
-        """Return make, model and nameplate as text.
+        """Return the drive's make, model and nameplate as text.
 
         Raises:
             DriveError: if the nameplate cannot be read.
@@ -113,11 +114,11 @@ class Drive:
     def timeout(self) -> tuple[float | None, str]:
         """Return the drive's own communication timeout (s), or None and the reason if it is off.
 
-        A timeout that would not stop the drive is treated as off. The call also discards the values
-        of the full-scale registers, which are then read again when needed.
+        A timeout that would not stop the drive is treated as off. The call also discards the cached
+        values of the full-scale registers, which are read again when needed.
 
         Raises:
-            DriveError: if the timeout cannot be read, or the drive file has none for this
+            DriveError: if the timeout cannot be read, or the drive file describes none for this
                 interface.
         """
         self._full_scale.clear()
@@ -173,7 +174,7 @@ class Drive:
         )
 
     def local(self, values: dict[str, int] | None = None) -> bool:
-        """Return whether the drive is in local control; False if its file has no such condition.
+        """Return whether the drive is in local control; False if its file has no condition for it.
 
         Args:
             values: raw values that have just been read, by register.
@@ -192,12 +193,12 @@ class Drive:
 
         Args:
             speed: requested speed (share of the rated speed), 0 to 1.
-            may_continue: function called before each step and while waiting; the sequence ends if
-                it returns False.
+            may_continue: function that is called before each step and while waiting; if it returns
+                False, the sequence is abandoned.
 
         Raises:
-            DriveError: if no valid answer arrives, a fault is active, or a state is not reached in
-                time.
+            DriveError: if no valid response arrives, a fault is active, or a state is not reached
+                in time.
         """
         values: dict[str, int] = {}
         if self._fulfils(self.file.status.fault, values):
@@ -215,12 +216,12 @@ class Drive:
         The caller repeats the call while the pump must be off.
 
         If the drive rejects a step, the later steps are still written, since it may accept a speed
-        of 0 even if it rejects the control word. After that, the drive must also answer a request
-        for its status. The answer to a write is not sufficient, because it equals the request and
-        may therefore be an echo from the line.
+        of 0 even if it rejects the control word. After that, the drive must also respond to a
+        request for its status. The response to a write is not sufficient, because it is identical
+        to the request and may therefore be an echo from the line.
 
         Raises:
-            DriveError: if no valid answer arrives.
+            DriveError: if no valid response arrives.
         """
         self.stopped = False
         refused: DriveError | None = None
@@ -240,7 +241,7 @@ class Drive:
         """Stop the drive, and acknowledge its fault.
 
         Raises:
-            DriveError: if no valid answer arrives; the fault then remains.
+            DriveError: if no valid response arrives; the fault then remains.
         """
         self.stop()
         self._prepared = False
@@ -281,7 +282,7 @@ class Drive:
         speed: float = 0.0,
         values: dict[str, int] | None = None,
     ) -> bool:
-        """Carry out the steps of a sequence; return whether all of them were completed.
+        """Carry out the steps of a sequence, and return True if all steps were completed.
 
         Args:
             steps: the steps, in order.
@@ -344,7 +345,7 @@ class Drive:
         )
 
     def _cause(self, codes: Codes | None) -> tuple[int, str]:
-        """Return the code, or bits, of the present fault or warning, and its text."""
+        """Return the code or bits of the current fault or warning, and its text."""
         raw = 0 if codes is None else self._read_number(codes.register)
         return raw, (codes and codes.text(raw)) or "the drive gives no cause"
 
@@ -426,7 +427,7 @@ class DriveEndpoint:
 
     @property
     def guard(self) -> Timeout | None:
-        """The drive's communication timeout at this address; None if its file has none."""
+        """The drive's communication timeout at this address; None if its file describes none."""
         return self.file.timeout.guarding(self.address)
 
     def lock_name(self) -> str:
@@ -436,7 +437,7 @@ class DriveEndpoint:
         host name is resolved.
 
         Raises:
-            OSError: if the host is unknown or no name server answers.
+            OSError: if the host is unknown or no name server responds.
         """
         place = self.address.canonical_name(self.file.tcp.port).strip("/")
         return place if self.address.line else f"{place}-{self.file.device_id_at(self.address)}"
@@ -445,7 +446,7 @@ class DriveEndpoint:
         """Return the drive on a new connection that is not yet open and must be opened only once.
 
         Args:
-            timeout_s: maximum wait for a connection, and for each answer (s).
+            timeout_s: maximum time to wait for a connection and for each response (s).
 
         Raises:
             ConfigurationError: if the Modbus library is not installed.

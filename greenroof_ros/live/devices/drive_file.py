@@ -1,4 +1,4 @@
-"""The description of a make of drive: a YAML file in ``config/drives/``, as frozen dataclasses."""
+"""Description of a make of drive: a YAML file in ``config/drives/``, as frozen dataclasses."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ MAX_RAMP_S = 30.0
 
 @dataclass(frozen=True)
 class Source:
-    """A document from which the file was made."""
+    """A document on which the file is based."""
 
     title: str = entry("title of the document")
     document: str = entry("number and revision of the document, as printed on its title page")
@@ -60,7 +60,7 @@ class Tcp:
 class Register:
     """A holding register, or consecutive registers that form one value.
 
-    The value in the stated unit is scale x raw. If `full_scale` names a register, the value is also
+    The value in the given unit is scale x raw. If `full_scale` names a register, the result is
     divided by the value of that register.
     """
 
@@ -94,7 +94,7 @@ class Register:
 
     @property
     def width(self) -> int:
-        """The number of registers that the value takes."""
+        """The number of registers that the value occupies."""
         return WIDTHS.get(self.type, self.length)
 
 
@@ -107,7 +107,7 @@ class RegisterCondition:
     register: str = entry("name of the register", default="status")
 
     def fulfilled_by(self, raw: int) -> bool:
-        """Return whether a raw value fulfils the condition."""
+        """Return whether a raw value satisfies the condition."""
         return raw & self.mask == self.value
 
 
@@ -129,7 +129,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Sequences:
-    """The sequences of writes that bring the drive from one state to another."""
+    """The sequences of register writes that bring the drive from one state to another."""
 
     ready: tuple[Step, ...] = entry(
         "steps that bring the drive from any state except a fault (such as after power-up, reset "
@@ -181,7 +181,7 @@ class Codes:
     )
 
     def only(self, raw: int, among: tuple[Word, ...]) -> bool:
-        """Return whether a raw value reports only given codes or bits, and at least one of them."""
+        """Return whether a raw value reports some of the given codes or bits, and no others."""
         if self.kind == "code":
             return raw in among
         return raw != 0 and raw & ~sum(1 << bit for bit in among) == 0
@@ -256,7 +256,7 @@ class Timeouts:
         return {name: timeout for name, timeout in vars(self).items() if timeout is not None}
 
     def guarding(self, address: Address) -> Timeout | None:
-        """Return the timeout that guards an address; None if the file has none."""
+        """Return the timeout of the interface at an address; None if the file describes none."""
         return self.by_interface.get(address.interface)
 
 
@@ -300,10 +300,10 @@ class DriveFile:
     path: Path = Path()
 
     def device_id_at(self, address: Address) -> int:
-        """Return the drive's unit identifier or slave address at an address.
+        """Return the unit identifier or slave address with which the drive is addressed.
 
         An identifier in the address takes precedence. Otherwise, the identifier of the interface in
-        use is taken from the file. For a gateway, this is the slave address.
+        use is taken from the file. For a gateway, the slave address is used.
         """
         if address.device_id is not None:
             return address.device_id
@@ -314,7 +314,7 @@ class DriveFile:
 
         Args:
             address: address of the drive.
-            timeout_s: maximum wait for a connection, and for each answer (s).
+            timeout_s: maximum time to wait for a connection and for each response (s).
         """
         return ModbusLine(
             address, port=self.tcp.port, device_id=self.device_id_at(address), serial=self.serial,
@@ -381,7 +381,7 @@ def _parts(part: Any, key: str) -> Iterator[tuple[str, Any]]:
 
 
 def _references(drive: DriveFile) -> Iterator[tuple[str, str, str]]:
-    """Yield every key that names a register, with that name and the required kind of register."""
+    """Yield every key that names a register, with the register's name and required properties."""
     for name, unit in {"control": "", "reference": "share", "status": "", "speed": "share"}.items():
         yield "registers", name, unit
     if "flow" in drive.registers:

@@ -43,14 +43,14 @@ Connection: TypeAlias = Drive | Relay
 def read_endpoint(
     file: Path, at: str, key: str, login: str = "", authority: str = ""
 ) -> Endpoint:
-    """Read a drive file, or a relay file with its key ``protocol``, and combine it with an address.
+    """Read a drive file or a relay file (recognized by its key ``protocol``), and add an address.
 
     Args:
         file: the drive file or relay file.
         at: address of the drive or relay. For a relay, this is ``mqtt://HOST[:PORT]/DEVICE``, or
             ``mqtts`` over TLS; for a drive, see
             :func:`greenroof_ros.live.devices.modbus_line.parse_drive_address`.
-        key: name of the option or parameter with the address, for messages.
+        key: name of the option or parameter that gives the address, for messages.
         login: file with ``username`` and ``password`` for a relay's broker; empty for none.
         authority: file of trusted certificates (PEM) for a relay's broker; empty for those of the
             system.

@@ -72,23 +72,23 @@ class DriveSnapshot(DeviceSnapshot):
     """A snapshot of a drive and of the exchange with it.
 
     Attributes:
-        read_at: time of the drive's last answer (s, `boot_time`, which continues during a
-            suspension of the machine).
-        state: state of the exchange; after `close`, there is no longer a connection.
+        read_at: time of the drive's last response (s, `boot_time`, which keeps running while the
+            computer is suspended).
+        state: state of the exchange; after `close`, the drive is no longer connected.
         status: last status of the drive; None without a connection. After `close`, this is the
-            status at the release of the drive, which may not have been at rest, or None if the
-            status could not be read.
+            status at the release of the drive, when it may not have been at standstill, or None if
+            the status could not be read.
         identity: nameplate of the drive; empty until it has been read.
         timeout_s: communication timeout of the drive (s); None for off.
         timeout_known: whether the timeout could be read.
         timeout_note: reason why the timeout is treated as off or could not be read.
         unguarded: diagnosis that the connected drive is kept off because its own timeout may not be
             effective yet; None if the timeout is effective.
-        second_master: diagnosis that another program or person controls the drive, which is
-            therefore kept off; None if there is no other.
+        second_master: diagnosis that another program or a person controls the drive, which is
+            therefore kept off; None if nobody else controls the drive.
         start_failed: reason why the drive was stopped although a speed was requested; None once
             *off* is requested.
-        errors: number of failures since the start.
+        errors: number of failures since the thread was started.
     """
 
     state: ExchangeState = ExchangeState.CONNECTING
@@ -104,7 +104,7 @@ class DriveSnapshot(DeviceSnapshot):
 
     @property
     def connected(self) -> bool:
-        """Whether the drive is connected and answers."""
+        """Whether the drive is connected and responding."""
         return self.state in (ExchangeState.STOPPED, ExchangeState.RUNNING, ExchangeState.STOPPING)
 
     def status_at(self, now: float) -> DriveStatus | None:
@@ -112,7 +112,7 @@ class DriveSnapshot(DeviceSnapshot):
         return self.status if now - self.read_at < STATUS_AGE_S else None
 
     def absence_at(self, now: float) -> Diagnosis | None:
-        """Return the reason why there is no status at the given time; None if there is a status."""
+        """Return the reason why there is no status at the given time; None if one is available."""
         if self.status_at(now) is not None:
             return None
         if self.problem:
@@ -121,7 +121,7 @@ class DriveSnapshot(DeviceSnapshot):
 
 
 class DriveExchange(DeviceThread[DriveSnapshot]):
-    """A thread that keeps a drive at the last requested speed, or off.
+    """A thread that keeps a drive running at the last requested speed, or off.
 
     In every period, the thread writes the control word and reads the status, so the drive's own
     communication timeout does not expire. If the thread dies, that timeout stops the drive:
@@ -144,16 +144,16 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
     Every connection begins with *stop*. RUNNING ends if off is requested, a call of `request_speed`
     is late, the drive fails to start, or another program controls it. After a failed start, or if
     the connection is lost while a speed is requested, the drive stays off until `request_speed`
-    requests off. The caller, which limits the number of starts, decides on the next start. During a
-    silence, nothing is sent for longer than the drive's own timeout, which then stops the drive;
-    any message might restart that timeout. A timeout above the limit is treated as unknown. `stop`
-    ends a silence early. `close` works in every state and leaves the drive stopped. From the first
-    connection until `close`, no other program on this machine can use the drive.
+    requests off. The caller, which limits the number of starts, decides when to start the drive
+    again. During a silence, nothing is sent for longer than the drive's own timeout, which then
+    stops the drive; any message might restart that timeout. A timeout above the limit is treated as
+    unknown. `stop` ends a silence early. `close` may be called in every state, and stops the drive.
+    From the first connection until `close`, no other program on this machine can use the drive.
 
     Attributes:
         endpoint: the drive.
-        disbelieved: whether the caller knows that the pump runs although the drive reports that it
-            is at rest.
+        disbelieved: whether the caller knows that the pump is running although the drive reports
+            standstill.
     """
 
     def __init__(
@@ -170,16 +170,16 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
 
         Args:
             endpoint: the drive.
-            period_s: time between two rounds of requests (s); a relay file may set a longer time.
+            period_s: polling interval (s); a relay file may set a longer interval.
             dead_man_s: time without a call of `request_speed` after which the drive is stopped (s).
-            timeout_s: maximum wait for each answer (s).
+            timeout_s: maximum time to wait for each response (s).
             timeout_limit_s: maximum usable communication timeout of the drive (s), which is also
                 the length of a silence if the timeout is longer, unknown or off.
-            stops_locally: whether a person has confirmed that local settings of the drive, which
-                cannot be read, stop the pump.
+            stops_locally: whether the operator has confirmed that local settings of the drive,
+                which cannot be read, stop the pump.
 
         Raises:
-            ConfigurationError: if a library is not installed or a file for the login is wrong.
+            ConfigurationError: if a library is not installed or a login file is invalid.
         """
         super().__init__("communication with the drive", DriveSnapshot())
         self.endpoint, self.disbelieved = endpoint, False
@@ -208,10 +208,10 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         self._guarded_from = -math.inf
 
     def close(self) -> None:
-        """Stop the drive, check that it is at rest, and release it; `snapshot` contains the result.
+        """Stop the drive, check for standstill, and release it; `snapshot` contains the result.
 
         The call waits while the speed falls, for `REST_LIMIT_S` at most. If the speed does not
-        fall, or the drive does not answer, the drive is released after a few seconds.
+        fall, or the drive does not respond, the drive is released after a few seconds.
         """
         self._requested = (None, -math.inf)
         self._rest_deadline = time.monotonic() + REST_LIMIT_S
@@ -223,7 +223,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         """Return a message about the release of the drive, after `close`.
 
         Raises:
-            OSError: if the drive did not answer at the end or is not at rest.
+            OSError: if the drive did not respond at the end or is not at standstill.
         """
         snapshot = self.snapshot
         status = snapshot.status
@@ -274,16 +274,16 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
     def stop(self) -> None:
         """Try to stop the drive now, even during a silence, when `request_speed` has no effect.
 
-        This method is for a person's request to stop; the caller must also request off. If the
+        This method serves an operator's request to stop; the caller must also request off. If the
         attempt fails during a silence, another silence begins.
         """
         self._stop_requested = True
         self._wake.set()
 
     def reset(self) -> None:
-        """Request that the thread stops the drive and acknowledges its fault.
+        """Request that the thread stop the drive and acknowledge its fault.
 
-        Only a fault that is present now is acknowledged: the request expires if there is no
+        Only a fault that is active now is acknowledged: the request expires if there is no
         connection, or if it cannot be carried out within `RESET_S`.
         """
         self._reset_until = time.monotonic() + RESET_S
@@ -326,7 +326,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             self._run_cycle()
 
     def _handle_failure(self, error: Exception, problem: str) -> None:
-        """Close the connection; then begin a silence, plan the next attempt or end the thread."""
+        """Close the connection; begin a silence, schedule the next attempt or end the thread."""
         now, drive = time.monotonic(), self._drive
         if self._requested[0] is not None:
             self._update(start_failed=Diagnosis.of("start_failed", "lost", problem=problem))
@@ -468,7 +468,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             self._pause(self._period_s - (time.monotonic() - started))
 
     def _stop_and_release(self) -> None:
-        """Stop the drive; release it when it is at rest, or when its speed does not fall."""
+        """Stop the drive; release it at standstill, or when its speed does not fall."""
         status = _stop_until_at_rest(self._drive, self._rest_deadline)
         self._done = True
         self._update(state=ExchangeState.CONNECTING, status=status, read_at=boot_time())
@@ -500,7 +500,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         return status
 
     def _write_order(self) -> tuple[bool, str]:
-        """Write the present request; return whether the drive runs, and the problem if not."""
+        """Write the current request; return whether the drive is running, or else the problem."""
         pause_s = PAUSE_S
         try:
             other = self._drive.second_master()
@@ -551,9 +551,9 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
 
 
 def _stop_until_at_rest(drive: Connection, until: float) -> DriveStatus:
-    """Stop a drive; return its status once it is at rest, or once its speed does not fall.
+    """Stop a drive; return its status at standstill, or as soon as its speed fails to fall.
 
-    Drive files do not state the length of the ramp, so the call waits while the speed falls.
+    Drive files do not specify the ramp time, so the call waits for as long as the speed falls.
     """
     fall = Deceleration()
     while True:
@@ -567,7 +567,7 @@ def _stop_until_at_rest(drive: Connection, until: float) -> DriveStatus:
 def stop_drive(endpoint: Endpoint, *, driver: int | None = None) -> DriveStatus:
     """Stop a drive after its driver has died; the call takes `REST_LIMIT_S` at most.
 
-    The lock keeps other drivers away during the call. If the lock cannot be acquired because the
+    The lock excludes other drivers during the call. If the lock cannot be acquired because the
     hung driver or an unknown process holds it, the drive is stopped nevertheless, which is always
     safe.
 
@@ -576,10 +576,10 @@ def stop_drive(endpoint: Endpoint, *, driver: int | None = None) -> DriveStatus:
         driver: process id of the dead or hung driver, which may hold the lock; None for none.
 
     Returns:
-        The drive's status after *stop*; the drive may not be at rest.
+        The drive's status after *stop*; the drive may not be at standstill.
 
     Raises:
-        DriveInUseError: if another process runs the drive; in this case, nothing was sent.
+        DriveInUseError: if another process controls the drive; in this case, nothing was sent.
         DriveError: if three attempts to write *stop* and read the status failed.
     """
     with ExitStack() as lock:

@@ -1,4 +1,4 @@
-"""A lock that lets only one program on this machine control a drive at a time."""
+"""A lock that allows only one program at a time on this computer to control a drive."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class DriveInUseError(DriveError):
 def acquire_drive_lock(drive: Endpoint) -> socket.socket:
     """Acquire the lock of a drive, and return it; closing the socket releases the lock.
 
-    Only one process on this machine, of any user, can hold the lock at a time. A serial line
-    is locked as a whole, with all devices on it. The lock does not keep away a driver on another
+    Only one process on this machine, of any user, can hold the lock at a time. A serial line is
+    locked as a whole, with all devices on it. The lock does not exclude a driver on another
     computer, or in a container with its own network.
 
     Raises:

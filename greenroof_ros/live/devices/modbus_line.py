@@ -1,10 +1,10 @@
-"""A connection to one device on Modbus TCP or RTU: its address, requests and answers.
+"""A connection to a device on Modbus TCP or RTU: its address, requests and responses.
 
-Every answer is checked, and every failure raises an error that names the device. The function codes
-are 03 and 04 (read holding registers, input registers) and 06 (write single register) of the Modbus
-Application Protocol V1.1b3. No request is repeated automatically, because the caller decides how to
-handle a lost request. The module also encodes and decodes the values of registers, and contains a
-thread that serves one device.
+Every response is checked, and every failure raises an error that names the device. The function
+codes are 03 and 04 (read holding registers, input registers) and 06 (write single register) of the
+Modbus Application Protocol V1.1b3. No request is repeated automatically, because the caller decides
+how to handle a lost request. The module also encodes and decodes register values, and contains a
+thread that serves a single device.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class Address:
         host: host for Modbus TCP; empty for a serial line.
         port: port for Modbus TCP; None for the port in the device's file.
         line: the serial line's device, such as ``/dev/ttyUSB0``; empty for TCP.
-        gateway: whether host and port belong to a gateway to the device's serial port.
+        gateway: whether the host and the port are those of a gateway to the device's serial port.
         device_id: unit identifier or slave address; None for the one in the device's file.
     """
 
@@ -105,11 +105,11 @@ class Address:
 
     @property
     def interface(self) -> str:
-        """The interface of the device to which the address leads.
+        """The interface of the device at this address.
 
         ``tcp`` is its own Ethernet port; ``serial`` is its serial port, reached directly or through
-        a gateway. A drive has a communication timeout for each interface, and only that of the
-        interface in use guards the pump.
+        a gateway. A drive has a communication timeout for each interface, and only the timeout of
+        the interface in use protects the pump.
         """
         return "serial" if self.line or self.gateway else "tcp"
 
@@ -176,11 +176,11 @@ def parse_address(text: str, key: str = "address") -> Address:
 
 
 def parse_drive_address(text: str, key: str) -> Address:
-    """Return the address of a drive that a user specified, which may include its device id.
+    """Return the drive address that a user specified, which may include the device id.
 
     Args:
-        text: see `parse_address`; a comma and the unit identifier or slave address may follow, if
-            it differs from the one in the drive file.
+        text: address as for `parse_address`; if the unit identifier or slave address differs from
+            that in the drive file, it follows after a comma.
         key: name of the option or parameter, for messages.
 
     Raises:
@@ -205,7 +205,7 @@ class DriveError(Exception):
     """A failure of a drive or another device; the message names the device and the problem.
 
     Attributes:
-        kind: ``connection`` (no connection, or no answer), ``answer`` (an invalid answer or a
+        kind: ``connection`` (no connection, or no response), ``answer`` (an invalid response or a
             rejection) or ``drive`` (communication works, but the drive does not run).
     """
 
@@ -226,10 +226,11 @@ def check_installed() -> None:
 
 @dataclass
 class _Request:
-    """A request and the bytes received since it was sent.
+    """A request, and the bytes received since the request was sent.
 
     Attributes:
-        copies: maximum number of times that the bytes of the request may be received.
+        copies: maximum number of times that a device may legitimately send the bytes of the
+            request.
         sent: bytes of the request.
         received: all bytes received since the request was sent.
     """
@@ -245,7 +246,7 @@ class _Request:
 
 
 class ModbusLine:
-    """A connection to one device; :meth:`for_device` gives access to others on the same line."""
+    """A connection to a device; :meth:`for_device` gives access to others on the same line."""
 
     def __init__(
         self, address: Address, *, port: int, device_id: int, serial: Serial | None = None,
@@ -258,7 +259,7 @@ class ModbusLine:
             port: the TCP port, unless the address has one.
             device_id: unit identifier or slave address.
             serial: settings of a serial line; not needed over TCP.
-            timeout_s: maximum wait for a connection, and for each answer (s).
+            timeout_s: maximum time to wait for a connection and for each response (s).
 
         Raises:
             ConfigurationError: if the Modbus library is not installed.
@@ -281,7 +282,7 @@ class ModbusLine:
         self._client.recv = partial(self._receive, self._client.recv)  # type: ignore[method-assign]
 
     def for_device(self, device_id: int) -> ModbusLine:
-        """Return this same connection, for requests to another device on it."""
+        """Return this connection for requests to another device on the same line."""
         other = copy.copy(self)
         other._device_id = device_id
         return other
@@ -293,7 +294,7 @@ class ModbusLine:
 
     @property
     def connected(self) -> bool:
-        """Whether the connection is open, as seen from this end."""
+        """Whether the connection is open at this end."""
         return self._client.connected
 
     def connect(self) -> None:
@@ -319,7 +320,7 @@ class ModbusLine:
         """Read holding registers, or input registers if ``inputs`` is true.
 
         Raises:
-            DriveError: if no valid answer arrives.
+            DriveError: if no valid response arrives.
         """
         action = f"reading register {address}"
         client = self._client
@@ -336,7 +337,7 @@ class ModbusLine:
         """Write one holding register.
 
         Raises:
-            DriveError: if no answer arrives, or the answer does not confirm the write.
+            DriveError: if no response arrives, or the response does not confirm the write.
         """
         action = f"writing 0x{word:04X} to register {address}"
         answer = self._request(action, _WRITE, self._client.write_register, address, word)
@@ -350,7 +351,7 @@ class ModbusLine:
         self, action: str, function: int, request: Callable[..., ModbusPDU], *values: int,
         **options: int,
     ) -> ModbusPDU:
-        """Send a request, and return the answer; reject an exception and a wrong function code."""
+        """Send a request, and return the response; reject exceptions and wrong function codes."""
         from pymodbus.exceptions import ModbusException
 
         if not self.connected:
@@ -386,10 +387,10 @@ class ModbusLine:
         return data
 
     def _refuse_echo(self, action: str) -> None:
-        """Raise an error if a request was echoed; only the answer to a write may equal its request.
+        """Raise an error if a request was echoed; only the response to a write may be identical.
 
         Raises:
-            DriveError: if the line returns the bytes that are sent.
+            DriveError: if the line echoes the bytes that are sent.
         """
         if any(request.echoed for request in self._recent):
             raise self.error(
@@ -445,7 +446,7 @@ def _serial_client(
 
 
 def coding_mistakes(kind: str, word_order: str) -> Iterator[tuple[str, str]]:
-    """Yield a mistake in ``word_order``, which is required for values of several words only."""
+    """Yield a mistake in ``word_order``, which only values of more than one word require."""
     if WIDTHS.get(kind, 1) > 1 and not word_order:
         yield "word_order", "must be 'high first' or 'low first'"
     elif word_order and WIDTHS.get(kind, 1) == 1:
@@ -461,7 +462,7 @@ def limits(kind: str) -> tuple[float, float]:
 
 
 def decode(registers: Sequence[int], kind: str, word_order: str = "") -> int | float | str:
-    """Return the value of some registers as text for the type ``text``, otherwise as a number."""
+    """Return the decoded value of registers: text for the type ``text``, otherwise a number."""
     from pymodbus.client.mixin import ModbusClientMixin
 
     types = ModbusClientMixin.DATATYPE
@@ -474,7 +475,10 @@ def decode(registers: Sequence[int], kind: str, word_order: str = "") -> int | f
 
 
 def encode(value: float, kind: str, word_order: str = "") -> list[int]:
-    """Return the registers for a number; integers are rounded and limited to their range."""
+    """Return the registers that encode a number.
+
+    For integer types, the number is rounded and limited to the range of the type.
+    """
     from pymodbus.client.mixin import ModbusClientMixin
 
     if not kind.startswith("float"):
@@ -491,7 +495,7 @@ def encode(value: float, kind: str, word_order: str = "") -> list[int]:
 
 @dataclass(frozen=True)
 class DeviceSnapshot:
-    """A snapshot of the knowledge about a device.
+    """A snapshot of a device's known state.
 
     Attributes:
         read_at: time of the device's last answer (s, `time.monotonic`).
@@ -535,12 +539,12 @@ class DeviceThread(ABC, Generic[S]):
         return self._thread.ident is not None
 
     def start(self) -> None:
-        """Start the thread, unless it has been started."""
+        """Start the thread, unless it has already been started."""
         if not self.started:
             self._thread.start()
 
     def _stop_thread(self, within_s: float) -> bool:
-        """Stop the thread; return whether it ended within a given time (s)."""
+        """Stop the thread, and return whether it ended within the given time (s)."""
         self._closing = True
         self._wake.set()
         if self.started:
@@ -589,5 +593,5 @@ class DeviceThread(ABC, Generic[S]):
             self._pause(remaining)
 
     def _must_not_wait(self) -> bool:
-        """Return whether a wait for the next attempt must end now."""
+        """Return whether the wait for the next attempt must end now."""
         return self._closing

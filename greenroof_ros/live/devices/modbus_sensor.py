@@ -26,15 +26,15 @@ _TIMEOUTS = 3
 class SensorLine(DeviceThread[DeviceSnapshot]):
     """A thread that reads the sensors on one line once per period, the most overdue sensor first.
 
-    The thread connects if needed, and again after every failure. If the line has several sensors,
-    the thread then waits until three timeouts after the beginning of the failed reading. Otherwise,
-    a gateway might label a late answer with the number of the next request, and the answer would be
-    taken for the value of the next register. A sensor that is absent, hangs or sends invalid
-    answers delays the others by three timeouts per reading. The timeout is 0.5 s, or shorter if
-    needed so that reading all n sensors of the line takes at most half of the maximum age A of a
-    value: 3 n timeouts <= A / 2. A period is at most A / 2. The readings of a good sensor are
-    therefore never further apart than A, whatever the other sensors do. At A = 5 s, each of two
-    sensors has 0.42 s to answer.
+    The thread connects if needed, and again after every failure. If there is more than one sensor
+    on the line, the thread then waits until three timeouts have passed since the beginning of the
+    failed reading. Otherwise, a gateway might label a late response with the transaction number of
+    the next request, and the response would be mistaken for the value of the next register. A
+    sensor that is absent, hangs or sends invalid answers delays the others by three timeouts per
+    reading. The timeout is 0.5 s, or shorter if needed so that reading all n sensors of the line
+    takes at most half of the maximum age A of a value: 3 n timeouts <= A / 2. A period is at most A
+    / 2. The interval between the readings of a working sensor therefore never exceeds A, whatever
+    the other sensors do. At A = 5 s, each of two sensors has 0.42 s to respond.
     """
 
     def __init__(self, name: str) -> None:
@@ -48,7 +48,7 @@ class SensorLine(DeviceThread[DeviceSnapshot]):
         self._quiet_until = -math.inf
 
     def start(self) -> None:
-        """Start the thread, unless it has been started.
+        """Start the thread, unless it has already been started.
 
         Raises:
             ConfigurationError: if the Modbus library is not installed.
@@ -130,7 +130,7 @@ class ModbusReader(SensorReader):
         """Read the sensor once.
 
         Raises:
-            DriveError: if no valid answer arrives, or the value is out of range.
+            DriveError: if no valid response arrives, or the value is out of range.
         """
         self._readings.clear_after_suspend()
         value = self._read_quantity(line)

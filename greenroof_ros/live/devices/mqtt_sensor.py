@@ -1,4 +1,4 @@
-"""Receiver of the readings of a sensor on MQTT."""
+"""Receiver of the readings from an MQTT sensor."""
 
 from __future__ import annotations
 
@@ -58,8 +58,9 @@ def read_number(payload: bytes, sensor: MqttSensor) -> float:
 class MqttReader(SensorReader):
     """A receiver of a sensor's messages, which reconnects automatically after every failure.
 
-    A message counts as a reading at the moment of its arrival. A retained message is not a reading,
-    nor are the first messages after a silence or a lost connection, since they may be of any age.
+    A message counts as a reading at the time of its arrival. Retained messages, and the first
+    messages after a silence or a lost connection, do not count as readings, since they may be of
+    any age.
     """
 
     def __init__(
@@ -74,8 +75,7 @@ class MqttReader(SensorReader):
             spread_s: maximum time over which a rise of a total is spread (s).
 
         Raises:
-            ConfigurationError: if the MQTT library is not installed or a file for the login is
-                wrong.
+            ConfigurationError: if the MQTT library is not installed or a login file is invalid.
         """
         broker, self._topic = sensor.broker_and_topic()
         self._sensor = sensor

@@ -29,7 +29,8 @@ class Reading(DeviceSnapshot):
     Attributes:
         read_at: time at which the last attempt ended or the sensor was lost (s, `time.monotonic`).
         value: value in the unit of the quantity's topic. The value is None after a failure, or
-            before the second total; the rise of a total, however, is still published to its end.
+            before the second total. After a failure, however, the last rise of a total is still
+            published until it has been distributed completely.
         code: condition code of the problem.
     """
 
@@ -38,7 +39,7 @@ class Reading(DeviceSnapshot):
 
 
 class RefusedShare:
-    """Counter of the readings in each minute that are rejected too briefly to raise an alarm.
+    """Counter, per minute, of rejected readings whose rejection is too brief to raise an alarm.
 
     Readings that are rejected for so long that they raise an alarm do not count.
     """
@@ -52,7 +53,7 @@ class RefusedShare:
         self._diagnosis: Diagnosis | None = None
 
     def count(self, why: str = "") -> None:
-        """Count a reading, with the reason for its rejection; empty for a good reading."""
+        """Count a reading, with the reason for its rejection; empty for a valid reading."""
         now = time.monotonic()
         if why:
             self._refused_since, self._why = min(self._refused_since, now), why
@@ -77,18 +78,18 @@ class RefusedShare:
 
     @property
     def diagnosis(self) -> Diagnosis | None:
-        """A diagnosis if too many readings were rejected between good readings; otherwise None."""
+        """A diagnosis if too many readings were rejected between valid readings; otherwise None."""
         lost = time.monotonic() - self._refused_since > self._lasts
         return None if lost else self._diagnosis
 
 
 class Readings:
-    """The last readings of a sensor; the quantity is their median.
+    """The latest readings from a sensor; their median is the measured quantity.
 
-    A median removes single wrong readings, which a first-order filter would spread over many
-    readings. The median follows a steady rise or fall of the level with a delay of half its
-    readings, and does not blur the beginning of a rise. The levels of tanks change slowly enough
-    for this delay.
+    A median removes isolated outliers, which a first-order filter would smear over many readings.
+    The median follows a steady rise or fall of the level with a delay of half its window, and does
+    not blur the beginning of a rise. Tank levels change slowly enough for this delay to be
+    acceptable.
 
     Attributes:
         share: counter of the rejected readings.
@@ -109,7 +110,7 @@ class Readings:
         self.share = RefusedShare()
 
     def clear(self, why: str) -> None:
-        """Discard all readings for a reason, so that the next value comes from new readings only.
+        """Discard all readings and record the reason; the next value is based on new readings only.
 
         A running total is not discarded, because its growth in the meantime is water that has
         really fallen or flowed.
@@ -120,10 +121,10 @@ class Readings:
             self._total.sensor_lost()
 
     def clear_after_suspend(self) -> bool:
-        """Discard all readings after a suspension of the machine.
+        """Discard all readings if the computer has been suspended.
 
         Returns:
-            Whether the machine was suspended since the last call.
+            Whether the computer was suspended since the last call.
         """
         before, self._suspended = self._suspended, suspended_time()
         if self._suspended - before <= _SUSPEND_S:
@@ -159,7 +160,7 @@ class Readings:
         return statistics.median_low(self._values)
 
     def current(self, reading: Reading) -> Reading:
-        """Return a reading with its present value; the rate of a total changes between readings."""
+        """Return a reading with its current value; the rate of a total changes between readings."""
         if self._total is None or (rate := self._total.rate()) == reading.value:
             return reading
         return replace(reading, value=rate)
@@ -168,8 +169,8 @@ class Readings:
 class SensorReader:
     """Base class for the reader of a sensor, which keeps the latest snapshot of the quantity.
 
-    A rejected value, a failure or a suspension of the machine empties the filter, so the next value
-    comes from new readings only. The rise of a total is not affected.
+    A rejected value, a failure or a suspension of the computer empties the filter, so the next
+    value is based on new readings only. The rise of a total is not affected.
     """
 
     def __init__(self, sensor: Sensor, unit: str, spread_s: float, first: Reading) -> None:

@@ -1,10 +1,10 @@
-"""Operation of one relay on MQTT according to its relay file.
+"""Operation of a single MQTT relay according to its relay file.
 
-The relay's own timer ends every *on*, and is its communication timeout. *On* is published again
-after at most a third of the timer, but only once the relay has answered the previous *on*. At most
-one *on* can therefore wait in a stalled connection, followed by the *off* that is published when
-the connection is closed. Every message has quality of service 0 and is not retained, so the broker
-does not store messages.
+The relay's own timer switches the relay off after every *on*, and thus serves as its communication
+timeout. *On* is published again after at most a third of the timer, but only once the relay has
+replied to the previous *on*. At most one *on* can therefore wait in a stalled connection, followed
+by the *off* that is published when the connection is closed. Every message is sent with quality of
+service 0 and without the retain flag, so the broker stores no messages.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class RelayEndpoint:
 
     @property
     def period(self) -> float:
-        """Minimum time between two rounds of questions (s)."""
+        """Minimum polling interval (s)."""
         return self.file.period
 
     @property
@@ -70,7 +70,7 @@ class RelayEndpoint:
         The call may block while the host name is resolved.
 
         Raises:
-            OSError: if the host is unknown or no name server answers.
+            OSError: if the host is unknown or no name server responds.
         """
         return f"{Address(self.broker.host).canonical_name(self.broker.port)}-{self.device}"
 
@@ -78,17 +78,17 @@ class RelayEndpoint:
         """Return the relay on a new connection that is not yet open and must be opened only once.
 
         Args:
-            timeout_s: maximum wait for an answer (s), unless the relay file sets a longer wait.
+            timeout_s: maximum time to wait for a reply (s), unless the relay file sets a longer
+                time.
 
         Raises:
-            ConfigurationError: if the MQTT library is not installed or a file for the login is
-                wrong.
+            ConfigurationError: if the MQTT library is not installed or a login file is invalid.
         """
         return Relay(self, max(timeout_s, self.file.answer_within))
 
 
 class RelayLine:
-    """One connection to the broker, over which the relay is queried.
+    """A single connection to the broker, over which the relay is queried.
 
     Attributes:
         where: address of the relay, for messages.
@@ -100,7 +100,7 @@ class RelayLine:
 
         Args:
             relay: the relay.
-            timeout_s: maximum wait for an answer (s).
+            timeout_s: maximum time to wait for a reply (s).
 
         Raises:
             ConfigurationError: if the MQTT library is missing, or a file for the login is wrong.
@@ -129,7 +129,7 @@ class RelayLine:
         """Connect to the broker.
 
         Raises:
-            DriveError: if the broker does not answer or rejects the connection.
+            DriveError: if the broker does not respond or rejects the connection.
         """
         self._client.loop_start()
         with self._changed:
@@ -152,7 +152,7 @@ class RelayLine:
 
         Args:
             message: message to the relay.
-            values: values for the ``$`` names in the message, in addition to those of the
+            values: values of the ``$`` placeholders in the message, in addition to those of the
                 connection.
 
         Raises:
@@ -161,10 +161,10 @@ class RelayLine:
         self._publish(message.topic, message.payload, str(next(self._numbers)), values)
 
     def request(self, name: str) -> Any:
-        """Ask the relay a question, and return its answer, parsed from JSON.
+        """Send a request to the relay, and return its reply, parsed from JSON.
 
         Raises:
-            DriveError: if no valid answer arrives in time.
+            DriveError: if no valid response arrives in time.
         """
         question, number = self._file.questions[name], str(next(self._numbers))
         if not self._awaited.total():
@@ -241,7 +241,7 @@ class RelayLine:
 
 
 class Relay:
-    """One relay on one connection, which the caller opens and closes.
+    """A relay on a single connection, which the caller opens and closes.
 
     Attributes:
         file: the relay file.
@@ -254,7 +254,7 @@ class Relay:
 
         Args:
             endpoint: the relay and its address.
-            timeout_s: maximum wait for an answer (s).
+            timeout_s: maximum time to wait for a reply (s).
 
         Raises:
             ConfigurationError: if the MQTT library is missing, or a file for the login is wrong.
@@ -270,7 +270,7 @@ class Relay:
         self._on_at = 0.0
 
     def identify(self) -> str:
-        """Return make, model and the relay's own name as text.
+        """Return the relay's make, model and own name as text.
 
         Raises:
             DriveError: if the name cannot be read.
@@ -333,17 +333,18 @@ class Relay:
         """Switch the relay on, or keep it on.
 
         The caller repeats the call while the relay must be on. *On* is published again only after
-        the relay has answered the last *on*. *On* is not published if the relay is off although it
-        was switched on: see `second_master`.
+        the relay has replied to the last *on*. *On* is not published if the relay is off although
+        it was switched on: see `second_master`.
 
         Args:
-            speed: speed above 0 (share of the rated speed); a pump on a relay always runs at 1.
-            may_continue: function called before switching on and while waiting; if it returns
-                False, the call ends.
+            speed: speed above 0 (share of the rated speed); a pump switched by a relay always runs
+                at 1.
+            may_continue: function that is called before switching on and while waiting; if it
+                returns False, the call returns early.
 
         Raises:
-            DriveError: if no valid answer arrives, the relay's timer is not effective, or the relay
-                does not switch on.
+            DriveError: if no valid response arrives, the relay's timer is not effective, or the
+                relay does not switch on.
             ValueError: if the speed is out of range.
         """
         if not 0 < speed <= 1:
@@ -389,7 +390,7 @@ class Relay:
         Its own timer, a power failure, a person or another program may have switched the relay.
 
         Raises:
-            DriveError: if no valid answer arrives.
+            DriveError: if no valid response arrives.
         """
         is_on = self._read()
         if self._ordered is None or is_on == self._ordered:
@@ -426,7 +427,7 @@ class Relay:
         self._ordered = True
 
     def _value(self, value: Value, answers: Mapping[str, Any] | None = None) -> Any:
-        """Return a value from the answers; without answers, ask its question first."""
+        """Return a value from the replies; without replies, send the value's request first."""
         answer = self.line.request(value.question) if answers is None else answers[value.question]
         try:
             return value_at(answer, value.path)

@@ -1,8 +1,8 @@
-"""The description of a make of MQTT relay: a file in ``config/drives/``, as frozen dataclasses.
+"""Description of a make of MQTT relay: a file in ``config/drives/``, as frozen dataclasses.
 
-Topics and payloads may contain ``$device``, the relay's own topic as in its address; ``$me``, the
-name of the client that asks; ``$id``, the number of a message; and ``$seconds``, the relay's timer
-in seconds.
+Topics and payloads may contain the following placeholders: ``$device``, the relay's own topic,
+taken from its address; ``$me``, the name of the requesting client; ``$id``, the number of the
+message; and ``$seconds``, the relay's timer in seconds.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class RelayMessage:
 
 @dataclass(frozen=True)
 class Question:
-    """A question to the relay, and the features by which its answer is recognized."""
+    """A request to the relay, and the features by which its reply is recognized."""
 
     topic: str = entry("topic on which the request is published")
     answer: str = entry("topic of the reply, which is a JSON object")
@@ -41,7 +41,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Value:
-    """A value in the answer to a question."""
+    """A value in the reply to a request."""
 
     question: str = entry("name of the request (a key of `questions`)")
     path: str = entry("path of the value in the reply, such as result.output")
@@ -75,7 +75,7 @@ class Scale:
 
 @dataclass(frozen=True)
 class Timer(Value):
-    """The relay's own timer, which switches the relay off and is its communication timeout."""
+    """The relay's own timer, which switches the relay off: its communication timeout."""
 
     scales: tuple[Scale, ...] = entry(
         "conversions to seconds, one for each range of raw values; a value outside all ranges "

@@ -1,4 +1,4 @@
-"""The description of a site's sensors: ``config/sensors.yaml``, as frozen dataclasses."""
+"""Description of a site's sensors: ``config/sensors.yaml``, as frozen dataclasses."""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ class MeasuredQuantity(NamedTuple):
 
     Attributes:
         node: name of the node that publishes the quantity.
-        topic_name: name of the quantity's topic in the interface, which defines unit and range.
+        topic_name: name of the quantity's topic in the interface, which defines the unit and the
+            range.
         spread_s: maximum time over which a rise of a running total is spread (s).
     """
 
@@ -73,7 +74,7 @@ QUANTITIES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Sensor:
-    """Keys that all sensors have in common. The value is the median of converted readings."""
+    """Keys that all sensors have in common. The value is the median of the converted readings."""
 
     scale: float = entry(
         "factor: value = scale x raw + offset, in the unit of the quantity", -1e3, 1e3
@@ -153,7 +154,7 @@ class ModbusSensor(Sensor):
 
     @property
     def unique_key(self) -> tuple[object, ...]:
-        """The place of the sensor's register, which no other sensor may use."""
+        """The location of the sensor's register, which no other sensor may use."""
         return self.connection, self.device_id, self.kind, self.register
 
     @property
@@ -163,14 +164,14 @@ class ModbusSensor(Sensor):
 
     @property
     def registers(self) -> int:
-        """The number of registers that the value takes."""
+        """The number of registers that the value occupies."""
         return WIDTHS[self.type]
 
     def line(self, timeout_s: float) -> ModbusLine:
         """Return a connection to the sensor that is not yet open.
 
         Args:
-            timeout_s: maximum wait for a connection, and for each answer (s).
+            timeout_s: maximum time to wait for a connection and for each response (s).
         """
         return ModbusLine(
             parse_address(self.address), port=_MODBUS_PORT, device_id=self.device_id,
@@ -207,7 +208,7 @@ class MqttSensor(Sensor):
 
     @staticmethod
     def fits(section: Mapping[str, Any]) -> bool:
-        """Return whether a section of the file has the address of a sensor on MQTT."""
+        """Return whether a section of the file contains the address of an MQTT sensor."""
         return str(section.get("address")).startswith(("mqtt://", "mqtts://"))
 
     @property
@@ -260,9 +261,8 @@ def read_sensors(path: Path, max_ages: Mapping[str, float] | None = None) -> Sen
 
     Args:
         path: the file.
-        max_ages: maximum ages of the quantities (s), as far as they are known, by name of their
-            parameters. Neither ``max_age`` nor twice the ``period`` of a sensor may exceed the
-            maximum age.
+        max_ages: maximum ages of the quantities (s), as far as known, keyed by parameter name.
+            Neither ``max_age`` nor twice the ``period`` of a sensor may exceed the maximum age.
 
     Raises:
         ConfigurationError: if a key or value is missing, unknown, impossible or contradictory.

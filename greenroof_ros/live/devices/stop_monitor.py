@@ -1,4 +1,4 @@
-"""Monitor of whether a drive obeys *stop*: its speed must fall, whatever the drive answers."""
+"""Monitor that checks whether a drive obeys *stop*: its speed must fall."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RUNS_ON_AGAIN_S = 60.0
 
 
 class RunsOnError(DriveError):
-    """Error for a drive that runs on after *stop*, and must now be left in silence."""
+    """Error for a drive that runs on after *stop*, and to which nothing must be sent for a time."""
 
 
 class Deceleration:
@@ -38,7 +38,7 @@ class Deceleration:
 
 
 class StopMonitor:
-    """Monitor of whether a drive obeys *stop*, even if connections break.
+    """Monitor that checks whether a drive obeys *stop*, even across lost connections.
 
     A drive obeys if its speed falls, however slowly. A drive in local control is left to the person
     at its panel. All times are those of `time.monotonic` (s).
@@ -65,7 +65,7 @@ class StopMonitor:
         self._silent_until = -math.inf
 
     def stop_written(self, now: float) -> None:
-        """Record that *stop* was written, and is the last command."""
+        """Record that *stop* was written as the last command."""
         self._fall = self._fall or Deceleration()
         self._unread_from = min(self._unread_from, now)
 
@@ -74,7 +74,7 @@ class StopMonitor:
         self._fall = None
 
     def speed_read(self) -> None:
-        """Record that the speed was read, or that a person at the panel watches the drive."""
+        """Record that the speed was read, or that a person at the panel controls the drive."""
         self._unread_from = math.inf
 
     def check(
@@ -85,7 +85,7 @@ class StopMonitor:
         Args:
             status: the status.
             now: the time.
-            disbelieved: whether the pump runs although the drive reports that it is at rest.
+            disbelieved: whether the pump is running although the drive reports standstill.
 
         Raises:
             RunsOnError: if the fault has been visible for long enough or is certain.
@@ -119,8 +119,8 @@ class StopMonitor:
             now: the time.
 
         Returns:
-            The reason why the drive must be left in silence, as an addition to the problem; None if
-            a silence is not needed.
+            The reason why nothing may be sent to the drive for a time, worded to be appended to the
+            problem; None if no silence is needed.
         """
         self._reported_at = math.inf
         if stopped is not None:

@@ -20,12 +20,12 @@ _BITS = (16, 32, 64)
 
 
 class Total:
-    """The rate of a total; each rise is spread over the time it took, within the maximum rate.
+    """The rate of a total; each rise is spread over its duration, within the maximum rate.
 
     The integral of `rate` over time, with each value held until the next call, is the rise of the
-    total. Each call subtracts the volume that the previous value has added. The remaining volume is
-    not affected by a lost connection or a suspension of the machine. A repeated or delayed message
-    therefore changes nothing.
+    total. Each call subtracts the volume that the previous value has contributed. The remaining
+    volume is not affected by a lost connection or a suspension of the machine. A repeated or
+    delayed message therefore changes nothing.
     """
 
     def __init__(self, sensor: Sensor, unit: str, spread_s: float) -> None:
@@ -50,12 +50,12 @@ class Total:
         self._updated_at = time.monotonic()
 
     def sensor_lost(self) -> None:
-        """Record that the sensor is lost, so that only the remainder of the last rise is known."""
+        """Record that the sensor was lost, so that only the remainder of the last rise is known."""
         with self._lock:
             self._growing = False
 
     def rate(self) -> float | None:
-        """Return the present rate; None if no rise remains and the growth is unknown."""
+        """Return the current rate; None if no rise remains to be spread and growth is unknown."""
         with self._lock:
             now = time.monotonic()
             self._due -= self._rate * (now - self._updated_at)

@@ -1,59 +1,60 @@
 """The delivery check, which compares the pumped volume with the change of both levels.
 
-The check keeps three balances of water (m3) that the levels do not explain:
+The check maintains three balances of water (m3) for which the levels do not account:
 
 - *missing on the roof*: a share ``min_delivery`` of the pumped volume (the measured volume, or what
   the speed should deliver if that is more, since a meter shows no flow behind a closed valve),
-  minus the rise of the roof, minus ``max_loss`` for evapotranspiration. This balance grows if a
-  pump runs and the roof's level does not rise, because a pipe has burst or a valve is closed. Rain
-  can only lower this balance.
+  minus the rise of the roof, minus ``max_loss`` for evapotranspiration. This balance grows if the
+  pump is running but the roof's level does not rise, because a pipe has burst or a valve is closed.
+  Rain can only lower this balance.
 - *lost from the cistern*: the fall of the cistern, minus the pumped volume and the volume that a
   low outlet may have drawn, both divided by ``min_delivery``, minus ``max_loss`` for a drifting
   sensor. This balance grows if water leaves while the pump is stopped, because of a leak or a stuck
   contactor. Rain can only lower this balance. The upper outlet does not matter, since the cistern's
   volume counts only up to that outlet. While the level is above a low outlet, or unknown, any other
-  loss is detected only if it exceeds the flow of that outlet. This may be the case only after the
-  level has fallen and the outlet's flow has decreased. A clogged low outlet is not a fault.
+  loss is detected only if it exceeds the flow of that outlet. This may happen only after the level
+  has fallen, so that the outlet's flow has decreased. A clogged low outlet is not a fault.
 - *not from the cistern*: a share ``min_delivery`` of the pumped volume, minus the fall of the
   cistern, minus ``max_loss`` for a drifting sensor, minus the mains water that may have entered
-  while the reading was below the level of the mains valve, or unknown. This balance grows if a pump
-  runs and the cistern does not fall: its sensor is stuck, perhaps with some noise, or drifts
-  upward, so the pump would eventually run dry. The balance is at most that share of the pumped
-  volume, so rain while the pump is stopped does not cause a fault. Rain while the pump runs
-  explains ``a_in / a2`` times the roof's rise beyond that share, as if all the rain ran off,
-  because a storm's runoff coefficient may be above the mean. If a_in is at least a2, rain explains
-  so much that only the first balance remains effective.
+  while the reading was below the level of the mains valve, or unknown. This balance grows if the
+  pump is running but the cistern's level does not fall: the level sensor is stuck (perhaps with
+  some noise) or drifts upward, so the pump would eventually run dry. The balance is at most that
+  share of the pumped volume, so rain while the pump is stopped does not cause a fault. While the
+  pump is running, rain accounts for ``a_in / a2`` times the roof's rise beyond that share, as if
+  all the rain ran off, because a storm's runoff coefficient may be above the mean. If a_in is at
+  least a2, rain can account for so much water that only the first balance remains effective.
 
 Water is counted even while a level is unknown, and the balances resume when the level is known
-again, so a sensor that is silent now and then hides no loss. Jumps of a level that water cannot
-cause do not count, except that the third balance treats a downward jump of the cistern as a fall. A
-drift that ends with a jump back therefore does not become a fault later.
+again. A sensor that is silent intermittently therefore hides no loss. Jumps of a level that water
+cannot cause do not count, except that the third balance treats a downward jump of the cistern as a
+fall. A drift that ends with a jump back therefore does not become a fault later.
 
 On a field-capacity soil, only the share of the pumped volume that the soil retains at the target
-counts; the rest percolates. At no other level at which the roof is watered is this share smaller.
-To infer rain, the third balance instead uses the share that the soil retains at its present
-wetness: a drier roof retains more of the pumped water, and that is not rain.
+counts; the rest percolates. This share is smallest at the target: at all other levels at which the
+roof is watered, the soil retains at least as much. To infer rain, the third balance instead uses
+the share that the soil retains at its current moisture content: a drier roof retains more of the
+pumped water, and this excess must not be mistaken for rain.
 
 Levels and volumes are averaged over the same ``averaging_time``, so neither lags the other. A
 balance that rises by more than ``level_tolerance`` times the area above its minimum so far is a
-fault (Page's test, E. S. Page, Biometrika 41, 1954: a good past does not hide a present fault). On
-the roof, the counted share of the volume pumped since then must be at least as large, so a heat
-wave does not look like a burst pipe. The roof's level counts only up to its target plus
-``level_offset``, and the cistern's only up to its outlet minus ``level_offset``, which is the
-permanent error that a sensor may have.
+fault (Page's test, E. S. Page, Biometrika 41, 1954: fault-free operation in the past does not mask
+a current fault). On the roof, the counted share of the volume pumped since then must be at least as
+large, so a heat wave does not look like a burst pipe. The roof's level counts only up to its target
+plus ``level_offset``, and the cistern's only up to its outlet minus ``level_offset``, which is the
+largest permissible systematic error of a sensor.
 
 A level that does not change at all needs no averaging and no ``min_delivery``. An unchanged roof is
 a fault once ``level_tolerance`` times its area has been pumped since it last changed. If both
 levels are unchanged, it is a fault once the tolerance times the cistern's area has been pumped.
 Both volumes are net of ``max_loss``. Without this test, the frozen-level rule, which clears
-automatically, would stop the pump first, again and again.
+automatically, would repeatedly stop the pump before a balance reported the fault.
 
-Why there are no false alarms: if a reading arrives every second with an independent error of 5 mm
-(standard deviation), the mean over 60 s has an error of 5 mm / sqrt(2 60) = 0.46 mm. A false alarm
-needs two means 6 mm apart in the wrong direction, which is 9 standard deviations of their
-difference. The probability is less than 1e-19 for a pair, and in a year some 1e8 pairs are close
-enough in time to count. With a reading every 10 s the error of the means is three times as large,
-and the tolerance must be, too.
+False alarms are practically impossible: if a reading arrives every second with an independent error
+of 5 mm (standard deviation), the mean over 60 s has an error of 5 mm / sqrt(2 60) = 0.46 mm. A
+false alarm needs two means 6 mm apart in the wrong direction, which is 9 standard deviations of
+their difference. The probability is less than 1e-19 per pair of means, and some 1e8 pairs per year
+are close enough in time to count. With a reading every 10 s, the error of the means is three times
+as large, so the tolerance must be three times as large as well.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ _M_PER_S = 1e-3 / 3600
 
 
 class _Sums(NamedTuple):
-    """Totals since the check began, or changes of these totals."""
+    """Totals since the check began, or changes in these totals."""
 
     elapsed: float = 0.0
     """s"""
@@ -98,7 +99,7 @@ class _Sums(NamedTuple):
 
 
 class _Balance:
-    """A balance of unexplained water, measured from its minimum so far."""
+    """A balance of unexplained water, measured relative to its minimum so far."""
 
     def __init__(self) -> None:
         self.rise = 0.0
@@ -111,7 +112,7 @@ class _Balance:
 
         Args:
             unaccounted: unexplained part of the change (m3).
-            change: change of the sums.
+            change: change in the sums.
             share: share of the pumped volume that limits the rise of the balance.
         """
         self.rise, self.since_min = self.rise + unaccounted, self.since_min.add(change)
@@ -164,10 +165,10 @@ class DeliveryCheck:
             cistern_level: level of the cistern (m); None if unknown.
             roof_level: level of the roof (m); None if unknown.
             min_pumped: volume that was or should have been pumped since the last step (m3).
-            max_pumped: largest volume that can have been pumped (m3): the worst case if the speed
-                was unknown.
-            displacements: total displacements of the readings of cistern and roof by jumps so far
-                (m).
+            max_pumped: maximum volume that can have been pumped (m3), which is the worst case if
+                the speed was unknown.
+            displacements: total displacements of the cistern's and the roof's readings by jumps so
+                far (m).
         """
         site, settings = self._site, self._settings
         if roof_level is not None:
@@ -219,7 +220,7 @@ class DeliveryCheck:
         return self._check_cistern_falls(change)
 
     def _check_cistern_falls(self, change: _Sums) -> Diagnosis | None:
-        """Return a fault if the cistern does not fall although water is pumped out of it."""
+        """Return a fault if the cistern's level does not fall although water is pumped out."""
         site, share = self._site, self._settings.min_delivery
         not_drawn = share * change.min_pumped + change.overfull_cistern
         not_drawn -= self._loss * site.a1 * change.elapsed + change.mains
@@ -244,7 +245,8 @@ class DeliveryCheck:
     def _change_of_mean(self, dt: float, present: _Sums) -> _Sums:
         """Return the change of the moving mean.
 
-        Until there are enough readings, the plain mean is used, and its changes do not count.
+        Until there are enough readings, the mean of all readings is used, and its changes do not
+        count.
         """
         before, averaging = self._mean, self._settings.averaging_time
         if before is None or self._watched == 0:
@@ -255,7 +257,7 @@ class DeliveryCheck:
         return self._mean.add(before, -1.0) if self._watched > averaging else _Sums()
 
     def _check_unchanged(self, now: _Sums) -> Diagnosis | None:
-        """Return a fault if the roof, or both tanks, did not change while water was pumped."""
+        """Return a fault if the roof's level, or both levels, did not change during pumping."""
         site = self._site
         (_, cistern), (_, roof) = self._last_change
         longer = roof if roof.elapsed > cistern.elapsed else cistern

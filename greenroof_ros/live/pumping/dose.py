@@ -1,8 +1,8 @@
-"""A dose: a volume that a person requests, delivered once instead of the controller's command.
+"""A dose: a volume requested by an operator, delivered once instead of the controller's command.
 
-Anything that would stop the pump ends the dose, and a restart of the node discards it; the person
-must then request another dose. This way, no dose starts later than expected, and none continues
-unwatched.
+Anything that would stop the pump ends the dose, and a restart of the node discards it; the operator
+must then request another dose. No dose therefore starts later than expected or continues
+unattended.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ class Dose:
         delivered: volume delivered so far (m3).
         begun: whether the pump has run for the dose.
         over: outcome of the dose, as a machine-readable word; empty until the dose ends.
-        why: action of the pump for the dose, or the reason why the dose waits or has ended.
+        why: what the pump is doing for the dose, or the reason why the dose is waiting or has
+            ended.
         cause: code of the interlock that ended the dose.
     """
 
@@ -70,18 +71,18 @@ class Dose:
 
 
 class Doses:
-    """Requests for doses, and the progress of the newest dose.
+    """Requests for doses, and the progress of the latest dose.
 
-    A request is identified by the time at which it was made. The request must be newer than the
-    previous request and newer than this object, so a repeated request is carried out neither twice
-    nor after a restart.
+    A request is identified by the time at which it was made. The request must be newer than both
+    the previous request and this object, so that a repeated request is not carried out a second
+    time, even after a restart.
 
     Attributes:
-        last: the newest dose, until some time after its end; None if there is no dose.
+        last: the latest dose, until some time after its end; None if there is no dose.
     """
 
     def __init__(self, site: Site, now: float) -> None:
-        """Begin without a dose.
+        """Initialize without a dose.
 
         Args:
             site: site, which determines whether doses are allowed, and their maximum volume.
@@ -117,7 +118,7 @@ class Doses:
             requested_at: time at which the request was made (s since 1970), which is the dose's id.
             volume: requested volume (m3).
             now: system time (s since 1970).
-            minimum: smallest volume that the pump can deliver (m3).
+            minimum: minimum volume that the pump can deliver (m3).
             inhibit_reason: reason why the pump must not run now; empty if it may run.
         """
         if self._largest is None:
@@ -146,7 +147,7 @@ class Doses:
         return ""
 
     def advance(self, dt: float, delivered: float) -> None:
-        """Count time and delivered volume; end the dose if it is delivered or has expired.
+        """Add elapsed time and delivered volume; end a dose that is delivered or has expired.
 
         Args:
             dt: elapsed time on a steady clock (s).
@@ -167,13 +168,13 @@ class Doses:
             self.end(EXPIRED, f"the dose could not be started within {EXPIRES_S:g} s: {dose.why}")
 
     def share(self, max_flow: float) -> float:
-        """Return the share of the maximum flow (m3/s) that the present dose requires."""
+        """Return the share of the maximum flow (m3/s) that the current dose requires."""
         dose = self.present
         assert dose is not None
         return min(1.0, (dose.volume - dose.delivered) / (_SLOWS_S * max_flow))
 
     def end(self, how: str, why: str = "", cause: str = "") -> None:
-        """End the present dose, if there is one.
+        """End the current dose, if there is one.
 
         Args:
             how: outcome of the dose, one of this module's constants such as ``DONE``.

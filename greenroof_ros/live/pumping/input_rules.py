@@ -1,6 +1,6 @@
-"""Rules for the use of live inputs: their age, their publishers, and the movement of water.
+"""Rules for the use of live inputs, based on age, publishers, and the movement of water.
 
-The caller passes the time of a steady clock (s).
+The caller supplies the time of a steady clock (s).
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ class LevelBounds(NamedTuple):
     """Maximum rates of change of a tank's level, and its maximum plausible value.
 
     Attributes:
-        rise: function that returns the fastest rise at a level in m (m/s, not negative).
-        fall: function that returns the fastest fall at a level in m (m/s, not negative).
+        rise: function that returns the maximum rate of rise at a level in m (m/s, not negative).
+        fall: function that returns the maximum rate of fall at a level in m (m/s, not negative).
         max: maximum plausible level (m).
     """
 
@@ -56,7 +56,7 @@ class LevelBounds(NamedTuple):
 
 
 def cistern_bounds(site: Site) -> LevelBounds:
-    """Return the bounds of the cistern, which rain and mains fill, and pumps and outlets empty.
+    """Return the bounds of the cistern, filled by rain and mains, emptied by pumps and outlets.
 
     All the rain on the catchment counts, since a storm's runoff coefficient may be above the mean.
     """
@@ -83,8 +83,8 @@ class Movement(NamedTuple):
     """Bounds on the rate at which a level must rise.
 
     Attributes:
-        min: slowest rise (m/s).
-        max: fastest rise (m/s), negative if the level must fall.
+        min: minimum rate of rise (m/s).
+        max: maximum rate of rise (m/s), negative if the level must fall.
     """
 
     min: float
@@ -92,14 +92,14 @@ class Movement(NamedTuple):
 
 
 class Wetting:
-    """Rain that wets surfaces, fills hollows or evaporates instead of running off."""
+    """Rain that wets surfaces, fills depressions or evaporates instead of running off."""
 
     def __init__(self) -> None:
-        """Begin with dry surfaces."""
+        """Initialize with dry surfaces."""
         self._retained = 0.0  # m
 
     def excess(self, rain: float, passed: float) -> float:
-        """Return the rain in excess of what the surfaces may hold back (m/s).
+        """Return the rain in excess of the amount that the surfaces may retain (m/s).
 
         Args:
             rain: rain rate (m/s).
@@ -114,24 +114,24 @@ def expected_movement(
     site: Site, flow: float, rain: float, running_off: float, cistern_level: float,
     roof_level: float, frozen_movement: float = 0.0,
 ) -> tuple[Movement, Movement]:
-    """Return the movements that the levels of cistern and roof must make.
+    """Return the changes that the levels of the cistern and the roof must undergo.
 
     A rise is reduced by all possible losses: evapotranspiration from the roof, the flow of a low
-    outlet, mains that are shut, and rain that surfaces hold back. A fall is reduced by all the rain
-    on the catchment, and by the mains. Rises and falls are reduced by the drift of a sensor, so
-    small amounts do not add up over days.
+    outlet, a closed mains valve, and rain that surfaces retain. A fall is reduced by all the rain
+    on the catchment, and by the mains. Rises and falls are also reduced by the drift of a sensor,
+    so that small amounts do not accumulate over days.
 
     A tank that overflows is not expected to move, since its inflow leaves it again. This applies to
     the cistern at its outlet, the roof at the depth of its soil, and a field-capacity soil once it
     retains no more water. No fall through the low outlet is expected, since a narrow outlet can
     clog. A coarse sensor may be off by half of `frozen_movement`, so a tank is treated as
-    overflowing, and the mains as open, as soon as that is possible.
+    overflowing, and the mains valve as open, as soon as this is possible within that error.
 
     Args:
         site: the site.
         flow: flow from the cistern to the roof (m3/s).
         rain: rain rate (m/s).
-        running_off: rain in excess of what surfaces may hold back (m/s).
+        running_off: rain in excess of the amount that surfaces may retain (m/s).
         cistern_level: level of the cistern (m).
         roof_level: level of the roof (m).
         frozen_movement: movement as in `LevelRule` (m); 0 if the levels are exact.
@@ -157,10 +157,10 @@ def expected_movement(
 class LevelRule:
     """Rule that rejects impossible levels: frozen, jumping, or above any plausible level.
 
-    A value above the maximum plausible level is rejected and otherwise ignored, as its unit is
-    wrong.
+    A value above the maximum plausible level is rejected and otherwise ignored, since it must be in
+    the wrong unit.
 
-    To detect jumps, the rule keeps the interval that must contain the true level. The interval
+    To detect jumps, the rule tracks the interval that must contain the true level. The interval
     widens as fast as water can rise and fall, and each value narrows it to within half the
     tolerance of that value. If the interval becomes empty, the value has jumped, and the interval
     restarts from it. The rule detects a single step as well as many small, rapid ones; noise within
@@ -172,14 +172,14 @@ class LevelRule:
     """
 
     def __init__(self, bounds: LevelBounds, frozen_movement: float, jump_tolerance: float) -> None:
-        """Begin without a value.
+        """Initialize without a value.
 
         Args:
             bounds: bounds of the tank.
-            frozen_movement: movement (m) beyond which a reading that has not changed is frozen; it
-                must exceed the sensor's resolution.
-            jump_tolerance: maximum difference between two values beyond the change that water can
-                cause (m).
+            frozen_movement: expected change in level (m) beyond which an unchanged reading is
+                considered frozen; must exceed the sensor's resolution.
+            jump_tolerance: maximum difference between two values in excess of the change that water
+                can cause (m).
         """
         self.displacement = 0.0
         self._bounds = bounds
@@ -204,7 +204,7 @@ class LevelRule:
         self._frozen = self._frozen or moved > self._frozen_movement
 
     def check(self, now: float, value: float) -> Diagnosis | None:
-        """Check a new value (m), and return a diagnosis if water cannot have reached it, or None.
+        """Check a new value (m); return a diagnosis if water cannot have reached it, or None.
 
         The returned diagnosis does not contain the topic yet.
         """
@@ -248,18 +248,18 @@ class LevelRule:
 
 
 class InputRules:
-    """Rules of one input, which is valid again after it has obeyed all of them for a time."""
+    """Rules of a single input, which is valid again after it has satisfied all rules for a time."""
 
     def __init__(
         self, now: float, limit: float, recovery: float, *, topic: str = "",
         limit_name: str = "limit", level: LevelRule | None = None,
     ) -> None:
-        """Begin to wait for the first value.
+        """Start waiting for the first value.
 
         Args:
             now: time of a steady clock (s).
             limit: maximum age (s).
-            recovery: time for which all rules must have been obeyed (s).
+            recovery: time for which all rules must have been satisfied (s).
             topic: full name of the topic, for messages.
             limit_name: name of the limit's parameter, for messages.
             level: an additional rule, if the input is a level.
@@ -296,12 +296,12 @@ class InputRules:
         return self.check(now)
 
     def refuse(self, now: float, why: str) -> Diagnosis | None:
-        """Reject the newest value, because its reader cannot use it."""
+        """Reject the latest value, because its recipient cannot use it."""
         self._newest = Diagnosis.of("input_refused", "refused", why=why)
         return self.check(now)
 
     def clear(self, seconds: float) -> None:
-        """Forget all values, because this process itself was paused for this long (s)."""
+        """Discard all values, because this process itself was paused for the given time (s)."""
         if self._received_at is not None:
             self._received_at = None
             self._newest = Diagnosis.of("input_paused", time=seconds)
@@ -329,7 +329,7 @@ class InputRules:
         )
 
     def _broken_rule(self, now: float, publishers: str) -> Diagnosis | None:
-        """Return the diagnosis of the first broken rule, without regard to recovery."""
+        """Return the diagnosis of the first violated rule, regardless of the recovery time."""
         if publishers:
             return Diagnosis.of("input_publishers", problem=publishers)
         if self._received_at is None:

@@ -1,7 +1,7 @@
 """Evaluation of the interlocks in the order in which ``msg_defs/conditions.yaml`` lists them.
 
-An interlock is active while there is a reason for it. The pump does not run while any interlock is
-active.
+An interlock is active for as long as there is a reason for it. The pump does not run while any
+interlock is active.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ def evaluate(reasons: Iterable[Diagnosis]) -> dict[str, Diagnosis]:
         reasons: reasons against running the pump.
 
     Raises:
-        KeyError: if a code is not that of an interlock.
+        KeyError: if a code does not belong to an interlock.
     """
     present = {reason.code: reason for reason in reasons}
     interlocks = read_interlocks()

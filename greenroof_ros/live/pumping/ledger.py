@@ -1,35 +1,35 @@
-"""The state of the pump node that must survive a restart: hold, fault, starts, use in 24 h.
+"""The state of the pump node that must survive a restart: hold, fault, starts, and usage in 24 h.
 
 A hold keeps the pump off. The owner of a hold is whoever requested it; its reason may be empty, and
 it may have no end. The ledger promises:
 
-- The hold is read before the pump may run. Neither a restart nor a power cut ends it.
+- The hold is read before the pump may run. It survives restarts and power cuts.
 - There is one hold at a time. A later request replaces its owner and reason, but never shortens it:
-  the later end counts, and having no end counts as the latest.
-- A hold ends at its time on the system clock, or when anyone releases it.
+  the later end applies, and a hold without an end counts as the latest.
+- A hold ends at the specified time on the system clock, or when anyone releases it.
 - If it is unknown whether there was a hold or a fault, the pump stays off until someone who has
   checked the pump clears this state.
 
-The file has two lines of fixed length, padded with blanks and overwritten in place in turn. Its
-space is allocated when the file is made, so a hold or a fault can be saved even if the disk is full
-later (except on file systems that never write in place: btrfs, zfs). Each line begins with its
-checksum and is one page long. Killing the process does not tear a page, but a power cut may. The
-other line is then intact, but the torn line may have contained a hold or a fault, so it is unknown
-whether there was one. Holds and faults are also unknown if the file cannot be read, has a later
-format, is an older copy or that of another site, or is missing while another file shows that there
-was a pump node before. Keys that this version does not know are ignored, and some keys may be
-missing. The file is made under another name, then renamed.
+The file has two lines of fixed length, which are padded with blanks and alternately overwritten in
+place. Its space is allocated when the file is created, so a hold or a fault can be saved even if
+the disk later becomes full (except on file systems that never write in place: btrfs, zfs). Each
+line begins with its checksum and is one page long. Killing the process does not tear a page, but a
+power cut may. The other line is then intact, but the torn line may have contained a hold or a
+fault, so it is unknown whether there was one. Holds and faults are also unknown if the file cannot
+be read, has a later format, is an older copy or that of another site, or is missing while another
+file shows that there was a pump node before. Unknown keys are ignored, and some keys may be
+missing. The file is created under another name, then renamed.
 
 The disk thread writes the file, so a slow disk does not delay the control of the pump. A lock on a
-file next to it ensures that only one ledger writes, since the record of a second one would erase a
-hold or a fault. The lock's file also contains the number of the last line that was written. The
+file next to it ensures that only one ledger writes, since the record of a second ledger would erase
+a hold or a fault. The lock file also contains the number of the last line that was written. The
 first number is random, so the numbers differ between sites. If another program removes or changes
 the file, it is written again.
 
-Use is counted in slots of half an hour, over the last 24 h of the ledger's clock, which starts at
-its first step and follows the machine's steady clock, whether or not the node runs. Time before the
-machine's start is not added, since no one knows whether the system clock was right then. The oldest
-slot counts in full until all of it is more than 24 h old.
+Usage is counted in slots of half an hour, over the last 24 h of the ledger's clock, which starts at
+the ledger's first step and follows the computer's steady clock, whether or not the node is running.
+Time before the computer's start is not added, since it is unknown whether the system clock was
+correct then. The oldest slot counts in full until all of it is more than 24 h old.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ _WAIT_S = 0.5
 
 @dataclass(frozen=True)
 class PumpRecord:
-    """State of the pump that is kept across restarts.
+    """State of the pump that is preserved across restarts.
 
     Attributes:
         hold_owner: owner of the hold; empty if there is no hold.
@@ -101,12 +101,13 @@ class PumpRecord:
         fault_code: code of the fault's interlock.
         elapsed: time since the ledger's first step (s).
         use: time on (s) and pumped volume (m3) in each of the last slots of ``elapsed``; the last
-            entry is the present slot.
-        starts: times of the pump's last starts (s, as ``elapsed``); the file keeps the last
+            entry is the current slot.
+        starts: times of the pump's last starts (s, as in ``elapsed``); the file contains the last
             hundred.
         on: whether the pump was on when the record was written.
-        boot: identity of the machine's start after which the record was written; empty if unknown.
-        boot_s: time between that start and the writing (s).
+        boot: identifier of the computer's start after which the record was written; empty if
+            unknown.
+        boot_s: time from that start until the record was written (s).
     """
 
     hold_owner: str = ""
@@ -138,7 +139,7 @@ class PumpRecord:
         return math.fsum(volume for _, volume in self.use)
 
     def clears_in(self, *, run: float = math.inf, volume: float = math.inf) -> float:
-        """Return the time (s) until the use in 24 h is below both limits (s, m3)."""
+        """Return the time (s) until the usage in 24 h is below both limits (s, m3)."""
         left = self
         while left.day_run >= run or left.day_volume >= volume:
             left = replace(left, use=left.use[1:])
@@ -154,7 +155,7 @@ class Ledger:
     the file at its own start, and writes nothing until it can acquire the file (:meth:`acquire`).
 
     Attributes:
-        record: the present record.
+        record: the current record.
     """
 
     def __init__(self, file: Path | None, system_clock: Callable[[], float]) -> None:
@@ -178,10 +179,10 @@ class Ledger:
             self._load(file, noted)
 
     def acquire(self) -> bool:
-        """Acquire the file if it was not acquired before; return whether it was acquired now.
+        """Acquire the file unless it is already acquired; return whether this call acquired it.
 
-        The file's present content counts, plus any hold and fault that this ledger received in the
-        meantime. An earlier release does not apply to the file's content, even if that is
+        The file's current content counts, plus any hold and fault that this ledger received in the
+        meantime. An earlier release does not apply to the file's content, even if that content is
         unreadable.
         """
         if self._file is None or self._file_lock is not None:
@@ -198,7 +199,7 @@ class Ledger:
         return True
 
     def _lock(self, file: Path) -> bool:
-        """Become the only writer of the file, and return whether that was possible."""
+        """Become the only writer of the file, and return True on success."""
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
             self._file_lock = acquire_file_lock(_lock_file(file))
@@ -267,7 +268,7 @@ class Ledger:
         self._save()
 
     def clear_unknown(self) -> None:
-        """Accept that an earlier hold or fault may have been lost."""
+        """Clear the unknown state, accepting that an earlier hold or fault may have been lost."""
         self.record = replace(self.record, unknown="")
         self._save()
 
@@ -285,7 +286,7 @@ class Ledger:
         self._save()
 
     def count(self, dt: float, run: float, volume: float) -> None:
-        """Count elapsed time (s), the pump's time on during it (s), and the pumped volume (m3)."""
+        """Add elapsed time (s), the pump's time on within it (s), and the pumped volume (m3)."""
         self._advance(dt)
         *earlier, (before_run, before_volume) = self.record.use or ((0.0, 0.0),)
         present = before_run + run, before_volume + volume
@@ -297,7 +298,7 @@ class Ledger:
             self._save()
 
     def count_unseen(self, max_run: float, flow: float) -> None:
-        """Count the worst-case use after a node ended before it had seen the pump off.
+        """Add the worst-case usage after a node that ended before it had seen the pump off.
 
         Args:
             max_run: longest time for which the pump may have run since the record was written (s).
@@ -309,7 +310,7 @@ class Ledger:
             self.switch(False)
 
     def check_file(self) -> bool:
-        """Write the file again if another program changed it; return whether one ever has."""
+        """Rewrite the file if another program has changed it; return whether one ever has."""
         if self._file_lock is None:
             return False
         if self._lines.changed:
@@ -318,10 +319,10 @@ class Ledger:
         return self._lines.changed
 
     def flush(self, within: float = _WAIT_S) -> str:
-        """Write the record, and return the reason if it is not on the disk, or an empty text.
+        """Write the record, and return the reason why it is not on the disk, or an empty text.
 
         Args:
-            within: longest wait for the disk (s); the write continues after that.
+            within: maximum time to wait for the disk (s); the write continues after that.
         """
         self._save()
         if not DISK.wait(within):
@@ -329,7 +330,7 @@ class Ledger:
         return self.problem
 
     def close(self) -> str:
-        """Write the record and release the file; return why the record is not on the disk."""
+        """Write the record and release the file; return the reason if it is not on the disk."""
         problem = self.flush(PATIENCE_S)
         if self._file is not None and self._file_lock is not None and DISK.wait(0.0):
             if not self._lines.sequence:  # never made, so the next start counts as a first one, too
@@ -352,9 +353,9 @@ class Ledger:
 
 
 def make_record(file: Path) -> None:
-    """Make the file if it is missing, before other files would show that there was a pump node.
+    """Create the file if it is missing, before other files would indicate that a pump node has run.
 
-    An existing file is left unchanged, since the age of its last line counts as unseen use.
+    An existing file is left unchanged, since the age of its last line counts as unobserved usage.
     """
     if not os.path.lexists(file):
         Ledger(file, time.time).close()
@@ -364,9 +365,9 @@ class _Lines:
     """The two lines of the file.
 
     Attributes:
-        sequence: number of the newest line; 0 if the file must be made.
+        sequence: number of the latest line; 0 if the file must be created.
         changed: whether another program was found to have changed the file.
-        lock: the file of the lock, which also receives the number; None before the file is locked.
+        lock: the lock file, in which the number is also written; None before the file is locked.
     """
 
     def __init__(self, file: Path) -> None:
@@ -377,7 +378,7 @@ class _Lines:
         self._written = b""  # the newest line
 
     def check(self) -> None:
-        """Check whether the newest line is unchanged; runs on the disk thread."""
+        """Check whether the latest line is unchanged; runs on the disk thread."""
         if self._written:
             self.changed = not self._is_written()
 
@@ -441,7 +442,7 @@ def _line(sequence: int, record: PumpRecord) -> bytes:
 
 
 def _rounded_up(value: float) -> float:
-    """Return the value rounded up to four digits, so that a line has room for any use."""
+    """Return the value rounded up to four digits, so that any usage fits on a line."""
     if value == 0:
         return 0
     unit = 10.0 ** (math.floor(math.log10(value)) - 3)
@@ -449,13 +450,13 @@ def _rounded_up(value: float) -> float:
 
 
 def _create(file: Path, first: int, record: PumpRecord) -> None:
-    """Write the file under another name, then rename it, which replaces a broken file in one step.
+    """Write the file under another name, then rename it, which replaces a damaged file atomically.
 
     The remains of a failed attempt would keep the pump off at the next start, so they are removed
     unless a hold or a fault would then be forgotten.
 
     Raises:
-        OSError: if the file cannot be written, for instance because there is no room.
+        OSError: if the file cannot be written, for instance because the disk is full.
     """
     if os.path.lexists(file) and not file.is_file():
         raise FileExistsError(errno.EEXIST, "it exists but is not a file")
@@ -480,7 +481,7 @@ def _create(file: Path, first: int, record: PumpRecord) -> None:
 
 
 def _overwrite(file: Path, sequence: int, record: PumpRecord) -> None:
-    """Write the line that is next in turn.
+    """Overwrite the line whose turn it is.
 
     Raises:
         OSError: if the disk fails.
@@ -494,12 +495,12 @@ def _overwrite(file: Path, sequence: int, record: PumpRecord) -> None:
 
 
 def _lock_file(file: Path) -> Path:
-    """Return the file of the lock; the record's file cannot serve, as it is replaced if broken."""
+    """Return the lock file; the record's file cannot be locked, since it is replaced if damaged."""
     return file.with_name(file.name + _LOCK)
 
 
 def _read_number(file: Path) -> int | None:
-    """Return the number of the last line that was written, 0 if unknown; None without a lock."""
+    """Return the number of the last line that was written; 0 if unknown, None without a lock."""
     try:
         return int(_lock_file(file).read_bytes()[LOCK_BYTES:] or 0)
     except FileNotFoundError:
@@ -516,8 +517,8 @@ def _read(file: Path, noted: int | None) -> tuple[PumpRecord, int, bool]:
         noted: number of the last line that was written, 0 if unknown; None if there was no lock.
 
     Returns:
-        The newest record; its number, 0 if the file must be made; and whether the file was intact.
-        If the file was not intact, the record stops the pump.
+        The latest record; its number, 0 if the file must be created; and whether the file was
+        intact. If the file was not intact, the record keeps the pump off.
     """
     numbered, problems = [], []
     try:
@@ -577,7 +578,7 @@ def _parse(line: bytes, number: int) -> tuple[int, PumpRecord]:
     """Return a line's sequence number and record.
 
     Raises:
-        ValueError: if the line is broken or has a later format.
+        ValueError: if the line is damaged or has a later format.
     """
     checksum, _, text = line.rstrip().partition(b" ")
     if checksum != b"%08x" % zlib.crc32(text):

@@ -1,6 +1,6 @@
-"""Limits of a pump: their settings, the reasons against running, and pulses below minimum flow.
+"""Limits of a pump: settings, reasons to keep the pump off, and pulses below minimum flow.
 
-Inhibits that are due to a limit clear automatically.
+Inhibits caused by a limit clear automatically.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ _FAR = 0.1
 def _volume_per_day(site: Site) -> float:
     """Return the volume (m3) that fills an empty roof and replaces a day's loss, with the margin.
 
-    The loss is the maximum evapotranspiration. A field-capacity soil needs more, as it retains only
-    a share of the pumped water.
+    The loss is the maximum evapotranspiration. A field-capacity soil needs a larger volume, since
+    it retains only a share of the pumped water.
     """
     evapotranspiration = _MAX_EVAPOTRANSPIRATION * site.crop_coefficient * site.a2
     replaced = evapotranspiration / soil_of(site).retained_share(site.x2_star)
@@ -59,7 +59,7 @@ def _time_for(site: Site, volume: float) -> float:
 class PumpSettings:
     """The limits of a pump and the thresholds of its checks.
 
-    Every field states its meaning, range, unit and default. Some defaults depend on the site;
+    Every field specifies its meaning, range, unit and default. Some defaults depend on the site;
     :func:`pump_parameters` returns them all.
     """
 
@@ -162,7 +162,7 @@ def pump_parameters(site: Site) -> tuple[Parameter, ...]:
 
 
 class PumpLimits:
-    """Limits on time off, starts, run time, use in 24 h, cistern level, frost and quiet hours.
+    """Limits on time off, starts, run time, usage in 24 h, cistern level, frost and quiet hours.
 
     After the node starts, the pump first waits for the minimum time off, since it is unknown how
     long it has been off.
@@ -213,11 +213,11 @@ class PumpLimits:
             self._rests_for = max(0.0, self._rests_for - dt)
 
     def reasons(self, command: float | None, observed: Observation) -> Iterator[Diagnosis]:
-        """Yield the present reasons against running; must be called at every step.
+        """Yield the current reasons for keeping the pump off; must be called at every step.
 
         Args:
-            command: share of the maximum flow; 0 ends the rest after the longest run, and None (no
-                valid command) does not.
+            command: share of the maximum flow; 0 ends the pause after the longest permitted run,
+                whereas None (no valid command) does not.
             observed: present observations.
         """
         settings, record = self._settings, self._ledger.record
@@ -262,17 +262,17 @@ class PumpLimits:
 class Pulses:
     """Conversion of a command into a flow that the pump can deliver, continuously or in pulses.
 
-    Below its minimum flow a pump overheats, and below its minimum speed it delivers nothing; the
-    larger of these flows is the minimum share. A smaller command is delivered in pulses at the
-    minimum share. A minimum pulse is the volume that this share delivers in the minimum time on.
-    The outstanding volume is the commanded volume minus the volume that the actual flow has
-    delivered. A pulse begins when a minimum pulse will be outstanding by its end, and ends when
-    nothing is outstanding. The pump therefore lags the command by at most a minimum pulse, and
-    exceeds it only by the flow of one step and the flow while coming to rest.
+    Below its minimum flow, a pump overheats; below its minimum speed, it delivers nothing. The
+    minimum share is the larger of the two corresponding flows. A smaller command is delivered
+    in pulses at the minimum share. A minimum pulse is the volume that this share delivers in the
+    minimum time on. The outstanding volume is the commanded volume minus the volume that the actual
+    flow has delivered. A pulse begins when a minimum pulse will be outstanding by its end, and ends
+    when nothing is outstanding. The pump therefore lags the command by at most a minimum pulse, and
+    exceeds it only by the flow of one step and the flow while the pump is coming to a standstill.
 
     The outstanding volume is limited, so that the pump does not catch up on obsolete demand:
 
-    - an interlock, unwatched time and the end of a dose set it to 0;
+    - an interlock, unmonitored time and the end of a dose set it to 0;
     - if the demand is 0 (command 0, or a full roof) or at least the minimum share, it is at most
       one minimum pulse;
     - in between, it is at most the volume that the minimum share delivers from one permitted start
@@ -290,7 +290,7 @@ class Pulses:
         self.clear()
 
     def min_share(self, cistern_level: float) -> float:
-        """Return the smallest share of the maximum flow that may be requested at a level (m)."""
+        """Return the minimum share of the maximum flow that may be requested at a level (m)."""
         slowest = flow_at(self._site, self._settings.min_speed, cistern_level)
         return max(self._settings.min_flow, slowest / self._flow(1.0, cistern_level))
 
@@ -304,11 +304,11 @@ class Pulses:
         return min(1.0, max(self._settings.min_speed, speed))
 
     def count(self, delivered: float, dt: float) -> None:
-        """Count the volume delivered in dt (m3), and the volume that :meth:`update` demanded."""
+        """Subtract the volume delivered in dt (m3), and add the volume that `update` demanded."""
         self._set_outstanding(self.outstanding + self._wanted * dt - delivered)
 
     def clear(self) -> None:
-        """Forget the outstanding volume and the demand."""
+        """Reset the outstanding volume and the demand."""
         self._wanted = self._maximum = self.outstanding = 0.0
 
     def update(self, command: float, cistern_level: float, on: bool, since_start: float) -> float:
@@ -316,7 +316,7 @@ class Pulses:
 
         Args:
             command: share of the maximum flow, 0 to 1.
-            cistern_level: level of the cistern (m), from which the pump lifts.
+            cistern_level: level of the cistern (m), from which the pump lifts the water.
             on: whether the pump is on.
             since_start: time since the pump was last started (s).
         """

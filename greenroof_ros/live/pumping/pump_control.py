@@ -1,4 +1,4 @@
-"""Control of the pump at every step: it follows the command unless an interlock is active."""
+"""Control of the pump at every step: the pump follows the command unless an interlock is active."""
 
 from __future__ import annotations
 
@@ -43,16 +43,16 @@ class Decision:
             off, but may still be turning.
         why: reason for the state, in words.
         interlocks: the active interlocks by code, in the order of their table.
-        flow: best present estimate of the flow (m3/s).
+        flow: best current estimate of the flow (m3/s).
         source: source of the flow, in words.
-        warnings: conditions that an operator should know although they do not stop the pump.
+        warnings: conditions that an operator should know about although they do not stop the pump.
         at_rest: whether the pump is stopped, either as reported or because of the drive's own
             timeout.
         reported_speed: speed that the drive reports, share of the rated speed, negative if
-            backwards; None if the drive does not answer or its value is implausible.
+            backwards; None if the drive does not respond or its value is implausible.
         flow_known: whether ``flow`` is known; if not, ``flow`` is 0.
-        blind_for: time for which the delivery check has been unable to judge (s), because a level
-            is unknown or the levels have not been known for long enough.
+        blind_for: time for which the delivery check has been inoperative (s), because a level is
+            unknown or the levels have not been known for long enough.
     """
 
     speed: float | None
@@ -69,7 +69,7 @@ class Decision:
 
     @property
     def disbelieved(self) -> bool:
-        """Whether the drive reports rest, but a meter shows that the pump runs."""
+        """Whether the drive reports standstill although a meter shows that the pump is running."""
         speed = self.reported_speed
         rests = self.speed is None and speed is not None and abs(speed) <= STANDSTILL
         return rests and not self.at_rest
@@ -79,21 +79,21 @@ class PumpControl:
     """Conversion of commands into speeds, with the pump kept off while an interlock is active.
 
     Attributes:
-        doses: requests for doses, with the dose that is waiting, is running or ended a moment ago.
-        min_pulse: smallest volume that the pump can deliver (m3), and thus the smallest dose;
+        doses: requests for doses, with the dose that is waiting, is running or has just ended.
+        min_pulse: minimum volume that the pump can deliver (m3), and thus the minimum dose;
             infinite until the level is known.
     """
 
     def __init__(
         self, site: Site, settings: PumpSettings, ledger: Ledger, drive_stops_after: float
     ) -> None:
-        """Count the worst-case use since the last record, and begin with the pump off.
+        """Add the worst-case usage since the last record, and start with the pump off.
 
         Args:
             site: the site.
             settings: the pump's limits.
             ledger: ledger with the state before this start.
-            drive_stops_after: time after which a drive that does not answer has stopped (s);
+            drive_stops_after: time after which a drive that does not respond has stopped (s);
                 infinite if it may run on.
         """
         self._site = site
@@ -130,7 +130,7 @@ class PumpControl:
         """Accept a request for a dose and return an empty string, or return the reason against it.
 
         Args:
-            request: time at which it was made (s since 1970), which is its id.
+            request: time at which the request was made (s since 1970), which is the dose's id.
             volume: requested volume (m3).
         """
         return self.doses.request(
@@ -149,7 +149,7 @@ class PumpControl:
 
     @property
     def clear_refusal(self) -> str:
-        """Reason against clearing the latched fault from the page; empty if there is none."""
+        """Reason why the latched fault cannot be cleared from the page; empty if it can."""
         record = self._ledger.record
         if not record.fault:
             return "there is no fault"
@@ -159,7 +159,7 @@ class PumpControl:
         return ""
 
     def clear(self) -> None:
-        """Clear the latched fault, if any, and forget the evidence that led to it."""
+        """Clear the latched fault, if any, and discard the evidence that led to it."""
         if self._ledger.record.fault:
             self._ledger.fault("", "")
             self._delivery = DeliveryCheck(self._site, self._settings)
@@ -167,11 +167,11 @@ class PumpControl:
             self._failed_starts = 0
 
     def count_unseen(self, dt: float) -> None:
-        """Count unseen time, such as a suspension of the machine; the pump is then off.
+        """Account for unmonitored time, such as a suspension of the computer; the pump is then off.
 
-        In the worst case, the pump ran on until the drive's own timeout stopped it. The unseen time
-        does not count as time without an answer from the drive: whether the drive is stopped must
-        be read again.
+        In the worst case, the pump ran on until the drive's own timeout stopped it. The unmonitored
+        time does not count as time without a response from the drive: whether the drive has stopped
+        must be read again.
 
         Args:
             dt: time since the last step (s).
@@ -193,14 +193,14 @@ class PumpControl:
         self._setpoint = None
 
     def step(self, dt: float, observed: Observation, drive_dt: float | None = None) -> Decision:
-        """Decide the present state and speed of the pump.
+        """Determine the state and the speed of the pump for this step.
 
         Args:
             dt: time since the last step (s), 0 at the first.
             observed: present observations.
-            drive_dt: time for which the drive was watched since the last step (s); None if it
-                equals ``dt``. The two times differ after the machine was suspended, since the drive
-                was then not watched.
+            drive_dt: time for which the drive was monitored since the last step (s); None if it
+                equals ``dt``. The two times differ after the computer was suspended, since the
+                drive was then not monitored.
         """
         drive_dt = dt if drive_dt is None else drive_dt
         speed_known, backwards, reported = (
@@ -302,18 +302,18 @@ class PumpControl:
         )
 
     def _dose_command(self, cistern_level: float) -> float:
-        """Return the command for the present dose: at least the minimum share, to avoid pulses."""
+        """Return the command for the current dose: at least the minimum share, to avoid pulses."""
         maximum = flow_at(self._site, 1.0, cistern_level)
         return max(self.doses.share(maximum), self._pulses.min_share(cistern_level))
 
     def _flow(
         self, observed: Observation, computed: float | None, warnings: list[Diagnosis]
     ) -> tuple[float | None, str]:
-        """Return the present flow (m3/s; None if unknown), and its source.
+        """Return the current flow (m3/s; None if unknown), and its source.
 
         Args:
             observed: the measurements.
-            computed: expected flow at the present speed (m3/s); None if unknown.
+            computed: expected flow at the current speed (m3/s); None if unknown.
             warnings: list to which warnings about implausible flows are added.
         """
         site = self._site
@@ -334,7 +334,7 @@ class PumpControl:
         return computed, "unknown, assumed 0" if computed is None else "computed from the speed"
 
     def _unseen_flow(self, observed: Observation) -> float:
-        """Return the worst-case flow while the drive does not answer (m3/s); 0 once stopped."""
+        """Return the worst-case flow while the drive does not respond (m3/s); 0 once stopped."""
         if observed.speed is not None or self._must_be_at_rest():
             return 0.0
         level = self._site.z_o if observed.cistern_level is None else observed.cistern_level
@@ -345,7 +345,7 @@ class PumpControl:
         return self._max_speed <= STANDSTILL or self._unknown_for > self._drive_stops_after
 
     def _count(self, dt: float, speed: float | None, unseen: float, measured: float) -> None:
-        """Count the time since the last step as on or off, and the larger of both flows (m3/s)."""
+        """Record the time since the last step as on or off, and the higher of both flows (m3/s)."""
         turns = speed is not None and speed > STANDSTILL
         on = self._setpoint is not None or turns or unseen > measured
         self._limits.count(dt, on)
@@ -357,11 +357,11 @@ class PumpControl:
         return speed is not None and abs(speed - setpoint) > self._settings.follow_tolerance
 
     def _is_beyond_ramp(self, speed: float, drive_dt: float) -> bool:
-        """Whether the drive's ramp cannot explain the speed of the pump.
+        """Whether the speed of the pump cannot be explained by the drive's ramp.
 
-        The speed of a drive that obeys is between the speed that the slowest ramp has reached and
-        the requested speed. The ramp continues from the drive's speed, so a new request counts from
-        there. The ramp begins when the pump begins to turn.
+        The speed of a drive that obeys lies between the speed that the slowest ramp has reached and
+        the requested speed. The ramp continues from the drive's current speed, so a new request is
+        measured from that speed. The ramp begins when the pump begins to turn.
         """
         if self._setpoint is not None and speed <= STANDSTILL:
             self._ramped = speed
@@ -378,11 +378,11 @@ class PumpControl:
 
     @property
     def _flows_on(self) -> bool:
-        """Whether a meter has shown flow for so long that the drive's report of rest is false."""
+        """Whether a meter has shown flow for so long that the reported standstill must be false."""
         return self._flowed_for > self._settings.follow_time
 
     def _flows_at_rest(self, drive_dt: float, observed: Observation) -> Diagnosis | None:
-        """Return a fault if a meter shows flow although the drive reports rest.
+        """Return a fault if a meter shows flow although the drive reports standstill.
 
         A drive knows the state of its motor, and a relay its last command; neither detects a welded
         contact.
@@ -401,9 +401,9 @@ class PumpControl:
         self, drive_dt: float, observed: Observation, backwards: Diagnosis | None,
         undelivered: Diagnosis | None,
     ) -> list[Diagnosis]:
-        """Return the present faults, and the latched fault until it is reset.
+        """Return the current faults, and the latched fault until it is reset.
 
-        The result includes the other reasons that the ledger keeps: a hold, and an unreadable
+        The result includes the other reasons stored in the ledger: a hold, and an unreadable
         record.
         """
         failed_start = next(
@@ -454,7 +454,7 @@ class PumpControl:
     def _follow(
         self, command: float, full: bool, cistern_level: float, warnings: list[Diagnosis]
     ) -> tuple[float | None, str]:
-        """Return the speed for a command (None for off), and why; no interlock may be active."""
+        """Return the speed for a command (None for off), and the reason; no interlock is active."""
         pulses, on = self._pulses, self._setpoint is not None
         demanded = 0.0 if full else command
         since_start = self._limits.since_start

@@ -1,6 +1,6 @@
-"""The inputs of the pump node, and everything that its control knows at a step.
+"""The inputs of the pump node, and all the values available to its control at a step.
 
-A new input needs a row and a field in this module, its topic with the maximum age in
+A new input requires a row and a field in this module, its topic with the maximum age in
 ``msg_defs/topics.yaml``, and its conditions in ``msg_defs/conditions.yaml``.
 """
 
@@ -19,8 +19,8 @@ class PumpInput(NamedTuple):
     Attributes:
         name: name of the field of :class:`Observation` that the input sets.
         topic: name of the topic in the interface.
-        unknown: code of the interlock while the input is unknown; empty if the pump runs without
-            it.
+        unknown: code of the interlock while the input is unknown; empty if the pump can run without
+            this input.
     """
 
     name: str
@@ -52,10 +52,10 @@ class Observation:
         speed: speed of the drive, as a share of the rated speed.
         flow: flow that a flow meter measures (m3/s).
         drive_flow: flow that the drive itself reports (m3/s).
-        drive_ready: whether the drive runs, or would run if requested.
+        drive_ready: whether the drive is running, or would run if requested.
         drive_fault: the drive's fault, as text; empty if there is none.
         runs_on: whether the fault means that the drive does not obey a stop.
-        reasons: the pump node's own reasons against running.
+        reasons: the pump node's own reasons for keeping the pump off.
     """
 
     command: float | None = None
