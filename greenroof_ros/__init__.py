@@ -63,7 +63,7 @@ SIGNALS = tuple(  # Windows has no SIGHUP
 
 
 def end_interrupted(*_: Any) -> None:
-    """Handle a signal during a command's imports, which take seconds, or after its end: exit.
+    """Exit on a signal during a command's imports, which take seconds, or after the command's end.
 
     A KeyboardInterrupt would print a traceback, or would raise another error in the import of a
     compiled module. :func:`greenroof_ros.common.command_line.command` replaces this handler.
@@ -73,10 +73,10 @@ def end_interrupted(*_: Any) -> None:
 
 
 def end_on_interrupt() -> None:
-    """Make Ctrl-C, SIGTERM and SIGHUP stop this process, a command, during its imports.
+    """Make Ctrl-C, SIGTERM and SIGHUP stop this command's process during its imports.
 
-    The process continues to ignore the signals that the shell makes it ignore, such as Ctrl-C in
-    the background.
+    Signals that the shell has set to be ignored, such as Ctrl-C for a background process, remain
+    ignored.
     """
     for number in SIGNALS:
         if signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL):

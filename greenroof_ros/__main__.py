@@ -22,8 +22,8 @@ class Command:
     """A command, whose module is imported only when the command is chosen.
 
     Attributes:
-        module: name of a module in ``greenroof_ros.commands``, or its name including another
-            folder; the module provides ``main`` and ``make_parser``.
+        module: name of a module in ``greenroof_ros.commands``, or the name including the folder for
+            a module in another folder; the module provides ``main`` and ``make_parser``.
         about: description of the command in one line, for the help.
         part: name of the object in the module that provides ``main`` and ``make_parser``, if the
             module has more than one command; otherwise empty.

@@ -51,7 +51,7 @@ def _read_record(record: Mapping[str, Any]) -> Alarm:
 
 
 def read_alarms(directory: Path) -> list[Alarm]:
-    """Return the newest recorded alarms of a live site, ordered by number.
+    """Return the latest recorded alarms of a live site, ordered by number.
 
     Each line of the file contains the state of an alarm at the time of writing; the last line with
     a given number is the valid one. If there is no file, for example because the disk was full, the
@@ -103,10 +103,10 @@ class AlarmLog:
     """
 
     def __init__(self, print_line: Callable[[str], None], file: Path) -> None:
-        """Continue the file of earlier starts; alarms that are still active in it end now.
+        """Continue the file from earlier starts; alarms that are still active in the file end now.
 
         Args:
-            print_line: function that prints a line for people to read.
+            print_line: function that prints a line of text.
             file: file to which the disk thread writes every change.
         """
         self.last_number = self.count = self.changes = 0
@@ -132,7 +132,7 @@ class AlarmLog:
         return [to_record(alarm) for alarm in self._newest.values()]
 
     def add(self, changes: Iterable[Change]) -> None:
-        """Print and store changes of alarms; a new level or cause is stored but not printed."""
+        """Print and store changes to alarms; a new level or cause is stored but not printed."""
         for what, alarm in changes:
             title = f"{'alarm' if alarm.is_serious else 'warning'} {alarm.number}"
             if what == "begins":
@@ -160,7 +160,7 @@ class AlarmLog:
         """Write an alarm (in the disk thread); if the file is full, begin a new file.
 
         A new file begins with the alarms that are still active, so that none of them is lost. A
-        write error has no other effect than a warning, since the alarm is also in the summary.
+        write error only causes a warning, since the alarm is also in the summary.
         """
         written = [alarm]
         try:

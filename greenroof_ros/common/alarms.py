@@ -3,11 +3,11 @@
 Only this module decides which diagnoses are alarms, according to the table of conditions. The
 module receives reports and returns alarms. The supervisor of a live site passes the reports from
 its sockets to this module; the page, the status command and the bridge pass the reports from
-/diagnostics. A node sends the same report both ways, with the code, the beginning and the duration
-of each fault. Therefore all observers see the same alarms, with the same node, part, code and
-beginning. A node that died counts as lost since its last report on /diagnostics, even if it is
-restarted before its silence alone would have been noticed. The supervisor prints the alarms and
-records them next to the bag (:mod:`greenroof_ros.common.alarm_log`), and the bag contains the
+/diagnostics. A node sends the same report through both channels, with the code, the beginning and
+the duration of each fault. Therefore all observers see the same alarms, with the same node, part,
+code and beginning. A node that died counts as lost since its last report on /diagnostics, even if
+it is restarted before its silence alone would have been noticed. The supervisor prints the alarms
+and records them next to the bag (:mod:`greenroof_ros.common.alarm_log`), and the bag contains the
 reports themselves. Therefore alarms need not be published, and no alarm is hidden if the supervisor
 dies.
 """
@@ -136,7 +136,7 @@ def advise(code: str, role: str, node: str) -> str:
 
 @dataclass(frozen=True)
 class Alarm:
-    """A fault, as it is shown to people and stored in ``alarms.jsonl``.
+    """A fault, as shown to users and stored in ``alarms.jsonl``.
 
     Attributes:
         number: number of the alarm: 1, 2, ... in the order in which the alarms began.
@@ -149,7 +149,7 @@ class Alarm:
         since: beginning of the fault, as reported by the node (s since 1970; in the file, UTC in
             ISO 8601 format).
         ended: end of the fault, in the same format as its beginning; None while the fault lasts.
-        seconds: duration of the fault by the steady clock (s); None while the fault lasts or if the
+        seconds: duration of the fault on the steady clock (s); None while the fault lasts or if the
             duration is unknown.
         follows: node and part of the alarm that causes this alarm; empty if there is no such alarm.
         about: the topics concerned, or the nodes that are being waited for.
@@ -238,7 +238,7 @@ class NodeReport:
     Attributes:
         name: fully qualified name of the node.
         role: the node's role in the interface.
-        process: machine and process number of the node's process.
+        process: machine and process ID of the node's process.
         state: one of the states in :mod:`greenroof_ros.common.states`.
         values: all other values in the node's report.
         began: time at which the first report was received (steady clock, s).
@@ -368,7 +368,7 @@ def _parse_number(text: str) -> float:
 
 
 def is_starting(nodes: Sequence[NodeReport], wall: float) -> bool:
-    """Return True if the site is starting: every online node began less than 60 s ago."""
+    """Return True if the site is starting: every online node started less than 60 s ago."""
     up = [node.values.get("up_s") for node in nodes if node.is_online(wall)]
     return bool(up) and all(isinstance(age, (int, float)) and age < _START_S for age in up)
 
@@ -390,7 +390,7 @@ class Change(NamedTuple):
 
 
 class _Lasting(NamedTuple):
-    """The identity of a current diagnosis, and its beginning by steady clock and graph time (s)."""
+    """The identity of a current diagnosis, and its beginning in steady and graph time (s)."""
 
     identity: tuple[str, str]
     began: float
@@ -398,7 +398,9 @@ class _Lasting(NamedTuple):
 
 
 class Judge:
-    """The derivation of alarms from diagnoses. Times called ``wall`` are on the steady clock (s).
+    """The derivation of alarms from diagnoses.
+
+    Arguments named ``wall`` are times on the steady clock (s).
 
     Attributes:
         alarms: the active alarms and the latest past alarms, by the names of their statuses.
@@ -428,7 +430,7 @@ class Judge:
 
     @property
     def over(self) -> list[Alarm]:
-        """The alarms that are over, the latest first."""
+        """The past alarms, latest first."""
         ended = sorted(self._ended, key=lambda name: -self._ended[name])
         return [self.alarms[name] for name in ended]
 
@@ -442,8 +444,8 @@ class Judge:
             wall: current time on the steady clock (s).
             now: current time of the graph (s since 1970).
             diagnoses: all current diagnoses, by the names of their statuses.
-            starting: True while the site is starting; nodes and values that are only late are then
-                no alarm.
+            starting: True while the site is starting; nodes and values that are merely late then
+                cause no alarm.
         """
         before, self._lasting = self._lasting, {}
         for name, diagnosis in diagnoses.items():
@@ -497,7 +499,7 @@ class Judge:
     def _judge(
         self, wall: float, name: str, diagnosis: StatusDiagnosis, cause: str
     ) -> Iterator[Change]:
-        """Begin or continue the alarm of a diagnosis, if the diagnosis is an alarm by now."""
+        """Begin or continue the alarm of a diagnosis, if the diagnosis now counts as an alarm."""
         lasting, before = self._lasting[name], self.alarms.get(name)
         news: dict[str, Any] = {
             "level": LEVELS[diagnosis.level], "sentence": diagnosis.sentence,
@@ -537,8 +539,8 @@ def find_causes(diagnoses: Mapping[str, StatusDiagnosis]) -> dict[str, str]:
 
     The pump's state follows from the diagnosis of the part that reports more about the reason. A
     node's missing input follows from the diagnosis of the publisher. An error does not follow from
-    a warning. A state of the pump that requires a person at the pump does not follow from any other
-    diagnosis, because advice about a cause would hide the need for a person.
+    a warning. A state of the pump that requires a visit to the pump does not follow from any other
+    diagnosis, because advice about a cause would conceal the need for this visit.
 
     Args:
         diagnoses: diagnoses of the graph's own nodes, by the names of their statuses, oldest first.
@@ -598,7 +600,8 @@ def find_publishers(
 
     Args:
         topics: names of topics in the interface.
-        reader: role of the node that reads the topics, which is left out; empty for none.
+        reader: role of the node that reads the topics, whose diagnoses are left out; empty for
+            none.
         diagnoses: diagnoses of the graph's own nodes, by the names of their statuses.
     """
     interface, roles = read_topics(), set[str]()

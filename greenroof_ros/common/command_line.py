@@ -204,7 +204,7 @@ class Parser(argparse.ArgumentParser):
         self.hint = ""
 
     def parse_args(self, args: Iterable[str] | None = None, namespace: Any = None) -> Any:
-        """Parse a command line; for an unknown option, suggest the options that may be meant."""
+        """Parse a command line; for an unknown option, suggest the likely options."""
         parsed, unknown = self.parse_known_args(args, namespace)
         if unknown:
             option = next((word[2:] for word in unknown if word.startswith("--")), "")
@@ -219,7 +219,7 @@ class Parser(argparse.ArgumentParser):
         return parsed
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """Reject a value that is not one of the option's choices; suggest what may be meant."""
+        """Reject a value that is not one of the option's choices, and suggest likely choices."""
         if action.choices is not None and value not in action.choices:
             wrong = f"{value!r} {describe_choices([*action.choices], str(value))}"
             raise argparse.ArgumentError(action, wrong)

@@ -1,6 +1,6 @@
 """Conditions of the graph (``msg_defs/conditions.yaml``): codes, sentences, advice and interlocks.
 
-Messages contain codes and values, from which the sentence is composed only where people read it.
+Messages contain codes and values, from which the sentence is composed only where it is displayed.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ class Interlock:
         kind: type of the interlock: latched, inhibit or permissive.
         source: module that detects the condition.
         limit: parameters that determine when the interlock is active.
-        follows: True if the interlock is left out while an earlier interlock of its kind is active,
-            because it may be only a consequence of the earlier interlock.
-        by: the person, service or transition that clears the interlock, if different from the usual
-            one of its kind; otherwise empty.
+        follows: True if the interlock is left out while an earlier interlock of the same kind is
+            active, because it may be only a consequence of the earlier interlock.
+        by: the person, service or transition that clears the interlock, if this differs from the
+            usual one for the kind of interlock; otherwise empty.
         on_page: True if the interlock can also be cleared on the page.
         input: part of the pump node that reports the unknown input; empty if the interlock is not
             about an input.
@@ -53,7 +53,7 @@ class Interlock:
 
 @dataclass(frozen=True)
 class Condition:
-    """The row of the table for a code; the file explains every attribute."""
+    """The table's row for a code; ``conditions.yaml`` explains every attribute."""
 
     meaning: str
     advice: str
@@ -69,7 +69,7 @@ class Condition:
 
     @property
     def needs_operator(self) -> bool:
-        """Whether a person has to go to the pump, whatever the cause is."""
+        """Whether a person has to go to the pump, whatever the cause."""
         return self.by_hand or (self.interlock is not None and self.interlock.kind == LATCHED)
 
     def advise(self, node: str, role: str = "", reset: str = "") -> str:
@@ -78,7 +78,7 @@ class Condition:
         Args:
             node: fully qualified name of the node, for the services that the advice names.
             role: the node's role in the interface.
-            reset: text about the way to clear a fault; empty for the command.
+            reset: instruction for clearing a fault; if empty, the command ``greenroof reset``.
         """
         return self.by_role.get(role, self.advice).format(
             node=node,
@@ -121,7 +121,7 @@ class Diagnosis:
     Attributes:
         code: code of the condition.
         text: sentence from another source, such as a record; empty for the table's sentence.
-        values: values that are inserted in the table's sentence, which programs can also use.
+        values: values to insert in the table's sentence; programs can also use these values.
             ``case`` contains the names of the sentences if the table has more than one for the
             code. A value can be another diagnosis.
     """
@@ -143,7 +143,7 @@ class Diagnosis:
 
     @functools.cached_property
     def sentence(self) -> str:
-        """The sentence, for people, that describes the diagnosis."""
+        """The human-readable sentence that describes the diagnosis."""
         if self.text:
             return self.text
         condition = read_conditions()[self.code]
@@ -184,7 +184,7 @@ def identity_of(values: Mapping[str, Any]) -> tuple[str, str]:
 def join_diagnoses(
     diagnoses: Sequence[Diagnosis], worst: Diagnosis | None = None
 ) -> Diagnosis | None:
-    """Join diagnoses into one with the code and values of the worst; None if there are none.
+    """Merge diagnoses into one with the code and values of the worst diagnosis; None for none.
 
     Args:
         diagnoses: the diagnoses, in the order of their sentences.
@@ -201,7 +201,7 @@ def join_diagnoses(
 
 
 class _Formatter(Formatter):
-    """Formatter like :meth:`str.format`, whose format ``duration`` writes a time (s) for people."""
+    """Formatter like :meth:`str.format`, with the additional format ``duration`` for times (s)."""
 
     def format_field(self, value: Any, spec: str) -> str:
         if spec != "duration":

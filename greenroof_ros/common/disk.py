@@ -33,7 +33,8 @@ class DiskThread:
     exit.
 
     Attributes:
-        refused: number of jobs that were rejected, because there was no room or no thread.
+        refused: number of jobs that were rejected because the queue was full or there was no
+            thread.
     """
 
     def __init__(self) -> None:
@@ -72,7 +73,7 @@ class DiskThread:
             return bool(self._jobs) and time.monotonic() - self._jobs[0][2] > PATIENCE_S
 
     def wait(self, within: float) -> bool:
-        """Wait at most the given time (s) until all jobs are done; return True if they are done."""
+        """Wait for all jobs, but at most the given time (s); return True if all jobs are done."""
         with self._changed:
             return self._changed.wait_for(lambda: not self._jobs, within)
 

@@ -30,7 +30,7 @@ _REPR = _Repr()
 
 
 def describe_value(value: object) -> str:
-    """Return Python's representation of a value for a message, cut to 300 characters."""
+    """Return Python's representation of a value for a message, truncated to 300 characters."""
     try:
         return _shorten(_REPR.repr(value), _MAX_VALUE)
     except ValueError:  # from Python
@@ -44,7 +44,7 @@ def _shorten(text: str, max_length: int) -> str:
 
 
 class ConfigurationError(Exception):
-    """Raised if a file or an option is invalid; the message names the place and the valid values.
+    """Raised if a file or an option is invalid; the message states where, and the valid values.
 
     A command then exits with code 2 and prints no traceback.
 
@@ -78,7 +78,7 @@ class ConfigurationError(Exception):
 
 @contextmanager
 def rename_keys(names: Mapping[str, str]) -> Iterator[None]:
-    """Rename keys in errors to the user's names of inputs, such as ``--hours`` for ``hours``.
+    """Rename keys in errors to the user's names for inputs, such as ``--hours`` for ``hours``.
 
     Args:
         names: the user's names, by the keys in errors; other keys and keys in files are unchanged.
@@ -93,7 +93,7 @@ def rename_keys(names: Mapping[str, str]) -> Iterator[None]:
 
 
 class HangError(Exception):
-    """Raised if a callback does not return in time; the message states the time and the place."""
+    """Raised if a callback does not return in time; the message states limit and position."""
 
 
 class OccupiedError(ConfigurationError):
@@ -145,13 +145,13 @@ def find_similar(name: str, known: Collection[str]) -> list[str]:
 
 
 def suggest_names(name: str, known: Collection[str]) -> str:
-    """Return a clause, for a message, with the names that may be meant, or else all known names."""
+    """Return a clause, for a message, with the most similar names, or else all known names."""
     meant = find_similar(name, known)
     return f"did you mean {' or '.join(meant)}?" if meant else f"choose from {', '.join(known)}"
 
 
 def describe_choices(known: Collection[str], name: str, otherwise: str = "") -> str:
-    """Return a message about an unknown name, with the names that may be meant, or all names.
+    """Return a message about an unknown name, with the most similar names, or all names.
 
     Args:
         known: the valid names.

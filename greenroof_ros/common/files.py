@@ -84,7 +84,7 @@ was started with, each under its full path"""
 
 
 def as_started(file: Path) -> Path:
-    """Return the path to read a file from, which for a live site's node is its copy, if any.
+    """Return the path to read for a file: in a live site's node, that of its copy, if any.
 
     Because of the copy, a restarted node does not use later edits of the file. Messages name the
     original file.
@@ -95,7 +95,7 @@ def as_started(file: Path) -> Path:
 
 
 def is_there(path: Path) -> bool:
-    """Return True if the path exists; False also for a text that is too long for a file name."""
+    """Return True if the path exists; a text that is too long for a file name does not exist."""
     try:
         return path.exists()
     except OSError:
@@ -156,7 +156,7 @@ class TextInMemory(PosixPath):
 
 
 def read_lines(path: Path) -> Iterator[str]:
-    """Read a UTF-8 text file line by line, without a byte order mark at its beginning.
+    """Read a UTF-8 text file line by line, without any byte order mark at the beginning.
 
     An invalid line is rejected as soon as it is read, so an error near the beginning of a large
     file is reported immediately.
@@ -267,7 +267,7 @@ def _parse_as_rcl(text: str) -> bool | int | float | str | None:
 
 
 def _measure_nesting(text: str) -> int:
-    """Return an upper bound of the nesting depth of a YAML text from brackets and indentation."""
+    """Return an upper bound on a YAML text's nesting depth, from brackets and indentation."""
     depth = deepest = 0
     for bracket in re.findall(r"[][{}]", text):
         depth = max(0, depth + (1 if bracket in "[{" else -1))
@@ -313,7 +313,7 @@ def read_ros_parameters(path: Path) -> YamlMapping:
 
 
 def check_private(file: Path) -> None:
-    """Check that only one user can read or change a file with a secret; it may be missing.
+    """Check that only one user can read or change a file with a secret; the file may be missing.
 
     Raises:
         ConfigurationError: if other users can read or change the file.
@@ -368,7 +368,7 @@ def parse_yaml(text: str, path: Path, plain: Callable[[str], Any] = _parse_plain
 
     @functools.cache
     def size_of(node: yaml.Node) -> int:
-        """Return the number of values in a node, with every repetition by an alias."""
+        """Return the number of values in a node, counting every repetition by an alias."""
         if isinstance(node, yaml.MappingNode):
             return 1 + sum(size_of(value) for _, value in node.value)
         return 1 + (sum(map(size_of, node.value)) if isinstance(node, yaml.SequenceNode) else 0)

@@ -31,7 +31,7 @@ _PASSING = (408, 429, *range(500, 600))
 
 
 class ServiceError(Exception):
-    """Raised if a service sends no usable answer; the message, with the reason, is printable.
+    """Raised if a service sends no usable response; the message states the reason.
 
     Attributes:
         wait: time for which the service asks clients to wait (s); None if the service states no
@@ -46,7 +46,7 @@ class ServiceError(Exception):
 
 
 class Answer(NamedTuple):
-    """The answer of a service."""
+    """The response of a service."""
 
     body: bytes
     date: str
@@ -91,15 +91,15 @@ def name_url(url: str) -> str:
 
 
 def request(url: str, parameters: Mapping[str, str | float]) -> Answer:
-    """Request data from a service, and return the answer.
+    """Request data from a service, and return the response.
 
     Args:
         url: URL of the interface, checked by :func:`check_url`.
         parameters: parameters to add to the URL's own query.
 
     Raises:
-        ServiceError: if the service cannot be reached, rejects the request, breaks off the answer,
-            or sends too much data or sends it too slowly.
+        ServiceError: if the service cannot be reached, rejects the request, breaks off the
+            response, sends too much data, or sends data too slowly.
     """
     name, parts = name_url(url), urlsplit(url)
     own = parse_qsl(parts.query, keep_blank_values=True)
@@ -120,14 +120,14 @@ def request(url: str, parameters: Mapping[str, str | float]) -> Answer:
 
 
 def _hide(text: str, keys: Collection[str]) -> str:
-    """Remove keys from a text, because a service may repeat them in its answer."""
+    """Remove keys from a text, because a service may repeat them in its response."""
     for key in keys:
         text = text.replace(key, "***").replace(quote_plus(key), "***")
     return text
 
 
 def _request(name: str, url: str) -> Answer:
-    """Return the answer from a URL; messages contain the given name instead of the URL."""
+    """Return the response from a URL; messages contain the given name instead of the URL."""
     until = time.monotonic() + ANSWER_S
     try:
         response = urlopen(url, timeout=_SILENCE_S)  # noqa: S310 - http or https, as checked before
@@ -158,13 +158,13 @@ def _late(seconds: float) -> TimeoutError:
 
 
 def _within(seconds: float, get: Callable[[], Answer]) -> Answer:
-    """Run a request in a thread, and return its answer or raise its error within a time (s).
+    """Run a request in a thread, and return its response or raise its error within a time (s).
 
-    The library's timeout applies to each part of an answer, and even the header may arrive byte by
+    The library's timeout applies to each part of a response, and even the header may arrive byte by
     byte.
 
     Raises:
-        TimeoutError: if the request takes longer. Its thread ends when the connection closes.
+        TimeoutError: if the request takes longer. The thread ends when the connection closes.
     """
     results: SimpleQueue[Answer | Exception] = SimpleQueue()
 

@@ -40,7 +40,7 @@ class Display:
     """The form in which every tool shows a topic's values to an operator.
 
     Attributes:
-        label: name of the value in the operator's words.
+        label: name of the value, for the operator.
         unit: unit of the shown value, such as ``mm``; empty for a plain number.
         factor: factor from the topic's unit to the shown unit, such as 1000 from m to mm.
         decimals: number of decimals of the shown value.
@@ -102,7 +102,7 @@ class Topic:
 
     @property
     def graph_name(self) -> str:
-        """The topic's name in a node's code, relative so that a graph can be put in a namespace."""
+        """The topic's name in a node's code; it is relative, so that a graph can have a namespace."""
         return self.name if self.absolute else self.name.removeprefix("/")
 
 

@@ -1,4 +1,4 @@
-"""Definition of user-set values, with default, unit, range and meaning, and reading of their files.
+"""User-defined values, with default, unit, range and meaning, and the reading of their files.
 
 Frozen dataclasses are read from YAML; an error names the file, line, key and value. The default of
 every field is an `entry`, which defines the meaning and the allowed values of the key, both for
@@ -184,8 +184,8 @@ def read_record(
         kind: frozen dataclass whose fields were created with `entry`.
         file: the file.
         mistakes: function that receives the dataclass and the content of the file. For every
-            mistake, the function yields the key, such as ``registers.control`` (names, and numbers
-            from 1 for items of lists), and the text about the error.
+            mistake, the function yields the key, such as ``registers.control`` (list items are
+            numbered from 1), and the text about the error.
 
     Raises:
         ConfigurationError: if the file cannot be read, a key is unknown or missing, a value is of
@@ -222,7 +222,7 @@ def make_record(kind: type[Record], values: Mapping[str, Any]) -> Record:
 
 
 def find(content: YamlMapping, key: str) -> tuple[int | None, Any]:
-    """Return the line and the value of a key, which consists of names and of numbers of items.
+    """Return the line and the value of a key, which consists of names and item numbers.
 
     The items of a list are numbered from 1. If the key does not exist, return the line of its last
     existing part, and None.

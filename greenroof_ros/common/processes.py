@@ -1,4 +1,4 @@
-"""Processes: ending with their parents, signals, locks, time limits and messages to systemd."""
+"""Processes: termination with the parent, signals, locks, time limits, messages to systemd."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def end_with_parent() -> None:
 
 
 def end_worker_with_command() -> None:
-    """Stop this worker immediately when the process that requested it has stopped in any way.
+    """Stop this worker immediately when the process that requested it stops for any reason.
 
     The requesting process is not always the parent, because workers are children of
     multiprocessing's fork server.
@@ -85,7 +85,7 @@ class LockedError(Exception):
     """Raised if another process holds the lock.
 
     Attributes:
-        holder: process number of the holder of the lock; None if it is unknown.
+        holder: process ID of the holder of the lock; None if it is unknown.
     """
 
     def __init__(self, lock: Path | str, holder: int | None) -> None:
@@ -124,7 +124,7 @@ def acquire_name_lock(name: str) -> socket.socket:
 
 
 def _find_listener(address: str) -> int | None:
-    """Return the number of the process that listens at an address; None if it is unknown."""
+    """Return the ID of the process that listens on an address; None if it is unknown."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as visitor:
         visitor.setblocking(False)
         try:
@@ -201,7 +201,7 @@ _SCRATCH = "greenroof_ros_scratch-"
 def scratch_directory(place: str | None = None) -> Iterator[Path]:
     """Create a directory for temporary files, and remove the directories of killed processes.
 
-    The process holds a lock on its directory. Unlike a process number, a lock also works between
+    The process holds a lock on its directory. Unlike a process ID, a lock also works between
     containers that share ``/dev/shm``.
 
     Args:
@@ -344,8 +344,8 @@ class Signals:
 def time_limit(seconds: float) -> Iterator[None]:
     """Raise an error in Python code that takes too long, again every second while it continues.
 
-    The code has to run in the main thread. Compiled code cannot be stopped; the place from which it
-    was called is then written to standard error. A pause of the whole process counts only as one
+    The code has to run in the main thread. Compiled code cannot be stopped; the position from which
+    it was called is then written to standard error. A pause of the whole process counts only as one
     step, which is a tenth of the limit.
 
     Raises:

@@ -23,7 +23,7 @@ _MAXIMUM = sys.float_info.max
 
 
 def read_number(text: str) -> float:
-    """Return the number in a user's text; no other function parses numbers of users.
+    """Return the number in a user's text; no other function parses numbers entered by users.
 
     Raises:
         ValueError: if the text is not a number. Python would also accept ``1_0`` as 10, and digits
@@ -44,7 +44,7 @@ class Range:
             0; the largest float means any finite number.
         unit: unit of the numbers; empty or ``1`` if no unit is shown.
         whole: True if the numbers must be integers.
-        words: texts that are accepted as well, for messages.
+        words: words that are also accepted, for messages.
     """
 
     low: float = -math.inf

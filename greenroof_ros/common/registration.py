@@ -39,7 +39,7 @@ def _register(gymnasium: ModuleType) -> None:
 
 
 def register() -> None:
-    """Register the environment now or, if Gymnasium is not imported yet, at its import."""
+    """Register the environment now or, if Gymnasium is not imported yet, as soon as it is."""
     known = sys.modules.get("gymnasium")
     if known is None:
         sys.meta_path.insert(0, _Registration())

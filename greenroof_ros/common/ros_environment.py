@@ -36,9 +36,9 @@ def check_environment() -> None:
     """Check that ROS 2 can be loaded and will use the settings in the environment.
 
     Raises:
-        ConfigurationError: if ROS 2 is missing, is compiled for another Python, or lacks the
-            middleware that a variable selects, or if another variable has a value that ROS would
-            not accept.
+        ConfigurationError: if ROS 2 is missing, is compiled for another version of Python, or lacks
+            the middleware that a variable selects, or if another variable has a value that ROS
+            would not accept.
     """
     _check_ros()
     read_domain()
@@ -63,8 +63,8 @@ def read_domain() -> int:
     """Return the number of the ROS domain.
 
     Raises:
-        ConfigurationError: if the variable is not a number that has ports, or if ROS would read it
-            as an octal number.
+        ConfigurationError: if the variable is not the number of a domain that has ports, or if ROS
+            would read it as an octal number.
     """
     text = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not re.fullmatch("0|[1-9][0-9]{0,2}", text) or int(text) > _LAST_DOMAIN:
@@ -102,7 +102,7 @@ def _check_packages() -> None:
 
 
 def _check_middleware() -> None:
-    """Check the middleware in another process, because rcl kills a process if it is missing."""
+    """Check the middleware in another process, because rcl kills a process without it."""
     name = os.environ.get(_MIDDLEWARE)
     if name and subprocess.run(
         [sys.executable, "-c", "import rclpy"], capture_output=True, check=False

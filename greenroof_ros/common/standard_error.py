@@ -23,9 +23,9 @@ _EVERY_S, _SELDOM_S = 10.0, 60.0
 class Lines:
     """Writer of lines to a file descriptor that may block, such as a full pipe.
 
-    A terminal stopped with Ctrl-S blocks as well. A separate thread writes the lines, so that logs
-    and summary do not wait for the reader of standard error. If too many lines are waiting, the
-    oldest are dropped, and their number is printed.
+    A terminal stopped with Ctrl-S blocks as well. A separate thread writes the lines, so that
+    writing logs and the summary does not wait for the reader of standard error. If too many lines
+    are waiting, the oldest are dropped, and their number is printed.
     """
 
     def __init__(self, number: int) -> None:
@@ -48,10 +48,10 @@ class Lines:
         self.write(f"{text}\n")
 
     def print_seldom(self, kind: str, text: str) -> None:
-        """Print a message that other programs can cause at will, at most once a minute per kind.
+        """Print a message that other programs can trigger at will, at most once a minute per kind.
 
         Args:
-            kind: kind of the message, which is printed once a minute whatever its text is. The
+            kind: kind of the message; messages of one kind are limited whatever their text. The
                 number of omitted messages is appended.
             text: one or more lines.
         """
@@ -66,7 +66,7 @@ class Lines:
         self.print_line(text + more)
 
     def write(self, text: str) -> None:
-        """Queue a text; with ``flush`` and ``isatty``, this is a file for progress bars."""
+        """Queue a text; with ``flush`` and ``isatty``, progress bars can use this as a file."""
         with self._lock:
             if len(self._waiting) == _MAX_LINES:
                 self._waiting.popleft()
@@ -82,7 +82,7 @@ class Lines:
         return os.isatty(self._number)
 
     def wait(self, within: float) -> bool:
-        """Wait at most the given time (s) until all texts are written; return True if they are."""
+        """Wait for all texts to be written, at most the given time (s); return True if they are."""
         return self._thread.wait(within)
 
     def _write(self) -> None:
@@ -110,10 +110,10 @@ atexit.register(LINES.wait, _END_S)
 
 
 class ProgressLines:
-    """Printer of progress every ten seconds, except in the first ten seconds."""
+    """Printer of progress, at most every ten seconds and not in the first ten seconds."""
 
     def __init__(self, print_line: Callable[[str], None] = print_line) -> None:
-        """Start the first ten seconds.
+        """Start the interval of ten seconds.
 
         Args:
             print_line: function that prints a line; by default, on standard error.

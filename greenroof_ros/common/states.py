@@ -1,4 +1,4 @@
-"""Roles and states that nodes and their observers have in common; ROS is not needed."""
+"""Roles and states shared by nodes and their observers; this module does not import ROS."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class PumpState:
 
     Attributes:
         state: one of ``PUMP_STATES``.
-        why: the reason, for people.
+        why: the reason, as readable text.
         codes: codes of the conditions that keep the pump off, the decisive one first.
     """
 

@@ -1,10 +1,10 @@
-"""Texts for people: printable versions of other programs' texts, and numbers with nouns."""
+"""Readable texts: printable versions of other programs' texts, and numbers with nouns."""
 
 from __future__ import annotations
 
 
 def clean_text(text: str, max_length: int = 500) -> str:
-    """Return a printable version of a text, cut to a maximum number of characters."""
+    """Return a printable version of a text, truncated to a maximum number of characters."""
     short = text[:max_length] + ("…" if len(text) > max_length else "")
     if short.isprintable():
         return short

@@ -114,7 +114,7 @@ def to_minutes(time: datetime) -> str:
 
 
 def to_people(time: datetime) -> str:
-    """Format a time for headings, such as ``2021-07-07 02:00-05:00``, with any seconds."""
+    """Format a time for headings, such as ``2021-07-07 02:00-05:00``, with seconds unless 0."""
     return time.isoformat(" ", "seconds" if time.second else "minutes")
 
 
@@ -135,7 +135,7 @@ def hours_minutes_seconds(seconds: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Format a duration for people, such as ``40 s``, ``27 min``, ``2 h`` or ``120 h``."""
+    """Format a duration in a readable form, such as ``40 s``, ``27 min``, ``2 h`` or ``120 h``."""
     if seconds < 90:
         return f"{seconds:.3g} s"
     if seconds < 5400:
@@ -167,9 +167,9 @@ def is_skipped(local: datetime) -> bool:
 def read_start(text: str, zone: tzinfo | None = None) -> datetime:
     """Read a start time, in the given zone if it has no offset from UTC.
 
-    A time in the hour that clocks show twice is taken as the first occurrence. The result has a
-    fixed offset, because the addition of durations in a zone with daylight saving time would follow
-    the wall clock.
+    A time in the hour that clocks show twice is interpreted as the first occurrence. The result has
+    a fixed offset, because the addition of durations in a zone with daylight saving time would
+    follow the wall clock.
 
     Args:
         text: the start time.
@@ -199,7 +199,7 @@ def read_start(text: str, zone: tzinfo | None = None) -> datetime:
 
 
 def boot_time() -> float:
-    """Return the time since the machine started (s), including suspends.
+    """Return the time since the machine started (s), including time in suspend.
 
     ``time.monotonic()`` stops during a suspend, so values measured before a suspend would still
     seem new after it.

@@ -254,7 +254,7 @@ class Table:
 
         Raises:
             ConfigurationError: if a time is not a whole number of hours after the previous row, if
-                a row is from a different station, or for the reasons of :meth:`read_time`.
+                a row is from a different station, or if :meth:`read_time` raises one.
         """
         self.times = column
         first = self.read_time(self.first, column, parse, example).replace(second=0, microsecond=0)
@@ -451,7 +451,7 @@ def find_event_total(given: Given) -> str:
 
 
 def find_fraction(given: Given) -> str:
-    """Find fractions of 1 in a column of percentages."""
+    """Find fractions in a column that should contain percentages."""
     share = given.values * (1.0 if given.quantity.unit == "%" else 100.0)
     if given.unit != "%" or not share.size or not 0 < share.max() <= _MAX_FRACTION:
         return ""
@@ -505,7 +505,7 @@ def find_sliding_sum(given: Given) -> str:
 
 
 def _find_end_of_scale(given: Given) -> float | None:
-    """Return a temperature far below or above all other temperatures; None without such a value.
+    """Return a temperature far below or above all other temperatures; None if there is none.
 
     Air temperature changes continuously, so a value is not a temperature if other readings never
     come close to it.
@@ -520,7 +520,7 @@ def _find_end_of_scale(given: Given) -> float | None:
 
 
 def _is_sum_of_rows(spells: Iterable[tuple[float, ...]], rows: int, nearly: float) -> bool:
-    """Return whether every value can be the sum of the rain in a number of rows.
+    """Return True if every value can be the sum of the rain in a number of rows.
 
     Args:
         spells: differences between consecutive rows of every wet spell, including the dry row
@@ -614,8 +614,8 @@ class Column:
         """Return the values of all rows, shape (rows,); NaN for values that cannot be used.
 
         Raises:
-            ConfigurationError: if too few values are plausible, or :data:`COLUMN_RULES` reject the
-                column.
+            ConfigurationError: if too few values are plausible, or if one of :data:`COLUMN_RULES`
+                rejects the column.
         """
         if self._grouped and self._has_hundreds and not self._has_decimals:
             raise self._table.refuse(
@@ -697,9 +697,9 @@ def arrange_by_hour(
 
 
 def number_lines(text: Iterable[str]) -> Iterator[tuple[int, str]]:
-    """Yield all lines, numbered from 1, except comments (``#``) and empty lines.
+    """Yield all lines, numbered from 1, except comments (``#``) and blank lines.
 
-    The first line that spreadsheets write to name the separator is skipped as well.
+    The first line is also skipped if it is the one in which spreadsheets declare the separator.
     """
     lines = itertools.chain.from_iterable(part.splitlines(keepends=True) for part in text)
     for number, marked in enumerate(lines, start=1):
@@ -722,7 +722,7 @@ def read_table(
         file: file to read.
         lines: lines of the table, beginning with the header, as returned by :func:`number_lines`;
             by default, all lines of the file.
-        observed: function that returns whether a column contains values. If a row ends before the
+        observed: function that returns True if a column contains values. If a row ends before the
             first of these columns, its other cells are empty, and its hour is missing.
 
     Raises:

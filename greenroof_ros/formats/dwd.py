@@ -50,7 +50,7 @@ _HOUR = re.compile(r"(\d{8})(\d\d)", re.ASCII)
 
 
 def recognises(head: bytes, /) -> bool:
-    """Return whether the first line contains the service's columns and a quantity of ours."""
+    """Return True if the first line contains the service's columns and a known quantity."""
     match = _HEADER.match(head)
     return match is not None and not _COLUMNS.keys().isdisjoint(
         name.strip() for name in re.split("[;,]", match[1].decode("utf-8", "replace"))

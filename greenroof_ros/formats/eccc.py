@@ -51,7 +51,7 @@ _MAX_FROM_SOLAR_TIME = 2.5
 
 
 def recognises(head: bytes, /) -> bool:
-    """Return whether the first line contains the service's columns for place and time."""
+    """Return True if the first line contains the service's columns for location and time."""
     cells = re.split("[,;\t]", head.decode("utf-8-sig", "replace").partition("\n")[0])
     names = {_simplify(cell.strip('" \r')) for cell in cells}
     return not names.isdisjoint(_TIME) and (
@@ -61,7 +61,7 @@ def recognises(head: bytes, /) -> bool:
 
 
 def _simplify(name: str) -> str:
-    """Return a column's name in lower case, without accents, spaces and points."""
+    """Return a column's name in lower case, without accents, spaces and periods."""
     letters = unicodedata.normalize("NFD", name.replace("°", "deg")).casefold()
     return re.sub(r"[ .\u0300-\u036f]", "", letters).replace("deg", "°")
 
@@ -86,7 +86,7 @@ def read_records(file: Path, site: Site, /) -> Records:
     Raises:
         ConfigurationError: if the file is not hourly or lacks a column, if a line is malformed or
             out of order, if too few values are plausible, or if the site's UTC offset is missing or
-            does not fit the station.
+            does not match the station's longitude.
     """
     if site.utc_offset is None:
         raise ConfigurationError(

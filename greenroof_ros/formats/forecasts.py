@@ -61,10 +61,10 @@ class IssuedForecast:
         return self.issued, self.available or self.issued
 
     def evapotranspiration_at(self, ahead: NDArray[np.intp]) -> NDArray[np.float64] | None:
-        """Return the evapotranspiration some hours ahead (mm/day); None if the file has none.
+        """Return the evapotranspiration (mm/day) by hours ahead; None if the file contains none.
 
-        After the end of the issue, its last day is repeated, or its last hour if it is shorter than
-        a day.
+        Beyond the end of the issue, the values of its last day are repeated, or the value of its
+        last hour if the issue is shorter than a day.
         """
         if self.evapotranspiration is None:
             return None
@@ -176,7 +176,7 @@ def _count_complete_hours(series: NDArray[np.float64]) -> int:
 
 
 class Repetition:
-    """Detector of forecasts that only repeat the previous forecast, as when a model has stopped."""
+    """Detector of forecasts that only repeat the previous one, for instance from a stopped model."""
 
     def __init__(self) -> None:
         """Start without a forecast."""
@@ -200,7 +200,7 @@ class Repetition:
 
 
 def _agree(before: IssuedForecast, issue: IssuedForecast) -> bool:
-    """Return whether two forecasts are equal in the hours that both cover."""
+    """Return True if two forecasts are equal in the hours that both cover."""
     late = (issue.issued - before.issued) // timedelta(hours=1)
     hours = min(before.hours - late, issue.hours)
     return late >= 0 and hours > 0 and all(
@@ -237,7 +237,7 @@ class Archive:
         source: file or directory of the archive.
         kind: description of the kind of archive.
         issues: at least one issue, in chronological order, all with the same number of members.
-        delay: time after the nominal time from which an issue is known (h).
+        delay: time from the nominal time of an issue until the issue is known (h).
         verified: issues to verify, usually equal to ``issues``; their rain can be NaN.
         finest_lead: finest resolution of lead time for verification (h).
         notes: sentences about data that could not be used unchanged.

@@ -132,7 +132,7 @@ def bridge_gaps(series: NDArray[np.float64], max_hours: int) -> NDArray[np.float
 
 
 def name_files(files: Sequence[Path]) -> str:
-    """Return a common name for files: the path of a single file, or the number, first and last.
+    """Return a common name for files: the path of a single file, or number, first and last name.
 
     The name is empty if there are no files.
     """
@@ -151,7 +151,7 @@ def find_gaps(missing: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def name_hours(first: datetime, hours: Iterable[int]) -> list[str]:
-    """Return the names of the periods that consecutive hours form.
+    """Return descriptions of the periods that consecutive hours form.
 
     Args:
         first: start of hour 0.
@@ -184,7 +184,7 @@ def join_records(parts: Sequence[Records]) -> Records:
     The records are sorted by time. A value that is in no file is missing (NaN). If more than one
     file contains a value, the values must be equal, except in an hour that one of the files covers
     only in part. In such an hour, the values of other files take precedence, and the rain is
-    computed from the minutes of all files. If the hours of a file begin at another minute than
+    computed from the minutes of all files. If the hours of a file begin at a different minute from
     those of the first file, each value becomes the mean of the two hours that it overlaps, and
     values from other files take precedence. Some services have one file per quantity; files without
     any quantity of the first file are joined by quantity.
@@ -253,7 +253,7 @@ def join_records(parts: Sequence[Records]) -> Records:
 def _join_minutes(
     hours: int, parts: Iterable[tuple[int, Records]]
 ) -> NDArray[np.float64] | None:
-    """Join the rain in the minutes of parts with their first hours; None without such rain.
+    """Join the per-minute rain of parts, given their first hours; None if no part has any.
 
     Raises:
         ConfigurationError: if two parts have different rain in the same minute.

@@ -1,7 +1,7 @@
 """Hourly CSV and JSON files from Open-Meteo, with past weather or issued forecasts.
 
-The service's CSV files begin with two lines about the place, followed by a header with units, and
-the hours. The service's JSON files contain the same values under ``hourly_units`` and ``hourly``::
+The service's CSV files begin with two lines that describe the location, followed by a
+header with units, and the hours. The service's JSON files contain the same values under ``hourly_units`` and ``hourly``::
 
     latitude,longitude,elevation,utc_offset_seconds,timezone,timezone_abbreviation
     43.620384,-79.41748,77.0,-18000,America/Toronto,GMT-5
@@ -28,7 +28,7 @@ in UTC.
 Files of **past weather** contain ``precipitation`` and the quantities from which evapotranspiration
 is computed.
 
-Files of **previous runs** contain ``precipitation_previous_day1`` to 7: for every hour, the newest
+Files of **previous runs** contain ``precipitation_previous_day1`` to 7: for every hour, the latest
 forecast that was at least N x 24 h old (Open-Meteo, Previous Runs API: "fixed lead-time offsets").
 These files contain neither single runs nor forecasts newer than 24 h. The forecast of an hour that
 was known at a given time is therefore the value with the smallest N that is old enough.
@@ -153,7 +153,7 @@ _T = TypeVar("_T")
 
 
 def recognises(head: bytes, /) -> bool:
-    """Return whether a file is JSON, or its header contains names that only the service uses."""
+    """Return True if a file is JSON, or its header contains names that only the service uses."""
     cells = _split_header(head)
     return cells[0].startswith(("{", "[")) or _OFFSET in cells or (
         cells[0] in _SAVED_TIMES and any(map(_ONLY_ITS_OWN.match, cells))
@@ -161,7 +161,7 @@ def recognises(head: bytes, /) -> bool:
 
 
 def recognises_forecasts(head: bytes, /) -> bool:
-    """Return whether a file is from the service, or a saved forecast of ``precipitation``.
+    """Return True if a file is from the service, or a saved forecast of ``precipitation``.
 
     A weather file with only this name could be from any source, and its time stamps could have a
     different meaning.
@@ -186,15 +186,15 @@ def _read(
     """Return a file's table, and its hours by variable, with all values at their time stamps.
 
     Args:
-        file: file with hourly values for one place.
+        file: file with hourly values for one location.
         site: site that must be near the file's place, if the positions of both are known.
         quantity_of: function that returns the quantity of a variable, or None if the variable is
             not needed, and raises ValueError if the variable is unknown.
 
     Raises:
-        ConfigurationError: if the file is malformed or is for a different place, if a time is out
-            of order, if a unit is unknown, or if too few values are plausible; the message names
-            the line or the key, and the value.
+        ConfigurationError: if the file is malformed or is for a different location, if a time is
+            out of order, if a unit is unknown, or if too few values are plausible; the message
+            names the line or the key, and the value.
     """
     place, table = _read_tables(file)
     if place is None:
@@ -241,7 +241,7 @@ def _read(
 
 
 def _read_tables(file: Path) -> tuple[Table | None, Table]:
-    """Return the tables of a file's place (None without a place) and of its hours."""
+    """Return the tables of a file's location (None if not stated) and of its hours."""
     if next(filter(str.strip, read_lines(file))).lstrip().startswith(("{", "[")):
         return _read_json_tables(file, read_text(file))
     lines = number_lines(read_lines(file))
@@ -272,7 +272,7 @@ def _select_hours(
 
     The service writes one section each for ``current``, ``minutely_15``, ``hourly`` and ``daily``,
     as selected on its web page. If none of the sections is hourly, the first section is returned.
-    An appended download begins with a copy of the lines ``about`` the place.
+    An appended download begins with a copy of the lines ``about`` the location.
     """
     sections: list[list[tuple[int, str]]] = []
     broken: ConfigurationError | None = None
@@ -299,7 +299,7 @@ def _select_hours(
 
 
 def _may_be_hours(rows: Sequence[tuple[int, str]]) -> bool:
-    """Return whether most rows of a section can be hourly; wrong times are rejected later."""
+    """Return True if most rows of a section can be hourly; wrong times are rejected later."""
     if len(rows) < 2:
         return False
     try:
@@ -314,7 +314,7 @@ def _may_be_hours(rows: Sequence[tuple[int, str]]) -> bool:
 
 
 def _read_json_tables(file: Path, text: str) -> tuple[Table, Table]:
-    """Return the place and the hours of a JSON response as tables of text, as in CSV."""
+    """Return the location and the hours of a JSON response as tables of text, as in CSV."""
     refuse = partial(ConfigurationError, file=file)
     try:
         content = json.loads(text, parse_int=str, parse_float=str, parse_constant=str)
@@ -361,11 +361,11 @@ def _write_cell(value: Any, missing: str = "") -> str:
 
 
 def _check_place(place: Table, site: Site) -> timezone:
-    """Reject a place that is not near the site, if both positions are known; return its UTC offset.
+    """Return a location's UTC offset; reject a location not near the site, if both are known.
 
     Raises:
-        ConfigurationError: if the place is not near the site, or if its position or UTC offset is
-            invalid.
+        ConfigurationError: if the location is not near the site, or if its coordinates or UTC
+            offset are invalid.
     """
     row = place.first
     if "location_id" in place.header:
@@ -410,7 +410,7 @@ def read_records(file: Path, site: Site, /) -> Records:
         site: site that must be near the file's place, if the positions of both are known.
 
     Raises:
-        ConfigurationError: for the reasons of :func:`_read`, or if a column is missing.
+        ConfigurationError: if :func:`_read` raises one, or if a column is missing.
     """
     table, records = _read(file, site, _QUANTITIES.get)
     values: dict[str, NDArray[np.float64]] = {}
@@ -442,11 +442,11 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
 
     Args:
         files: one or more files.
-        site: site that must be near the place of every file, if the file states its place.
+        site: site that must be near the location of every file, if the file states its location.
 
     Raises:
-        ConfigurationError: for the reasons of :func:`_read`, or if the files are of different kinds
-            or models, or if the files lack required values of a run or an hour.
+        ConfigurationError: if :func:`_read` raises one, if the files are of different kinds or
+            models, or if the files lack required values of a run or an hour.
     """
     parts, notes = _read_usable(files, lambda file: _read_precipitation(file, site))
     previous = [any(map(_PREVIOUS.fullmatch, part.values)) for part in parts]
@@ -477,7 +477,7 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
 def _read_usable(sources: Iterable[_S], read: Callable[[_S], _T]) -> tuple[list[_T], list[str]]:
     """Return the results of reading all usable sources, and a note about each other source.
 
-    Among thousands of downloads, some contain error messages from the service, or end too early.
+    Among thousands of downloads, some contain error messages from the service or are truncated.
 
     Raises:
         ConfigurationError: if no source can be used; the error is that of the first source.
@@ -519,11 +519,11 @@ def read_run(file: Path, site: Site, issued: datetime) -> IssuedForecast:
 
     Args:
         file: file for a single place.
-        site: site that must be near this place.
+        site: site that must be near this location.
         issued: start of the first hour; earlier hours in the file are skipped.
 
     Raises:
-        ConfigurationError: for the reasons of :func:`_read`, or if the file contains no
+        ConfigurationError: if :func:`_read` raises one, or if the file contains no
             precipitation from this hour on.
     """
     return _select_run(_read_precipitation(file, site), issued)
@@ -600,7 +600,7 @@ def _make_issues(previous: Records) -> list[IssuedForecast]:
 
 
 def _make_daily(previous: Records) -> list[IssuedForecast]:
-    """Return one issue a day, at 00 UTC, for verification.
+    """Return one issue per day, at 00 UTC, for verification.
 
     The hours from 24 (N - 1) to 24 N after the issue contain the values of N, so every value of the
     file is in exactly one issue, on the day to which it belongs. Missing values are NaN. In

@@ -153,7 +153,8 @@ def explain_file(file: Path) -> None:
     """Reject a file from an unsupported service, or an error message that was saved as a file.
 
     Raises:
-        ConfigurationError: if the file is of such a kind; the message contains advice.
+        ConfigurationError: if the file is from such a service or is an error message; the message
+            contains advice.
     """
     lines = []
     for line in read_lines(file):

@@ -284,8 +284,8 @@ def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Recor
     averaged over the clock hours in which the rows begin, with a tolerance for clock errors.
 
     Raises:
-        ConfigurationError: if the rows are more than one hour apart, or for the reasons of
-            :func:`read_rows`.
+        ConfigurationError: if the rows are more than one hour apart, or if :func:`read_rows` raises
+            one.
     """
     rows = read_rows(file, site, _WEATHER, stamped)
     steps, first, values, minutes = rows.steps, rows.first, rows.values, None
@@ -417,7 +417,7 @@ def write_records(records: Records, about: str) -> str:
     it; other values are in the first row of their hour.
 
     Args:
-        records: hours of one place; gaps are written as empty cells.
+        records: hourly records for one location; gaps are written as empty cells.
         about: text of the first comment, of one or more lines.
     """
     head = []
@@ -481,7 +481,7 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForeca
 
     Args:
         path: path of the file.
-        now: if given, only the newest issue at this time and later issues are read, from at most
+        now: if given, only the latest issue at this time and later issues are read, from at most
             the last 16 MB of the file; a live site needs no older issues.
 
     Raises:
@@ -550,7 +550,7 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForeca
 
 
 def _select_newest(path: Path, now: datetime) -> list[tuple[int, str]]:
-    """Return the header, and the numbered lines of the newest and of later issues at a time.
+    """Return the header, and the numbered lines of the latest issue at a time and later issues.
 
     Raises:
         ConfigurationError: if the file cannot be read, or if its last issue is too long.

@@ -107,7 +107,7 @@ def find_plausible(quantity: str, step_h: float, unit: Unit) -> Quantity:
 
 
 def is_amount(quantity: str, unit: Unit) -> bool:
-    """Return whether a unit of water denotes the total over a row instead of a rate."""
+    """Return True if a unit of water denotes the total over a row instead of a rate."""
     return QUANTITIES[quantity].is_water and "/" not in unit.name
 
 

@@ -68,8 +68,8 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
     Args:
         source: file, or directory with files in a single format.
         site: site that must be near the archive's position, if the archive states a position.
-        delay: time after the nominal time from which an issue is known (h); by default, the usual
-            delay for the kind of archive.
+        delay: time from the nominal time of an issue until the issue is known (h); by default, the
+            usual delay for the kind of archive.
 
     Raises:
         ConfigurationError: if a file does not conform to its format, if the files have different

@@ -5,7 +5,7 @@ sentence per finding, and no sentence for a record that lacks the columns of the
 rule, add a function, a row of :data:`RULES` and a test. The modules :mod:`.cells` and
 :mod:`.quantities` define the permitted content of a single cell. The bounds separate the records of
 two roofs (Neubrandenburg 2014 and 2015, Berlin 2019, April to October, in windows of 30 to 100
-days) from the same records with a wrong unit, a shifted clock or a broken sensor. The bounds for
+days) from the same records with a wrong unit, a shifted clock or a defective sensor. The bounds for
 levels separate simulated levels of these roofs in the same way.
 """
 
@@ -387,7 +387,7 @@ _UNEXPLAINED, _DRY_S = 5.0, 3 * DAY_S
 
 
 def find_stuck_sensor(record: StepRecord, site: Site) -> Iterator[str]:
-    """Find sensors that show the same value, apart from gaps, although the value must change.
+    """Find sensors that report a constant value, apart from gaps, when the value must change.
 
     The runoff must change from 0 if more water arrives in any period than the soil can hold. For a
     roof with a pump, evapotranspiration is subtracted at its full rate, because a good controller

@@ -1,4 +1,4 @@
-"""Publishing a node's state on /diagnostics."""
+"""Publication of a node's state on /diagnostics."""
 
 from __future__ import annotations
 
@@ -104,5 +104,5 @@ class NodeDiagnostics:
         self._publisher.publish(array)
 
     def flush(self, seconds: float) -> None:
-        """Wait until all readers have received all reports, at most for the given time (s)."""
+        """Wait, at most for the given time (s), until all readers have received all reports."""
         self._publisher.wait_for_all_acked(Duration(seconds=seconds))

@@ -2,11 +2,11 @@
 
 ROS is imported only when a function needs it.
 
-The nodes communicate by UDP on the loopback interface, never by shared memory, although Fast DDS
-(the default middleware of ROS 2) uses shared memory by default between processes of one machine. A
-process that is stopped while it holds a lock in shared memory, such as a ``ros2 topic echo`` after
-Ctrl-Z, freezes unrelated nodes, and ``kill -9`` leaves the memory behind. UDP has neither problem,
-but makes each tick a little longer.
+The nodes communicate over UDP on the loopback interface, never through shared memory, although Fast
+DDS (the default middleware of ROS 2) uses shared memory by default between processes of one
+machine. A process that is stopped while it holds a lock in shared memory, such as a ``ros2 topic
+echo`` after Ctrl-Z, freezes unrelated nodes, and ``kill -9`` leaves the memory behind. UDP has
+neither problem, but makes each tick a little longer.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def require_ros() -> Iterator[None]:
     """Turn an import error of ROS 2 in the block into a ConfigurationError.
 
     Raises:
-        ConfigurationError: if ROS 2 cannot be imported; the message states what to do.
+        ConfigurationError: if ROS 2 cannot be imported; the message states the remedy.
     """
     check_environment()
     try:
@@ -56,7 +56,7 @@ def require_ros() -> Iterator[None]:
 
 
 def _is_fast_dds_3() -> bool:
-    """Detect Fast DDS 3 by the name of the loaded library, since its version cannot be queried."""
+    """Detect Fast DDS 3 from the loaded library's name, since its version cannot be queried."""
     return "/libfastdds.so" in Path("/proc/self/maps").read_text(encoding="utf-8")
 
 
@@ -166,7 +166,7 @@ def lock_namespace(namespace: str) -> Iterator[None]:
 
     Raises:
         OccupiedError: if a bringup is already running in the namespace.
-        OSError: if the system does not allow the lock.
+        OSError: if the system does not support this kind of lock.
     """
     try:
         lock = acquire_name_lock(f"{os.getuid()}-domain-{read_domain()}{namespace}")

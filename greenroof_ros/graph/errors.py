@@ -17,7 +17,7 @@ class MalformedMessageError(Exception):
 
 
 def describe(error: Exception) -> str:
-    """Return an unexpected error as one line: its type, its message and its place in the code."""
+    """Return an unexpected error as one line: its type, message and location in the code."""
     if isinstance(error, HangError):
         return str(error)
     place = traceback.extract_tb(error.__traceback__)[-1]

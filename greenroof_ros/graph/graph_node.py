@@ -39,9 +39,9 @@ class GraphNode(Node):
 
     Attributes:
         role: the node's role in the interface: its name, or ``controller``.
-        failure: the error because of which the node cannot continue; None if there is none.
-        on_failure: callback, without arguments, for an error because of which the node cannot
-            continue.
+        failure: the error that prevents the node from continuing; None if there is none.
+        on_failure: callback, without arguments, for an error that prevents the node from
+            continuing.
         malformed: number of malformed messages, which were dropped, by topic.
         inputs: the topics that the node acts on, by their name in the interface.
         interface: all topics of the graph, by name.

@@ -1,13 +1,13 @@
 """Topics of the interface in ROS terms: message class, quality of service, and serialised values.
 
 Messages are serialised in the wire format (CDR, XCDR version 1). This module encodes and decodes
-numbers, rows of numbers and the clock in a third of the time of the generated code of the message
-types, which first creates a Python object for every field. The generated code also leaves the
-padding of a message uninitialised; this module sets it to 0, so that two equal runs write equal
-bags. All messages are written in little-endian byte order, which every machine that runs ROS 2
-uses. The generated code decodes all other messages, such as big-endian messages and messages with a
-layout. A publisher may send any bytes: if they do not form a message of the type, decoding raises a
-:class:`~greenroof_ros.graph.errors.MalformedMessageError`, and no other error.
+numbers, rows of numbers and the clock in a third of the time that the generated code of the message
+types needs, because the generated code first creates a Python object for every field. The generated
+code also leaves the padding of a message uninitialised; this module sets it to 0, so that two equal
+runs write equal bags. All messages are written in little-endian byte order, which every machine
+that runs ROS 2 uses. The generated code decodes all other messages, such as big-endian messages and
+messages with a layout. A publisher may send any bytes: if they do not form a message of the type,
+decoding raises a :class:`~greenroof_ros.graph.errors.MalformedMessageError`, and no other error.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ def decoder(type_name: str) -> Callable[[bytes], Any]:
 
 
 def pass_whole(type_name: str, callback: Callable[[bytes], None]) -> Callable[[bytes], None]:
-    """Return a function that passes the bytes of a message on if they form a message of the type.
+    """Return a function that passes on the bytes of a message if they are a message of the type.
 
     An array of numbers is not decoded if its length and layout are those of the previous message.
     """
@@ -218,7 +218,7 @@ def decode_numbers(message: bytes) -> WithFront:
 
     Raises:
         MalformedMessageError: if the bytes are not a message with an array of numbers, or if the
-            layout does not fit the number of values.
+            layout does not match the number of values.
     """
     if len(message) >= _ROW.size:
         header, dimensions, offset, size = _ROW.unpack_from(message)

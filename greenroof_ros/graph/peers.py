@@ -42,7 +42,7 @@ class Peers:
         return group_by_role(self._role, topics, names)
 
     def describe(self, missing: Mapping[str, Iterable[str]]) -> str:
-        """Return a list, as text, of missing topics and of the nodes that should publish them."""
+        """Return a text that lists missing topics and the nodes that should publish them."""
         return "; ".join(
             f"{', '.join(self.publishers[name].full_name for name in names)} from "
             f"{self.name_of(role)}" for role, names in missing.items()
@@ -73,7 +73,7 @@ class Peers:
         return list_nodes(self.publishers[name].names(DISCOVERY_S))
 
     def describe_second(self) -> str:
-        """Return a sentence about the first input with a second publisher; empty if none has."""
+        """Return a sentence about the first input with a second publisher; empty for none."""
         for publishers in self.publishers.values():
             if publishers.count > 1 and publishers.compatible > 1:
                 return f"{publishers.full_name} {publishers.describe_second(DISCOVERY_S)}"

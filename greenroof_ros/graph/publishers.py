@@ -1,4 +1,4 @@
-"""The publishers of a topic that ROS knows, and the check of their quality of service."""
+"""The known publishers of a topic, and the check of their quality of service."""
 
 from __future__ import annotations
 

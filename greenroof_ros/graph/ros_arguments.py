@@ -16,7 +16,7 @@ _REMAP, _PARAMETER, _FILE = ("-r", "--remap"), ("-p", "--param"), "--params-file
 
 
 def split_ros_arguments(words: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Split a command line into its other arguments and its ROS arguments."""
+    """Split a command line into the command's own arguments and the ROS arguments."""
     others, arguments = list[str](), list[str]()
     into = others
     for word in words:

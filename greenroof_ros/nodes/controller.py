@@ -1,4 +1,4 @@
-"""The controller node, which runs any controller on levels and forecasts and publishes its command.
+"""The controller node, which runs any controller and publishes the controller's command.
 
 ``python -m greenroof_ros.nodes.controller --controller NAME`` runs a controller of this package, or
 any class given as ``package.module:Class``. The node has the name of the controller.
@@ -33,7 +33,7 @@ def parameters(choice: ControllerChoice | None) -> list[Parameter]:
 
 
 class ControllerNode(SimulationNode):
-    """Node that runs a controller, and commands 0 in frost, in quiet hours and on invalid inputs.
+    """Node that runs a controller; it commands 0 in frost, in quiet hours and for invalid inputs.
 
     At a site with an outlet valve, the node also commands the valve, even in frost and in quiet
     hours.

@@ -232,7 +232,7 @@ class PlantNode(SimulationNode):
         """Start the run once all nodes are present, and check timeouts.
 
         Raises:
-            LockstepError: if a node is missing or does not answer in time.
+            LockstepError: if a node is missing or does not respond in time.
         """
         if self.finished:
             return

@@ -1,4 +1,4 @@
-"""The recorder node of a simulation, which writes every message of every tick to a bag once."""
+"""The recorder node of a simulation, which writes each message of every tick to a bag once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The weather node, which answers every ``/clock`` with recorded weather and with forecasts."""
+"""The weather node, which answers every ``/clock`` message with recorded weather and forecasts."""
 
 from __future__ import annotations
 

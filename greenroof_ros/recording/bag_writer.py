@@ -55,7 +55,7 @@ _INFINITE = {"sec": 9223372036, "nsec": 854775807}
 
 
 class LiveBag:
-    """Writer of a live site's bag for months of recording, in files by size and day.
+    """Writer of a live site's bag for months of recording, split into files by size and day.
 
     A recorder that is restarted in the same directory continues with the next file number.
     ``metadata.yaml`` lists the closed files. The metadata is replaced atomically whenever a file is
@@ -198,7 +198,7 @@ class LiveBag:
 
 
 class BagFile:
-    """An mcap file that is being written, and must be cut after an error.
+    """An mcap file that is being written, and must be truncated after an error.
 
     Otherwise the file would contain a part of the failed write, and the number of recoverable
     writes would differ from ``safe``.
@@ -206,7 +206,7 @@ class BagFile:
     Attributes:
         path: path of the file.
         written: number of writes.
-        safe: number of writes that were flushed, and therefore survive a kill of the process.
+        safe: number of writes that were flushed, and are therefore safe if the process is killed.
     """
 
     def __init__(self, path: Path, topics: Sequence[Topic]) -> None:
@@ -242,11 +242,11 @@ class BagFile:
 
     @property
     def size(self) -> int:
-        """Number of bytes written so far, without the current chunk."""
+        """Number of bytes written so far, excluding the current chunk."""
         return self._stream.tell()
 
     def write(self, time_ns: int, messages: Iterable[tuple[int, bytes]]) -> None:
-        """Write messages that share one time.
+        """Write messages that share one time stamp.
 
         Args:
             time_ns: time of the messages (ns since 1970).
@@ -342,7 +342,7 @@ class BagWriter(BagFile):
 
 
 def find_files(bag: Path) -> list[Path]:
-    """Return the files of a bag, the oldest first."""
+    """Return the files of a bag, oldest first."""
     numbered = (path for path in bag.glob("*_*.mcap") if _read_number(path).isdecimal())
     return sorted(numbered, key=lambda path: int(_read_number(path)))
 
@@ -499,7 +499,7 @@ def _read_types() -> dict[str, Any]:
 
 
 def read_definition(name: str) -> str:
-    """Return the definition of a message type and of the types that it uses, as in bags."""
+    """Return the definition of a message type and its nested types, in the format of bags."""
     types = _read_types()
     parts = [types[name]["definition"]]
     for used in types[name].get("uses", ()):

@@ -37,7 +37,7 @@ def event_rows(start: datetime, events: Iterable[Event]) -> list[EventRow]:
 
 
 def format_events(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return the content of ``events.csv``, with numbers in full precision, true and false."""
+    """Return the content of ``events.csv``, with full-precision numbers, true and false."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_COLUMNS)
@@ -55,7 +55,7 @@ def read_events(file: Path) -> list[EventRow]:
     """Read the rain events in a file ``events.csv``.
 
     Raises:
-        ConfigurationError: if the file is damaged, or is another file.
+        ConfigurationError: if the file is damaged, or is not a table of rain events.
     """
     rows = list[EventRow]()
     table = csv.DictReader(io.StringIO(read_text(file)), restkey="", restval="?")

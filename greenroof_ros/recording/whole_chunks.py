@@ -67,7 +67,7 @@ def _read_in_order(stream: BinaryIO, size: int) -> Iterator[list[McapRecord] | i
 
 
 def _read_summary(stream: BinaryIO) -> list[McapRecord]:
-    """Return the records of a file's summary; none if it is missing or damaged."""
+    """Return the records of a file's summary; an empty list if it is missing or damaged."""
     with suppress(OSError, *DAMAGED):
         if (footer := seek_summary(stream)) is not None:
             summary = stream.read()
