@@ -102,7 +102,7 @@ class Topic:
 
     @property
     def graph_name(self) -> str:
-        """The topic's name in a node's code; it is relative, so that a graph can have a namespace."""
+        """The name in a node's code, which is relative, so that a graph can have a namespace."""
         return self.name if self.absolute else self.name.removeprefix("/")
 
 

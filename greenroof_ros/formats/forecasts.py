@@ -176,7 +176,7 @@ def _count_complete_hours(series: NDArray[np.float64]) -> int:
 
 
 class Repetition:
-    """Detector of forecasts that only repeat the previous one, for instance from a stopped model."""
+    """Detector of forecasts that only repeat the previous one, as when a model has stopped."""
 
     def __init__(self) -> None:
         """Start without a forecast."""

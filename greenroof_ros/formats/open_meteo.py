@@ -1,7 +1,8 @@
 """Hourly CSV and JSON files from Open-Meteo, with past weather or issued forecasts.
 
 The service's CSV files begin with two lines that describe the location, followed by a
-header with units, and the hours. The service's JSON files contain the same values under ``hourly_units`` and ``hourly``::
+header with units, and the hours. The service's JSON files contain the same values under
+``hourly_units`` and ``hourly``::
 
     latitude,longitude,elevation,utc_offset_seconds,timezone,timezone_abbreviation
     43.620384,-79.41748,77.0,-18000,America/Toronto,GMT-5
