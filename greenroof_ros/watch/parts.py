@@ -1,4 +1,4 @@
-"""Parts of a document, each of which is made separately; see :class:`Parts`."""
+"""Parts of a document, each of which is generated separately; see :class:`Parts`."""
 
 from __future__ import annotations
 

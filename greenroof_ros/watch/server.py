@@ -396,7 +396,7 @@ class _PageApplication:
     async def _request_action(
         self, action: str, given: dict[str, float], asker: str
     ) -> tuple[bool, str]:
-        """Request an action from the pump node; return the result, even if the sender has gone."""
+        """Request an action from the pump node; return the result, even if the sender is gone."""
         try:
             request = {"owner": "the page"} if action == "stop" else given
             answer = await asyncio.to_thread(self._feed.request_action, action, **request)
