@@ -796,7 +796,7 @@ def test_who_stops_a_drive_that_turns_on_reports_what_it_reports_and_keeps_drive
 
 def test_a_stop_that_is_not_taken_is_tried_three_times(bench: Bench) -> None:
     bench.drive.silent = True
-    with pytest.raises(DriveError, match="no valid answer"):
+    with pytest.raises(DriveError, match="no valid response"):
         stop_drive(DriveEndpoint(ABB, parse_address(bench.wire.at)))
     assert bench.wire.connections == 3
 

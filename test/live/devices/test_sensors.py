@@ -246,7 +246,7 @@ def test_a_late_answer_of_one_sensor_is_no_level_of_the_other() -> None:
         first, second = both(wire.line, 3.0)
         with closing(first):
             first.start()
-            until(lambda: "no valid answer" in first.snapshot.problem)
+            until(lambda: "no valid response" in first.snapshot.problem)
             until(lambda: second.snapshot.value is not None)
             until(lambda: len(gaps(second, 3.0)) > 2)
             assert first.snapshot.value is None

@@ -378,8 +378,8 @@ def first(*answers: tuple[float, bytes]) -> Callable[[bytes], Answer]:
     ("answers", "kind", "message"),
     [
         ([(0, frame("0001 0000 0003 01 83 02"))], "answer", "exception 2, illegal data address"),
-        ([(0, frame("0009 0000 0005 01 03 02 1337"))], "connection", "no valid answer"),
-        ([(0, frame("0001 0000 0005 07 03 02 1337"))], "connection", "no valid answer"),
+        ([(0, frame("0009 0000 0005 01 03 02 1337"))], "connection", "no valid response"),
+        ([(0, frame("0001 0000 0005 07 03 02 1337"))], "connection", "no valid response"),
         ([(0, frame("0001 0000 0005 01 04 02 1337"))], "answer", "function code 4, not 3"),
         ([(0, frame("0001 0000 0007 01 03 04 1337 0000"))], "answer", "2 registers, not 1"),
         ([(0, bytes(range(255, 0, -1)) * 4)], "connection", ""),
@@ -399,7 +399,7 @@ def test_wrong_answers_have_a_name_and_a_time(
 
 def test_a_late_answer_is_not_taken_for_the_next() -> None:
     def go(drive: Drive) -> DriveStatus:
-        with pytest.raises(DriveError, match="no valid answer"):
+        with pytest.raises(DriveError, match="no valid response"):
             drive.read()
         # The server is still busy with the first request; it answers both, one after the other.
         return drive.read()
@@ -455,7 +455,7 @@ def test_a_server_that_returns_what_is_sent_is_no_drive() -> None:
 def test_a_connection_without_an_answer_is_reset() -> None:
     """So that a drive with only one socket has it free at once; RFC 9293, section 3.10.7.4."""
     with closing(Wire(lambda _request: [])) as wire:
-        with pytest.raises(DriveError, match="no valid answer"):
+        with pytest.raises(DriveError, match="no valid response"):
             talk("abb_acs880", wire.at, Drive.read)
         until(lambda: wire.resets == 1, 5)
 
