@@ -216,7 +216,7 @@ class PartReport:
             before: the previous report; None for the first.
             wall: current time (steady clock, s).
             level: OK, WARN, ERROR or STALE.
-            sentence: sentence of the report.
+            sentence: sentence that the report contains.
             values: the code with its beginning and age, and the values that are inserted in the
                 sentence.
             role: the node's role in the interface; empty for another device.

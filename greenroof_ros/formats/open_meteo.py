@@ -324,7 +324,7 @@ def _read_json_tables(file: Path, text: str) -> tuple[Table, Table]:
     except RecursionError as error:
         raise refuse("is JSON that is nested too deeply to be a response of Open-Meteo") from error
     if isinstance(content, list) and "hourly" in str(content)[:_JUDGED_ROWS]:
-        raise refuse("must be for one place; download places separately")
+        raise refuse("must be for a single location; download each location separately")
     if not isinstance(content, dict):
         raise refuse(_OTHER_JSON)
     why = next((content[key] for key in _MESSAGES if isinstance(content.get(key), str)), "")
@@ -370,7 +370,9 @@ def _check_place(place: Table, site: Site) -> timezone:
     """
     row = place.first
     if "location_id" in place.header:
-        raise place.refuse("must be for one place; download places separately", "location_id", row)
+        raise place.refuse(
+            "must be for a single location; download each location separately", "location_id", row
+        )
     place.require_columns([_OFFSET, *_PLACE], _SOURCE)
     offset = place.read_number(row, _OFFSET, Range(-43200.0, 50400.0, "s"))  # UTC-12 to UTC+14
     if offset % 3600:

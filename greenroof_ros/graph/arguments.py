@@ -1,4 +1,4 @@
-"""Command-line options that all commands for running a graph of nodes share."""
+"""Command-line options shared by all commands that run a graph of nodes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from greenroof_ros.controllers.registry import EXTERNAL
 
 
 def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None:
-    """Add the graph's options, which are the same for ``run`` and ``live``.
+    """Add the options of the graph, which ``run`` and ``live`` share.
 
     Args:
         parser: argument parser of the command.

@@ -29,7 +29,7 @@ from greenroof_ros.graph.spin import destroy_nodes, end_nodes, ros, spin
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser of the arguments that are for the node, not for ROS, with one-line errors."""
+    """Parser for the node's own arguments, as opposed to ROS arguments, with one-line errors."""
 
     def error(self, message: str) -> NoReturn:
         """Print an error as one line, and exit."""

@@ -97,7 +97,7 @@ def declare(node: Node, parameters: Iterable[Parameter]) -> dict[str, Any]:
 
 
 def find_given(node: Node, names: Iterable[str]) -> dict[str, Any]:
-    """Return the values set by the user for parameters that a node does not declare."""
+    """Return the values that the user set for parameters that a node does not declare."""
     given = {}
     for name in names:
         anything = ParameterDescriptor(dynamic_typing=True)

@@ -32,7 +32,7 @@ _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 @contextmanager
 def ros(arguments: Sequence[str]) -> Iterator[None]:
-    """Initialise ROS for the nodes of this process, and shut it down at the end.
+    """Initialise ROS for the nodes of this process, and shut ROS down after the block.
 
     After the block, the process must exit soon: see :func:`end_soon`.
 

@@ -29,8 +29,8 @@ class WeatherOutputs:
             node: the node.
             site: the site.
             horizon: length of the forecasts (h); 0 for the next M ticks.
-            outlet_horizon: length of the forecasts for a plan of the outlet valve (h); 0 for no
-                such plan.
+            outlet_horizon: length of the forecasts for planning the outlet valve (h); 0 if the
+                valve is not planned.
         """
         self.publish = node.publish
         # Prefix of every forecast: the time of its issue (s since 1970), and the ends of its steps

@@ -38,7 +38,8 @@ def parameters(site: Site) -> list[Parameter]:
         Parameter(
             "evapotranspiration", "", meaning="method for evapotranspiration: fao56, hargreaves, "
             "monthly, or the name of the weather file's own column; if empty, the file's own "
-            "column or, without one, the first of these methods that the file allows",
+            "column or, without one, the first of these methods for which the file contains the "
+            "data",
         ),
         Parameter(
             "gaps", REFUSE, meaning="treatment of a missing hour: refuse rejects the run; fill "

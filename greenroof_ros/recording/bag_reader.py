@@ -193,7 +193,7 @@ def _check_files(bag: Path) -> None:
     ]
     if missing:
         raise ConfigurationError(
-            f"lacks {', '.join(missing)}, listed in {METADATA}: copy the whole directory",
+            f"lacks {', '.join(missing)}, which {METADATA} lists: copy the whole directory",
             file=bag,
         )
 

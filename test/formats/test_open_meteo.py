@@ -135,7 +135,8 @@ def test_places(tmp_path: Path) -> None:
     anywhere = replace(TORONTO, latitude=None, longitude=None, elevation=None)
     refusal(read_weather, [path], anywhere, match="fao56 requires latitude, longitude in t")
     path = write(tmp_path, place=f"location_id,{PLACE}", values=f"1,{VALUES}")
-    refusal(read_weather, [path], TORONTO, match="line 2: location_id = '1': must be for one place")
+    match = "line 2: location_id = '1': must be for a single location"
+    refusal(read_weather, [path], TORONTO, match=match)
     path.write_text(f"{PLACE}\n{VALUES}\n")
     refusal(read_weather, [path], TORONTO, match="must begin with two lines")
 

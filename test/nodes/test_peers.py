@@ -86,7 +86,8 @@ def test_a_plant_without_a_controller_names_it(nodes: Nodes) -> None:
     nodes.node("plant", start_limit=6.0)
     assert nodes.code("plant") == 1
     (fatal,) = [line for line in nodes.log("plant").splitlines() if line.startswith("error: ")]
-    assert "did not start within 6 s" in fatal and "/pump/command from the controller" in fatal
+    assert "the run did not start within 6 s" in fatal
+    assert "/pump/command from the controller" in fatal
     assert "weather" not in fatal.partition("did not start")[2]
 
 

@@ -205,7 +205,7 @@ def test_a_bag_that_lacks_a_file(tmp_path: Path) -> None:
     (part,) = bag.glob("*.mcap")
     part.rename(tmp_path / part.name)
     assert refusal(read_run, bag) == (
-        f"{bag}: lacks {part.name}, listed in metadata.yaml: copy the whole directory"
+        f"{bag}: lacks {part.name}, which metadata.yaml lists: copy the whole directory"
     )
 
 
@@ -459,7 +459,8 @@ def test_how_runs_ended(tmp_path: Path) -> None:
     silent = ended_run(tmp_path / "silent", "interrupted", last_tick=0)
     shutil.rmtree(silent / "bag")
     small_bag(silent / "bag", roof_level=[], cistern_level=[], pump_command=[], pump_flow=[])
-    refusal(report_of, nothing, match="failed: the run did not start within 30 s; .*: no bag")
+    match = "nothing failed: the run did not start within 30 s; .*: no bag"
+    refusal(report_of, nothing, match=match)
     refusal(report_of, silent, match="For example, silent was interrupted at tick 0 of 720")
     ending = (
         "failed at tick 72 of 720 (00:01:12): node weather ended (SIGKILL); its last lines: none"
