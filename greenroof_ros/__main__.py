@@ -46,7 +46,7 @@ GROUPS = {
         "run": Command("bringup.simulated", "run the node graph of a simulated site"),
         "live": Command("bringup.live", "operate a real site with sensors and a pump"),
         "fetch-forecast": Command("fetch_forecast", "fetch a forecast from the internet"),
-        "hold": Command("pump_requests", "hold the pump off until it is released or until a given "
+        "hold": Command("pump_requests", "hold the pump off until a release or a given "
         "time", "HOLD"),
         "release": Command("pump_requests", "end the pump's hold", "RELEASE"),
         "reset": Command("pump_requests", "clear a latched fault of the pump", "RESET"),
@@ -55,27 +55,23 @@ GROUPS = {
     "monitor and evaluate runs and sites": {
         "watch": Command("watch", "show a run or a site in a web browser"),
         "status": Command("status", "print the current state, with an exit code for scripts"),
-        "bridge": Command("bridge", "publish a graph's data over MQTT, with a stop switch for the "
-        "pump"),
+        "bridge": Command("bridge", "publish a graph over MQTT, with a stop switch for the pump"),
         "report": Command("report", "create figures and tables from runs, studies and bags"),
         "recover": Command("recover", "restore a bag after a crash or a full disk"),
     },
     "compare controllers, without ROS": {
-        "simulate": Command("simulate", "run one simulation in a single process, with the same "
-        "results as the graph"),
+        "simulate": Command("simulate", "run in a single process, with the same results as the "
+        "graph"),
         "study": Command("study", "run a study: the paper's 30 runs, or a grid of your own"),
         "district": Command("district", "compute the total discharge from many buildings to a "
         "sewer"),
-        "bound": Command("bound", "compute the smallest deviation that any controller could "
-        "achieve"),
+        "bound": Command("bound", "compute the minimum possible deviation"),
     },
     "adapt the model to your site": {
         "new-site": Command("new_site", "write a site file from a few answers"),
-        "size": Command("size", "choose a cistern, a target and an outlet from simulations of all "
-        "seasons"),
+        "size": Command("size", "choose a cistern, a target and an outlet over all seasons"),
         "calibrate": Command("calibrate", "fit the roof and its pumps to measurements"),
-        "fetch-weather": Command("fetch_weather", "download years of weather data from the "
-        "internet"),
+        "fetch-weather": Command("fetch_weather", "download years of weather from the internet"),
         "weather": Command("weather_file", "describe a weather file, or write it as plain CSV"),
         "verify": Command("verify", "compare rain forecasts with records"),
     },
