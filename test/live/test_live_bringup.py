@@ -195,7 +195,7 @@ def test_a_live_site_with_drive_and_sensors(
     assert hardware.speed() > 0.9
     printed = process.stderr()
     assert "did not stop the drive; bringup commanded the drive to stop" in printed
-    assert "waiting for the pump to come to rest" in printed
+    assert "waiting for the pump to come to a standstill" in printed
     assert "error: interrupted by SIGTERM; bringup could not stop the drive: " in printed
     assert "THE PUMP MAY BE RUNNING" in printed
     summary = summary_of(tmp_path / "run")
