@@ -1,8 +1,8 @@
 """The controller node of a live site, which runs any controller on levels and forecasts.
 
-The on/off controller replaces a controller that fails, or that needs a forecast while there is
-none. ``python -m greenroof_ros.live.controller --controller NAME`` runs a controller of this
-package, or any class specified as ``package.module:Class``; the node is named after the controller.
+On/off control replaces a controller that fails, or that needs a forecast when none is available.
+``python -m greenroof_ros.live.controller --controller NAME`` runs a controller of this package, or
+any class specified as ``package.module:Class``; the node is named after the controller.
 """
 
 from __future__ import annotations
@@ -81,16 +81,16 @@ def parameters(choice: ControllerChoice | None) -> list[Parameter]:
 
 
 class LiveControllerNode(LiveNode):
-    """Node that runs one controller; in frost, in quiet hours and on invalid inputs, it commands 0.
+    """Node that runs a controller; in frost, in quiet hours and on invalid inputs, it commands 0.
 
     On/off control with default parameters takes over from a controller that needs a forecast but
     has no valid forecast, or whose code fails, that is, raises an error, does not return, or
     returns an invalid command. A failed controller is tried again at intervals of 60 times
     ``recovery_time``. After on/off control has pumped, the controller restarts, since its knowledge
-    of the roof and its plan are outdated. The cost of waiting for rain is kept in ``state_file``,
-    even across restarts of the node.
+    of the roof and its plan are outdated. The cost of waiting for rain is stored in ``state_file``,
+    and thus survives restarts of the node.
 
-    If the node cannot run with its controller, the node ends. Bringup then restarts the node with
+    If the node cannot run its controller, it exits. Bringup then restarts the node with
     ``given_up``, and on/off control is used until the site is restarted.
     """
 
@@ -194,7 +194,7 @@ class LiveControllerNode(LiveNode):
         self._failed_at, self._settings.controller = time.monotonic(), None
 
     def _ask(self, allowed: bool) -> tuple[float, bool]:
-        """Return the controller's command (0 if it did not decide), and whether it decided.
+        """Return the controller's command (0 if it made no decision), and whether it made one.
 
         A forecast that the controller cannot use is rejected.
         """
@@ -251,7 +251,7 @@ class LiveControllerNode(LiveNode):
         )
 
     def _update_stand_in(self) -> None:
-        """Let on/off control take over once the controller has failed to decide for too long."""
+        """Switch to on/off control once the controller has failed to decide for too long."""
         if not (self._failure or self._forecast_problem()):
             self._lacking_since, self._stand_in_since = math.inf, ""
             return
@@ -300,12 +300,12 @@ class LiveControllerNode(LiveNode):
             self._learned_file.close()
 
     def _expect(self, command: float) -> None:
-        """Set the expected change of the levels in a tick, from the gauge's rain and the flow.
+        """Set the level changes expected in a tick, based on the rain gauge and the pump's flow.
 
-        The flow is that of the pump, or is computed from the command if no flow was ever received.
+        The flow is the pump's, or is computed from the command if no flow has ever been received.
         An invalid flow is treated as 0, since the pump may be stopped; a constant level then does
-        not count as frozen. Snow reaches no tank before it melts, so precipitation in frost does
-        not count.
+        not count as frozen. Snow does not reach any tank before it melts, so precipitation during
+        frost does not count.
         """
         site, flow = self._site, self._flow.value if self._flow.good else 0.0
         if not self._flow.received:
@@ -374,7 +374,7 @@ def make_node(controller: str) -> LiveControllerNode:
     """Return the node; if this fails, report the reason to bringup.
 
     Raises:
-        ConfigurationError: if the node cannot run with this controller.
+        ConfigurationError: if the node cannot run this controller.
     """
     try:
         return LiveControllerNode(controller)

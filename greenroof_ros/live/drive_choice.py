@@ -49,8 +49,8 @@ class DriveChoice:
         """Return a function that stops the drive without the pump node.
 
         The function takes the pump node's process id, and returns whether the drive reports the
-        pump as stopped, and the outcome in words. A drive that another program runs is left alone,
-        and the function returns False.
+        pump as stopped, and the outcome in words. A drive that another program controls is left
+        alone, and the function returns False.
 
         Raises:
             ConfigurationError: if the file or the address is wrong.
@@ -95,7 +95,7 @@ def read_drive_choice(arguments: argparse.Namespace) -> DriveChoice | None:
     """Return the drive that the command line specifies; None if it specifies none.
 
     Raises:
-        ConfigurationError: if there is no such drive file, or the options are inconsistent.
+        ConfigurationError: if the drive file does not exist, or the options are inconsistent.
     """
     drive, at = arguments.drive, arguments.drive_at
     refuse(

@@ -1,8 +1,8 @@
-"""Sample and hold: nodes that act at every tick of the steady clock on the newest input values.
+"""Sample and hold: nodes that act at every tick of the steady clock on the latest input values.
 
 A live graph has no plant and no clock topic. A node does not wait for an input that is missing,
-late or wrong. The rules of :mod:`greenroof_ros.live.pumping.input_rules` determine which inputs are
-invalid, and the node acts accordingly.
+late or invalid. The rules of :mod:`greenroof_ros.live.pumping.input_rules` determine which inputs
+are invalid, and the node acts accordingly.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def live_parameters(topics: Iterable[str]) -> list[Parameter]:
 
 
 class Levels:
-    """Levels of cistern and roof as inputs, with checks of the physically possible movement.
+    """Levels of the cistern and the roof as inputs, with checks for physically possible changes.
 
     Attributes:
         cistern: the cistern's level.
@@ -98,7 +98,7 @@ class Levels:
 
     @property
     def displacements(self) -> tuple[float, float]:
-        """Total shifts of the readings of cistern and roof by impossible jumps so far (m)."""
+        """Total displacements of both levels' readings by impossible jumps so far (m)."""
         cistern, roof = self._rules
         return cistern.displacement, roof.displacement
 
@@ -116,8 +116,8 @@ class Levels:
 class SampleAndHold:
     """Schedule of a node that acts once per period of the steady clock, even without its peers.
 
-    This clock (CLOCK_BOOTTIME) keeps running while the machine is suspended, so inputs from before
-    a suspension are too old.
+    This clock (CLOCK_BOOTTIME) keeps running while the computer is suspended, so inputs received
+    before a suspension are too old.
 
     Attributes:
         inputs: the node's inputs.
@@ -126,7 +126,7 @@ class SampleAndHold:
     """
 
     def __init__(self, act: Callable[[], None], reports: LiveDiagnostics) -> None:
-        """Begin without a period.
+        """Initialize without a period.
 
         Args:
             act: function that makes the node act.
@@ -158,7 +158,7 @@ class SampleAndHold:
         return on_message
 
     def check_inputs(self) -> None:
-        """Check all inputs at the present time; after a pause of this process, all are too old."""
+        """Check all inputs at the current time; after a pause of this process, all are too old."""
         self._handle_pause(boot_time())
         for entry in self.inputs:
             entry.check()
@@ -170,7 +170,7 @@ class SampleAndHold:
 
     @property
     def due_in(self) -> float:
-        """Time until the node acts next (s)."""
+        """Time until the node's next action (s)."""
         return max(0.0, self._due - boot_time())
 
     def check(self) -> None:

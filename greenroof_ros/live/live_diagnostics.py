@@ -33,8 +33,8 @@ class PartStatus:
         message: the state, as a sentence.
         code: condition code, for programs; empty if all is well.
         cause: code of the cause; empty if unknown.
-        since: start of the present code on the system clock (s since 1970).
-        began: start of the present code on the steady clock (s).
+        since: time at which the current code appeared, on the system clock (s since 1970).
+        began: time at which the current code appeared, on the steady clock (s).
         values: values that occur in the sentence.
     """
 
@@ -49,8 +49,8 @@ class PartStatus:
     def for_programs(self) -> dict[str, str]:
         """Return the values for programs, without unknown values.
 
-        The result contains the values in the sentence, the code, the code's start (ISO 8601) and
-        duration (s), and the cause.
+        The result contains the values in the sentence, the code, the time at which the code
+        appeared (ISO 8601), its duration (s), and the cause.
         """
         values = {
             key: f"{value:.6g}" if isinstance(value, (float, int)) else str(value)
@@ -71,7 +71,7 @@ class LiveDiagnostics(NodeDiagnostics):
 
     Attributes:
         diagnoses: diagnoses of the node's parts, by their names.
-        hardware: device to which the parts belong; empty for the machine.
+        hardware: device to which the parts belong; empty if they belong to the computer itself.
         urgent: whether a diagnosis has changed since the last report.
     """
 
@@ -88,7 +88,7 @@ class LiveDiagnostics(NodeDiagnostics):
         self, part: str, diagnosis: Diagnosis | None, well: str = "", level: bytes = ERROR,
         cause: str = "", *, log: bool = True,
     ) -> None:
-        """Set the diagnosis of a part; a change is logged and soon reported.
+        """Set the diagnosis of a part; a change is logged, and reported shortly afterward.
 
         Args:
             part: name of the part.
@@ -123,7 +123,7 @@ class LiveDiagnostics(NodeDiagnostics):
     def publish(self, values: dict[str, Any]) -> None:
         """Report the state of the node with these values, and the states of its parts.
 
-        The supervisor receives every report, since it must soon notice that a node hangs. On
+        The supervisor receives every report, since it must quickly notice when a node hangs. On
         /diagnostics, a report is published if a state, level or diagnosis changes, and otherwise
         once a second.
         """
@@ -162,6 +162,6 @@ class LiveDiagnostics(NodeDiagnostics):
         })
 
     def flush(self, seconds: float) -> None:
-        """Wait at most this long (s) for all readers and the supervisor to receive all reports."""
+        """Wait until all readers and the supervisor have all reports, for a limited time (s)."""
         super().flush(seconds)
         supervisor_socket().flush(_FLUSH_S)

@@ -1,4 +1,4 @@
-"""The inputs of a live node: their newest values, the rules they break, and their publishers."""
+"""The inputs of a live node: their latest values, the rules they violate, and their publishers."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ _RECORDED_DEPTH = 1000
 
 
 class LivePublishers(Publishers):
-    """The publishers of a topic in a live graph, where a killed node is restarted.
+    """The publishers of a topic in a live graph, in which a killed node is restarted.
 
-    ROS still lists the killed node until the lease of its process ends (``config/fastdds.xml``). If
-    the topic has a liveliness lease in the interface, only live publishers count, which are known
-    from events.
+    ROS continues to list the killed node until the lease of its process expires
+    (``config/fastdds.xml``). If the interface specifies a liveliness lease for the topic, only live
+    publishers count; they are known from events.
     """
 
     def __init__(self, node: Node, topic: Topic, *, recorded: bool = False) -> None:
@@ -52,7 +52,7 @@ class LivePublishers(Publishers):
         self._unfit_since = -math.inf  # when the middleware last reported an incompatible one
 
     def profile(self) -> QoSProfile:
-        """Return the profile of the subscription, which requests no past messages."""
+        """Return the quality of service of the subscription, which requests no past messages."""
         profile = qos_profile(self.required)
         profile.depth = self._depth
         return profile
@@ -84,8 +84,8 @@ class LivePublishers(Publishers):
     def describe_second(self, wait_s: float = 0.0) -> str:
         """Return a message if there is a second or, with a lease, an incompatible publisher.
 
-        If only one of two publishers is known, the middleware has miscounted after a lease ran out
-        on a busy machine.
+        If only one of two publishers is known, the middleware has miscounted after a lease expired
+        on a busy computer.
         """
         if self._unfit_since > -math.inf:
             if incompatible := self.describe_incompatible():
@@ -96,12 +96,12 @@ class LivePublishers(Publishers):
 
 
 class LiveInput(Input):
-    """An input with the rules that its values must obey.
+    """An input with the rules that its values must satisfy.
 
     Attributes:
         publishers: publishers of the topic.
         rules: rules of the input.
-        diagnosis: diagnosis of the broken rule; None if the newest value may be used.
+        diagnosis: diagnosis of the violated rule; None if the latest value may be used.
         received: whether any message has been received.
         optional: whether the node acts without the input.
     """
@@ -109,7 +109,7 @@ class LiveInput(Input):
     diagnosis: Diagnosis | None = Diagnosis("input_waiting")
 
     def __init__(self, publishers: LivePublishers, rules: InputRules, *, optional: bool) -> None:
-        """Start without a value.
+        """Initialize without a value.
 
         Args:
             publishers: publishers of the topic.
@@ -125,7 +125,7 @@ class LiveInput(Input):
 
     @property
     def good(self) -> bool:
-        """Whether the newest value may be used."""
+        """Whether the latest value may be used."""
         return self.diagnosis is None
 
     def receive(self, message: bytes) -> None:
@@ -144,11 +144,11 @@ class LiveInput(Input):
         self.check()
 
     def check(self) -> None:
-        """Check the newest value at the present time."""
+        """Check the latest value at the current time."""
         self.diagnosis = self.rules.check(boot_time(), self.publishers.describe_second())
 
     def refuse(self, why: str) -> None:
-        """Reject the newest value because the node cannot use it.
+        """Reject the latest value because the node cannot use it.
 
         Args:
             why: the reason.
@@ -167,8 +167,7 @@ class LiveInput(Input):
 def bad_inputs(inputs: Iterable[Input]) -> Diagnosis | None:
     """Return a joint diagnosis of the invalid inputs, with the code of the worst input.
 
-    The worst input is the first that breaks a rule or, if no rule is broken, the first that is
-    awaited.
+    The worst input is the first that violates a rule or, if none does, the first that is awaited.
     """
     diagnoses = [diagnosis for entry in inputs if (diagnosis := entry.diagnosis) is not None]
     worst = min(diagnoses, key=lambda each: each.code in AWAITED, default=None)

@@ -52,7 +52,7 @@ class LiveSite:
         """Check the command line and read the files that it names.
 
         Raises:
-            ConfigurationError: if an option or a file that it names is wrong or missing.
+            ConfigurationError: if an option, or a file that it names, is invalid or missing.
         """
         self.site_file: Path = arguments.site
         site = read_site(self.site_file)
@@ -119,7 +119,7 @@ class LiveSite:
         return {name: file for name, file in files.items() if file is not None}
 
     def broker_files(self) -> list[Path]:
-        """Return the files of logins and certificates that the nodes read."""
+        """Return the login and certificate files that the nodes read."""
         files = [] if self.drive is None else [self.drive.broker_login, self.drive.broker_authority]
         for sensor in self.sensed.by_section.values() if self.sensed else ():
             files += [getattr(sensor, key, "") for key in ("login", "authority")]
@@ -225,7 +225,7 @@ def make_parser() -> Parser:
 
 
 def _give_up(controller: ControllerChoice, why: str) -> tuple[str, ...]:
-    """Return the arguments for a controller's node that can no longer run its controller.
+    """Return the arguments for the node of a controller that can no longer be run.
 
     The location of the controller's code is added to the reason, since a process may end without a
     message.
@@ -259,10 +259,10 @@ def _forecast(arguments: argparse.Namespace) -> Path | str | None:
 
 
 def _refuse_shared_line(drive: DriveChoice, sensors: Sensors) -> None:
-    """Reject a serial line that a sensor and the drive share, as only one program can open it.
+    """Reject a serial line shared by a sensor and the drive, since only one program can open it.
 
     Raises:
-        ConfigurationError: if the line is shared, or the drive's file or address is wrong.
+        ConfigurationError: if the line is shared, or the drive's file or address is invalid.
     """
     endpoint = drive.read()
     if not isinstance(endpoint, DriveEndpoint):

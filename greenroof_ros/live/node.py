@@ -1,6 +1,6 @@
-"""Nodes of a live site, which act at ticks of the steady clock on the newest value of each input.
+"""Nodes of a live site, which act at ticks of the steady clock on the latest value of each input.
 
-The module also contains the executable of live nodes and their help.
+The module also contains the entry point of live nodes, and their help.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class LiveNode(GraphNode):
             role: role of the node in the interface: its name, or ``controller``.
 
         Raises:
-            ConfigurationError: if ROS arguments or a parameter file are wrong.
+            ConfigurationError: if the ROS arguments or a parameter file are invalid.
         """
         super().__init__(name, role, read_live_topics(), LiveDiagnostics)
         if self.get_parameter(USE_SIM_TIME).value:
@@ -81,7 +81,8 @@ class LiveNode(GraphNode):
         """Declare the parameter ``site_file``, and read the site; its tau is the node's period.
 
         Raises:
-            ConfigurationError: if the file, or a value in it, is wrong, or its outlet has a valve.
+            ConfigurationError: if the file or a value in it is invalid, or the site's outlet has a
+                valve.
         """
         site = super().declare_site()
         refuse_valve(site, Path(self.get_parameter("site_file").value))
@@ -129,12 +130,12 @@ class LiveNode(GraphNode):
 
     @property
     def good(self) -> bool:
-        """Whether no required input breaks a rule."""
+        """Whether all required inputs satisfy their rules."""
         self._engine.check_inputs()
         return all(entry.good for entry in self._engine.required)
 
     def absent(self) -> dict[str, list[str]]:
-        """Return the required inputs that have no compatible publisher, by missing role."""
+        """Return the required inputs without a compatible publisher, keyed by the missing role."""
         topics = {name: entry.topic for name, entry in self.inputs.items()}
         return group_by_role(self.role, topics, [
             entry.topic.name for entry in self._engine.required if not entry.publishers.compatible
@@ -142,7 +143,7 @@ class LiveNode(GraphNode):
 
     @property
     def wait_s(self) -> float:
-        """Longest time for which the node may wait for the next message (s)."""
+        """Maximum time for which the node may wait for the next message (s)."""
         return min(_CHECK_S, self._engine.due_in)
 
     def check(self, now: float) -> None:
@@ -153,7 +154,7 @@ class LiveNode(GraphNode):
 
         Raises:
             LockstepError: if the node cannot continue.
-            ConfigurationError: if the set-up is wrong.
+            ConfigurationError: if the set-up is invalid.
             OSError: if the node cannot continue, for instance because of a full disk.
         """
         if self.failure is not None:
@@ -192,7 +193,7 @@ def spin(nodes: Sequence[LiveNode], check: Callable[[], None]) -> NoReturn:
 
     Args:
         nodes: the nodes.
-        check: function called at least 20 times a second, which may raise an exception.
+        check: function that is called at least 20 times a second and may raise an exception.
     """
     executor = SingleThreadedExecutor()
     for node in nodes:

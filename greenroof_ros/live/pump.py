@@ -1,19 +1,19 @@
 """The pump node of a live site, which turns /pump/command into commands to a drive or a relay.
 
-The node acts once every tau of the site on the newest values, and lets the pump run only if these
-values are fresh and valid. The node connects to the drive automatically, and does not run the pump
-unless the drive's own communication timeout would stop it without this node. Between two such
-steps, checks on the steady clock can stop the drive. /pump/flow is published every tau, and
-/pump/state whenever it changes.
+The node acts once per tau of the site on the latest values, and allows the pump to run only if
+these values are up to date and valid. The node connects to the drive automatically, and does not
+run the pump unless the drive's own communication timeout would stop the pump if this node failed.
+Between two such steps, checks on the steady clock can stop the drive. /pump/flow is published every
+tau, and /pump/state whenever it changes.
 
 ``~/stop`` (std_srvs/SetBool) with true holds the pump, which then stays off, regardless of the
 command, even after a restart. With false, the service ends any hold. ``~/hold``
-(rcl_interfaces/SetParametersAtomically) holds the pump for an ``owner``, with a ``reason`` and an
-end, ``until`` (s since 1970), if they are specified. ``~/reset`` (std_srvs/Trigger), for a person
-at the pump, clears a latched fault and an unknown state; ``~/clear``, for the page, clears only a
-fault that needs no person at the pump (speed_not_followed). If the site file allows doses,
-``~/dose`` (rcl_interfaces/SetParametersAtomically: ``volume`` in m3, and ``asked_at``, the present
-time in s since 1970) delivers a volume once, or returns the reason for rejecting the request.
+(rcl_interfaces/SetParametersAtomically) holds the pump for an ``owner``, optionally with a
+``reason`` and an end, ``until`` (s since 1970). ``~/reset`` (std_srvs/Trigger), for a person at the
+pump, clears a latched fault and an unknown state; ``~/clear``, for the page, clears only a fault
+that needs no person at the pump (speed_not_followed). If the site file allows doses, ``~/dose``
+(rcl_interfaces/SetParametersAtomically: ``volume`` in m3, and ``asked_at``, the current time in s
+since 1970) delivers a volume once, or returns the reason for rejecting the request.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class PumpNode(LiveNode):
         """Declare the parameters, and open the topics and services.
 
         Raises:
-            ConfigurationError: if a parameter, or the drive file, is wrong.
+            ConfigurationError: if a parameter or the drive file is invalid.
         """
         super().__init__("pump", "pump")
         site = self._site = self.declare_site()
@@ -159,7 +159,7 @@ class PumpNode(LiveNode):
             self.get_logger().warning(f"{self._state_file} keeps the pump off: {why}")
 
     def _acquire_state(self) -> None:
-        """Take over the state file if another process had it, or if it could not be created."""
+        """Acquire the state file if another process held it, or if it could not be created."""
         if self._ledger.acquire():
             self._start_control()
             self._reasons = ()  # decide again
@@ -169,7 +169,7 @@ class PumpNode(LiveNode):
     def _open_service(
         self, name: str, kind: Any, act: Callable[[Any], tuple[bool, str]]
     ) -> None:
-        """Offer a service that answers with success and message; a ValueError rejects a request."""
+        """Offer a service that returns success and a message; a ValueError rejects a request."""
 
         def answer(request: Any, response: Any) -> Any:
             self._acquire_state()
@@ -187,7 +187,7 @@ class PumpNode(LiveNode):
         self.create_service(kind, f"~/{name}", answer)
 
     def _saved(self, said: str) -> tuple[bool, str]:
-        """Save the state after a request; return whether this succeeded, and the answer."""
+        """Save the state after a request; return whether this succeeded, and the response."""
         problem = self._ledger.flush()
         return not problem, f"{said}; but {problem}" if problem else said
 
@@ -238,7 +238,7 @@ class PumpNode(LiveNode):
         self.publish("/pump/flow", flow)
 
     def on_timer(self, now: float) -> None:
-        """Decide again if the reasons against running change, even if no commands arrive."""
+        """Decide again if the reasons for keeping the pump off change, even without a command."""
         self._exchange.start()
         now = boot_time()
         self._check_suspend(now)
@@ -275,7 +275,8 @@ class PumpNode(LiveNode):
         """Stop the drive and confirm that it is stopped, whatever ends the node.
 
         Raises:
-            OSError: if the stop could not be confirmed; the node's exit code then shows this, too.
+            OSError: if the stop could not be confirmed; the node's exit code then also indicates
+                this.
         """
         try:
             if self._exchange.started:
@@ -287,7 +288,7 @@ class PumpNode(LiveNode):
                 self.get_logger().error(problem)
 
     def _check_suspend(self, now: float) -> None:
-        """Report, for a minute, that the machine was suspended while the pump was on."""
+        """Report, for a minute, that the computer was suspended while the pump was on."""
         before, self._suspended = self._suspended, suspended_time()
         seconds = self._suspended - before
         if seconds > PAUSE_S and not self._decision.at_rest:
@@ -311,7 +312,7 @@ class PumpNode(LiveNode):
         return DriveState.STOPPED if self._ledger.active_hold else DriveState.READY
 
     def _unfit_drive(self, snapshot: DriveSnapshot) -> Iterator[Diagnosis]:
-        """Yield the reasons why a drive that answers must not run yet, as nothing might stop it."""
+        """Yield the reasons why a responding drive must not run yet, as nothing might stop it."""
         yield from filter(None, (
             snapshot.unguarded,
             self._exchange.timeout_problem(snapshot),
@@ -319,7 +320,7 @@ class PumpNode(LiveNode):
         ))
 
     def _reasons_against(self, snapshot: DriveSnapshot, now: float) -> Iterator[Diagnosis]:
-        """Yield this node's own reasons against running the pump."""
+        """Yield this node's own reasons for keeping the pump off."""
         if absence := snapshot.absence_at(now):
             yield absence
         if (status := snapshot.status_at(now)) is not None:
@@ -348,7 +349,7 @@ class PumpNode(LiveNode):
         return float(entry.value) if self.acted and entry.good else None
 
     def _step(self) -> Decision:
-        """Decide from the present observations, command the drive, and publish the state."""
+        """Decide based on the current observations, command the drive, and publish the state."""
         now = boot_time()
         self._check_suspend(now)
         self._engine.check_inputs()
@@ -422,7 +423,7 @@ def _read_endpoint(values: Mapping[str, Any], node_name: str) -> Endpoint:
     """Return the drive that a node's parameters specify.
 
     Raises:
-        ConfigurationError: if a parameter or the drive file is wrong.
+        ConfigurationError: if a parameter or the drive file is invalid.
     """
     key = f"parameter {{}} of {node_name}"
     if not values["drive"]:
@@ -437,7 +438,7 @@ def _read_endpoint(values: Mapping[str, Any], node_name: str) -> Endpoint:
 
 
 def _parse_hold(request: SetParametersAtomically.Request) -> dict[str, Any]:
-    """Return owner, reason and end of a requested hold.
+    """Return the owner, the reason and the end of a requested hold.
 
     Raises:
         ValueError: if the request is not a valid request for a hold.
@@ -463,7 +464,7 @@ def _parse_hold(request: SetParametersAtomically.Request) -> dict[str, Any]:
 
 
 def _fault(status: DriveStatus | None) -> str:
-    """Return a drive's fault, except a stop by its own timeout, which clears automatically."""
+    """Return a drive's fault, except for a trip of its own timeout, which clears automatically."""
     return "" if status is None or status.timed_out else status.fault
 
 

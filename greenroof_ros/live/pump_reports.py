@@ -39,13 +39,13 @@ class PumpReports:
         """Report on every part.
 
         Args:
-            now: present time, from `boot_time` (s).
+            now: current time, from `boot_time` (s).
             site: the site.
             state: state of the pump.
             decision: the last decision.
-            dose: dose that is waiting, is running or ended a moment ago; None if there is no dose.
-            unsaved: reason why the state would be forgotten at a restart; empty if it would be
-                kept.
+            dose: dose that is waiting, is running or has just ended; None if there is no dose.
+            unsaved: reason why the state would be lost at a restart; empty if it would be
+                preserved.
             changed: whether another program has just changed the record.
             second_pump: diagnosis of a second pump node; None if there is only one pump node.
         """

@@ -4,8 +4,8 @@ Messages go into the files of a bag, split by size and by day (UTC), with their 
 and are on the disk after 10 s. The oldest files are removed when the bag reaches its limit. A full
 disk stops the recording and raises an alarm; the node keeps running, and tries again every minute.
 If the disk hangs, up to 32 MB of messages wait in memory until the disk responds; this, too, raises
-an alarm. A report on /diagnostics is recorded if a state, a level or a diagnosis has changed, and
-otherwise once every ten seconds for each node.
+an alarm. A report on /diagnostics is recorded if a state, a level or a diagnosis has changed;
+otherwise, one report per node is recorded every ten seconds.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ def parameters(site: Site | None = None) -> list[Parameter]:
 
 
 class ReportFilter:
-    """Filter that chooses the reports on /diagnostics to be recorded."""
+    """Filter that selects the reports on /diagnostics to be recorded."""
 
     def __init__(self) -> None:
-        """Begin with no report."""
+        """Initialize without a report."""
         # What each sender's last recorded report showed, and when it arrived (steady clock, s).
         self._recorded: dict[str, tuple[list[tuple[object, ...]], float]] = {}
 
@@ -116,7 +116,7 @@ class LiveRecorderNode(LiveNode):
             self._unwritten += 1
 
     def on_timer(self, now: float) -> None:
-        """Flush if it is due, and report the state of the recording."""
+        """Flush the bag if a flush is due, and report the state of the recording."""
         if now - self._updated_at > _UPDATE_S:
             self._updated_at = now
             DISK.do(partial(self._bag.flush_if_due, now))

@@ -1,9 +1,9 @@
-"""The nodes of all sensors, which publish their readings from one process.
+"""The nodes of all sensors, which publish the sensors' readings from a single process.
 
 ``python -m greenroof_ros.live.sensors --sensors sensors.yaml`` creates a node for every section of
 the file, such as /cistern_sensor, which publishes /cistern/level. A node publishes once per period
 for a Modbus sensor, and at every message for an MQTT sensor. An invalid reading is not published,
-and /diagnostics states the reason; the last value then becomes too old for its readers.
+and the reason is reported on /diagnostics; the last value then becomes too old for its subscribers.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ class SensorNode(LiveNode):
         Args:
             section: section of the file, such as ``cistern``.
             file: the sensor file.
-            lines: the lines of the sensors on Modbus, by connection; this sensor is added.
+            lines: the lines of the Modbus sensors, by connection; this sensor is added to them.
 
         Raises:
-            ConfigurationError: if the file is wrong.
+            ConfigurationError: if the file is invalid.
         """
         quantity = QUANTITIES[section]
         super().__init__(quantity.node, quantity.node)
@@ -72,7 +72,7 @@ class SensorNode(LiveNode):
             self._hangs_s = math.inf
 
     def start(self) -> None:
-        """Begin to read the sensor."""
+        """Start reading the sensor."""
         self._reader.start()
 
     def on_timer(self, now: float) -> None:
@@ -104,10 +104,10 @@ class SensorNode(LiveNode):
 
 
 def sensor_nodes(file: str) -> list[SensorNode]:
-    """Return a node for each sensor in a file, and begin to read the sensors.
+    """Return a node for each sensor in a file, and start reading the sensors.
 
     Raises:
-        ConfigurationError: if the file or a parameter is wrong, or a library is missing.
+        ConfigurationError: if the file or a parameter is invalid, or a library is missing.
     """
     lines: dict[str, SensorLine] = {}
     nodes = [

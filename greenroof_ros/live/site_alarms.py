@@ -27,14 +27,14 @@ class SiteAlarms:
 
     Attributes:
         log: log of the alarms that are printed and recorded.
-        judge: judge of the present conditions.
+        judge: judge of the current conditions.
     """
 
     def __init__(
         self, state: Path, namespace: str, processes: Iterable[NodeStart],
         print_line: Callable[[str], None],
     ) -> None:
-        """Continue the record in the directory of a site.
+        """Continue the alarm record in the directory of a site.
 
         Args:
             state: directory of the site.
@@ -62,7 +62,7 @@ class SiteAlarms:
             known.ended = text
 
     def update(self, reports: Mapping[str, Mapping[str, Any]]) -> None:
-        """Judge the last report of each node; after a pause of this process, wait for new reports.
+        """Evaluate the last report of each node; after a pause of this process, await new ones.
 
         Args:
             reports: reports by the names of the nodes. A report from an earlier call is not

@@ -62,7 +62,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     """Start the nodes of a live site, and keep them running until a signal arrives.
 
     Returns:
-        The exit code: 0 if the site was asked to stop and the pump is stopped.
+        The exit code: 0 if the site was stopped on request and the pump is stopped.
 
     Raises:
         ConfigurationError: if a graph is already running, ROS 2 is missing, a parameter file is
@@ -112,7 +112,7 @@ def _supervise(
     site: LiveSite, supervisor: LiveSupervisor, record: _SiteRecord, start: _StartReport,
     signals: Signals,
 ) -> NoReturn:
-    """Watch the nodes until an error ends the site.
+    """Monitor the nodes until an error ends the site.
 
     Raises:
         InterruptedRun: if a signal arrived.
@@ -168,10 +168,10 @@ def _report_end(record: _SiteRecord, supervisor: LiveSupervisor, error: Exceptio
 class _StartReport:
     """List of the conditions that keep a starting site from pumping, with their remedies.
 
-    The list covers everything that is missing or wrong, except warnings. A mere consequence is
-    listed only if it stops the pump and its cause does not. The list is printed when its codes
-    change rather than its messages, since these contain numbers. The start ends when nothing is
-    missing; later losses are alarms.
+    The list covers everything that is missing or wrong, except warnings. A condition that is merely
+    a consequence is listed only if it stops the pump and its cause does not. The list is printed
+    again when its codes change, not when its messages change, since these contain numbers. The
+    start ends when nothing is missing; later losses are alarms.
     """
 
     def __init__(self) -> None:
@@ -188,7 +188,7 @@ class _StartReport:
             judge: judge of the present conditions.
             reports: the last report of each node.
             unready: text that names the nodes that are not ready, with the reasons; empty if all
-                are ready.
+                nodes are ready.
         """
         if self._finished:
             return
@@ -226,7 +226,7 @@ class _StartReport:
 
 
 class _SiteRecord:
-    """Record of a site since its start: ``summary.json``, alarms and warnings.
+    """Record of a site since its start: ``summary.json``, the alarms and the warnings.
 
     The disk thread writes the files, so a full or hung disk stops nothing else.
 
@@ -262,7 +262,7 @@ class _SiteRecord:
         }
 
     def update(self, reports: Mapping[str, Mapping[str, Any]]) -> None:
-        """Judge the last report of each node, and print and record the changes."""
+        """Evaluate the last report of each node, and print and record the changes."""
         self.alarms.update(reports)
         if self.alarms.log.changes != self._written:
             self.write(summary.RUNNING)
@@ -271,7 +271,7 @@ class _SiteRecord:
         })
 
     def _warn(self, of_nodes: set[str]) -> None:
-        """Print every new warning from the nodes or about files that were not written."""
+        """Print every new warning from the nodes, and those about files that were not written."""
         warnings = {self._summary.problem} if self._summary.problem else set()
         if DISK.late:
             warnings.add(
@@ -385,11 +385,11 @@ def _fit_bag(site: LiveSite, bag: Path) -> None:
 class _Configuration:
     """Copies of the files with which a site is started, which its nodes read even after a restart.
 
-    Nodes read neither the originals, which may have been edited, nor the copies of an earlier
-    start. Only the forecast, which is replaced in its own place, and the controller's code are read
-    from their own paths. The copies are in memory, since after a power cut there may be no one to
-    free space on a full disk. A cleaning program may remove the copies, as may systemd when their
-    user logs out, so missing copies are written again before every start of a node.
+    Nodes read neither the originals, which may have been edited, nor the copies from an earlier
+    start. Only the forecast, which is replaced in place, and the controller's code are read from
+    their original paths. The copies are stored in memory, since the disk may be full after a power
+    cut, with no one there to free space. A cleaning program may remove the copies, as may systemd
+    when their user logs out, so missing copies are written again before every start of a node.
 
     Attributes:
         parameters: the ROS 2 parameter files that all nodes read: bringup's and the user's.
@@ -426,7 +426,7 @@ class _Configuration:
             self._add(file)
 
     def _add(self, file: Path, content: bytes | None = None) -> Path:
-        """Add a copy of a file, with the file's content by default, and return its path."""
+        """Add a copy of a file, by default with the file's content; return the copy's path."""
         copy = Path(f"{self._directory}{file.absolute()}")
         mode = file.stat().st_mode & 0o777
         self._files[copy] = file.read_bytes() if content is None else content, mode
@@ -452,7 +452,7 @@ class _Configuration:
         return {COPIES: str(self._directory)}
 
     def keep(self, kept: Path) -> None:
-        """Write copies for people, which replace those of the last start; warn if this fails."""
+        """Write copies for human readers, replacing those of the last start; warn if this fails."""
         part = kept.with_suffix(".part")
         shutil.rmtree(part, ignore_errors=True)
         try:

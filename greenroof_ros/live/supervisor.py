@@ -1,4 +1,4 @@
-"""Supervisor that starts, watches, logs, restarts and ends the processes of a live site's nodes."""
+"""Supervisor that starts, monitors, logs, restarts and ends the node processes of a live site."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ StopDrive = Callable[[int], tuple[bool, str]]
 
 
 class NodeFailed(Exception):
-    """A node has ended or hangs, so the graph must end.
+    """A node has ended or is hanging, so the graph must end.
 
     Attributes:
         last_lines: the last lines that the node printed.
@@ -96,8 +96,8 @@ class NodeStart:
 
     Attributes:
         name: name of the node, or a common name for several nodes.
-        module: its Python module, such as greenroof_ros.nodes.weather.
-        arguments: its command-line arguments, without ROS arguments.
+        module: Python module of the process, such as greenroof_ros.nodes.weather.
+        arguments: command-line arguments of the process, without ROS arguments.
         parameters: parameters that bringup sets, if they are not written elsewhere.
         several: names of the nodes if the process contains more than one node.
         instead: function that receives the reason why the process can no longer be used, and
@@ -122,8 +122,8 @@ class NodeProcess:
 
     Attributes:
         process: the operating-system process.
-        last_report_at: time of its last report or of its start, or time at which this process
-            resumed (steady clock, s).
+        last_report_at: time of the process's last report or of its start, or time at which the
+            supervisor's process resumed (steady clock, s).
         has_reported: whether the process has reported.
         reports: last report of each node that has reported, by name.
         last_lines: last lines that the process printed.
@@ -150,13 +150,13 @@ class NodeProcess:
             self.reports[report.get("node", self._name)] = report
 
     def log(self, data: bytes) -> None:
-        """Log the output of the process, and keep its last lines in case the disk fails."""
+        """Log the output of the process, and remember its last lines in case the disk fails."""
         self.last_lines.extend(data.decode(errors="replace").splitlines())
         record = logging.makeLogRecord({"msg": data.decode(errors="surrogateescape")})
         DISK.do(partial(self._log.emit, record), len(data))
 
     def kill(self) -> None:
-        """Kill the process, and wait at most 1 s for its end."""
+        """Kill the process, and wait for at most 1 s until it has ended."""
         self.process.kill()
         with contextlib.suppress(subprocess.TimeoutExpired):  # the kernel may take longer
             self.process.wait(1.0)
@@ -179,17 +179,18 @@ class LiveSupervisor:
     Each process has a socket on which it reports its state every quarter of a second. Topics are
     not used, since discovery can take seconds, and a supervisor must not miss a report.
 
-    The supervisor has no say in whether the pump may run. A node that ends or is silent for too
-    long is restarted after a delay that grows. If a node needs too many restarts, the supervisor
-    stops the pump and ends the site. The recorder is an exception and is always restarted, since
-    recording must not stop control. A controller that needs too many restarts, or with which its
-    node can no longer run, is replaced. A pump node that has died cannot stop the drive, so the
-    supervisor stops the drive. The supervisor also stops the drive at the end, whatever the pump
-    node reports.
+    The supervisor has no influence on whether the pump may run. A node that ends or is silent for
+    too long is restarted after an increasing delay. If a node needs too many restarts, the
+    supervisor stops the pump and ends the site. The recorder is an exception and is always
+    restarted, since a recording failure must not stop control. A controller that needs too many
+    restarts, or that its node can no longer run, is replaced. A pump node that has died cannot stop
+    the drive, so the supervisor stops the drive. The supervisor also stops the drive at the end,
+    whatever the pump node reports.
 
     Attributes:
         nodes: started processes of nodes, by name.
-        may_run: warning that the pump may still run after the end; empty if it is stopped.
+        may_run: warning that the pump may still be running after the end; empty if the pump is
+            stopped.
     """
 
     def __init__(
@@ -200,7 +201,7 @@ class LiveSupervisor:
         """Start nothing yet.
 
         Args:
-            logs: existing directory for the nodes' output, with one file for each.
+            logs: existing directory for the nodes' output, with one file per node.
             parameters: ROS 2 parameter files for all nodes; later files override earlier ones.
             namespace: namespace of the nodes, such as ``/site1``; empty for none.
             stop_drive: function that stops the drive; None if there is no drive or the user runs
@@ -248,7 +249,7 @@ class LiveSupervisor:
         self._stop_nodes(names & {RECORDER})
 
     def _confirm_drive_stopped(self, stop_drive: StopDrive) -> None:
-        """Stop the drive, and report if the pump node failed or the pump may still run."""
+        """Stop the drive, and report if the pump node failed or the pump may still be running."""
         process = self.nodes[PUMP].process
         at_rest, message = stop_drive(process.pid)
         self.may_run = "" if at_rest else message
@@ -258,11 +259,11 @@ class LiveSupervisor:
     # --- starting -------------------------------------------------------------------------------
 
     def start(self, node: NodeStart) -> None:
-        """Start one node in its own session, so that Ctrl-C at the terminal does not reach it.
+        """Start a node in its own session, so that Ctrl-C at the terminal does not reach it.
 
         Raises:
-            OSError: if the system is out of processes or files, or the node's files cannot
-                be written; nothing is left open.
+            OSError: if the system has no processes or file descriptors left, or the node's files
+                cannot be written; nothing is left open.
         """
         name, additions = node.name, self._prepare()
         if name not in self._logs:
@@ -301,7 +302,7 @@ class LiveSupervisor:
         }
 
     def read_reports(self, seconds: float = 0.1) -> None:
-        """Read the nodes' reports and output, and wait for them at most this long (s)."""
+        """Read the nodes' reports and output, waiting for them for at most the given time (s)."""
         self._read(seconds)  # finds nothing if this process was paused during the wait
         now = time.monotonic()
         if now - self._read_at > _PAUSE_S:
@@ -310,7 +311,7 @@ class LiveSupervisor:
         self._read_at = now
 
     def _read(self, seconds: float) -> None:
-        """Wait for data from the nodes for at most this long (s), and read all that is there."""
+        """Wait for data from the nodes for a limited time (s), and read all available data."""
         for key, _ in self._selector.select(seconds):
             data = os.read(key.fd, _MAX_READ)
             if data:
@@ -326,7 +327,7 @@ class LiveSupervisor:
         return "\n".join([f"last lines of {node}:", *last_lines_of])
 
     def exit_status(self, node: str) -> str:
-        """Return a description of a node's end, with the reason if known; empty while it runs."""
+        """Return a description of a node's end, with the reason if known; empty if it is alive."""
         code = self.nodes[node].process.poll()
         if code is None:
             return ""
@@ -339,9 +340,9 @@ class LiveSupervisor:
     # --- ending ---------------------------------------------------------------------------------
 
     def _stop_nodes(self, nodes: Collection[str]) -> None:
-        """Stop these nodes with SIGTERM, and kill them if they take too long.
+        """Stop the given nodes with SIGTERM, and kill them if they take too long.
 
-        SIGINT is not used: processes in the background of a shell ignore it, as would a node that
+        SIGINT is not used, because background processes of a shell ignore it, as would a node that
         is just starting.
         """
         started_at = time.monotonic()
@@ -367,12 +368,12 @@ class LiveSupervisor:
     # --- keeping them running -------------------------------------------------------------------
 
     def add(self, node: NodeStart) -> None:
-        """Start a node now, and again whenever it has failed; see :meth:`start`."""
+        """Start a node now, and restart it whenever it has failed; see :meth:`start`."""
         self._records[node.name] = _NodeRecord(node)
         self._start(node.name, time.monotonic())
 
     def _start(self, name: str, now: float) -> None:
-        """Start a node; if the system is out of processes or files, try again every 10 s."""
+        """Start a node; if no processes or file descriptors are available, try again every 10 s."""
         record = self._records[name]
         record.starts_again = None
         try:
@@ -390,8 +391,8 @@ class LiveSupervisor:
         """Restart failed nodes; called repeatedly.
 
         Raises:
-            NodeFailed: if a required node was restarted too often, or was never ready and ended
-                because of wrong parameters or another graph.
+            NodeFailed: if a required node was restarted too often, or if it was never ready and
+                ended because of invalid parameters or another graph.
         """
         now = time.monotonic()
         for name, record in self._records.items():
@@ -454,7 +455,7 @@ class LiveSupervisor:
             self._stopping = self._stopper.submit(self._stop_drive, self.nodes[name].process.pid)
 
     def _reason(self, name: str, failure: str) -> str:
-        """Return a description of a failure, with its place in the code if Python printed it."""
+        """Return a description of a failure, with its location in the code if Python printed it."""
         lines = map(str.strip, self.nodes[name].last_lines)
         places = [line for line in lines if line.startswith('File "')]
         return ", ".join([failure, *places[:1]])
@@ -467,7 +468,7 @@ class LiveSupervisor:
 
     @property
     def unready(self) -> str:
-        """Text that names the nodes that the pump needs but that are not ready, with reasons."""
+        """Text that names the nodes required by the pump that are not ready, with the reasons."""
         return ", ".join(
             f"{node} {why}" for name, record in self._records.items() for node in record.start.nodes
             if node not in _NOT_REQUIRED and (why := self._why_unready(name, node))

@@ -1,7 +1,7 @@
 """Reports of nodes to the supervisor that started them.
 
-The reports travel over a socket, since discovery in the graph can take seconds. This module needs
-no ROS.
+The reports are sent over a socket, since discovery in the graph can take seconds. This module does
+not require ROS.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ SOCKET = "GREENROOF_ROS_SUPERVISOR"
 def read_report(line: bytes) -> dict[str, Any] | None:
     """Return the report in a line from the socket; None if it is not a report of this version.
 
-    A restarted node can have a different version from its supervisor if the package was updated in
-    between; its reports are ignored until the site is restarted.
+    The version of a restarted node can differ from that of its supervisor if the package was
+    updated in between; the node's reports are then ignored until the site is restarted.
     """
     try:
         report = json.loads(line)
@@ -53,9 +53,9 @@ class SupervisorSocket:
     def report(self, report: Mapping[str, Any]) -> None:
         """Send a report to the supervisor, if there is one.
 
-        A stopped supervisor must not block the node: while a report waits, a newer one of the same
-        node replaces it. A report that is larger than the socket's buffer is sent in pieces, and
-        always completely.
+        A stopped supervisor must not block the node: while a report waits, a newer report from the
+        same node replaces it. A report that is larger than the socket's buffer is sent in pieces,
+        but never incompletely.
         """
         if self._enabled:
             line = json.dumps({**report, "version": __version__})
@@ -63,7 +63,7 @@ class SupervisorSocket:
             self._send()
 
     def _send(self) -> bool:
-        """Send as much of the waiting reports as fits; return whether none is left."""
+        """Send as much of the waiting reports as fits, and return True if none is left."""
         with contextlib.suppress(BlockingIOError, ConnectionError):
             while self._unsent or self._next:
                 if not self._unsent:
@@ -72,7 +72,7 @@ class SupervisorSocket:
         return not self._unsent
 
     def flush(self, seconds: float) -> bool:
-        """Send the waiting reports for at most this long (s); return whether none is left."""
+        """Send the waiting reports for a limited time (s), and return True if none is left."""
         until = time.monotonic() + seconds
         while not (sent := self._send()) and time.monotonic() < until:
             time.sleep(0.05)
@@ -81,5 +81,5 @@ class SupervisorSocket:
 
 @cache
 def supervisor_socket() -> SupervisorSocket:
-    """Return this process's only end of the socket, as reports of several nodes must not mix."""
+    """Return the only end of the socket in this process, since reports of nodes must not mix."""
     return SupervisorSocket()

@@ -16,7 +16,7 @@ def refuse_valve(site: Site, file: Path | None) -> None:
         file: file of the site; None if the site was not read from a file.
 
     Raises:
-        ConfigurationError: if the site has such a valve.
+        ConfigurationError: if the site has a valve at its low outlet.
     """
     if site.low_outlet_valve:
         raise ConfigurationError(

@@ -1,7 +1,8 @@
 """The weather node of a live site, which publishes the weather and the forecast in every tick.
 
-The values come from the site's gauges, and from the forecasts of a file or a service, if there are
-any. A fetched forecast needs no disk: its file is only an archive, which is read once at the start.
+The values come from the site's gauges and from forecasts, which a file or a service provides, if
+available. A fetched forecast is used without the disk: its file is only an archive, which is read
+once at the start.
 """
 
 from __future__ import annotations
@@ -88,7 +89,7 @@ class LiveWeatherNode(LiveNode):
         """Declare the parameters and open the topics.
 
         Raises:
-            ConfigurationError: if a parameter is wrong.
+            ConfigurationError: if a parameter is invalid.
         """
         super().__init__("weather", "weather")
         self._site = site = self.declare_site()
@@ -119,7 +120,7 @@ class LiveWeatherNode(LiveNode):
         self._weather = WeatherOutputs(self, site, values["horizon"])
 
     def on_inputs(self) -> None:
-        """Publish the values that are known now; readers notice a missing value by its age."""
+        """Publish the values known now; subscribers recognize a missing value by its age."""
         now = from_epoch_ns(self.get_clock().now().nanoseconds)
         rain = self._rain_gauge.value if self._rain_gauge.good else None
         if self._fetcher is not None:
@@ -163,7 +164,7 @@ class LiveWeatherNode(LiveNode):
         )
 
     def _fetch(self, values: dict[str, Any], file: Path) -> Fetcher:
-        """Begin to fetch forecasts on a separate thread."""
+        """Start fetching forecasts on a separate thread."""
         days = math.ceil(values["horizon"] / 24) + 2  # from midnight UTC; used until issue_limit
         service = Service(
             self._site, ensemble=values["fetch"] == ENSEMBLE, model=values["fetch_model"],
@@ -187,11 +188,11 @@ class LiveWeatherNode(LiveNode):
     def _outlook(
         self, forecast: LiveForecast, now: datetime, rain: float | None
     ) -> Outlook | None:
-        """Return the outlook, or None without a forecast, and report its issue or a problem.
+        """Return the outlook, or None without a forecast; report its time of issue or a problem.
 
         Args:
             forecast: forecast for the look-ahead.
-            now: the present time.
+            now: the current time.
             rain: rain from the gauge (m/s); None if unknown.
         """
         problem, forecast.issues = "", self._file.issues
@@ -247,7 +248,7 @@ class LiveWeatherNode(LiveNode):
         return "temperature_unknown" if self._fetcher is None else "temperature_not_fetched"
 
     def _diagnose_gauge(self, part: str, gauge: LiveInput, instead: str) -> None:
-        """Report the state of a gauge if it was ever received; a site may do without one."""
+        """Report the state of a gauge that has ever been received; a site may have no gauges."""
         if gauge.good:
             self._gauges.add(part)
         if not gauge.received:

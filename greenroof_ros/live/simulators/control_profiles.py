@@ -1,8 +1,8 @@
 """State machines of the simulated drives, by make, which interpret the control word.
 
-Each state machine is written from the maker's manual. The driver, in contrast, uses the control
-words and conditions of the drive file, so the two verify each other. Where a manual is ambiguous,
-the interpretation that is stricter for the driver is implemented.
+Each state machine is based on the manufacturer's manual. The driver, in contrast, uses the control
+words and conditions of the drive file, so the simulator and the driver verify each other. Where a
+manual is ambiguous, the interpretation that is stricter for the driver is implemented.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class AbbDrives(SimulatedDrive):
     """ABB Drives profile on the embedded fieldbus interface of the ACS880.
 
     The source is the firmware manual 3AUA0000085967, "Control Word", "Status Word" and "State
-    transition diagram", pages 617 to 620. After OFF1, the drive must come to rest before it can be
-    switched on again. In the control word, bits 0 to 2 are OFF1 to OFF3 (active low), bit 3 is run,
-    bits 4 to 6 control the ramp, bit 7 is reset and bit 10 is remote.
+    transition diagram", pages 617 to 620. After OFF1, the drive must come to a standstill before it
+    can be switched on again. In the control word, bits 0 to 2 are OFF1 to OFF3 (active low), bit 3
+    is run, bits 4 to 6 control the ramp, bit 7 is reset and bit 10 is remote.
     """
 
     DELIVERED = (30, 0)  # 58.16 3.0 s, 58.14 No action
@@ -58,14 +58,14 @@ class AbbDrives(SimulatedDrive):
     def control(self, word: int) -> None:
         """Obey a control word; without bit 10, obey only bits 0 to 2.
 
-        A control word of 0 is obeyed in full if the reference is 0, too.
+        A control word of 0 is obeyed in full if the reference is also 0.
         """
         if not word & 0x0400 and (word or self.read_raw("reference")):
             word = self.word & ~0x0007 | word & 0x0007
         super().control(word)
 
     def standstill(self) -> None:
-        """Leave OFF1, OFF2 or OFF3 now that the motor is at rest."""
+        """Leave OFF1, OFF2 or OFF3 now that the motor is at standstill."""
         if not self.fault and not self.local:
             after = {
                 _Abb.OFF1: _Abb.NOT_READY, _Abb.OFF2: _Abb.INHIBITED, _Abb.OFF3: _Abb.INHIBITED,
@@ -181,8 +181,8 @@ class CimProfile(SimulatedDrive):
 
     The source is the functional profile, sections 9.4 and 9.5. In the control word, bit 0 requests
     bus control, bit 1 switches the pump on and bit 2 resets an alarm. Without bus control, or after
-    its loss, the pump follows its local setting: it stops if it is set up for this project, and
-    runs with factory settings.
+    its loss, the pump follows its local setting: it stops if it is set up as this project requires,
+    and runs with factory settings.
     """
 
     DELIVERED = (0, 0)
@@ -207,7 +207,7 @@ class CimProfile(SimulatedDrive):
 
     @property
     def motion(self) -> Motion:
-        """The motion: the pump follows the set-point if it is on, and otherwise ramps to rest."""
+        """The motion: the pump follows the set-point if it is on, and otherwise ramps down to 0."""
         if self.fault:
             return Motion.COAST
         return Motion.FOLLOW if self._on else Motion.RAMP_DOWN
@@ -245,10 +245,10 @@ class Cia402(SimulatedDrive):
 
     The source is BBV51701, state chart, pages 9 to 13. The value of a state consists of bits 0 to
     3, 5 and 6 of the status word ETA. LFT contains the last error, which a reset does not clear. In
-    the control word, bit 0 is switch on, bit 1 enable voltage, bit 2 no quick stop, bit 3 enable
-    operation, bit 7 reset and bit 8 halt. After the timeout, the values 1 (freewheel), 6 (ramp), 7
-    (fast stop) and 8 (DC injection) of SLL and ETHL trip the drive; 2 stops the drive without an
-    error.
+    the control word, bit 0 is 'switch on', bit 1 'enable voltage', bit 2 'quick stop' (active low),
+    bit 3 'enable operation', bit 7 'fault reset' and bit 8 'halt'. After the timeout, the values 1
+    (freewheel), 6 (ramp), 7 (fast stop) and 8 (DC injection) of SLL and ETHL trip the drive; 2
+    stops the drive without an error.
     """
 
     DELIVERED = (100, 1)  # TTO and TTOB 10.0 s, SLL and ETHL freewheel stop

@@ -30,7 +30,7 @@ class Device:
         write: function that receives the first address and the values of a write request, and
             returns an exception code, or None for success.
         on_request: callback for every request; it receives the address of the first register, and
-            returns whether to answer the request.
+            returns whether to respond to the request.
     """
 
     read: Callable[[], Mapping[int, int]]
@@ -61,7 +61,7 @@ class Device:
 
 
 class Connection(ServerRequestHandler):
-    """The server's side of a connection to one client."""
+    """The server side of a connection to a client."""
 
     def __init__(self, server: Any, devices: Mapping[int, Device]) -> None:
         super().__init__(server, None, None, None)  # type: ignore[no-untyped-call]
@@ -81,7 +81,7 @@ class Connection(ServerRequestHandler):
             await super().handle_request()  # type: ignore[no-untyped-call]
 
     def refuse(self, request: ModbusPDU, code: int) -> None:
-        """Answer a request with an exception."""
+        """Respond to a request with an exception."""
         self.pdu_send(ExceptionResponse(
             request.function_code, code, device_id=request.dev_id,
             transaction=request.transaction_id,
@@ -94,7 +94,7 @@ class Server:
 
     Attributes:
         address: TCP port or serial line; port 0 is replaced by a free port when the server opens.
-        devices: devices that the server answers for, by unit identifier or slave address.
+        devices: devices on whose behalf the server responds, by unit identifier or slave address.
         line: settings of a serial line; not needed on TCP.
         connection: function that creates the handler for a client's connection.
     """

@@ -1,4 +1,4 @@
-"""The part of a simulated drive that all makes share: registers, ramp and timeout.
+"""The part of a simulated drive that is common to all makes: registers, ramp and timeout.
 
 A subclass in `control_profiles` adds the state machine of a make. A `SimulatedDrive` neither waits
 nor uses Modbus, and reads the time from a clock; `drive_server` connects the drive to Modbus.
@@ -41,8 +41,8 @@ class DriveSettings:
     """The settings and properties of a simulated drive.
 
     Attributes:
-        ramp_s: time of the ramp from rest to the rated speed, or back (s).
-        coast_s: time from the rated speed to rest without torque (s).
+        ramp_s: ramp time from standstill to the rated speed, or back (s).
+        coast_s: time from the rated speed to standstill without torque (s).
         timeout_s: communication timeout that stops the drive (s); it is rounded to the resolution
             of its register.
     """
@@ -62,7 +62,7 @@ class SimulatedDrive(ABC):
         log: function that prints a line about an event.
         settings: settings and properties of the drive.
         timeout: the communication timeout of the interface in use.
-        guard: raw time and raw action of the timeout that are in force.
+        guard: raw time and raw action of the timeout that are in effect.
         local: whether the drive is controlled from its panel.
         lost: whether the bus has been silent for longer than the timeout.
         fault: code, or bits, of the active fault; 0 for none.
@@ -173,7 +173,7 @@ class SimulatedDrive(ABC):
     @property
     @abstractmethod
     def motion(self) -> Motion:
-        """The way in which the drive moves its motor at present."""
+        """The way in which the drive currently moves its motor."""
 
     @abstractmethod
     def status(self) -> int:
@@ -183,7 +183,7 @@ class SimulatedDrive(ABC):
         """Return the state after the control word if there is no fault or local control."""
 
     def standstill(self) -> None:  # noqa: B027 - some makes wait for nothing
-        """Update the state for a motor at rest; called repeatedly."""
+        """Update the state for a motor at standstill; called repeatedly."""
 
     def restarts_timeout(self, name: str) -> bool:
         """Return whether a write of a register, or any request (''), restarts the timeout."""
@@ -198,7 +198,7 @@ class SimulatedDrive(ABC):
             self.state = self.next_state()
 
     def trip(self, fault: int) -> None:
-        """Trip with a fault; 0 clears the present fault."""
+        """Trip with a fault; 0 clears the current fault."""
         self.fault = fault
         self.last_fault = fault or self.last_fault
         if not fault:
@@ -217,7 +217,7 @@ class SimulatedDrive(ABC):
             self.apply_settings()
 
     def apply_settings(self) -> None:
-        """Put the settings of the timeout into force."""
+        """Put the settings of the timeout into effect."""
         action = self.timeout.action
         self.guard = (
             self.read_raw(self.timeout.register),
@@ -230,7 +230,7 @@ class SimulatedDrive(ABC):
             self.trip(self.loss)
 
     def power_up(self) -> None:
-        """Switch on with the control word 0 and the present values of the registers."""
+        """Switch on with the control word 0 and the current values of the registers."""
         self.word, self.state = 0, self.INITIAL
         self.apply_settings()
 
@@ -281,7 +281,7 @@ class SimulatedDrive(ABC):
 
     @property
     def moving(self) -> bool:
-        """Whether the motor turns, as the drive reports."""
+        """Whether the motor is turning according to the drive."""
         return self.speed > 0
 
     @property

@@ -1,7 +1,7 @@
-"""Simulated relays at a real MQTT broker, with contact, timer, settings and answers.
+"""Simulated relays on a real MQTT broker, with contact, timer, settings and replies.
 
-The answers are written from the maker's documentation. The driver, in contrast, uses the questions
-of the relay file, so the two verify each other.
+The replies are based on the manufacturer's documentation. The driver, in contrast, uses the
+requests in the relay file, so the simulator and the driver verify each other.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class SimulatedRelay(ABC):
 
     @property
     def speed(self) -> float:
-        """The speed of the pump behind the relay's contact (share of the rated speed)."""
+        """The speed of the pump that the relay's contact switches (share of the rated speed)."""
         return float(self.on)
 
     def advance(self) -> None:
@@ -83,14 +83,14 @@ class SimulatedRelay(ABC):
 class Shelly(SimulatedRelay):
     """Shelly relay of generation 2, with JSON-RPC over MQTT.
 
-    Requests arrive on DEVICE/rpc; answers go to SRC/rpc (``src`` of the request) with the request's
+    Requests arrive on DEVICE/rpc; replies go to SRC/rpc (``src`` of the request) with the request's
     id.
     """
 
     TOPICS = ("{}/rpc",)
 
     def receive(self, topic: str, payload: str) -> Iterator[Published]:
-        """Execute a request, and yield its answer."""
+        """Execute a request, and yield the reply."""
         try:
             request = json.loads(payload)
             answer = {"id": request["id"], "src": self._device, "dst": request["src"]}
@@ -126,9 +126,9 @@ class Shelly(SimulatedRelay):
 
 
 class Tasmota(SimulatedRelay):
-    """Tasmota relay, with commands on cmnd/DEVICE/COMMAND and answers on stat/DEVICE/...
+    """Tasmota relay, with commands on cmnd/DEVICE/COMMAND and replies on stat/DEVICE/...
 
-    A command without a payload is a question. A PulseTime of 1 to 111 is a time in 0.1 s, 112 to
+    A command without a payload is a query. A PulseTime of 1 to 111 is a time in 0.1 s, 112 to
     64900 is seconds plus 100, and 0 means off. PowerOnState is 0 (off) or 3 (previous state, the
     factory setting).
     """
@@ -136,7 +136,7 @@ class Tasmota(SimulatedRelay):
     TOPICS = ("cmnd/{}/+",)
 
     def receive(self, topic: str, payload: str) -> Iterator[Published]:
-        """Carry out a command, and yield its answers."""
+        """Carry out a command, and yield the replies."""
         command = topic.rpartition("/")[2].lower()
         match command, payload.lower():
             case ("power" | "power1", "on" | "off" as word):
@@ -196,8 +196,7 @@ class RelayOnBroker:
             device: topic of the relay itself at the broker.
 
         Raises:
-            ConfigurationError: if the MQTT library is not installed, or a file for the login is
-                wrong.
+            ConfigurationError: if the MQTT library is not installed, or a login file is invalid.
         """
         self.relay, self._broker, self._device = relay, broker, device
         self._topics = [topic.format(device) for topic in relay.TOPICS]
@@ -229,6 +228,6 @@ class RelayOnBroker:
         self._loop.call_soon_threadsafe(self.receive, topic, payload)
 
     def receive(self, topic: str, payload: bytes) -> None:
-        """Publish the relay's answers to a message."""
+        """Publish the relay's replies to a message."""
         for answer in self.relay.receive(topic, payload.decode(errors="replace")):
             self.client.publish(*answer)

@@ -1,4 +1,4 @@
-"""Real-time simulation of cistern and roof with sensors on Modbus and MQTT."""
+"""Real-time simulation of a cistern and a roof with sensors on Modbus and MQTT."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _MESSAGES = 5
 
 
 class SimulatedSite:
-    """Simulation of cistern and roof in ticks, with the sensors that measure them.
+    """Simulation of a cistern and a roof in ticks, with the sensors that measure them.
 
     Attributes:
         plant: cistern and roof.
@@ -53,13 +53,13 @@ class SimulatedSite:
             precipitation: rain rate in each tick (m/s); the last value applies to all later ticks.
             evapotranspiration: loss of the whole bed in each tick (m3/s); the last value applies to
                 all later ticks.
-            volumes: initial volumes of water in cistern and roof (m3).
+            volumes: initial volumes of water in the cistern and in the roof (m3).
             sensors: the sensors, with addresses and protocols; a thermometer always reads 15 degC.
-            speed: function that returns the present speed of the pump (share of the rated speed).
+            speed: function that returns the current speed of the pump (share of the rated speed).
 
         Raises:
             ConfigurationError: if two sensors use the same register, the MQTT library is not
-                installed, or a file for the login is wrong.
+                installed, or a login file is invalid.
         """
         self._site, self._speed = site, speed
         self._weather = precipitation, evapotranspiration
@@ -118,15 +118,15 @@ class SimulatedSite:
         return ", ".join(f"{name} sensor {sensor}" for name, sensor in self._sensors.items())
 
     def words(self, section: str, sensor: ModbusSensor) -> list[int]:
-        """Return the present values of a sensor's registers."""
+        """Return the current values of a sensor's registers."""
         return encode(self.raw(section), sensor.type, sensor.word_order)
 
     def raw(self, section: str) -> float:
-        """Return the present raw value of a sensor."""
+        """Return the current raw value of a sensor."""
         return self._sensors[section].raw_for(self.true(section))
 
     def true(self, section: str) -> float:
-        """Return the present value of the quantity that a sensor measures, without errors."""
+        """Return the true current value of the quantity that a sensor measures."""
         sensor = self._sensors[section]
         cistern, roof = self.plant.levels()
         return {
@@ -151,7 +151,7 @@ class SimulatedSite:
         await asyncio.gather(*publishing)
 
     async def _mean_flow(self, speed: float, due: float) -> tuple[float, float]:
-        """Sample the drive's speed until the end of a tick; return mean flow (m3/s) and last speed.
+        """Sample the drive's speed until a tick ends; return mean flow (m3/s) and final speed.
 
         Args:
             speed: speed at the beginning of the tick (share of the rated speed).
@@ -176,7 +176,7 @@ class SimulatedSite:
         return 0.0 if level < self._site.suction_level else flow_at(self._site, speed, level)
 
     def _present_weather(self) -> tuple[float, float]:
-        """Return rain (m/s) and evapotranspiration (m3/s) in the present tick."""
+        """Return rain (m/s) and evapotranspiration (m3/s) in the current tick."""
         rain, evapotranspiration = (
             series[min(self.tick, len(series) - 1)] for series in self._weather
         )
@@ -199,7 +199,7 @@ class SimulatedSite:
 
 
 def payload(raw: float, sensor: MqttSensor) -> str:
-    """Return an MQTT message in which a raw value is at the sensor's path."""
+    """Return an MQTT message that contains a raw value at the sensor's path."""
     content: Any = raw
     for step in reversed(parse_path(sensor.value)):
         content = {step: content} if isinstance(step, str) else [None] * step + [content]
@@ -215,7 +215,7 @@ class SimulatedMqttSensor:
         Args:
             name: name of the sensor.
             sensor: the sensor's section of the sensor file.
-            read: function that returns the raw value, or None if nothing must be published.
+            read: function that returns the raw value, or None if nothing is to be published.
         """
         self._sensor, self._read = sensor, read
         broker, self._topic = sensor.broker_and_topic()
