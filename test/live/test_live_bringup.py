@@ -123,7 +123,7 @@ def test_a_site_is_kept_up_and_systemd_told(
     assert "all nodes have joined" in printed
     # Nothing for a normal start, nor for a return, although its inputs first have to recover.
     assert len(alarms) == 2
-    assert printed.endswith("are stopped\ndone, with 1 alarm\n")
+    assert printed.endswith("are being stopped\ndone, with 1 alarm\n")
     with AnyReader([tmp_path / "run" / "bag"]) as reader:
         counts = {c.topic: c.msgcount for c in reader.connections if c.msgcount}
         stamps = [stamp / 1e9 for _, stamp, _ in reader.messages()]
