@@ -377,7 +377,7 @@ def is_starting(nodes: Sequence[NodeReport], wall: float) -> bool:
 
 
 class Change(NamedTuple):
-    """A change of an alarm.
+    """A change in an alarm.
 
     Attributes:
         what: type of the change: ``begins``, ``changes`` (of the level or the cause), ``ends`` or

@@ -182,7 +182,7 @@ class _StartReport:
         self._last_missing: tuple[list[tuple[str, ...]], float] = ([], -math.inf)
 
     def update(self, judge: Judge, reports: Mapping[str, Mapping[str, Any]], unready: str) -> None:
-        """Print the list if it has changed, and print a message at the end of the start.
+        """Print what is missing, if it has changed, and a message when startup is complete.
 
         Args:
             judge: judge of the present conditions.

@@ -223,7 +223,7 @@ def compute_evapotranspiration(
     if not computed.any():
         return series, chosen, []
     return series, chosen, [
-        f"solar radiation is missing in {np.count_nonzero(computed)} hours, for which it is "
+        f"solar radiation is missing for {np.count_nonzero(computed)} hours, for which it is "
         "computed from the day's temperatures (FAO-56 Eq. 50)"
     ]
 

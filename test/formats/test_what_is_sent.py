@@ -263,7 +263,7 @@ def test_without_radiation(tmp_path: Path) -> None:
     one = weather(tmp_path, shortwave_radiation=among(None, 100.0), **columns)
     assert not np.isnan(one.evapotranspiration[:48]).any()
     assert one.evapotranspiration[29] == without.evapotranspiration[29]
-    assert any(note.startswith("solar radiation is missing in 1 hours") for note in one.notes)
+    assert any(note.startswith("solar radiation is missing for 1 hours") for note in one.notes)
 
 
 def test_without_temperature(tmp_path: Path) -> None:

@@ -132,8 +132,8 @@ class Sequences:
     """The sequences of register writes that bring the drive from one state to another."""
 
     ready: tuple[Step, ...] = entry(
-        "steps that bring the drive from any state except a fault (such as after power-up, reset "
-        "or local control) to a state in which `run` works"
+        "steps that bring the drive from any state other than a fault, for example after "
+        "power-up, a reset or local control, to a state in which `run` works"
     )
     run: tuple[Step, ...] = entry(
         "steps that set the speed and then start the pump; the steps are repeated in every cycle "
@@ -213,7 +213,7 @@ class Action:
 class Timeout:
     """The communication timeout of one of the drive's interfaces."""
 
-    register: str = entry("name of the register that holds the time")
+    register: str = entry("name of the register that holds the timeout period")
     kept_alive_by: str = entry("messages that restart the timeout")
     how_to_set: str = entry("instructions for setting the timeout manually: parameter and value")
     off_values: tuple[Word, ...] = entry("raw time values that switch the timeout off", default=())

@@ -297,7 +297,7 @@ def _mistakes(
                 yield f"{second}.device_id", (
                     f"is also the device id of the {of} on the same serial line, so a late "
                     "response could be mistaken for that of the other sensor: give each sensor "
-                    "its own slave address"
+                    "its own device id"
                 )
             for key in ("baud_rate", "parity", "stop_bits"):
                 if getattr(later, key) != (value := getattr(earlier, key)):
@@ -372,8 +372,8 @@ def _modbus_mistakes(
     yield from _period_mistakes(sensor, quantity, sensor.period)
     if sensor.period > max_age / 2:
         yield "period", (
-            f"must be at most {max_age / 2:g} s, which is half of {quantity.limit}: older values "
-            "are not used"
+            f"must be at most {max_age / 2:g} s, which is half of {quantity.limit}: values older "
+            f"than {quantity.limit} are not used"
         )
 
 
