@@ -61,7 +61,7 @@ class Composition:
         self._ends = ExitStack()
 
     def __enter__(self) -> Composition:
-        """Return the composition after initialising ROS."""
+        """Initialise ROS, and return the composition."""
         self._ends.enter_context(ros(self._arguments))
         return self
 
@@ -111,7 +111,7 @@ class Composition:
             spin(list(self._nodes.values()), may_end)
 
     def _finished(self) -> bool:
-        """Return True if the run is over for all nodes and late messages have been awaited."""
+        """Return True if the run is over for all nodes and the wait for late messages is over."""
         now = time.monotonic()
         if not all(node.finished for node in self._nodes.values()):
             self._finished_at = now

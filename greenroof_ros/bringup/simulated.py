@@ -152,7 +152,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
 def _end(
     run: Run, directory: Path, graph: Composition, status: str, reason: str, *, as_json: bool,
 ) -> None:
-    """Write the summary; print it if the run is done, or else print commands to open the bag."""
+    """Write the summary; print it if the run is complete, or else commands to open the bag."""
     notes: dict[str, Any] = {"refused": graph.refused, **graph.parameter_changes}
     if status == summary.DONE:
         result = summary.make_summary(run, **graph.results, **notes)

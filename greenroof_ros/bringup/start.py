@@ -1,6 +1,6 @@
 """Starting a graph of any kind, with the watchers requested by options.
 
-A watcher is a separate process; a run neither waits for it nor fails with it.
+A watcher is a separate process; a run neither waits for a watcher nor fails because of one.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ def bring_up(
     Args:
         arguments: the parsed command line.
         start: function that runs the graph and returns the exit code.
-        stopped: exit code if a signal arrives before the first node is started, or after the run.
+        stopped: exit code to return if a signal arrives before the first node is started, or after
+            the run.
 
     Raises:
         ConfigurationError: if the Foxglove server cannot use the port.

@@ -1,4 +1,4 @@
-"""Watchdog that ends a run if a callback does not return, as when a user's controller hangs."""
+"""Watchdog that ends a run if a callback does not return, for example in a user's controller."""
 
 from __future__ import annotations
 

@@ -93,17 +93,17 @@ def _read_file(path: Path) -> Iterator[Alarm]:
 
 
 class AlarmLog:
-    """Log that prints every change of an alarm and stores it immediately.
+    """Log that prints every change in an alarm and stores it immediately.
 
     Attributes:
         last_number: number of the last alarm before the current start of the site.
-        count: number of alarms since the current start, without warnings and without alarms that
-            follow from other alarms.
+        count: number of alarms since the current start, excluding warnings and alarms that follow
+            from other alarms.
         changes: number of changes since the current start.
     """
 
     def __init__(self, print_line: Callable[[str], None], file: Path) -> None:
-        """Continue the file from earlier starts; alarms that are still active in the file end now.
+        """Continue the file from earlier starts, and end the alarms that are still active in it.
 
         Args:
             print_line: function that prints a line of text.
@@ -174,7 +174,7 @@ class AlarmLog:
 
 
 def add_alarm_count(text: str, count: int) -> str:
-    """Return the text about the end of a site's run with the number of alarms, if any, appended."""
+    """Return the text about the end of a site's run, followed by the number of alarms, if any."""
     if count == 0:
         return text
     return f"{text}, with {count} alarm{'s' if count > 1 else ''}"

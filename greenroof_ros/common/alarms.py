@@ -5,11 +5,11 @@ module receives reports and returns alarms. The supervisor of a live site passes
 its sockets to this module; the page, the status command and the bridge pass the reports from
 /diagnostics. A node sends the same report through both channels, with the code, the beginning and
 the duration of each fault. Therefore all observers see the same alarms, with the same node, part,
-code and beginning. A node that died counts as lost since its last report on /diagnostics, even if
-it is restarted before its silence alone would have been noticed. The supervisor prints the alarms
-and records them next to the bag (:mod:`greenroof_ros.common.alarm_log`), and the bag contains the
-reports themselves. Therefore alarms need not be published, and no alarm is hidden if the supervisor
-dies.
+code and beginning. A node that died counts as lost from its last report on /diagnostics onwards,
+even if it is restarted before its silence alone would have been noticed. The supervisor prints the
+alarms and records them next to the bag (:mod:`greenroof_ros.common.alarm_log`), and the bag
+contains the reports themselves. Therefore alarms need not be published, and no alarm is hidden if
+the supervisor dies.
 """
 
 from __future__ import annotations
@@ -70,10 +70,10 @@ class StatusDiagnosis:
         code: code of the condition; empty for another device without codes.
         role: the node's role in the interface; empty for another device.
         about: the topics concerned, or the nodes that are being waited for.
-        fault: a device's own fault or warning; a change of it begins a new alarm.
+        fault: a device's own fault or warning; a new alarm begins when it changes.
         since: beginning of the fault (s since 1970); None if the status does not report it.
         age_s: duration of the fault when it was reported (steady clock, s).
-        was_good: for a part, True if its status was OK at any time.
+        was_good: for a part, True if its status has ever been OK.
     """
 
     level: int
@@ -121,7 +121,7 @@ def make_diagnosis(
 
 
 def advise(code: str, role: str, node: str) -> str:
-    """Return the advice about a condition.
+    """Return the advice on a condition.
 
     Args:
         code: code of the condition.
@@ -177,7 +177,7 @@ class Alarm:
 
     @property
     def is_serious(self) -> bool:
-        """Whether this is an alarm, not a warning; other devices cause only warnings."""
+        """Whether this is an alarm rather than a warning; other devices cause only warnings."""
         return bool(self.role) and self.level != LEVELS[WARN]
 
     @property
@@ -187,7 +187,7 @@ class Alarm:
 
     @property
     def advice(self) -> str:
-        """The advice about the alarm."""
+        """The advice on the alarm."""
         return advise(self.code, self.role, self.node)
 
 
@@ -210,7 +210,7 @@ class PartReport:
         cls, before: PartReport | None, wall: float, level: int, sentence: str,
         values: Mapping[str, str], role: str = "", namespace: str = "",
     ) -> PartReport:
-        """Return the report that follows another report, without the namespace in its topics.
+        """Return the next report about a part, with the namespace removed from its topics.
 
         Args:
             before: the previous report; None for the first.
@@ -271,7 +271,7 @@ class NodeReport:
 
     @property
     def has_ended(self) -> bool:
-        """Whether the node has reported that its run is over or that it stops."""
+        """Whether the node has reported that its run is over or that it is stopping."""
         return self.state in (FINISHED, ENDED)
 
     def is_online(self, wall: float) -> bool:
@@ -289,7 +289,7 @@ class NodeReport:
         self.ended = ""
 
     def replace_process(self, before: NodeReport | None) -> None:
-        """Replace the previous process of this name, and record the process as lost if it died."""
+        """Replace the node's previous process, and record that process as lost if it died."""
         if before is not None and not before.has_ended and (
             self.began - before.received_at > _DIED_S
         ):
@@ -368,7 +368,7 @@ def _parse_number(text: str) -> float:
 
 
 def is_starting(nodes: Sequence[NodeReport], wall: float) -> bool:
-    """Return True if the site is starting: every online node started less than 60 s ago."""
+    """Return True if the site is starting: all of its online nodes started less than 60 s ago."""
     up = [node.values.get("up_s") for node in nodes if node.is_online(wall)]
     return bool(up) and all(isinstance(age, (int, float)) and age < _START_S for age in up)
 
@@ -390,7 +390,7 @@ class Change(NamedTuple):
 
 
 class _Lasting(NamedTuple):
-    """The identity of a current diagnosis, and its beginning in steady and graph time (s)."""
+    """The identity of a current diagnosis, and its start in steady and in graph time (s)."""
 
     identity: tuple[str, str]
     began: float
@@ -412,7 +412,7 @@ class Judge:
     """
 
     def __init__(self, number: int = 0) -> None:
-        """Start without alarms; the first alarm will have the number after the given one."""
+        """Start without alarms; the first alarm will have the number after the given number."""
         self.alarms: dict[str, Alarm] = {}
         self.diagnoses: Mapping[str, StatusDiagnosis] = {}
         self.causes: dict[str, str] = {}
@@ -485,7 +485,7 @@ class Judge:
     def _end(
         self, wall: float, now: float, diagnoses: Mapping[str, StatusDiagnosis]
     ) -> Iterator[Change]:
-        """End the alarms whose diagnosis has ended or been replaced by another diagnosis."""
+        """End the alarms whose diagnosis has ended or has been replaced by another diagnosis."""
         for name, alarm in self.present.items():
             diagnosis = diagnoses.get(name)
             if diagnosis is None or diagnosis.identity != (alarm.code, alarm.fault):
@@ -499,7 +499,7 @@ class Judge:
     def _judge(
         self, wall: float, name: str, diagnosis: StatusDiagnosis, cause: str
     ) -> Iterator[Change]:
-        """Begin or continue the alarm of a diagnosis, if the diagnosis now counts as an alarm."""
+        """Begin or continue the alarm for a diagnosis, if the diagnosis now counts as an alarm."""
         lasting, before = self._lasting[name], self.alarms.get(name)
         news: dict[str, Any] = {
             "level": LEVELS[diagnosis.level], "sentence": diagnosis.sentence,
@@ -537,10 +537,10 @@ class Judge:
 def find_causes(diagnoses: Mapping[str, StatusDiagnosis]) -> dict[str, str]:
     """Return the name of the root cause of every diagnosis that follows from another diagnosis.
 
-    The pump's state follows from the diagnosis of the part that reports more about the reason. A
-    node's missing input follows from the diagnosis of the publisher. An error does not follow from
-    a warning. A state of the pump that requires a visit to the pump does not follow from any other
-    diagnosis, because advice about a cause would conceal the need for this visit.
+    The pump's state follows from the diagnosis of the part that reports the reason in more detail.
+    A node's missing input follows from the diagnosis of the publisher. An error does not follow
+    from a warning. A state of the pump that requires a visit to the pump does not follow from any
+    other diagnosis, because advice about a cause would conceal the need for this visit.
 
     Args:
         diagnoses: diagnoses of the graph's own nodes, by the names of their statuses, oldest first.

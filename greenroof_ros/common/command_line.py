@@ -43,15 +43,15 @@ def exit_code(error: Exception) -> int:
 class Interrupted(KeyboardInterrupt):
     """Raised if a signal asks the command to stop; the message names the signal.
 
-    After a plain KeyboardInterrupt, Python may kill its own process with the signal, so that the
-    exit code is arbitrary.
+    After a plain KeyboardInterrupt, Python may kill its own process with the signal, so the exit
+    code would be unpredictable.
     """
 
 
 class _Interrupts:
-    """Signal handler that raises an error, again every second until the command has stopped.
+    """Signal handler that raises an error, and repeats it every second until the command stops.
 
-    Compiled code can discard an exception or replace it by another exception. A module that is
+    Compiled code can discard an exception or replace it with another exception. A module that is
     being imported can also discard an exception, or continue without a module that it tried to
     import. Therefore the exception is raised after the import, or during the import if it takes
     long.
@@ -253,8 +253,8 @@ def refuse(*rules: tuple[object, str, object, str]) -> None:
     """Reject a command line that breaks a rule, and report the first broken rule.
 
     Args:
-        rules: tuples of a value that is true if the rule is broken, the option, the option's value,
-            and the text about the expected value.
+        rules: one tuple for each rule: a value that is true if the rule is broken, the option, the
+            option's value, and the description of the expected value.
 
     Raises:
         ConfigurationError: if a rule is broken.

@@ -28,8 +28,8 @@ class Interlock:
         limit: parameters that determine when the interlock is active.
         follows: True if the interlock is left out while an earlier interlock of the same kind is
             active, because it may be only a consequence of the earlier interlock.
-        by: the person, service or transition that clears the interlock, if this differs from the
-            usual one for the kind of interlock; otherwise empty.
+        by: the person, service or transition that clears the interlock, if it is not the usual one
+            for this kind of interlock; otherwise empty.
         on_page: True if the interlock can also be cleared on the page.
         input: part of the pump node that reports the unknown input; empty if the interlock is not
             about an input.
@@ -53,7 +53,7 @@ class Interlock:
 
 @dataclass(frozen=True)
 class Condition:
-    """The table's row for a code; ``conditions.yaml`` explains every attribute."""
+    """The row of the conditions table for a code; ``conditions.yaml`` explains every attribute."""
 
     meaning: str
     advice: str
@@ -73,12 +73,13 @@ class Condition:
         return self.by_hand or (self.interlock is not None and self.interlock.kind == LATCHED)
 
     def advise(self, node: str, role: str = "", reset: str = "") -> str:
-        """Return the advice about the condition.
+        """Return the advice on the condition.
 
         Args:
             node: fully qualified name of the node, for the services that the advice names.
             role: the node's role in the interface.
-            reset: instruction for clearing a fault; if empty, the command ``greenroof reset``.
+            reset: instruction for clearing a fault; if empty, the command ``greenroof reset`` is
+                used.
         """
         return self.by_role.get(role, self.advice).format(
             node=node,
@@ -120,7 +121,7 @@ class Diagnosis:
 
     Attributes:
         code: code of the condition.
-        text: sentence from another source, such as a record; empty for the table's sentence.
+        text: sentence from another source, such as a record; empty to use the table's sentence.
         values: values to insert in the table's sentence; programs can also use these values.
             ``case`` contains the names of the sentences if the table has more than one for the
             code. A value can be another diagnosis.
@@ -184,11 +185,11 @@ def identity_of(values: Mapping[str, Any]) -> tuple[str, str]:
 def join_diagnoses(
     diagnoses: Sequence[Diagnosis], worst: Diagnosis | None = None
 ) -> Diagnosis | None:
-    """Merge diagnoses into one with the code and values of the worst diagnosis; None for none.
+    """Merge diagnoses into one with the code and values of the worst; return None if given none.
 
     Args:
         diagnoses: the diagnoses, in the order of their sentences.
-        worst: the worst of the diagnoses; None for the first.
+        worst: the worst of the diagnoses; None if it is the first.
     """
     if not diagnoses:
         return None

@@ -68,12 +68,12 @@ class DiskThread:
 
     @property
     def late(self) -> bool:
-        """Whether a job was requested more than 2 s ago and is not done yet."""
+        """Whether a job was requested more than 2 s ago and is still not done."""
         with self._changed:
             return bool(self._jobs) and time.monotonic() - self._jobs[0][2] > PATIENCE_S
 
     def wait(self, within: float) -> bool:
-        """Wait for all jobs, but at most the given time (s); return True if all jobs are done."""
+        """Wait for all jobs, but no longer than the given time (s); return True if all are done."""
         with self._changed:
             return self._changed.wait_for(lambda: not self._jobs, within)
 
@@ -108,7 +108,7 @@ DISK = DiskThread()
 
 
 class LatestWriter(Generic[_T]):
-    """Writer of a changing value; a newer value replaces a value that is still waiting.
+    """Writer of a changing value; a newer value replaces a value that has not been written yet.
 
     Attributes:
         problem: reason why the last value could not be written; empty if it was written.
@@ -156,7 +156,7 @@ class NumberFile:
 
     @property
     def problem(self) -> str:
-        """The reason why the latest numbers are not written; empty if they are, or will be soon."""
+        """The reason why the latest numbers are not being written; empty if there is no problem."""
         return "the disk does not respond" if DISK.late else self._newest.problem
 
     def read(self) -> dict[str, float]:

@@ -38,7 +38,7 @@ def describe_value(value: object) -> str:
 
 
 def _shorten(text: str, max_length: int) -> str:
-    """Return a text without its middle if it is longer than the maximum."""
+    """Return a text, with its middle removed if it is longer than the maximum."""
     half = max_length // 2
     return text if len(text) <= max_length else f"{text[:half]} ... {text[-half:]}"
 
@@ -50,7 +50,7 @@ class ConfigurationError(Exception):
 
     Attributes:
         wrong: the message without the file and the line.
-        expected: the text about the expected value.
+        expected: the description of the expected value.
         file: the invalid file; None if the error is in another input.
         key: key with the invalid value; None if the message names no key.
         value: the invalid value; None if the message shows no value.
@@ -93,7 +93,7 @@ def rename_keys(names: Mapping[str, str]) -> Iterator[None]:
 
 
 class HangError(Exception):
-    """Raised if a callback does not return in time; the message states limit and position."""
+    """Raised if a callback takes too long; the message states the time limit and the position."""
 
 
 class OccupiedError(ConfigurationError):
@@ -101,7 +101,7 @@ class OccupiedError(ConfigurationError):
 
 
 def describe_extra(extra: str) -> str:
-    """Return a clause, for a message, about the installation of an extra.
+    """Return the clause of a message that tells the user to install an extra.
 
     The clause names no command, since the package may be installed from an index, a wheel or a
     checkout.

@@ -25,7 +25,7 @@ except ImportError:  # PyYAML without libyaml
 
 
 class _Loader(_LibYaml):
-    """Loader that adds no tags, so that every tag of a node is written in the file."""
+    """Loader that adds no tags, so that every tag on a node comes from the file itself."""
 
     def resolve(self, kind: type[yaml.Node], value: Any, implicit: Any) -> str:
         return ""
@@ -84,7 +84,7 @@ was started with, each under its full path"""
 
 
 def as_started(file: Path) -> Path:
-    """Return the path to read for a file: in a live site's node, that of its copy, if any.
+    """Return the path to read for a file: in a live site's node, the path of any copy of it.
 
     Because of the copy, a restarted node does not use later edits of the file. Messages name the
     original file.
@@ -95,7 +95,7 @@ def as_started(file: Path) -> Path:
 
 
 def is_there(path: Path) -> bool:
-    """Return True if the path exists; a text that is too long for a file name does not exist."""
+    """Return True if the path exists, and False if it is too long for a file name."""
     try:
         return path.exists()
     except OSError:
@@ -131,7 +131,7 @@ _OTHER_KINDS = (
 
 
 def _refuse_other_kinds(path: Path, head: bytes) -> None:
-    """Reject a file whose first bytes show that it is of another type, and name the type."""
+    """Reject a file whose first bytes show that it is of another type; the error names the type."""
     start = head.removeprefix(codecs.BOM_UTF8)
     for pattern, what in _OTHER_KINDS:
         if re.match(pattern, start, re.IGNORECASE):
@@ -355,7 +355,7 @@ def parse_yaml(text: str, path: Path, plain: Callable[[str], Any] = _parse_plain
 
     Raises:
         ConfigurationError: if the text is not valid YAML, is too long or too deeply nested,
-            contains a tag or a key twice in a mapping, or adds too many values by aliases.
+            contains a tag, repeats a key in a mapping, or adds too many values through aliases.
     """
     if len(text) > _MAX_YAML:
         raise ConfigurationError(f"is longer than {_MAX_YAML / 1e6:g} MB", file=path)
@@ -428,7 +428,7 @@ def add_path_to_errors(path: Path) -> Iterator[None]:
 
 
 def replace_text(file: Path, text: str, *, parents: bool = False) -> None:
-    """Replace a file by a text; see :func:`replace_file`."""
+    """Replace the content of a file with a text; see :func:`replace_file`."""
     replace_file(file, lambda stream: stream.write(text.encode()), parents=parents)
 
 
@@ -440,8 +440,7 @@ def replace_file(
     Args:
         file: the file; only one process at a time may replace it.
         write: function that writes the content to the open file.
-        parents: True to create missing directories; use False if the disk of the file may be
-            unmounted.
+        parents: True to create missing directories; use False if the file's disk may be unmounted.
 
     Raises:
         OSError: if the file cannot be written; the old file is then unchanged.

@@ -158,7 +158,7 @@ def _late(seconds: float) -> TimeoutError:
 
 
 def _within(seconds: float, get: Callable[[], Answer]) -> Answer:
-    """Run a request in a thread, and return its response or raise its error within a time (s).
+    """Run a request in a thread, and return its response or raise its error before a timeout (s).
 
     The library's timeout applies to each part of a response, and even the header may arrive byte by
     byte.

@@ -40,7 +40,7 @@ class Display:
     """The form in which every tool shows a topic's values to an operator.
 
     Attributes:
-        label: name of the value, for the operator.
+        label: name of the value, as shown to the operator.
         unit: unit of the shown value, such as ``mm``; empty for a plain number.
         factor: factor from the topic's unit to the shown unit, such as 1000 from m to mm.
         decimals: number of decimals of the shown value.
@@ -58,7 +58,7 @@ class Age:
 
     Attributes:
         parameter: name of the parameter.
-        quantity: name of the quantity, for people.
+        quantity: human-readable name of the quantity.
         default: default value of the parameter (s).
         max: maximum value of the parameter (s).
     """

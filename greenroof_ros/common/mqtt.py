@@ -156,12 +156,12 @@ def make_client(
         broker: the broker to connect to.
         name: beginning of the client ID; the rest is random, because a broker disconnects a client
             when another client connects with the same ID.
-        on_connect: callback, in the client's thread, for every new connection; the callback should
-            subscribe to the topics.
-        on_message: callback, in the client's thread, for every message; its arguments are the
-            topic, the payload, and True if the message was retained.
-        on_disconnect: callback, in the client's thread, that receives the reason why a connection
-            ended or failed.
+        on_connect: callback that is called in the client's thread for every new connection; it
+            should subscribe to the topics.
+        on_message: callback that is called in the client's thread for every message; its arguments
+            are the topic, the payload, and True if the message was retained.
+        on_disconnect: callback that is called in the client's thread with the reason why a
+            connection ended or failed.
         will: topic and payload of a retained message that the broker publishes if the client is
             lost.
 

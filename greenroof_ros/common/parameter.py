@@ -1,4 +1,4 @@
-"""User-defined values, with default, unit, range and meaning, and the reading of their files.
+"""User-defined values, with their default, unit, range and meaning, and readers of their files.
 
 Frozen dataclasses are read from YAML; an error names the file, line, key and value. The default of
 every field is an `entry`, which defines the meaning and the allowed values of the key, both for
@@ -43,14 +43,14 @@ class Parameter:
         default: default value. The type of the default is the type of the parameter: float,
             integer, boolean, string, or list of strings.
         unit: unit of the value, ``1`` if it is dimensionless; empty if the meaning states the unit.
-        low: minimum of a number.
-        high: maximum of a number.
-        meaning: description of the value in one line, without the unit.
+        low: minimum, if the value is a number.
+        high: maximum, if the value is a number.
+        meaning: one-line description of the value, without the unit.
         may_change: True if the value may change during a run; the controller then has an attribute
             with the parameter's name, which is set between two ticks.
         among: the allowed strings; empty if any string is allowed.
-        on_field_capacity: default value on a roof with field-capacity soil; None for the same
-            default.
+        on_field_capacity: default value on a roof with field-capacity soil; None if the default is
+            the same.
         usual: range of usual values, for the documentation; None for no range.
     """
 
@@ -105,7 +105,7 @@ class Parameter:
 
     @property
     def limits(self) -> str:
-        """The range, or the allowed strings; empty if there is no limit."""
+        """The range or the allowed strings, as text; empty if the value is not restricted."""
         return " or ".join(self.among) or self.range.limits
 
 
@@ -124,8 +124,8 @@ def entry(
 
     Args:
         meaning: meaning of the key, for the documentation and for the error if the key is missing.
-        low: minimum of a number.
-        high: maximum of a number.
+        low: minimum, if the value is a number.
+        high: maximum, if the value is a number.
         unit: unit of the number, ``1`` if it is dimensionless; empty if the meaning states the
             unit.
         choices: the allowed strings; empty if any string is allowed.
@@ -185,7 +185,7 @@ def read_record(
         file: the file.
         mistakes: function that receives the dataclass and the content of the file. For every
             mistake, the function yields the key, such as ``registers.control`` (list items are
-            numbered from 1), and the text about the error.
+            numbered from 1), and a description of the mistake.
 
     Raises:
         ConfigurationError: if the file cannot be read, a key is unknown or missing, a value is of

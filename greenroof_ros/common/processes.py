@@ -1,4 +1,4 @@
-"""Processes: termination with the parent, signals, locks, time limits, messages to systemd."""
+"""Functions for processes: ending with the parent, signals, locks, time limits, and systemd."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ _PARENT = "GREENROOF_ROS_PARENT"
 
 
 def child_environment() -> dict[str, str]:
-    """Return the environment of a child command of this package that ends with this process.
+    """Return the environment for a child command of this package that ends with this process.
 
-    The child itself arranges to end with its parent, because Python code between fork and exec
+    The child itself ensures that it ends with its parent, because Python code between fork and exec
     (``preexec_fn``) can deadlock if the parent has threads.
     """
     return {**os.environ, _PARENT: str(os.getpid())}
 
 
 def end_with_parent() -> None:
-    """Make the kernel stop this process when its parent dies, even by kill -9, if requested.
+    """If requested, make the kernel stop this process when its parent dies, even by kill -9.
 
     The kernel sends SIGTERM, since background processes of a shell may ignore SIGINT. If the parent
     died before this call, the process stops immediately.
@@ -256,7 +256,7 @@ def _watch_polars() -> None:
 
 
 def refuse_forked_polars() -> None:
-    """Raise an error if polars would wait forever for threads that a fork has not copied.
+    """Raise an error if polars would wait forever for threads that a fork did not copy.
 
     Raises:
         ConfigurationError: if this process was forked after polars had been used.
@@ -277,7 +277,7 @@ _stored: tuple[socket.socket, socket.socket] | None = None
 
 
 def store_signals() -> None:
-    """Store every signal from now on for :func:`find_signal`, whichever code handles the signal."""
+    """Store every signal from now on for :func:`find_signal`, whatever code handles the signal."""
     global _stored
     _stored = socket.socketpair()
     for end in _stored:
@@ -310,8 +310,8 @@ class Signals:
     """Handler that stores a received signal, so that the run can stop at a safe point.
 
     An exception from the handler could interrupt any code, even the shutdown of the nodes. A signal
-    that the process already ignores stays ignored: under ``nohup`` a process ignores the end of the
-    terminal, and a shell makes background processes ignore Ctrl-C.
+    that the process already ignores stays ignored: under ``nohup`` a process ignores the closing of
+    its terminal, and a shell makes background processes ignore Ctrl-C.
     """
 
     def __init__(self) -> None:
@@ -342,10 +342,10 @@ class Signals:
 
 @contextlib.contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """Raise an error in Python code that takes too long, again every second while it continues.
+    """Raise an error in Python code that takes too long, and repeat it every second until it stops.
 
     The code has to run in the main thread. Compiled code cannot be stopped; the position from which
-    it was called is then written to standard error. A pause of the whole process counts only as one
+    it was called is then written to standard error. A pause of the whole process counts as only one
     step, which is a tenth of the limit.
 
     Raises:

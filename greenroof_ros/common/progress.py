@@ -49,7 +49,7 @@ class ProgressBar(Progress):
 
 
 class RunProgress(ProgressBar):
-    """Progress bar with the simulated time, both levels, the command and the speed of a run."""
+    """Progress bar with a run's simulated time, cistern and roof levels, command and speed."""
 
     def __init__(self, steps: int, tau: float, file: Any = None) -> None:
         """Create the bar.

@@ -1,4 +1,4 @@
-"""Ranges of numbers, with the check of a user's number and the error message about it.
+"""Ranges of numbers, the check of a user's number, and the message about an invalid number.
 
 The parameters of sites, controllers, drives, sensors and nodes are checked by this module, and so
 are studies, options and topics.
@@ -64,7 +64,7 @@ class Range:
 
     @property
     def _limits(self) -> tuple[str, str]:
-        """The preposition after *a number*, and the limits; either can be empty."""
+        """The preposition that follows *a number*, and the limits; either can be empty."""
         low, high = (
             str(end) if isinstance(end, int) else f"{end:.9g}" for end in (self.low, self.high)
         )

@@ -1,7 +1,7 @@
 """Check of the environment from which ROS 2 will be loaded.
 
-In an invalid environment, ROS kills the process, raises an error without a remedy, or silently uses
-another value, so that messages may leave the machine.
+In an invalid environment, ROS kills the process, raises an error that suggests no remedy, or
+silently uses another value, so that messages may leave the machine.
 """
 
 from __future__ import annotations

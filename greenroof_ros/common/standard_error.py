@@ -51,8 +51,8 @@ class Lines:
         """Print a message that other programs can trigger at will, at most once a minute per kind.
 
         Args:
-            kind: kind of the message; messages of one kind are limited whatever their text. The
-                number of omitted messages is appended.
+            kind: kind of the message; messages of one kind are limited regardless of their text.
+                The number of omitted messages is appended.
             text: one or more lines.
         """
         now = time.monotonic()
@@ -82,7 +82,7 @@ class Lines:
         return os.isatty(self._number)
 
     def wait(self, within: float) -> bool:
-        """Wait for all texts to be written, at most the given time (s); return True if they are."""
+        """Wait until all texts are written, for at most a time (s); return True if they are."""
         return self._thread.wait(within)
 
     def _write(self) -> None:

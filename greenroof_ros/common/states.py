@@ -35,7 +35,7 @@ class PumpState:
     Attributes:
         state: one of ``PUMP_STATES``.
         why: the reason, as readable text.
-        codes: codes of the conditions that keep the pump off, the decisive one first.
+        codes: codes of the conditions that keep the pump off, starting with the decisive one.
     """
 
     state: str = "unknown"
@@ -51,7 +51,7 @@ class PumpState:
 
     @classmethod
     def read(cls, message: str) -> PumpState:
-        """Return the state in a message, or an unknown state with the text if it is malformed."""
+        """Return the state in a message; an unknown state with the text if it is malformed."""
         try:
             content = json.loads(message)
         except (ValueError, RecursionError):

@@ -114,7 +114,7 @@ def to_minutes(time: datetime) -> str:
 
 
 def to_people(time: datetime) -> str:
-    """Format a time for headings, such as ``2021-07-07 02:00-05:00``, with seconds unless 0."""
+    """Format a time for headings, such as ``2021-07-07 02:00-05:00``; omit zero seconds."""
     return time.isoformat(" ", "seconds" if time.second else "minutes")
 
 
@@ -159,7 +159,7 @@ def from_epoch_ns(nanoseconds: int) -> datetime:
 
 
 def is_skipped(local: datetime) -> bool:
-    """Return True if the clocks of the time's zone skip the time, as in spring."""
+    """Return True if clocks in the time's zone skip the time, as when they go forward in spring."""
     shown = local.astimezone(timezone.utc).astimezone(local.tzinfo)
     return shown.replace(tzinfo=None) != local.replace(tzinfo=None)
 
@@ -199,7 +199,7 @@ def read_start(text: str, zone: tzinfo | None = None) -> datetime:
 
 
 def boot_time() -> float:
-    """Return the time since the machine started (s), including time in suspend.
+    """Return the time since the machine started (s), including time spent suspended.
 
     ``time.monotonic()`` stops during a suspend, so values measured before a suspend would still
     seem new after it.

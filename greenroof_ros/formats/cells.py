@@ -237,7 +237,7 @@ class Table:
     ) -> tuple[datetime, dict[str, NDArray[np.float64]]]:
         """Read all rows, each of which contains the values of an hour.
 
-        An hour without a row is missing. A time may differ from the whole hour by one minute.
+        An hour without a row is missing. A time may differ from the whole hour by up to one minute.
 
         Args:
             column: name of the column of times.
@@ -345,7 +345,7 @@ def take_code(cell: Cell) -> Verdict | None:
 
 
 def take_code_of_rain(cell: Cell) -> Verdict | None:
-    """Treat 99.9 and similar values as missing if they are plausible but more likely codes."""
+    """Treat 99.9 and similar values as missing if they are plausible but are probably codes."""
     is_depth = cell.quantity.is_water and "l" not in cell.quantity.units
     rare = is_depth and cell.number > _RARE_DEPTH and _has_digits_of_code(cell.text)
     return (math.nan, CODE) if rare else None
@@ -372,7 +372,7 @@ def read_cell(text: str, quantity: Quantity, unit: Unit) -> Cell:
 
 
 def judge_cell(cell: Cell) -> Verdict:
-    """Return the value of a cell in this project's unit, and the kind of odd cell."""
+    """Return the value of a cell in this project's unit, and the cell's kind of irregularity."""
     for rule in CELL_RULES:
         if verdict := rule(cell):
             return verdict
@@ -520,7 +520,7 @@ def _find_end_of_scale(given: Given) -> float | None:
 
 
 def _is_sum_of_rows(spells: Iterable[tuple[float, ...]], rows: int, nearly: float) -> bool:
-    """Return True if every value can be the sum of the rain in a number of rows.
+    """Return True if every value could be the sum of the rain in the given number of rows.
 
     Args:
         spells: differences between consecutive rows of every wet spell, including the dry row
@@ -568,8 +568,8 @@ class Column:
             quantity: name of the quantity, one of :data:`.quantities.QUANTITIES`.
             unit: unit of the column; by default, this project's unit of the quantity.
             step_h: interval between rows (h).
-            optional: whether a column that contains only codes counts as missing instead of wrong;
-                by default, true for all quantities except precipitation.
+            optional: whether a column that contains only codes is treated as missing rather than as
+                an error; by default, true for all quantities except precipitation.
             cell: function that returns the text for a row; by default, the text in the column.
             rules: rules for the whole column; empty if its rows are not consecutive in time.
         """
@@ -722,8 +722,9 @@ def read_table(
         file: file to read.
         lines: lines of the table, beginning with the header, as returned by :func:`number_lines`;
             by default, all lines of the file.
-        observed: function that returns True if a column contains values. If a row ends before the
-            first of these columns, its other cells are empty, and its hour is missing.
+        observed: function that returns True for the name of a column that contains values. If a row
+            ends before the first of these columns, its other cells are empty, and its hour is
+            missing.
 
     Raises:
         ConfigurationError: if the file cannot be read, if the header or all rows are missing, if a

@@ -69,8 +69,8 @@ def _simplify(name: str) -> str:
 def read_records(file: Path, site: Site, /) -> Records:
     """Read a bulk file with times in local standard time, at the site's UTC offset.
 
-    As in the paper, the values are taken to be for the hour that starts at the time stamp. However,
-    rain is for the hour before: in the service's current observations it is named
+    As in the paper, the values are assumed to apply to the hour that starts at the time stamp.
+    However, rain applies to the hour before: in the service's current observations it is named
     ``pcpn_amt_pst1hr``, and according to the column ``Weather``, rain is about equally frequent at
     the time of a wet row and an hour earlier, and less frequent an hour later. Therefore rain is
     recorded an hour late; ``rain_late`` of the records states this delay, and forecasts are
@@ -141,7 +141,7 @@ def _make_reader(table: Table, column: str) -> Callable[[Row], str]:
 
 
 def _read_place(table: Table, names: Mapping[str, str]) -> dict[Path, tuple[float, float]]:
-    """Return the station's position, by file; empty if a column is missing.
+    """Return the station's position, keyed by the file; empty if a column is missing.
 
     Args:
         table: table of the file.
@@ -166,7 +166,7 @@ def _find_quantity(name: str) -> str | None:
 
 
 def _check_kind(table: Table, names: Iterable[str], quantities: Container[str]) -> None:
-    """Reject a file without hourly rain, and state the kind of file."""
+    """Reject a file without hourly rain; the error states the kind of file."""
     if any(_LONGER in name for name in names):
         what = "contains daily or monthly values instead of hourly values"
     elif PRECIPITATION not in quantities:

@@ -61,7 +61,7 @@ class IssuedForecast:
         return self.issued, self.available or self.issued
 
     def evapotranspiration_at(self, ahead: NDArray[np.intp]) -> NDArray[np.float64] | None:
-        """Return the evapotranspiration (mm/day) by hours ahead; None if the file contains none.
+        """Return the evapotranspiration (mm/day) for every hour ahead; None if the file has none.
 
         Beyond the end of the issue, the values of its last day are repeated, or the value of its
         last hour if the issue is shorter than a day.

@@ -82,7 +82,7 @@ class Records:
 
     @property
     def rain_note(self) -> str:
-        """Warning that every result computed from the rain must include; usually empty."""
+        """Warning that must accompany every result computed from the rain; usually empty."""
         return self.rain_kind and (
             f"rain is from a {self.rain_kind}, whose values are means over a grid cell; its "
             "peaks are lower than those of a rain gauge, so overflow, discharge and peak runoff "
@@ -132,7 +132,7 @@ def bridge_gaps(series: NDArray[np.float64], max_hours: int) -> NDArray[np.float
 
 
 def name_files(files: Sequence[Path]) -> str:
-    """Return a common name for files: the path of a single file, or number, first and last name.
+    """Return a common name for files: a single file's path, or their number, first and last names.
 
     The name is empty if there are no files.
     """
@@ -151,7 +151,7 @@ def find_gaps(missing: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def name_hours(first: datetime, hours: Iterable[int]) -> list[str]:
-    """Return descriptions of the periods that consecutive hours form.
+    """Return descriptions of the periods formed by consecutive hours.
 
     Args:
         first: start of hour 0.
@@ -253,7 +253,7 @@ def join_records(parts: Sequence[Records]) -> Records:
 def _join_minutes(
     hours: int, parts: Iterable[tuple[int, Records]]
 ) -> NDArray[np.float64] | None:
-    """Join the per-minute rain of parts, given their first hours; None if no part has any.
+    """Join the per-minute rain of parts, given their first hours; None if no part contains any.
 
     Raises:
         ConfigurationError: if two parts have different rain in the same minute.

@@ -184,11 +184,11 @@ def _split_header(head: bytes) -> list[str]:
 def _read(
     file: Path, site: Site, quantity_of: Callable[[str], str | None]
 ) -> tuple[Table, Records]:
-    """Return a file's table, and its hours by variable, with all values at their time stamps.
+    """Return a file's table, and its hours by variable, with all values at the file's time stamps.
 
     Args:
         file: file with hourly values for one location.
-        site: site that must be near the file's place, if the positions of both are known.
+        site: site that must be near the file's location, if both are known.
         quantity_of: function that returns the quantity of a variable, or None if the variable is
             not needed, and raises ValueError if the variable is unknown.
 
@@ -300,7 +300,7 @@ def _select_hours(
 
 
 def _may_be_hours(rows: Sequence[tuple[int, str]]) -> bool:
-    """Return True if most rows of a section can be hourly; wrong times are rejected later."""
+    """Return True if most rows of a section may be hourly; wrong times are rejected later."""
     if len(rows) < 2:
         return False
     try:
@@ -362,7 +362,7 @@ def _write_cell(value: Any, missing: str = "") -> str:
 
 
 def _check_place(place: Table, site: Site) -> timezone:
-    """Return a location's UTC offset; reject a location not near the site, if both are known.
+    """Return a location's UTC offset; reject a location known not to be near the site.
 
     Raises:
         ConfigurationError: if the location is not near the site, or if its coordinates or UTC
@@ -409,8 +409,8 @@ def read_records(file: Path, site: Site, /) -> Records:
     ignored.
 
     Args:
-        file: file for a single place.
-        site: site that must be near the file's place, if the positions of both are known.
+        file: file for a single location.
+        site: site that must be near the file's location, if both are known.
 
     Raises:
         ConfigurationError: if :func:`_read` raises one, or if a column is missing.
@@ -478,7 +478,7 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
 
 
 def _read_usable(sources: Iterable[_S], read: Callable[[_S], _T]) -> tuple[list[_T], list[str]]:
-    """Return the results of reading all usable sources, and a note about each other source.
+    """Return the results of reading all usable sources, and a note about each unusable source.
 
     Among thousands of downloads, some contain error messages from the service or are truncated.
 
@@ -497,7 +497,7 @@ def _read_usable(sources: Iterable[_S], read: Callable[[_S], _T]) -> tuple[list[
 
 
 def _read_precipitation(file: Path, site: Site) -> Records:
-    """Return the precipitation by variable; values are for the hour that starts at their time."""
+    """Return the precipitation by variable; values are for the hour after their time stamps."""
     table, hours = _read(file, site, _find_quantity)
     if not hours.values:
         raise table.refuse(
@@ -521,7 +521,7 @@ def read_run(file: Path, site: Site, issued: datetime) -> IssuedForecast:
     """Read a response as a forecast with a known time of issue.
 
     Args:
-        file: file for a single place.
+        file: file for a single location.
         site: site that must be near this location.
         issued: start of the first hour; earlier hours in the file are skipped.
 
@@ -559,7 +559,7 @@ def _select_run(hours: Records, run: datetime) -> IssuedForecast:
 
 
 def _read_run_time(file: Path) -> datetime:
-    """Return the time of the run, with which the file's name ends."""
+    """Return the time of the run, which is at the end of the file's name."""
     with suppress(ValueError):
         if match := _RUN_IN_NAME.search(file.stem):
             year, month, day, hour = map(int, match.groups())

@@ -462,7 +462,7 @@ def write_records(records: Records, about: str) -> str:
 
 
 def read_archive(files: Sequence[Path], _site: Site, /) -> Archive:
-    """Read forecasts in this format; each is known from its arrival, or else its time of issue."""
+    """Read forecasts in this format; each is known from its arrival or, if not given, its issue."""
     issues = [issue for file in files for issue in read_forecasts(file)]
     return Archive(files[0], "own format", issues, 0.0, issues)
 

@@ -31,7 +31,7 @@ _FORECASTS = {open_meteo: open_meteo.recognises_forecasts}
 
 
 def read_records(file: Path, site: Site, stamped: str | None = None) -> Records:
-    """Return the records of a weather file; each value is for the hour that starts at its time.
+    """Return the records of a weather file; each value is for the hour starting at its time stamp.
 
     Args:
         file: file to read.
@@ -107,7 +107,7 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
 
 
 def _equalise_members(issues: Sequence[IssuedForecast]) -> tuple[list[IssuedForecast], list[str]]:
-    """Return issues with equal numbers of members, and notes on members and issues left out.
+    """Return issues with equal numbers of members, and notes on omitted members and issues.
 
     If an issue was downloaded twice, it is used only once. If an issue has fewer members than
     others, the other issues are reduced to the same number. If this would be less than half of

@@ -1,7 +1,7 @@
 """Rules that detect implausible measurements of weather and of roofs.
 
 The weather command, runs, studies and calibration apply the same rules. Each rule yields one
-sentence per finding, and no sentence for a record that lacks the columns of the rule. To add a
+sentence per finding, and none for a record that lacks the columns needed by the rule. To add a
 rule, add a function, a row of :data:`RULES` and a test. The modules :mod:`.cells` and
 :mod:`.quantities` define the permitted content of a single cell. The bounds separate the records of
 two roofs (Neubrandenburg 2014 and 2015, Berlin 2019, April to October, in windows of 30 to 100
@@ -72,7 +72,7 @@ def check_steps(record: StepRecord, site: Site) -> list[str]:
 
 
 def check_hours(records: Records, site: Site, hours: range) -> list[str]:
-    """Return one sentence about each implausible finding in some hours; see :func:`check_steps`.
+    """Return one sentence about each implausible finding in the hours; see :func:`check_steps`.
 
     If the records state their location, it takes precedence over the site's location.
     """

@@ -30,7 +30,7 @@ class NodeDiagnostics:
     As usual in ROS, all nodes of a domain share the topic /diagnostics. The name of a status is the
     node's fully qualified name, and its values are JSON. The name and the hardware ID of a status
     stay the same after a restart, since tools identify the status by them. A status that is not OK,
-    or that comes from a waiting node, includes a code of :mod:`greenroof_ros.common.conditions`:
+    or that comes from a waiting node, includes a code from :mod:`greenroof_ros.common.conditions`:
     programs should evaluate the code and the values, never the sentence.
 
     Attributes:
@@ -104,5 +104,5 @@ class NodeDiagnostics:
         self._publisher.publish(array)
 
     def flush(self, seconds: float) -> None:
-        """Wait, at most for the given time (s), until all readers have received all reports."""
+        """Wait until all readers have received all reports, but at most the given time (s)."""
         self._publisher.wait_for_all_acked(Duration(seconds=seconds))

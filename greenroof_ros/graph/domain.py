@@ -130,7 +130,7 @@ def check_ros_arguments(arguments: Sequence[str]) -> None:
 def ros_arguments(
     parameters: Iterable[Path], namespace: str, more: Sequence[str] = ()
 ) -> list[str]:
-    """Return the ROS arguments of bringup's nodes, which turn off rcl's own log files.
+    """Return the ROS arguments for bringup's nodes, which disable rcl's own log files.
 
     These files would grow for months in the user's home directory, and a hanging disk would stop
     the node.

@@ -25,7 +25,7 @@ def describe(error: Exception) -> str:
 
 
 def explain(error: Exception) -> tuple[str, int]:
-    """Return a sentence with the reason why a node or a run failed, and the exit code."""
+    """Return a sentence that states why a node or a run failed, and the exit code."""
     if isinstance(error, ConfigurationError):
         return str(error), exit_code(error)
     known = isinstance(error, (LockstepError, OSError))

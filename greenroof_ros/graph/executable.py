@@ -157,7 +157,8 @@ def run_nodes(
 def spin_alone(nodes: Sequence[SimulationNode], check: Callable[[], None]) -> None:
     """Run a node of a simulated graph until its run is over; see :func:`node_command`.
 
-    Before the node acts for the first time, log the nodes that it waits for whenever they change.
+    Before the node acts for the first time, log the nodes that it is waiting for whenever they
+    change.
     """
     (node,) = nodes
     missing: list[str] = []

@@ -91,7 +91,7 @@ class GraphNode(Node):
         """Close open files and connections; called once when the node stops for any reason."""
 
     def progress(self) -> dict[str, Any]:
-        """Return the node's additions to all of its reports."""
+        """Return the values that the node adds to each of its reports."""
         return {}
 
     # --- topics -----------------------------------------------------------------------------
@@ -182,7 +182,7 @@ class GraphNode(Node):
     # --- ending -----------------------------------------------------------------------------
 
     def end(self, failure: str | None) -> None:
-        """Report that the node stops, and wait at most 1 s until its readers have all messages.
+        """Report that the node is stopping, and wait up to 1 s until its readers have all messages.
 
         Args:
             failure: the error that stopped the node; None if there was none.

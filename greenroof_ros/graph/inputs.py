@@ -1,4 +1,4 @@
-"""Inputs of a node: the latest value on each topic, and the check of that value."""
+"""Inputs of a node: the latest value on each topic, and a check of that value."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ Readers that are discovered late receive the earlier messages, since topics are 
 a history depth of 64, and the plant is at most 32 ticks ahead of the recorder. The following faults
 end a run:
 
-- a message that does not arrive within the peer limit (or, before the first answers, within the
+- a message that does not arrive within the peer limit (or, before the first responses, within the
   start limit); the plant detects this fault, and names the topics that it is waiting for;
 - a second publisher, or a second message before the node has acted;
 - a second message after the node has acted. This message counts for the next tick, and is detected
@@ -60,7 +60,7 @@ class RunIdentity(NamedTuple):
 
 
 class Lockstep:
-    """The lockstep of a node: it lets the node act when no input is awaited, and ends with the run.
+    """Lockstep of a node, which lets the node act when no input is awaited, and ends with the run.
 
     Attributes:
         run: the run that the node takes part in; None until the plant has published it.

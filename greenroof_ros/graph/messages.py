@@ -73,7 +73,7 @@ def qos_profile(qos: Qos) -> QoSProfile:
 
 
 def find_lacking(offered: QoSProfile, required: Qos) -> list[str]:
-    """Return predicates about the deficiencies of an endpoint's quality of service."""
+    """Return predicates that describe the deficiencies in an endpoint's quality of service."""
     lacking = []
     if required.reliability == "reliable" and offered.reliability != ReliabilityPolicy.RELIABLE:
         lacking.append("is best effort")

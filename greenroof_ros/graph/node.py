@@ -46,7 +46,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
     Attributes:
         lockstep: object that makes the node act.
         peers: the nodes that publish the node's inputs.
-        result: the node's additions to the summary of the run; empty until the run is over.
+        result: values that the node adds to the summary of the run; empty until the run is over.
     """
 
     def __init__(self, name: str, role: str) -> None:
@@ -76,7 +76,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
         """Act on the inputs, all of which have received their messages of the tick."""
 
     def summary(self) -> dict[str, Any]:
-        """Return the node's additions to its report at the end of the run."""
+        """Return the values that the node adds to its report at the end of the run."""
         return {}
 
     # --- setting up -------------------------------------------------------------------------

@@ -37,7 +37,7 @@ def node_parameter_files(
     arguments: argparse.Namespace, modules: Mapping[str, str], controller: ControllerChoice,
     given: Mapping[str, float],
 ) -> list[Path]:
-    """Return the file given by ``--node-parameters`` as a list; an empty list if none is given.
+    """Return a list with the file given by ``--node-parameters``; empty if none is given.
 
     Args:
         arguments: the parsed command line.
@@ -62,7 +62,7 @@ def node_parameter_files(
 def _refuse_unknown(
     file: Path, nodes: Mapping[str, str], controller: ControllerChoice, given: Mapping[str, float]
 ) -> None:
-    """Reject parameters in a file that no node of the graph has, or that only bringup may set.
+    """Reject a file with parameters that no node of the graph has, or that only bringup may set.
 
     In a section for more than one node, every parameter must be known to at least one of the nodes.
 
@@ -73,8 +73,9 @@ def _refuse_unknown(
         given: values of the controller's parameters, by name.
 
     Raises:
-        ConfigurationError: if the file contains a parameter to reject, a section for no node of the
-            graph, or a section in which ``ros__parameters`` is missing or is not a mapping.
+        ConfigurationError: if the file contains a parameter to reject, a section that applies to no
+            node of the graph, or a section in which ``ros__parameters`` is missing or is not a
+            mapping.
     """
     known = {name: _names_of(module, controller) for name, module in nodes.items()}
     for section in read_sections(file):

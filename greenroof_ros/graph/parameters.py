@@ -1,4 +1,4 @@
-"""Parameters of nodes: their declaration with description and range, and the check of their values.
+"""Parameters of nodes: their declaration with description and range, and checks of their values.
 
 rclpy silently ignores a parameter that a node has not declared, so a limit with a mistyped name
 would have no effect. This module rejects undeclared parameters on a node's command line;
@@ -155,7 +155,7 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
 
 
 def fix(node: Node, name: str, value: Any, reason: str) -> None:
-    """Set a parameter of a node, and reject every later change with the reason given."""
+    """Set a parameter of a node, and reject every later change with the given reason."""
     node.set_parameters([RosParameter(name, value=value)])
 
     def refuse_change(changes: list[RosParameter]) -> SetParametersResult:

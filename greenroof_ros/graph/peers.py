@@ -49,7 +49,7 @@ class Peers:
         )
 
     def describe_silent(self, names: Collection[str]) -> str:
-        """Return the text about the node that all other missing nodes are waiting for.
+        """Return a text about the node that all other missing nodes are waiting for.
 
         Args:
             names: the awaited topics in the order of the node's inputs (weather, controller, pump),

@@ -1,4 +1,4 @@
-"""The known publishers of a topic, and the check of their quality of service."""
+"""The known publishers of a topic, and a check of their quality of service."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Publishers:
     """The publishers of a topic, including superfluous and incompatible ones.
 
     All publishers that ROS knows are counted. ROS is polled for the publishers, because a
-    middleware event can lock up rclpy's fast executor while the liveliness of a peer changes
+    middleware event can lock up rclpy's fast executor when the liveliness of a peer changes
     (rmw_fastrtps, pull request 890). ROS knows about a publisher before its first message arrives.
 
     Attributes:
@@ -74,7 +74,7 @@ class Publishers:
         return self._names
 
     def describe_second(self, wait_s: float = 0.0) -> str:
-        """Return a predicate about a second publisher, or "" if there is none.
+        """Return a predicate that reports a second publisher, or "" if there is none.
 
         Args:
             wait_s: maximum wait for names (s), as in :meth:`names`.
@@ -89,7 +89,7 @@ class Publishers:
         )
 
     def describe_incompatible(self) -> str:
-        """Return a predicate about incompatible publishers, or "" if there are none.
+        """Return a predicate that reports incompatible publishers, or "" if there are none.
 
         DDS does not connect a publisher to a subscription that requests more than the publisher
         offers, and reports only one of the mismatched policies. The profiles of both sides are
@@ -108,7 +108,7 @@ class Publishers:
         )
 
     def warning(self, now: float) -> str:
-        """Return a sentence about publishers that stay incompatible for the discovery time, or "".
+        """Return a sentence about publishers still incompatible after the discovery time, or "".
 
         Args:
             now: time on the steady clock (s).

@@ -129,15 +129,15 @@ def start_receiving(executor: Any, node: Any) -> None:
 
 
 def end_nodes(nodes: Sequence[GraphNode], failure: str | None) -> str | None:
-    """Make every node close its open files and connections, and report that it stops.
+    """Make every node close its open files and connections, and report that it is stopping.
 
     Args:
         nodes: the nodes.
         failure: description of the error that ended the run; None if there was none.
 
     Returns:
-        The description of the first error, either the given one or an error while a node stops;
-        None if there was none.
+        The description of the first error, either the given error or an error raised while a node
+        was stopping; None if there was no error.
     """
     for node in nodes:
         try:

@@ -33,7 +33,7 @@ def parameters(choice: ControllerChoice | None) -> list[Parameter]:
 
 
 class ControllerNode(SimulationNode):
-    """Node that runs a controller; it commands 0 in frost, in quiet hours and for invalid inputs.
+    """Node that runs a controller; commands 0 in frost, in quiet hours and if inputs are invalid.
 
     At a site with an outlet valve, the node also commands the valve, even in frost and in quiet
     hours.
@@ -103,7 +103,7 @@ class ControllerNode(SimulationNode):
             self.publish(topic.name, value)
 
     def progress(self) -> dict[str, Any]:
-        """Return the changes of the controller's parameters."""
+        """Return the changes to the controller's parameters."""
         return self._settings.changes()
 
     def summary(self) -> dict[str, Any]:

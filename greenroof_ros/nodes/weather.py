@@ -67,7 +67,7 @@ def parameters(site: Site) -> list[Parameter]:
 
 
 def _choose_forecast(values: dict[str, Any]) -> ForecastChoice:
-    """Return the choice of forecasts that corresponds to the values of the parameters.
+    """Return the choice of forecasts specified by the parameter values.
 
     Raises:
         ConfigurationError: if a parameter is invalid.

@@ -92,12 +92,12 @@ def load_bag(
         bag: directory of the bag, or a single MCAP file.
         site: site at which the bag was recorded.
         zone: time zone of the result.
-        own: True if the run is known to be a simulation of this package, whose plant rejected
+        own: True if the run is known to be a simulation by this package, whose plant rejected
             implausible values and used 0 instead. In other bags, implausible values are left out or
             cause an error.
         external_pump: True if a pump driver sent the flow to the plant.
-        repair: instruction, for the message, on repairing a damaged bag; empty if repair is
-            impossible.
+        repair: instruction for repairing a damaged bag, for use in the error message; empty if
+            repair is impossible.
 
     Raises:
         ConfigurationError: if the bag is damaged, lacks a needed topic, or contains implausible
@@ -153,9 +153,9 @@ def load_bag(
 def _keep_one_time(
     recorded: Mapping[str, _Series], zone: tzinfo
 ) -> tuple[dict[str, _Series], list[str]]:
-    """Return the messages without those that are more than a year away from most messages.
+    """Remove messages that are more than a year away from most others, and return the rest.
 
-    A clock that is not set yet stamps messages with 0, or with the year of its manufacture; no site
+    A clock that is not set yet stamps messages with 0, or with its year of manufacture; no site
     has a gap of a year in a bag.
     """
     stamps = np.sort(np.concatenate([series.times for series in recorded.values()]))
@@ -182,7 +182,7 @@ def _keep_one_time(
 
 
 def _check_files(bag: Path) -> None:
-    """Reject a bag that lacks a file listed in its metadata; a reader rejects invalid metadata."""
+    """Reject a bag that lacks a file listed in its metadata; invalid metadata is rejected later."""
     about: Any = None
     with suppress(ConfigurationError):
         about = read_yaml(bag / METADATA).get("rosbag2_bagfile_information")
@@ -199,7 +199,7 @@ def _check_files(bag: Path) -> None:
 
 
 def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
-    """Read all used topics of a bag, ordered by time.
+    """Read all used topics of a bag, in chronological order.
 
     The topics may be in a namespace, such as /site1/roof/level; the result contains their names
     without the namespace.

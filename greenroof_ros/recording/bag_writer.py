@@ -175,7 +175,7 @@ class LiveBag:
         self.problem = ""
 
     def _fail(self, error: OSError, now: float) -> None:
-        """Stop recording until the next retry, and count the messages not flushed as lost."""
+        """Stop recording until the next retry, and count the messages not yet flushed as lost."""
         self.problem = f"{self.directory}: {error.strerror or error}"
         self._again = now + RETRY_S
         file, self._file = self._file, None
@@ -334,8 +334,8 @@ class BagWriter(BagFile):
         """Finish the file and write ``metadata.yaml``.
 
         Raises:
-            OSError: if writing fails, for instance because the disk is full; after a cut,
-                ``greenroof recover`` restores the safe ticks.
+            OSError: if writing fails, for instance because the disk is full; ``greenroof recover``
+                then restores the safe ticks.
         """
         super().close()
         write_metadata(self.directory, [read_index(self.path)])
@@ -348,7 +348,7 @@ def find_files(bag: Path) -> list[Path]:
 
 
 def name_next_file(files: Sequence[Path], bag: Path) -> Path:
-    """Return the path of the file after the given files, which are sorted, oldest first."""
+    """Return the path of the file that follows the given files, which are sorted, oldest first."""
     number = int(_read_number(files[-1])) + 1 if files else 0
     return bag / f"{bag.name}_{number}.mcap"
 

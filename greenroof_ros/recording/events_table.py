@@ -37,7 +37,7 @@ def event_rows(start: datetime, events: Iterable[Event]) -> list[EventRow]:
 
 
 def format_events(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return the content of ``events.csv``, with full-precision numbers, true and false."""
+    """Return the content of ``events.csv``, with full-precision numbers and lower-case Booleans."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_COLUMNS)
@@ -80,8 +80,8 @@ def check_event(row: EventRow) -> EventRow:
     """Check a row from a file, which can have any content, and return the row.
 
     Raises:
-        TypeError, ValueError: if the row is not an event, which consists of a time, finite numbers,
-        true and false. Only values that can be unknown may be missing.
+        TypeError, ValueError: if the row is not an event, which consists of a time, finite numbers
+        and Booleans. Only values that can be unknown may be missing.
     """
     if row.keys() != set(_COLUMNS):
         raise ValueError

@@ -1,7 +1,7 @@
-"""Fast writer of mcap files, whose output equals that of the ``mcap`` library byte for byte.
+"""Fast writer of mcap files; its output is identical, byte for byte, to the ``mcap`` library's.
 
 This module packs the data of every message according to https://mcap.dev/spec; the library packs
-all other records. Messages are in chunks compressed with zstd, each followed by an index.
+all other records. Messages are stored in chunks compressed with zstd, each followed by an index.
 """
 
 from __future__ import annotations

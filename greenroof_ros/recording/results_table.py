@@ -55,7 +55,7 @@ def find_differing_keys(rows: Sequence[Mapping[str, object]]) -> list[str]:
 
 
 def format_exactly(value: float) -> str:
-    """Format a number exactly, with few digits, such as 12, 0.5 or 0.3333333333333333."""
+    """Format a number exactly, in as few digits as possible: 12, 0.5 or 0.3333333333333333."""
     text = f"{value:g}"
     return text if float(text) == value else repr(value)
 

@@ -103,7 +103,7 @@ class Trajectory:
         pump_flow: flow from the cistern to the roof (m3/s).
         outflow: flow from the cistern to the sewer (m3/s).
         drainage: drainage from the roof (m3/s).
-        frost: 1 in frost, otherwise 0.
+        frost: 1 during frost, otherwise 0.
         outlet: command to the outlet valve, as a share of its full opening (1); None without a
             valve.
         low_outlet: the part of the outflow through the low outlet (m3/s); None without a valve.
