@@ -45,11 +45,11 @@ class AfterForecast:
     days, since only evapotranspiration removes it. A controller that plans only up to the end of
     the forecast fills the roof even if rain is forecast for the last hours, because the excess
     costs nothing in the plan. The roof then holds too much water. The shorter the forecast, the
-    larger this error. The plan therefore includes the deviation over ``days_after`` more days, and
-    assumes no rain and 0.3 times the mean evapotranspiration of the past day for them. In summer,
-    about this share of the evapotranspiration remains after rain is subtracted. The mean covers a
-    whole day, so that the time of day does not matter, and is initialized with the mean over the
-    first day of the forecast.
+    larger this error. The plan therefore also covers the deviation over the following
+    ``days_after`` days, for which it assumes no rain and 0.3 times the mean evapotranspiration of
+    the past day. In summer, evapotranspiration minus rain amounts to about this share of
+    evapotranspiration. The mean covers a whole day, so that the time of day does not matter, and is
+    initialized with the mean over the first day of the forecast.
 
     With ``days_after`` = 0, the deviation after the end of the forecast is not counted. This
     setting suits a study whose runs end with the forecast, such as the paper's 12 h runs, but not a
@@ -57,7 +57,7 @@ class AfterForecast:
 
     Attributes:
         edges: boundaries of the steps of the forecast and of the days after it (s from now),
-            beginning with 0, shape (steps + days_after + 1,).
+            starting at 0, shape (steps + days_after + 1,).
         steps: number of steps in the forecast.
         mean: exponential moving average of evapotranspiration with a time constant of one day
             (m3/s); 0 before the first forecast.

@@ -29,8 +29,8 @@ class AnticipatingOnOff:
 
     The paper's Conclusion asks for a 'less expensive, hybrid' design: an on/off controller that
     anticipates the weather. The paper's on/off controller, Eq. (12), fills the roof to its target
-    x2*. If rain follows, the roof stays too wet for days. This controller predicts the volume on an
-    unwatered roof from rain and evapotranspiration, and on field-capacity soil also from
+    x2*. If rain follows, the roof stays too wet for days. This controller predicts the volume of
+    water on an unwatered roof from rain, evapotranspiration and, on field-capacity soil,
     percolation. The controller pumps as long as the following holds for every t:
 
         an unwatered roof would be too dry for more than half of the time from now to t,
@@ -39,8 +39,8 @@ class AnticipatingOnOff:
     (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`).
 
     Water pumped now makes the roof wetter by the same amount at every later time. The extra water
-    is a gain whenever the roof would otherwise be below its target, and a loss whenever the roof
-    would be above it. Water that is not pumped now can still be pumped at t, so only the time until
+    is a gain whenever the roof would otherwise be below its target, and a loss whenever it would be
+    above the target. Water that is not pumped now can still be pumped at t, so only the time until
     t counts in the decision. It is therefore best to pump if the gain exceeds the loss for every t,
     and otherwise to wait. If the pumps can deliver any flow, this rule yields the plan with the
     minimum sum of |x2 - x2*|. If y_i is the volume missing in step i, the total volumes pumped up
@@ -89,7 +89,7 @@ class AnticipatingOnOff:
             fraction: v, the command when pumping (share of the maximum flow).
             observer_time_constant: averaging time of the roof's level readings (s).
             waiting_budget: maximum cost of waiting for rain (hours of an empty roof).
-            waiting_share: additional cost of waiting that is allowed, as a share of the cost of
+            waiting_share: allowed additional cost of waiting, as a share of the cost of
                 plain on/off control.
         """
         self._site, self._soil = site, soil_of(site)
@@ -116,7 +116,7 @@ class AnticipatingOnOff:
         precipitation: Sequence[float],
         evapotranspiration: Sequence[float],
     ) -> float:
-        """Decide from the levels and the forecast.
+        """Compute the command from the levels and the forecast.
 
         See :class:`greenroof_ros.controllers.protocol.Controller`.
 

@@ -1,4 +1,4 @@
-"""Checks that run a class to test whether it meets all requirements for a controller."""
+"""Checks that exercise a class to verify that it meets all requirements for a controller."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class _BrokenRuleError(Exception):
 
 
 def trial_values(site: Site) -> Iterator[tuple[float, float, float, float]]:
-    """Yield levels (m), rain (m/s) and evapotranspiration (m3/s), from a dry to a flooded site."""
+    """Yield levels (m), rain (m/s) and evapotranspiration (m3/s) for sites from dry to flooded."""
     for cistern, roof, rain, evaporated in product(_CISTERN, _ROOF, _RAIN, _EVAPOTRANSPIRATION):
         yield cistern * site.z_o, roof * site.z_veg, rain, evaporated
 
@@ -55,7 +55,7 @@ class _Trial:
         return len(look_ahead_ends(self.site, horizon)) - 1
 
     def forecast(self, rate: float, members: int = 1) -> Any:
-        """Return a forecast with rain from the second step on, in the controller's own shape."""
+        """Return a forecast with rain from the second step on, in the shape that is expected."""
         rates = np.full((members, self.steps), rate)
         rates[:, 0] = 0.0
         return rates if self.choice.ensemble else rates[0].tolist()
@@ -235,7 +235,7 @@ def _outputs(trial: _Trial) -> None:
 
 
 def _outlet(trial: _Trial) -> None:
-    """Check the outlet after skipped ticks, too, because the valve also operates in frost."""
+    """Also check the outlet after skipped ticks, because the valve operates in frost as well."""
     if trial.choice.of_valve:
         controller = trial.make()
         _check_command(controller, *next(trial.inputs()))

@@ -21,7 +21,7 @@ from greenroof_ros.controllers.registry import ControllerChoice
 
 
 def may_decide(controller: Controller, allowed: bool, quiet: bool) -> bool:
-    """Return whether a controller decides in a tick; in quiet hours, it must use the time."""
+    """Return whether a controller decides in a tick; in quiet hours, only if it uses the time."""
     return allowed and (not quiet or hasattr(controller, "time_ns"))
 
 
@@ -36,17 +36,17 @@ def decide(
 ) -> float:
     """Return the command for a tick: the controller's command if pumping is allowed, otherwise 0.
 
-    Pumping is not allowed in frost, which can burst the pipe of a running pump. Pumping is not
-    allowed after an input has been rejected either, because a command based on a level that was not
+    Pumping is not allowed in frost, which can burst the pipe of a running pump. Nor is pumping
+    allowed after an input has been rejected, because a command based on a level that was not
     measured must not reach the pump. In quiet hours the command is also 0, but a controller that
     uses the time is still called, so that it continues to learn and plan.
 
     Args:
-        controller: controller that decides, or skips the tick.
+        controller: controller that computes the command or skips the tick.
         allowed: whether pumping is allowed.
         cistern_level: level in the cistern (m).
         roof_level: level on the roof (m).
-        precipitation: forecast of rain (m/s), in the shape that the controller takes.
+        precipitation: forecast of rain (m/s), in the shape that the controller accepts.
         evapotranspiration: forecast of evapotranspiration (m3/s).
         quiet: whether the tick is in the site's quiet hours.
 
@@ -91,7 +91,7 @@ def decide_outlet(
         closed: whether frost closes the valve.
         cistern_level: level in the cistern (m).
         roof_level: level on the roof (m).
-        precipitation: forecast of rain (m/s), in the shape that the controller takes.
+        precipitation: forecast of rain (m/s), in the shape that the controller accepts.
         evapotranspiration: forecast of evapotranspiration (m3/s).
 
     Raises:
@@ -126,12 +126,12 @@ def read_statistics(controller: Controller) -> dict[str, float] | None:
 def cut_forecast(
     choice: ControllerChoice, steps: int, rain: Any, evapotranspiration: Any
 ) -> tuple[Any, Any]:
-    """Cut forecasts that were extended for the outlet's plan to the controller's own steps.
+    """Truncate forecasts that were extended for the outlet's plan to the controller's own steps.
 
     Args:
-        choice: choice of the controller, which receives only the first member unless it takes all
+        choice: the chosen controller, which receives only the first member unless it accepts all
             members.
-        steps: number of steps that the controller takes.
+        steps: number of steps that the controller uses.
         rain: forecast of rain, shape (steps,) or (members, steps).
         evapotranspiration: forecast of evapotranspiration, shape (steps,).
     """
@@ -141,16 +141,16 @@ def cut_forecast(
 
 
 def shape_rain(choice: ControllerChoice, rain: Any, topic: str) -> Any:
-    """Return a forecast of rain in the shape that a controller takes.
+    """Return a forecast of rain in the shape that a controller accepts.
 
     Args:
         choice: the controller.
-        rain: value of the topic, either a row or an array of members.
-        topic: name of the topic, for an error message.
+        rain: value received on the topic, either a single row or an array of members.
+        topic: name of the topic, for error messages.
 
     Raises:
-        ConfigurationError: if the forecast has more than one member, but the controller takes only
-            one.
+        ConfigurationError: if the forecast has more than one member, but the controller accepts
+            only one.
     """
     if choice.ensemble:
         return np.atleast_2d(rain)

@@ -15,16 +15,16 @@ _NO_USERS = str(Path(greenroof_ros.__file__).parent), importlib.__file__, "<froz
 
 
 class ControllerError(ConfigurationError):
-    """A controller is broken: its code raised an error, or its command is invalid."""
+    """Error raised if a controller's code raises an error, or if its command is invalid."""
 
 
 def locate_error(kind: Any, error: BaseException) -> ConfigurationError | HangError:
-    """Return an error that a controller's code raised, with file and line added.
+    """Return an error that a controller's code raised, with the file and the line added.
 
     An error of this package that already names the cause is returned unchanged, unless the error
-    comes from user code. File and line are those of the last frame in the file in which the user's
-    code was entered. If no user code was entered, as with a wrong number of arguments, file and
-    line are those of the method that the message names.
+    comes from user code. The file and the line are those of the last frame in the file through
+    which the user's code was entered. If no user code was entered, as with a wrong number of
+    arguments, the file and the line are those of the method that the message names.
     """
     name = getattr(kind, "__name__", str(kind))
     file, line = None, None

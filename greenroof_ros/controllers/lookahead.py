@@ -49,17 +49,17 @@ _NO_NEW_PLAN, _UNDECIDED = np.empty((0, 4)), np.full((1, 4), np.nan)
 
 
 class Lookahead:
-    """Fills the roof to the level that is best for the coming rain, and holds it there.
+    """Fills the roof to the level that best suits the coming rain, and holds it there.
 
     :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` finds the level, for all members of an
     ensemble of forecasts or for a single forecast, over growing steps and the days after the
     forecast (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`).
     :func:`~greenroof_ros.controllers.order_up_to.halve_by_rain` describes the assumption about when
     members turn out to be wrong. Without a forecast, the controller fills the roof to its target
-    and holds it there, which is best if no rain comes. If the forecast is lost for a short time,
-    the controller continues to wait for rain, and follows the last plan until this plan is too old.
-    During this time, the rain gauge provides the current rain, and evapotranspiration is assumed to
-    be the mean of the past day. A forecast with a missing value is treated as lost.
+    and holds it there, which is the best strategy if no rain falls. If the forecast is lost for a
+    short time, the controller continues to wait for rain, and follows the last plan until this plan
+    is too old. During this time, the rain gauge provides the current rain, and evapotranspiration
+    is assumed to be the mean of the past day. A forecast with a missing value is treated as lost.
 
     The controller makes a new plan when the last plan is older than an hour or a 48th of the
     horizon, whichever is less, when a member's total rain has changed, and when the budget starts
@@ -93,7 +93,7 @@ class Lookahead:
         planned_deviation: deviation predicted by the last plan, as a mean over the horizon, the
             days after it and all members (m3); NaN before the first plan.
         solves: number of plans made.
-        solve_seconds: wall time of every call of :meth:`command` (s), most of which make no plan.
+        solve_seconds: wall time of every call to :meth:`command` (s), most of which make no plan.
         time_ns: current time (ns since 1970), set at a site with quiet hours.
         gauge_rain: rain measured by the gauge of a live site (m/s); 0 without a gauge.
     """

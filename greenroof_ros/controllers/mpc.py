@@ -67,11 +67,11 @@ class Mpc:
     increased by 1.
 
     Attributes:
-        weight: lambda, the price of pumping (1); it can be changed between two ticks.
+        weight: lambda, the price of pumping (1); it can be changed between ticks.
         cost: J of Eq. (11) for the last tick's solution (m2); NaN after a fallback.
         status: OSQP's status value in the last tick; 1 means solved.
         fallbacks: number of ticks without a solution.
-        solve_seconds: wall time of every :meth:`command` (s).
+        solve_seconds: wall time of every call to :meth:`command` (s).
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
@@ -94,7 +94,7 @@ class Mpc:
         Args:
             site: parameters of the site (Table I); ``site.M`` is the look-ahead.
             weight: lambda of Eq. (11), greater than 0.
-            max_command: upper bound of the commands; ``inf`` for none, as in the paper.
+            max_command: upper bound on the commands; ``inf`` for none, as in the paper.
         """
         # Imported here: it takes half a second, and the class's parameters do not need it.
         import osqp

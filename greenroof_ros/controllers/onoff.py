@@ -22,9 +22,9 @@ LEVEL = Parameter(
 class OnOff:
     """Issues a fixed pump command while the roof is too dry and the cistern holds enough water.
 
-    The roof is too dry below ``level`` times the target. A level below 1 leaves room for rain, and
-    is the only way to leave room without a forecast. ``doc/explanation/controllers.md`` shows the
-    benefit of a level below 1 for different roofs.
+    The roof counts as too dry if its volume is below ``level`` times the target. A level below 1
+    leaves room for rain; without a forecast, there is no other way to do so.
+    ``doc/explanation/controllers.md`` shows the benefit of a level below 1 for different roofs.
 
     Attributes:
         fraction: v, the command when pumping (share of the maximum flow).
@@ -46,7 +46,7 @@ class OnOff:
         precipitation: Sequence[float],
         evapotranspiration: Sequence[float],
     ) -> float:
-        """Decide from the levels (m) alone, without the forecasts."""
+        """Compute the command from the levels (m) alone, without the forecasts."""
         dry = roof_level < self.level * self._site.z_veg
         enough = cistern_level >= self._site.suction_level
         return self.fraction if dry and enough else 0.0

@@ -66,7 +66,7 @@ class Cistern:
         self._suction = suction
 
     def usable(self, x1: float) -> float:
-        """Return the usable part of x1 (m3), without water above the outlet, which soon drains."""
+        """Return the usable part of x1 (m3): without water above the outlet, which soon drains."""
         return min(max(x1 - self._suction, 0.0), self._capacity)
 
     def scarce(self, x1: float, demand: float, seconds: float) -> float:
@@ -125,8 +125,8 @@ class OrderUpTo:
     linearly between them.
 
     **Water.** If the cistern can run short, V depends on a second variable s, which is the usable
-    water plus the water that would fill an empty roof to its current volume. Filling does not
-    change s. If there is always enough water, s has one node.
+    water plus the water needed to fill an empty roof to its current volume. Filling does not change
+    s. If there is always enough water, s has one node.
     """
 
     def __init__(self, site: Site, fine: tuple[int, int] = (900, 300)) -> None:
@@ -167,8 +167,9 @@ class OrderUpTo:
         Args:
             policy: policy from the last :meth:`solve`.
             step: index of a step of the policy.
-            group: index of a group of the step, for each roof or for all roofs.
-            usable: water in the cistern (m3), for each roof or for all roofs.
+            group: index of a group of the step, either one for each roof or one for all roofs.
+            usable: usable water in the cistern (m3), either one value for each roof or one for all
+                roofs.
             x2: volume on each roof (m3).
         """
         table = policy.fill_to[step]
@@ -283,7 +284,7 @@ class OrderUpTo:
         """Advance roofs by a step in which each roof is filled to a level and held there.
 
         Args:
-            level: level of each roof (m3), -1 to leave it alone.
+            level: volume to which each roof is filled (m3); -1 to leave the roof alone.
             roof: volume on each roof (m3).
             rain: rain on each roof in the step (m/s).
             evapotranspiration: evapotranspiration from the whole bed (m3/s).
@@ -304,7 +305,7 @@ class OrderUpTo:
         return ended, np.minimum(uptake, max_pumped)
 
     def _content(self, x2: Any) -> Any:
-        """Return the water that fills an empty roof to a volume, or to x* if x* is less (m3)."""
+        """Return the water (m3) needed to fill an empty roof to x2 or x*, whichever is less."""
         return self._soil.water_to_fill(np.minimum(x2, self._target))
 
     def _before(
@@ -394,7 +395,7 @@ class OrderUpTo:
         Args:
             value: V at the nodes, shape (members, S, nodes).
             x2: volumes on the roof (m3), shape (members or 1, S or 1, any).
-            water: s (m3), in the same shape; not used if s has only one node.
+            water: s (m3), of the same shape; not used if s has only one node.
         """
         members, rows, count = value.shape
         above = x2 - self._target
@@ -433,10 +434,10 @@ def halve_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:
     """Return the group of every member in every step, identified by its lowest member index.
 
     The members of a group cannot be distinguished yet, so the pumping is the same for all of them.
-    At first, all members form one group. After every period of ``recourse``, each group is halved
-    into the members with less rain and the members with more rain so far; ties are broken by the
-    rain up to the next step, and so on. If the number of members is odd, the wetter half has one
-    more member. Groups therefore only split, and in the end every member has a group of its own.
+    At first, all members form one group. After every period of ``recourse``, each group is split
+    into halves: the members with less rain so far, and those with more. Ties are broken by the rain
+    up to the next step, and so on. If the number of members is odd, the wetter half has one more
+    member. Groups therefore only split, and in the end every member has a group of its own.
 
     No forecast reveals immediately which member will come true. A controller that assumed otherwise
     would wait, because it would expect to know everything soon. Heitsch and Roemisch (2009,

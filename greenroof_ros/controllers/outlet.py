@@ -1,6 +1,6 @@
-"""Policies for the valve of the low outlet, alongside any controller of the pump.
+"""Policies for the valve of the low outlet, which work alongside any controller of the pump.
 
-The cistern keeps storm water out of the sewer only if there is room in it when the rain comes. A
+The cistern keeps storm water out of the sewer only if it has room when the rain comes. A
 policy decides in every tick how far the valve is open (share, 0 to 1). ``closed`` keeps the valve
 closed, and ``open`` turns it into an orifice without a valve. ``drain`` makes room in dry weather.
 ``plan`` makes room before forecast rain, and otherwise keeps the water that the roof will need.
@@ -85,7 +85,7 @@ def parameters_on(site: Site, policy: str) -> list[Parameter]:
 
 
 def find_horizon(parameters: Mapping[str, Any]) -> float:
-    """Return the look-ahead (h) of the policy in a controller's parameters; 0 without a plan."""
+    """Return the look-ahead (h) of the policy that the parameters select; 0 without a plan."""
     return float(HORIZON_H) if parameters.get("outlet") == PLAN else 0.0
 
 
@@ -234,7 +234,7 @@ class Plan:
     plus p per m3 of mains water. In wet weather, y is v, because a release then costs at least as
     much as it can save. At the end of the plan, water is worth its price if the roof needs this
     water within ``reach``. Additional water is worth nothing, so it is released in dry weather,
-    which makes room for rain that no forecast has shown.
+    which makes room for rain that no forecast has predicted.
 
     Above the outlet, U falls to its minimum and then rises. The best y is therefore a level to
     which the cistern is drained, as far as the valve allows. The level of the first hour is the

@@ -79,8 +79,8 @@ class PlannedLevels:
     def update(self, dry: bool, observe: Observe) -> Array:
         """Return the volumes to which the cisterns are drained in a tick (m3).
 
-        Call this method in every tick. No valve opens in wet weather, so the volumes have no
-        meaning in wet weather. A forecast with a missing value is treated as lost.
+        Call this method in every tick. No valve opens in wet weather, so the volumes are then
+        meaningless. A forecast with a missing value is treated as lost.
 
         Args:
             dry: whether the weather is dry.
@@ -155,7 +155,7 @@ class PlannedLevels:
     def _solve(
         self, rows: Rows, x1: Array, x2: Array, rain: Array, evaporated: Array, needed: Array
     ) -> Array:
-        """Solve the dynamic program for some sites; see :meth:`_find_levels`.
+        """Solve the dynamic program for the given sites; see :meth:`_find_levels`.
 
         Args:
             rows: indices of the sites to which the other arrays belong.
@@ -220,7 +220,7 @@ class PlannedLevels:
         return np.asarray(np.minimum(volumes, outlet + a1 * root**2))
 
     def _find_needs(self, rows: Rows, x2: Array, rain: Array, evaporated: Array) -> Array:
-        """Return the water that roofs need from cisterns in each hour, minus their drainage (m3).
+        """Return the water (m3) that roofs need from cisterns each hour, minus the roofs' drainage.
 
         Args:
             rows: indices of the sites.

@@ -1,4 +1,4 @@
-"""The policies of :mod:`.outlet` for many sites together.
+"""The policies of :mod:`.outlet`, applied to many sites together.
 
 Dry weather depends only on the rain, so dry ticks are determined in advance for a whole run.
 """
@@ -32,7 +32,7 @@ class OutletGroup:
         dry: whether the weather is dry in each tick, from :func:`find_dry_ticks`.
         ends: boundaries of the forecasts' steps (s from now), beginning with 0.
         foresee: function that returns a tick's forecast: rain (m/s), shape (members, steps), and
-            evapotranspiration of a bed with crop coefficient 1 (m/s), shape (steps,).
+            evapotranspiration of a bed with a crop coefficient of 1 (m/s), shape (steps,).
         has_rain: whether the forecasts contain rain and can therefore change.
     """
 
@@ -73,7 +73,7 @@ class Outlets:
             reserves: ``outlet_reserve`` of each site.
             prices: ``outlet_price`` of each site.
             reaches: ``outlet_reach`` of each site.
-            beds: areas with crop coefficient 1 that evaporate as much as the beds (m2).
+            beds: areas that, with a crop coefficient of 1, evaporate as much as the beds (m2).
             groups: groups of sites; every site is in one group.
         """
         self._sites, names = sites, np.array(policies)

@@ -58,7 +58,7 @@ def _find_file(name: str) -> Path | None:
 
 
 def _is_foreign(name: str) -> bool:
-    """Return whether a module does not belong to the user.
+    """Return whether a module belongs to someone other than the user.
 
     The package is checked first, because looking up a module imports its package.
     """
@@ -74,7 +74,7 @@ def _is_foreign(name: str) -> bool:
 
 
 def _imported_names(source: bytes, package: str) -> Iterator[str]:
-    """Yield the modules that a source imports, and the imported names, which can be modules, too.
+    """Yield the modules that a source imports, and the imported names, which can also be modules.
 
     Args:
         source: source text of a module.

@@ -39,8 +39,8 @@ class Controller(Protocol):
     - ``outlet``: the share to which the valve of the low outlet is open, from 0 to 1, for a class
       that commands this valve itself. The attribute is read in every tick, after ``command`` or
       ``skip``, because the valve also operates in frost and in quiet hours. The valve keeps its
-      position unless ``skip`` changes the attribute. The class must have the attribute, not only
-      its objects. At a site with a valve, any other class also has the parameters of
+      position unless ``skip`` changes the attribute. The class itself must have the attribute, not
+      just its instances. At a site with a valve, any other class also has the parameters of
       :mod:`greenroof_ros.controllers.outlet`.
     - ``outlet_policy``: the name of the policy that commands the valve by default; ``drain`` if the
       attribute is not set.
@@ -64,7 +64,7 @@ class Controller(Protocol):
         precipitation: Sequence[Any],
         evapotranspiration: Sequence[float],
     ) -> float:
-        """Decide the command for the current tick.
+        """Compute the command for the current tick.
 
         Args:
             cistern_level: water depth in the cistern (m).
@@ -107,7 +107,7 @@ class Controller(Protocol):
 
 
 class ControllerClass(Protocol):
-    """A controller class, as the registry provides it."""
+    """A controller class as provided by the registry."""
 
     parameters: tuple[Parameter, ...]
 

@@ -62,7 +62,7 @@ class ControllerChoice:
     Attributes:
         name: name of the controller's node and of its section in a parameter file, also used in
             results.
-        reference: text that the user wrote: the name of a built-in controller, or
+        reference: controller as specified by the user: the name of a built-in controller, or
             ``package.module:Class``.
         path: ``package.module:Class``.
         given: class that a program passed; None if the class has to be imported.
@@ -129,7 +129,7 @@ class ControllerChoice:
 
     @property
     def ensemble(self) -> bool:
-        """Whether the controller takes all members of an ensemble, and not only the first one."""
+        """Whether the controller accepts all members of an ensemble, rather than only the first."""
         return bool(getattr(self.kind, "ensemble", False))
 
     @property
@@ -211,7 +211,7 @@ class ControllerChoice:
     def count_own_steps(self, site: Site, parameters: Mapping[str, Any]) -> int | None:
         """Return the number of forecast steps that the controller itself takes; None for all.
 
-        A plan of the outlet valve takes more steps.
+        A plan for the outlet valve uses more steps.
         """
         if not outlet.find_horizon(parameters):
             return None
@@ -266,9 +266,9 @@ class ControllerChoice:
     def read_parameters(self, path: Path, namespace: str = "") -> dict[str, Any]:
         """Return the values that a ROS 2 parameter file sets for the controller's node.
 
-        A dump of the node's parameters contains additional parameters. Those that rclpy declares in
-        every node are ignored. The parameter ``site_file`` is ignored with a warning, since a
-        command-line option sets it.
+        A dump of the node's parameters contains additional parameters. Parameters that rclpy
+        declares in every node are ignored. The parameter ``site_file`` is ignored with a warning,
+        since a command-line option sets it.
 
         Args:
             path: the file.
@@ -338,7 +338,7 @@ def find_controller(reference: str) -> ControllerChoice:
 
 
 def choose_class(kind: Any) -> ControllerChoice:
-    """Return the choice of a class that a program passes; a built-in class keeps its name."""
+    """Return the choice for a class that a program passes; a built-in class keeps its name."""
     path = f"{kind.__module__}:{kind.__qualname__}"
     for name, own in BUILT_IN.items():
         if path == own:

@@ -45,25 +45,25 @@ class RegretBudget:
 
         waiting_budget x2* + waiting_share D,
 
-    forecasts of rain do not count, and the controller fills the roof like on/off control. Forecasts
-    count again when the roof is filled and L is within the limit, which grows with D. So at any
-    time, whatever the forecasts predict, if on/off control has cost D, this controller has cost no
-    more than
+    forecasts of rain are ignored, and the controller fills the roof as on/off control would.
+    Forecasts are used again once the roof has been filled and L is within the limit, which grows
+    with D. So at any time, whatever the forecasts predict, if on/off control has cost D, this
+    controller has cost no more than
 
         (1 + waiting_share) D + waiting_budget x2*,
 
-    apart from the loss in one tick, the pumps' wait for their next start, and the time by which
-    evapotranspiration prolongs the filling. The reason is that L is below the limit while forecasts
-    count, and that the limit already covers the filling of the roof when forecasts cease to count.
-    Such a guarantee is called the robustness of an online algorithm with predictions; the benefit
-    from accurate predictions is called its consistency (Lykouris and Vassilvitskii 2021,
-    Competitive Caching with Machine Learned Advice, J. ACM 68(4), doi:10.1145/3447579). In frost,
-    pumping is not allowed, so the loss continues.
+    apart from the loss in one tick, the time that the pumps must wait before their next start, and
+    the time by which evapotranspiration prolongs the filling. The reason is that L is below the
+    limit while forecasts are used, and that the limit already covers the filling of the roof when
+    they cease to be used. Such a guarantee is called the robustness of an online algorithm with
+    predictions; the benefit from accurate predictions is called its consistency (Lykouris and
+    Vassilvitskii 2021, Competitive Caching with Machine Learned Advice, J. ACM 68(4),
+    doi:10.1145/3447579). In frost, pumping is not allowed, so the loss continues.
 
     If the cistern overflows while the controller waits, the site loses water that on/off control
     would have pumped by then. The lost water costs nothing until a drought empties the cistern.
     From then on the water is missing, and L grows until the drought ends, regardless of the limit.
-    This loss is counted when it occurs, and forecasts do not count until D has made up for it. The
+    This loss is counted when it occurs, and forecasts are ignored until D has made up for it. The
     loss can therefore happen once, but not in every drought.
 
     While the controller waits, a low outlet of the cistern can drain the water meant for the roof.
@@ -77,7 +77,7 @@ class RegretBudget:
 
     The comparison assumes that the pumps follow their commands. With minimum on-times and
     off-times, or with a pump flow other than the one in the site file, L and D are wrong by the
-    difference.
+    resulting difference.
 
     Attributes:
         loss: L so far (m3 s); a negative value is a gain.

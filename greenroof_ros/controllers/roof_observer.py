@@ -1,4 +1,4 @@
-"""Estimation of the water on the roof from the model combined with the level sensor."""
+"""Estimation of the volume of water on the roof from the model and the level sensor."""
 
 from __future__ import annotations
 

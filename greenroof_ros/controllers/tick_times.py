@@ -38,8 +38,8 @@ class TickTimes:
         """Return the statistics of a controller; without ticks, the times are 0.
 
         Args:
-            solves: number of programs solved or tried.
-            fallbacks: number of these programs without a solution.
+            solves: number of programs that the solver attempted.
+            fallbacks: number of these programs for which the solver found no solution.
         """
         return {
             "solves": solves,

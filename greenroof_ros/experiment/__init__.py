@@ -1,1 +1,1 @@
-"""Runs, with their options, the closed loop in one process, lower bounds, and summaries."""
+"""Runs and their options, the closed loop in a single process, lower bounds, and summaries."""

@@ -58,7 +58,7 @@ class BatchWeather:
     Attributes:
         run: run with this weather; the plans use its forecasts.
         rain: rain rate (m/s).
-        evapotranspiration: evapotranspiration of a bed with crop coefficient 1 (m/s).
+        evapotranspiration: evapotranspiration of a bed with a crop coefficient of 1 (m/s).
         frost: 1 in frost, otherwise 0.
     """
 
@@ -97,12 +97,12 @@ class BatchWeather:
         return self.run.start
 
     def beds(self, sites: Sites) -> Values:
-        """Return the areas with crop coefficient 1 that evaporate as much as the beds (m2)."""
+        """Return the areas (m2) that, with crop coefficient 1, evaporate as much as the beds."""
         return np.asarray(find_bed(self.run.weather.method, sites))
 
     @cached_property
     def ends(self) -> Values:
-        """Boundaries of the forecasts' steps (s from now), beginning with 0."""
+        """Boundaries of the forecasts' steps (s from now), starting at 0."""
         return look_ahead_ends(self.run.site, 0.0, HORIZON_H)
 
     @cached_property
@@ -123,8 +123,8 @@ class BatchWeather:
                 known.
 
         Returns:
-            Rain (m/s), shape (members, steps), and evapotranspiration of a bed with crop
-            coefficient 1 (m/s), shape (steps,).
+            Rain (m/s), shape (members, steps), and evapotranspiration of a bed with a crop
+            coefficient of 1 (m/s), shape (steps,).
         """
         rain = np.atleast_2d(np.asarray(self.forecast.precipitation(tick)))
         evaporated = np.asarray(self.forecast.evapotranspiration(tick))
@@ -135,9 +135,10 @@ class BatchWeather:
 
 
 def find_bed(method: str, site: Any) -> Any:
-    """Return the area with crop coefficient 1 that evaporates as much as a site's bed (m2).
+    """Return the area (m2) that, with a crop coefficient of 1, evaporates as much as a site's bed.
 
-    A crop coefficient applies to computed evapotranspiration; a column of a file is used unchanged.
+    A crop coefficient applies only to computed evapotranspiration; values from a column of a file
+    are used unchanged.
     """
     return site.a2 * site.crop_coefficient if method in COMPUTED else site.a2
 
@@ -148,15 +149,15 @@ class Batch:
 
     Attributes:
         sites: n sites with the same tau.
-        weather: weather of the sites, each entry with the same number of steps; the starting times
-            may differ.
+        weather: weather of the sites; all entries have the same number of steps, but their start
+            times may differ.
         weather_of: index of each site's weather, shape (n,).
         parameters: parameters of each site's controller, ``onoff``, and of its outlet valve;
             omitted parameters have their defaults.
         x1: initial volume in each cistern (m3), shape (n,).
         x2: initial volume on each roof (m3), shape (n,).
         with_forecast: whether plans use the forecasts of the weather's run; otherwise the plans
-            know the evapotranspiration and the current rain, and expect no more rain.
+            know the evapotranspiration and the current rain, and expect no further rain.
     """
 
     sites: Sequence[Site]
@@ -195,7 +196,7 @@ def simulate_batch(
     Args:
         batch: batch to simulate.
         groups: index of each site's group; None for no hydrograph.
-        progress: callback that regularly receives the share of the work that is done (1).
+        progress: callback that regularly receives the completed share of the work (1).
 
     Raises:
         ConfigurationError: if a parameter is invalid, or the sites differ in tau or in their number
@@ -227,7 +228,7 @@ def simulate_parts(
     Args:
         batch: batch to simulate.
         begin: function that returns the observer of a part; the part is then in its initial state.
-        progress: callback that regularly receives the share of the work that is done (1).
+        progress: callback that regularly receives the completed share of the work (1).
 
     Raises:
         ConfigurationError: if a parameter is invalid, or the sites differ in tau or in their number

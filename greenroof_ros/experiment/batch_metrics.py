@@ -154,7 +154,7 @@ class BatchMetrics:
         """Update the peaks (m3) from the windows that end within the given intervals.
 
         The flow is piecewise constant, so its mean over a window is largest if the window begins or
-        ends with a piece.
+        ends at the boundary of a piece.
         """
         highest = np.multiply.outer(self._windows, flows.max(axis=0))
         rows = np.flatnonzero((highest > self._peaks).any(axis=0))
@@ -249,6 +249,6 @@ def _find_midnights(clocks: Sequence[Clock], tau: float, ticks: int) -> dict[int
 
 
 def _share_without(part: Values, whole: Values) -> Values:
-    """Return the share of a whole that is not in a part, at least 0; NaN if the whole is zero."""
+    """Return the share of a total that is outside a part, at least 0; NaN if the total is zero."""
     share = np.divide(part, whole, out=np.full_like(whole, np.nan), where=whole > 0)
     return np.asarray(np.maximum(1 - share, 0.0))

@@ -1,4 +1,4 @@
-"""Simulations of many runs under on/off control, with all the results of :mod:`.closed_loop`.
+"""Simulations of many runs under on/off control, which yield all results of :mod:`.closed_loop`.
 
 :mod:`.batch` steps the plants, and :class:`.metrics.BlockMetrics` adds up the results, run by run.
 The results equal those of single runs apart from the rounding in each tick; see :mod:`.plants`.
@@ -61,7 +61,7 @@ def simulate_runs(
 
     Args:
         runs: runs with the same tau and number of steps, all of which :func:`is_covered` accepts.
-        progress: callback that regularly receives the share of the work that is done (1).
+        progress: callback that regularly receives the completed share of the work (1).
     """
     summaries: dict[int, dict[str, Any]] = {}
     for rows in _split(runs):
@@ -82,7 +82,7 @@ def simulate_runs(
 
 
 def _weather_key(run: Run) -> tuple[Any, ...]:
-    """Return a key that is equal for runs with the same weather and the same forecasts."""
+    """Return a key that is identical for runs with the same weather and the same forecasts."""
     return id(run.weather), run.start, run.site.M, run.forecast_choice
 
 
@@ -168,7 +168,7 @@ class _Records:
         """Yield the content of each run's ``summary.json``, after the last tick.
 
         Args:
-            wall_s: wall time that a run took (s).
+            wall_s: wall time of a run (s).
         """
         if self._count:
             self._add_up()

@@ -20,14 +20,15 @@ BLOCK_S = 60.0
 
 
 class NoBoundError(Exception):
-    """The solver found no optimum; the message of the solver states the reason."""
+    """Error raised if the solver finds no optimum; the solver's message states the reason."""
 
 
 def clairvoyant_bound(run: Run, block_s: float, max_command: float = 1.0) -> float:
     r"""Bound the total deviation sum_{k=0..N} \|x_{k,2} - x2*\| of a run from below.
 
     The bound is the optimum of a linear program in the roof's volume x2 alone. Every run that the
-    plant allows satisfies its constraints, so the bound is at most the deviation of the best run:
+    plant allows satisfies the constraints of the program, so the bound is at most the deviation of
+    the best run:
 
     - In a tick, the change in volume is at most tau (r a2 - e - q_drain) plus the volume that the
       pumps can lift. This volume is tau times the maximum command times the full flow, Eq. (3e), at
@@ -59,13 +60,13 @@ def clairvoyant_bound(run: Run, block_s: float, max_command: float = 1.0) -> flo
     tick k, G_k - x_{k,2} never falls. Its mean therefore does not fall from block to block either,
     so the mean volume rises by at most as much as the mean of G. The same argument holds for the
     smallest changes, and the limits of the volume hold for its mean. The bound therefore stays
-    valid. On the paper's soil, the bound never rises if blocks are enlarged to whole multiples. On
-    a field-capacity soil, whose limits depend on the size of the blocks, the bound can rise by up
-    to 0.4 %.
+    valid. On the paper's soil, the bound never rises if the length of a block is increased to a
+    multiple of itself. On a field-capacity soil, whose limits depend on the size of the blocks, the
+    bound can rise by up to 0.4 %.
 
     Args:
         run: weather, site, initial state and length; its controller and forecast do not matter.
-        block_s: length of a block, rounded to whole ticks, and at least one tick (s).
+        block_s: length of a block (s), which is rounded to whole ticks and is at least one tick.
         max_command: maximum command (share of the maximum flow), from 1e-9 to 100.
 
     Returns:
@@ -119,7 +120,7 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> float:
 
     The result is the cost of the dual program. Every variable z is between two limits, and the
     balance A z is 0. For any multipliers v, the sum of the minimum values of (w - A'v) z is a lower
-    bound of w z, regardless of the solver's tolerance.
+    bound on w z, regardless of the solver's tolerance.
 
     Args:
         run: the run.
@@ -127,7 +128,7 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> float:
         edges: first tick of each block, shape (B,).
 
     Returns:
-        A lower bound of the cost (m3).
+        A lower bound on the cost (m3).
 
     Raises:
         NoBoundError: if the solver finds no optimum.

@@ -1,4 +1,4 @@
-"""A run in one process, without ROS: controller and site in a closed loop."""
+"""A run in one process, without ROS: the controller and the site in a closed loop."""
 
 from __future__ import annotations
 
@@ -136,7 +136,8 @@ def record(run: Run, ticks: Iterable[Tick], every: int = 1) -> Trajectory:
     Args:
         run: the run.
         ticks: ticks of the run.
-        every: interval of the ticks that are kept (ticks); the last tick of the run is also kept.
+        every: interval between the ticks that are kept (ticks); the last tick of the run is always
+            kept.
     """
     recorded = recorded_columns(run.site)
     values = attrgetter("k", *(column.tick for column in recorded))

@@ -3,8 +3,8 @@
 HiGHS solves a linear program over the hours of a run. The roof receives the water that the run
 pumps, while the valve of the low outlet and the mains can be controlled freely. Each weight of
 mains water, from small to large, yields a point of the frontier. With the same irrigation and as
-little mains water as at this point, no control of the valve can discharge less in wet weather. The
-proof is in doc/explanation/bound.md.
+little mains water as at this point, no way of controlling the valve leads to less discharge in wet
+weather. The proof is in doc/explanation/bound.md.
 """
 
 from __future__ import annotations

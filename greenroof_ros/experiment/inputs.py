@@ -47,14 +47,14 @@ class RunInputs:
     """The inputs of a run, before any file is read.
 
     Attributes:
-        controller: choice of the controller, which decides how much to pump.
+        controller: the chosen controller, which decides how much to pump.
         parameters: parameters of the controller; omitted parameters have their defaults, some of
             which depend on the site.
         site: site, or path of the site file.
         weather: weather files, a data frame, or records, which are used unchanged if they are
             complete.
         forecast: choice of the forecasts that the controller receives.
-        sensor_and_pump: differences of the level sensor and the pumps from those of the paper.
+        sensor_and_pump: deviations of the level sensor and the pumps from those in the paper.
     """
 
     controller: ControllerChoice = field(default_factory=partial(find_controller, DEFAULT))
@@ -133,7 +133,7 @@ class RunInputs:
         return complete_records(records, *what), records
 
     def _find_zone(self, site: Site) -> tzinfo | None:
-        """Return the zone for times without an offset, if the site or the data frame has a zone."""
+        """Return the time zone for times without an offset, if the site or the data has one."""
         if site.time_zone is not None:
             return site.zone
         return find_zone(self.weather) if is_frame(self.weather) else None

@@ -152,7 +152,7 @@ def add_output_arguments(parser: Parser) -> argparse._ArgumentGroup:
 
 
 def _read_options(arguments: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
-    """Return the values of the options that occur in the command line."""
+    """Return the values of the options that are given on the command line."""
     values = {name: getattr(arguments, name, None) for name in names}
     return {name: value for name, value in values.items() if value is not None}
 

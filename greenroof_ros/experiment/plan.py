@@ -24,7 +24,7 @@ _NODES = 3000, 1000
 
 
 class PlanResult(NamedTuple):
-    """The result of a plan that was simulated."""
+    """The result of the simulation of a plan."""
 
     total_m3: float
     """total deviation (m3, summed over the ticks)"""
@@ -116,7 +116,7 @@ def find_pumping_ticks(run: Run, first: int = 0, last: int | None = None) -> NDA
     Args:
         run: the run.
         first: first tick.
-        last: end of the range of ticks, which is not included; by default N.
+        last: end of the range of ticks (exclusive); N by default.
     """
     n, hours = run.steps if last is None else last, run.site.quiet
     may_pump = np.asarray(np.frombuffer(run.series.frost[first:n]) == 0)

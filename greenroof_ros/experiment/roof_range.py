@@ -1,4 +1,4 @@
-"""The volumes that the roof can have in a run, and the changes that are possible in each tick."""
+"""The range of possible volumes on the roof in a run, and of possible changes in each tick."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ class Run:
         x1: initial volume in the cistern (m3).
         x2: initial volume on the roof (m3).
         forecast_choice: choice of the forecasts that the controller receives.
-        sensor_and_pump: differences of the level sensor and the pumps from those of the paper.
+        sensor_and_pump: deviations of the level sensor and the pumps from those in the paper.
         records: weather records that a program passed; None if they are from files.
     """
 

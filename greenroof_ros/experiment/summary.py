@@ -73,12 +73,12 @@ def make_unfinished_summary(
     parameter_changes: Sequence[Mapping[str, Any]] = (),
     parameter_change_count: int = 0,
 ) -> dict[str, Any]:
-    """Assemble the summary of an unfinished run, without metrics, which apply to whole runs only.
+    """Assemble the summary of an unfinished run, without metrics, which apply only to whole runs.
 
     Args:
         run: the run.
         status: status of the run, such as :data:`RUNNING`.
-        reason: reason for the end of the run.
+        reason: reason why the run ended.
         last_tick: last tick reported by the plant.
         refused: number of values rejected so far, by topic.
         parameter_changes: latest parameter changes so far, with their ticks.
@@ -186,14 +186,14 @@ def versions() -> dict[str, str]:
 
 
 def format_versions(by_name: Mapping[str, str]) -> str:
-    """Return versions as text for people, with an intelligible name for the hash."""
+    """Return versions as human-readable text, with an intelligible name for the hash."""
     names = {"source": "hash of its source files"}
     return ", ".join(f"{names.get(name, name)} {version}" for name, version in by_name.items())
 
 
 @functools.cache
 def _source() -> str:
-    """Return twelve digits that identify this package's code; a version covers many commits."""
+    """Return twelve digits that identify this package's code (a version covers many commits)."""
     digest = hashlib.sha256()
     package = Path(__file__).resolve().parent.parent
     for file in sorted(package.rglob("*.py")):

@@ -31,7 +31,7 @@ _COLLECTED = 0.1
 
 
 def _metric_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield the metrics except those that are 0 as expected; capitals mark excess of a limit."""
+    """Yield the metrics, except those that are 0 as expected; capitals mark values over a limit."""
     left_out = _IN_FILES if _collects_storm_water(summary) else _IN_FILES | _STORM_WATER
     for metric in METRICS:
         value = summary.get(metric.name, 0)
@@ -147,7 +147,7 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
 
 
 def setting_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield rows on the site and the weather of a run, its initial state and its length."""
+    """Yield rows about a run's site, weather, initial state and length."""
     start = datetime.fromisoformat(summary["start"])
     end = start + timedelta(seconds=summary["steps"] * summary["tau_s"])
     places = [format_place(*place) for place in summary["weather_places"]]

@@ -89,8 +89,8 @@ class LiveForecast:
             horizon: length of the forecast in growing steps (h); 0 for the next M ticks, one by
                 one.
             limit: maximum age of the latest forecast (s).
-            all_members: whether to return the rain of all members of an ensemble, or of the first
-                member only.
+            all_members: whether to return the rain of all members of an ensemble or only of the
+                first member.
         """
         self.issues: list[IssuedForecast] = []
         self._area = site.a2
@@ -141,7 +141,7 @@ class LiveForecast:
         return self._repeated
 
     def shortage(self, now: datetime) -> str:
-        """Return a note, with a remedy, if the latest forecast is too short; or an empty string.
+        """Return a note, with a remedy, if the latest forecast is too short; else an empty string.
 
         Raises:
             NoForecastError: if there is no forecast.

@@ -1,4 +1,4 @@
-"""Models of hourly forecasts, either from records, perfect or with errors, or from an archive.
+"""Models of hourly forecasts: from records (perfect or with errors), or from an archive.
 
 :mod:`greenroof_ros.formats.forecasts` describes when forecasts are issued; a perfect forecast has
 no time of issue, and a file states its own times of issue. The current hour is observed, not
@@ -288,7 +288,7 @@ def _draw_normal(climate: Climate, records: bytes, first: int) -> Array:
 
 
 class ErrorModel(ForecastModel):
-    """Forecasts made from records, with errors; see the description of the module.
+    """Forecasts made from records, with errors; the module docstring describes the method.
 
     Errors are correlated from forecast to forecast: zeta and xi of a forecast are sums over the
     white noise of this forecast and of earlier ones, weighted by exp(-age / persistence). The noise
@@ -360,7 +360,7 @@ class ErrorModel(ForecastModel):
 
         A forecast is the latest until the next one is issued. If the records do not begin at a
         whole hour of UTC, a forecast counts from the first hour of the records that begins after
-        its issue. A forecast issued before the start of the records keeps its own time.
+        its issue. A forecast issued before the start of the records keeps its actual time of issue.
         """
         known = hours_since_1970(self._weather.first) + hour - self._delay
         return known // ISSUE_HOURS * ISSUE_HOURS

@@ -1,4 +1,4 @@
-"""Forecasts in the steps of a controller, as the controller receives them in every tick."""
+"""Forecasts resampled to the steps of a controller, as it receives them in every tick."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class HourForecast:
 
         Args:
             issued: nominal time of issue; see :class:`Outlook`.
-            rain: rain (mm/h), shape (members, hours), the current hour first.
+            rain: rain (mm/h), shape (members, hours), starting with the current hour.
             evapotranspiration: evapotranspiration (mm/day), shape (hours,).
             area: area of the bed, used to convert depths to volumes (m2).
             ends: boundaries of the steps; see :func:`look_ahead_ends`.
@@ -153,7 +153,7 @@ class PerfectForecast:
         """Return None, because perfect knowledge has no time of issue."""
 
     def _update_window(self, tick: int) -> None:
-        """Update the window from a tick on, if it differs from the previous window."""
+        """Update the window that starts at a tick, if it differs from the previous window."""
         if tick in self._ticks:
             return
         window = slice(tick, tick + self._look_ahead)
@@ -178,7 +178,7 @@ class SteppedForecast:
         self, model: ForecastModel, weather: Weather, site: Site, start: datetime, ends: Array,
         steps: int, all_members: bool = False, rain_now: PerTick | None = None,
     ) -> None:
-        """Prepare for a run, and request all its forecasts, so that missing data are found at once.
+        """Prepare for a run, and request all its forecasts to detect missing data immediately.
 
         Args:
             model: model of the hourly forecasts.

@@ -1,12 +1,11 @@
-"""Forecasts from Open-Meteo that are requested over the internet, checked and passed on.
+"""Forecasts from Open-Meteo, which are requested over the internet, checked and passed on.
 
 The service has two interfaces for the same variables: *forecast*, with one series for each
 variable, and *ensemble*, with one series for each member (``precipitation``,
 ``precipitation_member01``, ...). The responses are read like files from the service
-(:mod:`greenroof_ros.formats.open_meteo`). A response does not state the model run from which it
-comes. A forecast is assumed to be issued in the hour of its arrival, and to be available from its
-arrival on, so that no information is used too early. Open-Meteo's data are licensed under CC BY
-4.0.
+(:mod:`greenroof_ros.formats.open_meteo`). A response does not state which model run it comes from.
+A forecast is assumed to be issued in the hour of its arrival, and to be available from its arrival
+on, so that no information is used too early. Open-Meteo's data are licensed under CC BY 4.0.
 
 The service allows 600 requests a minute and 10,000 a day; a request for an ensemble of many
 variables counts as several requests. One request an hour is far below these limits. The wait before
@@ -79,14 +78,14 @@ class Service:
     def __init__(
         self, site: Site, *, ensemble: bool = False, model: str = "", days: int = 7, url: str = ""
     ) -> None:
-        """Set up the requests, without sending one yet.
+        """Set up the requests, without sending any of them yet.
 
         Args:
             site: site, including its location.
             ensemble: whether to request all members of an ensemble, or only one series.
             model: name of the weather model in the service, such as ``icon_seamless``; if empty,
                 the service chooses a model.
-            days: length of the forecast, from the first hour of today in UTC (days).
+            days: length of the forecast (days), counted from the first hour of the current UTC day.
             url: URL of the interface; if empty, the service's own URL.
 
         Raises:
@@ -169,7 +168,7 @@ def _read_issue(answer: bytes, site: Site, hour: datetime) -> IssuedForecast:
 
 
 def _check_clock(date: str, now: datetime) -> None:
-    """Reject a response if the clocks of the service and this machine differ.
+    """Reject a response if the clocks of the service and this machine differ too much.
 
     Raises:
         ServiceError: if the clocks differ by more than ten minutes.
@@ -192,7 +191,7 @@ class ForecastFiles:
     """Files in which forecasts are kept."""
 
     def __init__(self, newest: Path, archive: Path | None) -> None:
-        """Set the files, without writing one yet.
+        """Set the files, without writing any of them yet.
 
         Args:
             newest: file of the latest forecast, which is replaced by every new forecast; any live
@@ -236,7 +235,7 @@ class Fetcher:
             service: service from which forecasts are requested.
             write: function that saves a forecast; if it raises an error, the attempt counts as
                 failed.
-            every: time between two forecasts (s).
+            every: interval between forecasts (s).
         """
         self.problem = ""
         self.newest: IssuedForecast | None = None

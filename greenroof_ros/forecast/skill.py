@@ -17,7 +17,7 @@ Bardossy and Plate, Water Resources Research 28(5):1247 (1992).
     s(f, l) = exp(-(l / L)^p) exp(-(2 pi f sigma)^2 / 2),  sigma = sigma_1 (l / 24)^q
 
 The first factor is the general skill of the forecast; the second factor is an error of timing,
-which affects short showers first. Small scales are lost first in real rain forecasts, too (Bowler,
+which affects short showers first. In real rain forecasts, small scales are also lost first (Bowler,
 Pierce and Seed, Quarterly Journal of the Royal Meteorological Society 132:2127, 2006). At lead time
 0, everything is known.
 """
@@ -72,7 +72,7 @@ class Climate:
         return float(-ndtri(self.wet_share))
 
     def rain(self, normal: Array) -> Array:
-        """Return the rain (mm) of hours from their z (1), in an array of any shape."""
+        """Return the hourly rain (mm) for values of z (1), in an array of any shape."""
         above = np.maximum(normal - self.threshold, 0.0)
         rain: Array = self.scale * np.expm1(self.growth * above)
         return rain
@@ -130,7 +130,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class Skill:
-    """A climate, and the errors of forecasts in it.
+    """A climate, and the errors of forecasts for that climate.
 
     Attributes:
         climate: climate of the rain.
@@ -141,7 +141,7 @@ class Skill:
     errors: Errors = entry("errors of the forecasts for this location")
 
     def times_lead(self, factor: float) -> Skill:
-        """Return a skill that has at lead time l the errors of this skill at ``factor`` times l.
+        """Return a skill whose errors at lead time l are those of this skill at ``factor`` times l.
 
         With an infinite factor, only the climate is known from the next hour on, and it rains at
         random times, with the frequency given by the climate.

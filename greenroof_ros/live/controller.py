@@ -273,7 +273,7 @@ class LiveControllerNode(LiveNode):
             self.reports.diagnose("command", None, "the controller is in command again")
 
     def _load_learned(self) -> dict[str, float] | None:
-        """Return the values that the controller had learned; None, with a warning, if lost."""
+        """Return the values that the controller had learned; if lost, warn and return None."""
         if self._learned_file is None:
             return None
         try:
@@ -302,10 +302,10 @@ class LiveControllerNode(LiveNode):
     def _expect(self, command: float) -> None:
         """Set the level changes expected in a tick, based on the rain gauge and the pump's flow.
 
-        The flow is the pump's, or is computed from the command if no flow has ever been received.
-        An invalid flow is treated as 0, since the pump may be stopped; a constant level then does
-        not count as frozen. Snow does not reach any tank before it melts, so precipitation during
-        frost does not count.
+        The flow is received from the pump, or is computed from the command if none has ever been
+        received. An invalid flow is treated as 0, since the pump may be stopped; a constant level
+        then does not count as frozen. Snow does not reach any tank before it melts, so
+        precipitation during frost does not count.
         """
         site, flow = self._site, self._flow.value if self._flow.good else 0.0
         if not self._flow.received:
@@ -332,8 +332,8 @@ class LiveControllerNode(LiveNode):
     def _diagnose_forecast(self) -> None:
         """Report a problem with the forecasts.
 
-        A controller that can do without a forecast continues to command; if the site never had a
-        forecast, nothing is reported.
+        A controller that can do without a forecast continues to issue commands; if the site never
+        had a forecast, nothing is reported.
         """
         needs = self._choice.needs_forecast
         if not needs and not (self._choice.uses_forecast and self._rain.received):

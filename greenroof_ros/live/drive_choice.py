@@ -39,7 +39,7 @@ class DriveChoice:
         """Return the parsed description and address of the drive.
 
         Raises:
-            ConfigurationError: if the file or the address is wrong.
+            ConfigurationError: if the file or the address is invalid.
         """
         return read_endpoint(
             Path(self.drive), self.address, "--drive-at", self.broker_login, self.broker_authority
@@ -53,7 +53,7 @@ class DriveChoice:
         alone, and the function returns False.
 
         Raises:
-            ConfigurationError: if the file or the address is wrong.
+            ConfigurationError: if the file or the address is invalid.
         """
         from greenroof_ros.live.devices.exchange import stop_drive
         from greenroof_ros.live.devices.lock import DriveInUseError

@@ -62,7 +62,7 @@ _LEVEL = LIMITS["/roof/level"]
 
 
 def live_parameters(topics: Iterable[str]) -> list[Parameter]:
-    """Return the parameters of a live node that acts on these topics."""
+    """Return the parameters of a live node that acts on the given topics."""
     limits = dict.fromkeys(LIMITS[topic] for topic in topics)
     of_levels = [_FROZEN_MOVEMENT, _JUMP_TOLERANCE] if _LEVEL in limits else []
     return [*limits, RECOVERY, *of_levels]
@@ -158,7 +158,7 @@ class SampleAndHold:
         return on_message
 
     def check_inputs(self) -> None:
-        """Check all inputs at the current time; after a pause of this process, all are too old."""
+        """Check all inputs at the current time; after a pause of this process, all are outdated."""
         self._handle_pause(boot_time())
         for entry in self.inputs:
             entry.check()

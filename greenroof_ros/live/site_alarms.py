@@ -21,13 +21,13 @@ _PAUSE_S = 1.0
 class SiteAlarms:
     """Alarms from the reports of a site's nodes, which are printed and recorded.
 
-    In these alarms, a node is lost as soon as its process has ended. For an observer of
-    /diagnostics, the node is lost when it has been silent for a while or is back. Both losses raise
-    the same alarm, which dates from the node's last report on /diagnostics.
+    In these alarms, a node counts as lost as soon as its process has ended. For an observer of
+    /diagnostics, the node counts as lost when it has been silent for a while or has returned. Both
+    losses raise the same alarm, which dates from the node's last report on /diagnostics.
 
     Attributes:
         log: log of the alarms that are printed and recorded.
-        judge: judge of the current conditions.
+        judge: object that evaluates the current conditions.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class SiteAlarms:
             state: directory of the site.
             namespace: namespace of the nodes, such as ``/site1``; empty for none.
             processes: processes of the site.
-            print_line: function that prints a line for people.
+            print_line: function that prints a line for human readers.
         """
         self.log = AlarmLog(print_line, state / ALARMS)
         self.judge = Judge(self.log.last_number)

@@ -170,8 +170,8 @@ class _StartReport:
 
     The list covers everything that is missing or wrong, except warnings. A condition that is merely
     a consequence is listed only if it stops the pump and its cause does not. The list is printed
-    again when its codes change, not when its messages change, since these contain numbers. The
-    start ends when nothing is missing; later losses are alarms.
+    again when its codes change, not when its messages change, since these contain numbers. Startup
+    is complete when nothing is missing; later losses raise alarms.
     """
 
     def __init__(self) -> None:
@@ -182,10 +182,10 @@ class _StartReport:
         self._last_missing: tuple[list[tuple[str, ...]], float] = ([], -math.inf)
 
     def update(self, judge: Judge, reports: Mapping[str, Mapping[str, Any]], unready: str) -> None:
-        """Print what is missing, if it has changed, and a message when startup is complete.
+        """Print the list if it has changed, and print a message when startup is complete.
 
         Args:
-            judge: judge of the present conditions.
+            judge: object that evaluates the current conditions.
             reports: the last report of each node.
             unready: text that names the nodes that are not ready, with the reasons; empty if all
                 nodes are ready.
@@ -271,7 +271,7 @@ class _SiteRecord:
         })
 
     def _warn(self, of_nodes: set[str]) -> None:
-        """Print every new warning from the nodes, and those about files that were not written."""
+        """Print new warnings from the nodes, and warnings about files that were not written."""
         warnings = {self._summary.problem} if self._summary.problem else set()
         if DISK.late:
             warnings.add(

@@ -77,7 +77,7 @@ StopDrive = Callable[[int], tuple[bool, str]]
 
 
 class NodeFailed(Exception):
-    """A node has ended or is hanging, so the graph must end.
+    """Error raised if a node has ended or is hanging, so that the graph must end.
 
     Attributes:
         last_lines: the last lines that the node printed.
@@ -92,7 +92,7 @@ class NodeFailed(Exception):
 
 @dataclass(frozen=True)
 class NodeStart:
-    """Process of one or more nodes that is to be started.
+    """Process to be started, which runs one or more nodes.
 
     Attributes:
         name: name of the node, or a common name for several nodes.
@@ -118,7 +118,7 @@ class NodeStart:
 
 
 class NodeProcess:
-    """Running process of one or more nodes, with their reports and output.
+    """Running process that contains one or more nodes, with their reports and output.
 
     Attributes:
         process: the operating-system process.

@@ -248,7 +248,7 @@ class LiveWeatherNode(LiveNode):
         return "temperature_unknown" if self._fetcher is None else "temperature_not_fetched"
 
     def _diagnose_gauge(self, part: str, gauge: LiveInput, instead: str) -> None:
-        """Report the state of a gauge that has ever been received; a site may have no gauges."""
+        """Report the state of a gauge if it has ever sent a reading; a site may have no gauges."""
         if gauge.good:
             self._gauges.add(part)
         if not gauge.received:

@@ -174,7 +174,7 @@ class Drive:
         )
 
     def local(self, values: dict[str, int] | None = None) -> bool:
-        """Return whether the drive is in local control; False if its file has no condition for it.
+        """Return whether the drive is under local control; False if its file does not define this.
 
         Args:
             values: raw values that have just been read, by register.
@@ -290,7 +290,7 @@ class Drive:
                 the remaining steps are omitted.
             speed: value for the step that writes the speed (share of the rated speed).
             values: raw values that have just been read, by register; the call does not wait for a
-                condition that these values fulfil.
+                condition that these values already satisfy.
         """
         for step in steps:
             if not may_continue():
@@ -433,7 +433,7 @@ class DriveEndpoint:
     def lock_name(self) -> str:
         """Return the name of the drive's lock, which is the same for all spellings of the address.
 
-        The name stands for the drive, or for its whole serial line. The call may block while the
+        The name identifies the drive, or its entire serial line. The call may block while the
         host name is resolved.
 
         Raises:

@@ -171,7 +171,7 @@ class StatusWord:
 
 @dataclass(frozen=True)
 class Codes:
-    """A register of faults or warnings, and the texts of its values."""
+    """A register that reports faults or warnings, and a text for each of its values."""
 
     register: str = entry("name of the register")
     kind: str = entry("encoding: a single code, or one bit per fault", choices=("code", "bits"))
@@ -300,7 +300,7 @@ class DriveFile:
     path: Path = Path()
 
     def device_id_at(self, address: Address) -> int:
-        """Return the unit identifier or slave address with which the drive is addressed.
+        """Return the unit identifier or slave address at which the drive is addressed.
 
         An identifier in the address takes precedence. Otherwise, the identifier of the interface in
         use is taken from the file. For a gateway, the slave address is used.

@@ -1,4 +1,4 @@
-"""The choice of a drive on Modbus or a relay on MQTT, and of its address."""
+"""Selection of a drive on Modbus or a relay on MQTT, and of its address."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ def read_endpoint(
             :func:`greenroof_ros.live.devices.modbus_line.parse_drive_address`.
         key: name of the option or parameter that gives the address, for messages.
         login: file with ``username`` and ``password`` for a relay's broker; empty for none.
-        authority: file of trusted certificates (PEM) for a relay's broker; empty for those of the
-            system.
+        authority: file of trusted certificates (PEM) for a relay's broker; empty to use those of
+            the system.
 
     Raises:
         ConfigurationError: if the file or the address is invalid.

@@ -76,10 +76,10 @@ class DriveSnapshot(DeviceSnapshot):
             computer is suspended).
         state: state of the exchange; after `close`, the drive is no longer connected.
         status: last status of the drive; None without a connection. After `close`, this is the
-            status at the release of the drive, when it may not have been at standstill, or None if
-            the status could not be read.
+            status at the time when the drive was released, possibly before it reached standstill,
+            or None if the status could not be read.
         identity: nameplate of the drive; empty until it has been read.
-        timeout_s: communication timeout of the drive (s); None for off.
+        timeout_s: communication timeout of the drive (s); None if it is off.
         timeout_known: whether the timeout could be read.
         timeout_note: reason why the timeout is treated as off or could not be read.
         unguarded: diagnosis that the connected drive is kept off because its own timeout may not be
@@ -141,7 +141,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
 
     From CONNECTING, a stopped drive becomes STOPPED directly.
 
-    Every connection begins with *stop*. RUNNING ends if off is requested, a call of `request_speed`
+    Every connection begins with *stop*. RUNNING ends if off is requested, a call to `request_speed`
     is late, the drive fails to start, or another program controls it. After a failed start, or if
     the connection is lost while a speed is requested, the drive stays off until `request_speed`
     requests off. The caller, which limits the number of starts, decides when to start the drive
@@ -171,7 +171,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         Args:
             endpoint: the drive.
             period_s: polling interval (s); a relay file may set a longer interval.
-            dead_man_s: time without a call of `request_speed` after which the drive is stopped (s).
+            dead_man_s: time without a call to `request_speed` after which the drive is stopped (s).
             timeout_s: maximum time to wait for each response (s).
             timeout_limit_s: maximum usable communication timeout of the drive (s), which is also
                 the length of a silence if the timeout is longer, unknown or off.
@@ -210,7 +210,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
     def close(self) -> None:
         """Stop the drive, check for standstill, and release it; `snapshot` contains the result.
 
-        The call waits while the speed falls, for `REST_LIMIT_S` at most. If the speed does not
+        The call waits while the speed is falling, for at most `REST_LIMIT_S`. If the speed does not
         fall, or the drive does not respond, the drive is released after a few seconds.
         """
         self._requested = (None, -math.inf)
@@ -553,7 +553,8 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
 def _stop_until_at_rest(drive: Connection, until: float) -> DriveStatus:
     """Stop a drive; return its status at standstill, or as soon as its speed fails to fall.
 
-    Drive files do not specify the ramp time, so the call waits for as long as the speed falls.
+    Drive files do not specify the ramp time, so the call waits for as long as the speed keeps
+    falling.
     """
     fall = Deceleration()
     while True:
@@ -565,7 +566,7 @@ def _stop_until_at_rest(drive: Connection, until: float) -> DriveStatus:
 
 
 def stop_drive(endpoint: Endpoint, *, driver: int | None = None) -> DriveStatus:
-    """Stop a drive after its driver has died; the call takes `REST_LIMIT_S` at most.
+    """Stop a drive after its driver has died; the call takes at most `REST_LIMIT_S`.
 
     The lock excludes other drivers during the call. If the lock cannot be acquired because the
     hung driver or an unknown process holds it, the drive is stopped nevertheless, which is always

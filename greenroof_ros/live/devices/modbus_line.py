@@ -127,10 +127,10 @@ class Address:
         resolved.
 
         Args:
-            port: the TCP port, unless the address has one.
+            port: the TCP port, unless the address specifies one.
 
         Raises:
-            OSError: if the host is unknown or no name server answers.
+            OSError: if the host is unknown or no name server responds.
         """
         if self.line:
             path = Path(self.line).resolve()
@@ -180,7 +180,7 @@ def parse_drive_address(text: str, key: str) -> Address:
 
     Args:
         text: address as for `parse_address`; if the unit identifier or slave address differs from
-            that in the drive file, it follows after a comma.
+            that in the drive file, it is appended after a comma.
         key: name of the option or parameter, for messages.
 
     Raises:
@@ -256,7 +256,7 @@ class ModbusLine:
 
         Args:
             address: address of the device.
-            port: the TCP port, unless the address has one.
+            port: the TCP port, unless the address specifies one.
             device_id: unit identifier or slave address.
             serial: settings of a serial line; not needed over TCP.
             timeout_s: maximum time to wait for a connection and for each response (s).
@@ -498,7 +498,7 @@ class DeviceSnapshot:
     """A snapshot of a device's known state.
 
     Attributes:
-        read_at: time of the device's last answer (s, `time.monotonic`).
+        read_at: time of the device's last response (s, `time.monotonic`).
         problem: description of the last problem if it persists; otherwise empty.
     """
 

@@ -30,7 +30,7 @@ class SensorLine(DeviceThread[DeviceSnapshot]):
     on the line, the thread then waits until three timeouts have passed since the beginning of the
     failed reading. Otherwise, a gateway might label a late response with the transaction number of
     the next request, and the response would be mistaken for the value of the next register. A
-    sensor that is absent, hangs or sends invalid answers delays the others by three timeouts per
+    sensor that is absent, hangs or sends invalid responses delays the others by three timeouts per
     reading. The timeout is 0.5 s, or shorter if needed so that reading all n sensors of the line
     takes at most half of the maximum age A of a value: 3 n timeouts <= A / 2. A period is at most A
     / 2. The interval between the readings of a working sensor therefore never exceeds A, whatever
@@ -109,7 +109,7 @@ class ModbusReader(SensorReader):
             unit: unit of the quantity, for messages.
             line: the line that reads the sensor.
             max_age: maximum age of the quantity (s).
-            spread_s: maximum time over which a rise of a total is spread (s).
+            spread_s: maximum time over which a rise in a total is spread (s).
         """
         self.sensor, self.max_age, self.due = sensor, max_age, time.monotonic()
         super().__init__(sensor, unit, spread_s, Reading(problem="not yet read"))

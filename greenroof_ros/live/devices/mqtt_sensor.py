@@ -1,4 +1,4 @@
-"""Receiver of the readings from an MQTT sensor."""
+"""Receiver for the readings of an MQTT sensor."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class MqttReader(SensorReader):
             name: name of the quantity, for the client id.
             sensor: the sensor whose messages are received.
             unit: unit of the quantity, for messages.
-            spread_s: maximum time over which a rise of a total is spread (s).
+            spread_s: maximum time over which a rise in a total is spread (s).
 
         Raises:
             ConfigurationError: if the MQTT library is not installed or a login file is invalid.

@@ -29,7 +29,7 @@ class Reading(DeviceSnapshot):
     Attributes:
         read_at: time at which the last attempt ended or the sensor was lost (s, `time.monotonic`).
         value: value in the unit of the quantity's topic. The value is None after a failure, or
-            before the second total. After a failure, however, the last rise of a total is still
+            before the second total. After a failure, however, the last rise in a total is still
             published until it has been distributed completely.
         code: condition code of the problem.
     """
@@ -39,9 +39,9 @@ class Reading(DeviceSnapshot):
 
 
 class RefusedShare:
-    """Counter, per minute, of rejected readings whose rejection is too brief to raise an alarm.
+    """Per-minute counter of readings whose rejection is too brief to raise an alarm.
 
-    Readings that are rejected for so long that they raise an alarm do not count.
+    Readings are not counted if their rejection lasts long enough to raise an alarm.
     """
 
     def __init__(self) -> None:
@@ -101,7 +101,7 @@ class Readings:
         Args:
             sensor: the sensor's section of the sensor file, with scale, range and filter.
             unit: unit of the quantity, for messages.
-            spread_s: maximum time over which a rise of a total is spread (s).
+            spread_s: maximum time over which a rise in a total is spread (s).
         """
         self._sensor, self._unit = sensor, unit
         self._values: deque[float] = deque(maxlen=sensor.median)
@@ -170,7 +170,7 @@ class SensorReader:
     """Base class for the reader of a sensor, which keeps the latest snapshot of the quantity.
 
     A rejected value, a failure or a suspension of the computer empties the filter, so the next
-    value is based on new readings only. The rise of a total is not affected.
+    value is based on new readings only. The rise in a total is not affected.
     """
 
     def __init__(self, sensor: Sensor, unit: str, spread_s: float, first: Reading) -> None:

@@ -44,7 +44,7 @@ class RelayEndpoint:
     Attributes:
         file: the relay file.
         broker: the broker to which the relay is connected.
-        device: topic of the relay itself at the broker.
+        device: the relay's own topic on the broker.
     """
 
     file: RelayFile
@@ -103,7 +103,7 @@ class RelayLine:
             timeout_s: maximum time to wait for a reply (s).
 
         Raises:
-            ConfigurationError: if the MQTT library is missing, or a file for the login is wrong.
+            ConfigurationError: if the MQTT library is not installed or a login file is invalid.
         """
         self.where = str(relay)
         self.last_message: RelayMessage | None = None
@@ -257,7 +257,7 @@ class Relay:
             timeout_s: maximum time to wait for a reply (s).
 
         Raises:
-            ConfigurationError: if the MQTT library is missing, or a file for the login is wrong.
+            ConfigurationError: if the MQTT library is not installed or a login file is invalid.
         """
         self.file, self.line = endpoint.file, RelayLine(endpoint, timeout_s)
         self.stopped: bool | None = None
@@ -427,7 +427,7 @@ class Relay:
         self._ordered = True
 
     def _value(self, value: Value, answers: Mapping[str, Any] | None = None) -> Any:
-        """Return a value from the replies; without replies, send the value's request first."""
+        """Return a value from the replies; if there are none, send the value's request first."""
         answer = self.line.request(value.question) if answers is None else answers[value.question]
         try:
             return value_at(answer, value.path)

@@ -42,7 +42,7 @@ class MeasuredQuantity(NamedTuple):
         node: name of the node that publishes the quantity.
         topic_name: name of the quantity's topic in the interface, which defines the unit and the
             range.
-        spread_s: maximum time over which a rise of a running total is spread (s).
+        spread_s: maximum time over which a rise in a running total is spread (s).
     """
 
     node: str
@@ -146,7 +146,7 @@ class ModbusSensor(Sensor):
 
     @property
     def connection(self) -> str:
-        """The sensor's serial line or TCP port, equal for all sensors on one connection."""
+        """The sensor's serial line or TCP port; the same for all sensors on one connection."""
         address = parse_address(self.address)
         if address.line:
             return str(Path(address.line).resolve())
@@ -247,7 +247,7 @@ class Sensors:
 
     @property
     def by_section(self) -> dict[str, ModbusSensor | MqttSensor]:
-        """The sensors that the site has, by section of the file."""
+        """The site's sensors, keyed by section of the file."""
         return {name: sensor for name in QUANTITIES if (sensor := getattr(self, name)) is not None}
 
 
@@ -261,7 +261,7 @@ def read_sensors(path: Path, max_ages: Mapping[str, float] | None = None) -> Sen
 
     Args:
         path: the file.
-        max_ages: maximum ages of the quantities (s), as far as known, keyed by parameter name.
+        max_ages: maximum ages of the quantities (s), where known, keyed by parameter name.
             Neither ``max_age`` nor twice the ``period`` of a sensor may exceed the maximum age.
 
     Raises:

@@ -21,7 +21,7 @@ RUNS_ON_AGAIN_S = 60.0
 
 
 class RunsOnError(DriveError):
-    """Error for a drive that runs on after *stop*, and to which nothing must be sent for a time."""
+    """Error for a drive that runs on after *stop*; nothing must be sent to it for a while."""
 
 
 class Deceleration:
@@ -40,8 +40,8 @@ class Deceleration:
 class StopMonitor:
     """Monitor that checks whether a drive obeys *stop*, even across lost connections.
 
-    A drive obeys if its speed falls, however slowly. A drive in local control is left to the person
-    at its panel. All times are those of `time.monotonic` (s).
+    A drive obeys if its speed falls, however slowly. A drive under local control is left to the
+    person at its panel. All times are those of `time.monotonic` (s).
     """
 
     def __init__(self, where: str) -> None:
@@ -70,7 +70,7 @@ class StopMonitor:
         self._unread_from = min(self._unread_from, now)
 
     def order_changed(self) -> None:
-        """Record that the last command was not *stop*, or may be that of another program."""
+        """Record that the last command was not *stop*, or may have come from another program."""
         self._fall = None
 
     def speed_read(self) -> None:
@@ -118,9 +118,8 @@ class StopMonitor:
             stopped: whether the last *stop* was written; None if no *stop* was attempted.
             now: the time.
 
-        Returns:
-            The reason why nothing may be sent to the drive for a time, worded to be appended to the
-            problem; None if no silence is needed.
+        Returns: The reason why nothing may be sent to the drive for a while, worded to be appended
+        to the problem; None if no silence is needed.
         """
         self._reported_at = math.inf
         if stopped is not None:

@@ -12,8 +12,8 @@ The check maintains three balances of water (m3) for which the levels do not acc
   sensor. This balance grows if water leaves while the pump is stopped, because of a leak or a stuck
   contactor. Rain can only lower this balance. The upper outlet does not matter, since the cistern's
   volume counts only up to that outlet. While the level is above a low outlet, or unknown, any other
-  loss is detected only if it exceeds the flow of that outlet. This may happen only after the level
-  has fallen, so that the outlet's flow has decreased. A clogged low outlet is not a fault.
+  loss is detected only if it exceeds the flow of that outlet. Such a loss may be detected only
+  after the level has fallen, and with it the outlet's flow. A clogged low outlet is not a fault.
 - *not from the cistern*: a share ``min_delivery`` of the pumped volume, minus the fall of the
   cistern, minus ``max_loss`` for a drifting sensor, minus the mains water that may have entered
   while the reading was below the level of the mains valve, or unknown. This balance grows if the
@@ -43,10 +43,10 @@ large, so a heat wave does not look like a burst pipe. The roof's level counts o
 plus ``level_offset``, and the cistern's only up to its outlet minus ``level_offset``, which is the
 largest permissible systematic error of a sensor.
 
-A level that does not change at all needs no averaging and no ``min_delivery``. An unchanged roof is
-a fault once ``level_tolerance`` times its area has been pumped since it last changed. If both
-levels are unchanged, it is a fault once the tolerance times the cistern's area has been pumped.
-Both volumes are net of ``max_loss``. Without this test, the frozen-level rule, which clears
+A level that does not change at all needs no averaging and no ``min_delivery``. An unchanged roof
+level is a fault once ``level_tolerance`` times its area has been pumped since it last changed. Two
+unchanged levels are a fault once the tolerance times the cistern's area has been pumped. Both
+volumes are net of ``max_loss``. Without this test, the frozen-level rule, which clears
 automatically, would repeatedly stop the pump before a balance reported the fault.
 
 False alarms are practically impossible: if a reading arrives every second with an independent error
@@ -243,7 +243,7 @@ class DeliveryCheck:
         )
 
     def _change_of_mean(self, dt: float, present: _Sums) -> _Sums:
-        """Return the change of the moving mean.
+        """Return the change in the moving mean.
 
         Until there are enough readings, the mean of all readings is used, and its changes do not
         count.

@@ -263,7 +263,7 @@ class Ledger:
         self._save()
 
     def release(self) -> None:
-        """End the hold, whoever its owner is."""
+        """End the hold, regardless of its owner."""
         self.record = replace(self.record, hold_owner="", hold_reason="", hold_until=None)
         self._save()
 

@@ -1,4 +1,4 @@
-"""Limits of a pump: settings, reasons to keep the pump off, and pulses below minimum flow.
+"""Limits of a pump: settings, reasons for keeping it off, and pulses below the minimum flow.
 
 Inhibits caused by a limit clear automatically.
 """
@@ -34,7 +34,7 @@ _FAR = 0.1
 
 
 def _volume_per_day(site: Site) -> float:
-    """Return the volume (m3) that fills an empty roof and replaces a day's loss, with the margin.
+    """Return the volume (m3) needed to fill an empty roof and replace a day's loss, plus a margin.
 
     The loss is the maximum evapotranspiration. A field-capacity soil needs a larger volume, since
     it retains only a share of the pumped water.
@@ -45,7 +45,7 @@ def _volume_per_day(site: Site) -> float:
 
 
 def _filling(site: Site) -> float:
-    """Return the volume that fills an empty roof to its target (m3)."""
+    """Return the volume (m3) needed to fill an empty roof to its target."""
     return float(soil_of(site).water_to_fill(site.x2_star))
 
 

@@ -48,8 +48,8 @@ class Decision:
         warnings: conditions that an operator should know about although they do not stop the pump.
         at_rest: whether the pump is stopped, either as reported or because of the drive's own
             timeout.
-        reported_speed: speed that the drive reports, share of the rated speed, negative if
-            backwards; None if the drive does not respond or its value is implausible.
+        reported_speed: speed that the drive reports, share of the rated speed, negative if the pump
+            turns backwards; None if the drive does not respond or its value is implausible.
         flow_known: whether ``flow`` is known; if not, ``flow`` is 0.
         blind_for: time for which the delivery check has been inoperative (s), because a level is
             unknown or the levels have not been known for long enough.
@@ -127,7 +127,7 @@ class PumpControl:
         return self.doses.refusal(self._inhibit_reason)
 
     def request_dose(self, request: float, volume: float) -> str:
-        """Accept a request for a dose and return an empty string, or return the reason against it.
+        """Accept a request for a dose and return an empty string, or return why it is rejected.
 
         Args:
             request: time at which the request was made (s since 1970), which is the dose's id.
@@ -196,7 +196,7 @@ class PumpControl:
         """Determine the state and the speed of the pump for this step.
 
         Args:
-            dt: time since the last step (s), 0 at the first.
+            dt: time since the last step (s); 0 at the first step.
             observed: present observations.
             drive_dt: time for which the drive was monitored since the last step (s); None if it
                 equals ``dt``. The two times differ after the computer was suspended, since the
@@ -345,7 +345,7 @@ class PumpControl:
         return self._max_speed <= STANDSTILL or self._unknown_for > self._drive_stops_after
 
     def _count(self, dt: float, speed: float | None, unseen: float, measured: float) -> None:
-        """Record the time since the last step as on or off, and the higher of both flows (m3/s)."""
+        """Record the time since the last step as on or off, and the higher of two flows (m3/s)."""
         turns = speed is not None and speed > STANDSTILL
         on = self._setpoint is not None or turns or unseen > measured
         self._limits.count(dt, on)

@@ -42,7 +42,7 @@ class AbbDrives(SimulatedDrive):
     EXTRA: ClassVar = {"refresh": 5805}  # 58.06 Communication control
 
     def restarts_timeout(self, name: str) -> bool:
-        """Return True for any message if 58.15 is 1, otherwise for control word and reference."""
+        """Return True for any message if 58.15 is 1, else only for control word and reference."""
         mode = self.timeout.mode
         only = mode is None or self.read_raw(mode.register) != 1
         return not only or name in ("control", "reference")
@@ -182,7 +182,7 @@ class CimProfile(SimulatedDrive):
     The source is the functional profile, sections 9.4 and 9.5. In the control word, bit 0 requests
     bus control, bit 1 switches the pump on and bit 2 resets an alarm. Without bus control, or after
     its loss, the pump follows its local setting: it stops if it is set up as this project requires,
-    and runs with factory settings.
+    but runs if it has the factory settings.
     """
 
     DELIVERED = (0, 0)

@@ -330,7 +330,7 @@ class SimulatedDrive(ABC):
         return register.scale / (scale * self.read_raw(register.full_scale))
 
     def on_request(self) -> None:
-        """Handle any request, even without an effect; some makes then restart their timeout."""
+        """Handle any request, even one without effect; some makes then restart their timeout."""
         self.advance()
         if self.restarts_timeout(""):
             self._restart_timeout()

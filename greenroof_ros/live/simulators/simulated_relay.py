@@ -193,7 +193,7 @@ class RelayOnBroker:
         Args:
             relay: the relay.
             broker: broker to which the relay connects.
-            device: topic of the relay itself at the broker.
+            device: the relay's own topic on the broker.
 
         Raises:
             ConfigurationError: if the MQTT library is not installed, or a login file is invalid.
