@@ -114,7 +114,7 @@ def _report_failure(error: NoBoundError) -> int:
 
 
 def _show_frontier(run: Run) -> Frontier:
-    """Simulate the frontier of a run, and show the progress."""
+    """Compute the frontier of a run, and show the progress."""
     shown = time.monotonic()
     with RunProgress(run.steps, run.site.tau) as progress:
         def watch(tick: Tick) -> None:

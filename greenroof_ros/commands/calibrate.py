@@ -157,7 +157,7 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
 def _list_notes(
     record: StepRecord, halves: Mapping[str, Steps], before: Site, fitted: Site, pumps: PumpFit
 ) -> list[str]:
-    """Return notes to the user about the fit, in addition to the parameters and scores."""
+    """Return notes for the user about the fit, in addition to the parameters and scores."""
     days = record.step_s / DAY_S
     compared = sum(int(np.count_nonzero(steps)) for steps in halves.values()) * days
     notes = [

@@ -1,4 +1,4 @@
-"""Check a controller, either a class or a running node: ``greenroof check-controller``."""
+"""Check a controller, which is a class or a running node: ``greenroof check-controller``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Check whether a pump driver follows the interface: ``greenroof check-pump``."""
+"""Check whether a pump driver complies with the interface: ``greenroof check-pump``."""
 
 from __future__ import annotations
 

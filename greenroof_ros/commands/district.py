@@ -115,7 +115,7 @@ _SHOWN = {
 
 
 def _show(rows: Sequence[Mapping[str, Any]], page: ModuleType) -> None:
-    """Print the most important results."""
+    """Print the main results."""
     columns = {header: name for header, name in _SHOWN.items() if name in rows[0]}
     table = Table(
         Column("buildings", justify="right"), Column("outlet", no_wrap=True),

@@ -174,7 +174,8 @@ def _read_place(text: str) -> Place:
     """Parse a location.
 
     Raises:
-        argparse.ArgumentTypeError: if the text is not a location, or if no house can be there.
+        argparse.ArgumentTypeError: if the text is not a location, or if there can be no house at
+            the location.
     """
     parts = re.split(r"[,;\s]+", text.strip())
     try:
@@ -195,7 +196,7 @@ def _read_zone(text: str) -> str:
     """Read the name of a time zone.
 
     Raises:
-        argparse.ArgumentTypeError: if there is no time zone of this name.
+        argparse.ArgumentTypeError: if there is no time zone with this name.
     """
     try:
         return ZoneInfo(text).key
@@ -244,7 +245,7 @@ def _ask_what_is_missing(arguments: argparse.Namespace) -> None:
     """Ask on a terminal for the values that cannot be assumed.
 
     Raises:
-        ConfigurationError: if there is no terminal, or its input ends.
+        ConfigurationError: if there is no terminal, or if the input ends.
     """
     questions = [
         *((f"--{option}", key, _reader(key), KEYS[key].meaning.partition("; ")[0],

@@ -44,7 +44,7 @@ class PumpRequest:
 
     Attributes:
         name: name of the command.
-        done: state of the pump after a successful request, for the list of exit codes.
+        done: state of the pump after a successful request, as worded in the list of exit codes.
         description: description for the help.
         request: function that makes the request, given the command line and the nodes' reports, and
             returns the outcome.
@@ -109,7 +109,7 @@ def _add_hold_options(parser: Parser) -> None:
 
 
 def _parse_future_time(text: str) -> float:
-    """Return a future time (s since 1970); of two times with the same clock reading, the later."""
+    """Return a future time (s since 1970); if the clock shows it twice, return the later one."""
     try:
         end = max(parse_time(text).replace(fold=fold).astimezone() for fold in (0, 1))
     except ValueError:
@@ -149,7 +149,7 @@ def _add_dose_options(parser: Parser) -> None:
 
 
 def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Registry) -> str:
-    """Request a dose, and print its progress until it ends."""
+    """Request a dose, and print its progress until the dose ends."""
     requested_at, said = time.time(), ""
     client.request("dose", _PATIENCE_S, volume=arguments.volume, asked_at=requested_at)
     accepted = time.monotonic()

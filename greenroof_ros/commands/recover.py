@@ -90,7 +90,7 @@ def recover(directory: Path, output: Path | None = None) -> Recovered:
 
 
 def _count_recorded(bag: Path) -> dict[str, int]:
-    """Return the number of messages in each closed file, if the bag's metadata are intact."""
+    """Return the number of messages in each closed file if the bag's metadata is intact."""
     with suppress(ConfigurationError, KeyError, TypeError, ValueError):
         about = read_yaml(bag / METADATA)["rosbag2_bagfile_information"]
         return {str(file["path"]): int(file["message_count"]) for file in about["files"]}
@@ -98,7 +98,7 @@ def _count_recorded(bag: Path) -> dict[str, int]:
 
 
 def _copy_file(file: Path, copy: Path) -> tuple[int, list[str]]:
-    """Copy the intact chunks of a file; return the number of messages and the losses."""
+    """Copy the intact chunks of a file; return the number of messages copied and the losses."""
     try:
         stream = file.open("rb")
     except OSError as error:

@@ -57,7 +57,7 @@ def make_parser() -> Parser:
 
 
 def _former_figures(directory: Path, own: Callable[[str], bool]) -> list[Path]:
-    """Return the figures of an earlier report, which the new one replaces.
+    """Return the figures of an earlier report that the new report replaces.
 
     Args:
         directory: directory of the new report.

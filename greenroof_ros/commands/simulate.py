@@ -87,7 +87,7 @@ def main() -> None:
 
 @contextmanager
 def _described(run: Run, simulation: Simulation, directory: Path) -> Iterator[None]:
-    """Keep a summary of an unfinished run: its status, and the reason for an early end."""
+    """Keep the summary of an unfinished run up to date: its status, and why it ended early."""
     def write(status: str, reason: str | None = None) -> None:
         last = simulation.site.tick - 1
         summary.write(summary.make_unfinished_summary(
@@ -123,7 +123,7 @@ def _paced(
 
 
 def _written(run: Run, ticks: Iterator[Tick], every: int, file: Path) -> Iterator[Tick]:
-    """Yield the ticks, and write every n-th tick and the last tick to a new file."""
+    """Yield the ticks, and write every n-th tick, and the last one, to a new file."""
     columns = columns_of(run.site)
     values = attrgetter(*(column.tick for column in columns))
     with add_path_to_errors(file), file.open("x", newline="") as stream:

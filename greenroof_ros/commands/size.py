@@ -136,7 +136,7 @@ def main() -> int:
 
 
 def _refuse_other_files(directory: Path) -> None:
-    """Reject a directory that contains files from anything but a sizing.
+    """Reject a directory that contains files other than those of a sizing.
 
     Raises:
         ConfigurationError: if the directory contains other files or cannot be written to.

@@ -94,9 +94,9 @@ def _find_unknown(shown: Mapping[str, Any]) -> set[str]:
 def _judge(shown: Mapping[str, Any]) -> int:
     """Return the exit code, based on the alarms and on unknown values that no node reports.
 
-    At a live site, an unknown value is an alarm, since a node that died before this command started
-    sends nothing, and a pump in an unknown state may be running. A level outside its range is not
-    in itself an alarm, since a controller that is waiting for rain lets the roof dry out.
+    At a live site, an unknown value is an alarm, since a node that failed before this command
+    started sends nothing, and a pump in an unknown state may be running. A level outside its range
+    is not in itself an alarm, since a controller that is waiting for rain lets the roof dry out.
     """
     mode, tiles = shown["mode"], shown["tiles"]
     unknown = _find_unknown(shown) - {"rain"}

@@ -113,7 +113,7 @@ def make_parser() -> Parser:
 
 @command
 def main() -> int:
-    """Run the cases of a study that are not finished yet."""
+    """Run the cases of a study that have not been completed yet."""
     arguments = make_parser().parse_args()
     check_workers(arguments)
     grid = shared_directory() / "config/studies/paper.yaml"

@@ -101,10 +101,10 @@ def make_parser() -> Parser:
 
 
 def _refuse_wrong(arguments: argparse.Namespace) -> None:
-    """Reject options of the page if --foxglove is given, since there is then no page.
+    """Reject options for the page if --foxglove is given, since no page is then served.
 
     Raises:
-        ConfigurationError: if --foxglove is used with an option of the page.
+        ConfigurationError: if --foxglove is used with an option for the page.
     """
     for option in ("allow_release", "host", "port", "token_file"):
         if arguments.foxglove is not None and getattr(arguments, option):
@@ -115,13 +115,13 @@ def _refuse_wrong(arguments: argparse.Namespace) -> None:
 
 
 def _find_past_file(namespace: str) -> Path:
-    """Return the history file of this domain and namespace, whose names contain no dot."""
+    """Return the history file for this domain and namespace, whose names contain no dot."""
     place = [os.environ.get("ROS_DOMAIN_ID") or "0", *filter(None, namespace.split("/"))]
     return state_directory() / f"watch_{'.'.join(place)}.npz"
 
 
 def _print_address(url: str, host: str, port: int | None, *, release: bool) -> None:
-    """Print the page's address, and warnings about the actions that it allows other people."""
+    """Print the page's address, and warnings about what it allows other people to do."""
     if port is None and f":{PORTS[0]}/" not in url:
         print(f"port {PORTS[0]} is in use, perhaps by another watcher", file=sys.stderr)
     if not is_loopback(host):

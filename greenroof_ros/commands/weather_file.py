@@ -188,7 +188,7 @@ def _describe_evapotranspiration(weather: Weather, unknown: str) -> tuple[str, s
 
 
 def _average_months(weather: Weather, site: Site) -> Iterator[tuple[str, str, str]]:
-    """Yield the monthly means for reference grass, in the form of a site file, if all are known."""
+    """Yield the monthly means for reference grass, as in a site file, if all of them are known."""
     first = np.datetime64(weather.first.replace(tzinfo=None), "h")
     months = (first + np.arange(weather.hours)).astype("datetime64[M]").astype(int) % 12
     known = ~np.isnan(weather.evapotranspiration)
@@ -204,6 +204,6 @@ def _count_missing(separator: str, missing: int) -> str:
 
 
 def _shorten(texts: Sequence[str]) -> str:
-    """Join the first few texts, and state the number of the others."""
+    """Join the first few strings, and state the number of the others."""
     more = len(texts) - _MAX_NAMED
     return "; ".join([*texts[:_MAX_NAMED], *([f"and {more} more"] if more > 0 else [])])

@@ -111,7 +111,7 @@ class Cisterns:
         return CisternFlows((share * pump)[None], share * out, share * low, mains), limited
 
     def is_quick(self, pumped: Values) -> Flags:
-        """Return a mask of cisterns whose pumped volume (m3) requires dividing the tick."""
+        """Return a mask of cisterns whose pumped volume (m3) requires the tick to be divided."""
         return np.asarray(pumped > self._much)
 
     def drain(self, seconds: float, steps: int, x1: Values, outlet: Values) -> Values:
@@ -264,7 +264,7 @@ class Cisterns:
 
 
 class _Outlets:
-    """The upper and low outlets of cisterns, computed in steps as in :class:`.plant.Plant`.
+    """The upper and low outlets of cisterns, computed in steps, as in :class:`.plant.Plant`.
 
     Attributes:
         upper: volume that has left through the upper outlets (m3).

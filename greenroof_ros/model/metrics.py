@@ -1,12 +1,12 @@
 """The metrics of a run, as used by all summaries, tables and reports.
 
 A metric consists of two functions: the first returns a number for every sample of a run, and the
-second combines these numbers into their sum, their maximum or the last number. Durations are
+second combines these numbers into their sum or maximum, or selects the last one. Durations are
 counted in ticks, and then converted to hours. A ratio is computed from two sums, and the share of
 retained rain from hourly sums. The same functions process a run in progress, block by block
 (:class:`BlockMetrics`), and a recorded run (:func:`totals_of`). All sums are sequential Euler sums:
-a value holds from its sample to the next sample, and every summation starts with the earlier total.
-Therefore the sums are bit-identical, regardless of the blocks in which they were computed.
+a value holds from its sample to the next sample, and every summation starts from the previous
+total. Therefore the sums are bit-identical, regardless of the blocks in which they were computed.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ _MANY = 4096
 
 
 def _sums_by(before: _Sums | float, values: Values) -> _Sums:
-    """Add up all rows but the first, which numbers the minute, hour, day or week of each sample."""
+    """Add up all rows except the first, which contains each sample's minute, hour, day or week."""
     places = values[0].astype(np.intp)
     if not isinstance(before, _Sums):
         before = _Sums((), 0, np.empty((len(values) - 1, 0)))
@@ -174,7 +174,7 @@ def _sums_by(before: _Sums | float, values: Values) -> _Sums:
 
 
 def _whole(total: Any) -> Any:
-    """Return a combined number in the form that :attr:`Metric.finish` expects."""
+    """Return the combined number in the form that :attr:`Metric.finish` expects."""
     return total.whole() if isinstance(total, _Sums) else total
 
 
@@ -203,7 +203,7 @@ def _retained(site: Site, by_hour: Values, above: float = -1.0, hours: int = 1) 
     """Return the share of the rain on the roof that did not drain in the same hours (1).
 
     The drainage of an hour is attributed to rain and pumped water in proportion to their amounts in
-    the six hours that end with this hour. Rain and its part of the drainage are counted in every
+    the six hours that end with this hour. Rain and its share of the drainage are counted in every
     hour that belongs to a period of ``hours`` hours with more rain than ``above``.
 
     Args:
@@ -413,7 +413,7 @@ def _start_times(site: Site, samples: Samples) -> Values:
 
 
 def _starts_in_hour(site: Site, samples: Samples) -> Values:
-    """Return the number of starts in the hour that ends with each start; 0 in other samples."""
+    """Return the number of starts in the hour that ends with each start; 0 for other samples."""
     times = _start_times(site, samples)
     # Half a tick less than an hour: the times are rounded sums.
     first = np.searchsorted(times, times - _HOUR_S + site.tau / 2)
@@ -683,7 +683,7 @@ def totals_of(
 def events_of(
     site: Site, samples: Samples, before: Mapping[str, Any] | None = None
 ) -> list[Event]:
-    """Return the rain events of a whole run; an empty list if the discharge is unknown.
+    """Return the rain events of a whole run, or an empty list if the discharge is unknown.
 
     The arguments are those of :func:`totals_of`.
     """
@@ -724,7 +724,7 @@ class BlockMetrics:
     """
 
     def __init__(self, site: Site, start: float = 0.0) -> None:
-        """Start with stopped pumps.
+        """Start with the pumps stopped.
 
         Args:
             site: parameters of the site.
@@ -802,7 +802,7 @@ class Metrics:
     """The metrics of a run in progress, by name, as in ``metrics["pumped_m3"]``."""
 
     def __init__(self, site: Site, plant: Plant, start: float = 0.0) -> None:
-        """Begin with stopped pumps.
+        """Begin with the pumps stopped.
 
         Args:
             site: parameters of the site.

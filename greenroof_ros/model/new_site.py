@@ -73,7 +73,7 @@ def _line(
     """Yield the lines for a key: its value, its unit, and a comment with the value's source.
 
     Args:
-        given: given values by key, which are always active.
+        given: given values by key, which are always written as active lines.
         key: the key.
         assumed: assumed value, for a key without a given value.
         meaning: explanation of the value.
@@ -239,7 +239,7 @@ def _roof(given: Mapping[str, Any]) -> Iterator[str]:
 
 
 def find_target(given: Mapping[str, Any]) -> tuple[float, str]:
-    """Return the target level of water on the roof (m), and an explanation of its derivation.
+    """Return the target level of water on the roof (m), and an explanation of how it was derived.
 
     The target is the level at which water stress begins plus the demand of a summer day, as
     recommended in doc/howto/choose-target-and-controller.md, but always less than the water that

@@ -30,7 +30,7 @@ _HEAD_OF_CONSTANT_FLOW = 1e6
 
 @dataclass(frozen=True)
 class Substrate:
-    """A named substrate and its drainage layer: the parameters of a field-capacity soil.
+    """A named substrate with its drainage layer: the parameters of a field-capacity soil.
 
     Attributes:
         about: description of the substrate, with the sources of its values.
@@ -195,7 +195,7 @@ class Translation(NamedTuple):
 
 
 def override(base: Mapping[str, Entry], own: Mapping[str, Entry]) -> dict[str, Entry]:
-    """Return the entries of a level of a site together with those of the levels below it.
+    """Return the entries of one level of a site, together with those of the levels below.
 
     Entries of the level itself take precedence.
 
@@ -204,7 +204,8 @@ def override(base: Mapping[str, Entry], own: Mapping[str, Entry]) -> dict[str, E
         own: entries of the level itself.
 
     Raises:
-        ConfigurationError: if two keys of the level set the same parameter; the message names both.
+        ConfigurationError: if two keys of the level set the same parameter; the message names both
+            keys.
     """
     replaced = {rival for name in own for rival in _RIVALS.get(name, ())}
     if "substrate" in own:
@@ -226,8 +227,8 @@ def translate(entries: Mapping[str, Entry]) -> Translation:
     """Convert plain keys, and return all entries under the paper's names.
 
     Raises:
-        ConfigurationError: if a plain key has an invalid value, or if another key that it requires
-            is missing.
+        ConfigurationError: if a plain key has an invalid value, or if another key that the plain
+            key requires is missing.
     """
     given = {name: each.value for name, each in entries.items() if name in PLAIN}
     for name, value in given.items():

@@ -123,7 +123,7 @@ def maximum_pump_flow(site: Site, x1: float) -> float:
 
 
 def pumps_run(site: Site, flow: Any) -> Any:
-    """Return whether the pumps run at a flow (m3/s, any shape): above 1 % of the maximum.
+    """Return whether the pumps are running at a flow (m3/s, any shape): above 1 % of the maximum.
 
     The maximum flow is that from a cistern filled to its overflow. Smaller flows are caused by a
     lag whose output never quite reaches 0, or by the noise of a flow meter.
@@ -141,7 +141,7 @@ def pump_flow(site: Site, x1: float, x2: float, command: float) -> float:
 def command_to(
     site: Site, soil: Soil, x1: float, x2: float, target: float, rain: float, potential: float
 ) -> float:
-    """Return the command that brings the volume on a roof to a target in a tick; 0 if impossible.
+    """Return the command that brings a roof's volume to a target within a tick; 0 if impossible.
 
     Args:
         site: parameters of the site.
@@ -302,10 +302,10 @@ class Plant:
         self, collected: float, command: float, pumped: float | None, outlet: float,
         missing: float, rise: float,
     ) -> tuple[float, float, float, float, list[float], bool]:
-        """Return the flows into and out of the cistern in a long tick.
+        """Return the flows into and out of the cistern during a long tick.
 
         If a flow changes quickly, the tick is divided into steps of up to 10 s. In each step, the
-        pumps and the mains water stop at their levels before the outflow is computed.
+        pumps and the mains inflow stop at their respective levels before the outflow is computed.
 
         Args:
             collected: rain that flows into the cistern (m3/s).

@@ -3,8 +3,8 @@
 Every volume and flow equals that of :class:`.plant.Plant` for the same state, except for rounding
 (a relative error of at most 1e-10). Rounding can reverse decisions at a threshold: a roof that the
 pump has just filled to its target can end up slightly above or below the target. The next dose then
-begins one tick earlier or later, so sums over a run differ by at most the evaporation of one tick.
-In most ticks, most sites are calm: the water level is below all open outlets, and the pump is
+begins one tick earlier or later, so the sums over a run differ by at most the evaporation of one
+tick. In most ticks, most sites are calm: the water level is below all open outlets, and the pump is
 either off or delivers the whole missing volume in the first step of a long tick. The flows of calm
 sites are computed without steps. Only the other sites, a subset of the rows, are computed in steps.
 """

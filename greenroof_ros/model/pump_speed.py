@@ -4,7 +4,7 @@ A pump that delivers the flow y at the head phi(y) and at its rated speed delive
 the head s^2 phi(y) and at the share s of this speed (affinity laws, e.g. White, Fluid Mechanics,
 Sec. 11.3). Therefore Eq. (3b) becomes phi_s(q) = s^2 c_hat + a_hat q^2. This head equals the head
 loss L(q) of Eq. (3c) if s^2 c_hat = (pipe_resistance - a_hat) q^2 + d - x1/a1. The curve represents
-all pumps of the site together, which run at the same speed.
+all of the site's pumps together, which run at the same speed.
 """
 
 from __future__ import annotations

@@ -55,7 +55,7 @@ class QuietHours:
         return bool(self._by_clock[_clock(day, self._zone)[minute]])
 
     def end_after(self, time_ns: int) -> datetime:
-        """Return the local time at which the quiet hours around a time (ns since 1970) end."""
+        """Return the local end of the quiet hours that contain a time (ns since 1970)."""
         day, minute = divmod(time_ns // _MINUTE_NS, _DAY_MINUTES)
         while self._day(day)[minute:].all():
             day, minute = day + 1, 0

@@ -98,13 +98,13 @@ class Pump:
 
     After a start, the pumps stay on for at least ``pump_min_on``; if the command becomes 0 earlier,
     they continue to run at the last positive command. After a stop, the pumps stay off for at least
-    ``pump_min_off``, independent of the command. At the start of a run, the pumps are assumed to
+    ``pump_min_off``, regardless of the command. At the start of a run, the pumps are assumed to
     have been off for long enough. The switch monitors the delivered flow instead of the command. If
     Eq. (3a) stops the flow because of the true levels, the on-time ends even if it is too short,
     and an off-time begins, as with a float switch. Otherwise, the pumps would restart whenever a
     drop evaporated from a full roof. Frost switches the pumps off immediately, because a burst pipe
-    is worse than a short on-time. Quiet hours also switch the pumps off immediately, as at a real
-    site.
+    is worse than an on-time that is too short. Quiet hours also switch the pumps off immediately,
+    as at a real site.
     """
 
     def __init__(self, pump: SensorAndPump, tau: float) -> None:

@@ -441,7 +441,7 @@ def find_unheld(site: Site, x1: float, x2: float) -> Iterator[tuple[str, float, 
 
 
 def site_parameters() -> list[Parameter]:
-    """Return all parameters of a site, those of Table I first and in the order of this table.
+    """Return all parameters of a site, starting with those of Table I in the order of the table.
 
     A parameter that has no default value is listed with the default None.
     """
@@ -453,7 +453,7 @@ SITE_KEYS = (*(parameter.name for parameter in site_parameters()), *PLAIN)
 
 
 def format_site(site: Site, notes: Mapping[str, str] | None = None) -> str:
-    """Return the text of a complete site file that :func:`read_site` reads as the same site.
+    """Return the text of a complete site file, from which :func:`read_site` reads the same site.
 
     Args:
         site: the site.
@@ -569,8 +569,8 @@ def check_site(site: Site) -> Site:
     """Check a site that a program created, and return it with its values as Python numbers.
 
     Raises:
-        ConfigurationError: if a value is wrong, as in :func:`read_site`; the message names the key
-            and the value.
+        ConfigurationError: if a value is invalid, as in :func:`read_site`; the message names the
+            key and the value.
     """
     values = {field.name: getattr(site, field.name) for field in fields(site)}
     return _site_of({name: Entry(value) for name, value in values.items() if value is not None})
@@ -647,7 +647,7 @@ def _standard_offsets(zone: str) -> list[float]:
 
 
 def _other_zone(zone: str, utc_offset: float, offsets: list[float]) -> str:
-    """Return the reason for rejecting a time zone with a different standard offset."""
+    """Return the reason for rejecting a time zone whose standard offset is different."""
     found = " or ".join(f"{offset:+g} h" for offset in offsets)
     expected = (
         f"must be a time zone whose standard UTC offset is utc_offset = {utc_offset:+g} h, but "

@@ -1,8 +1,8 @@
 """The parameters of many sites as arrays, with one entry per :class:`.site.Site`.
 
 Functions that only perform arithmetic on a site's parameters also accept these arrays. A device
-that a site does not have is represented by values without effect, such as a float valve without
-flow, or a low outlet without area at the level of the upper outlet.
+that a site does not have is represented by values that have no effect, such as a float valve
+without flow, or a low outlet without area at the level of the upper outlet.
 """
 
 from __future__ import annotations

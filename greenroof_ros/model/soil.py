@@ -144,7 +144,8 @@ class PaperSoil:
     ) -> Values:
         """Return the volume on the roof after a step of any length (m3).
 
-        Rain falls at the start of the step, and water above the capacity drains at its end.
+        Rain falls at the start of the step, and water above the capacity drains at the end of the
+        step.
 
         Args:
             x2: volume on the roof before the step (m3).
@@ -160,15 +161,15 @@ class PaperSoil:
         return np.maximum(remaining, 0.0)
 
     def water_to_fill(self, x2: Any) -> Any:
-        """Return the volume of water that fills an empty roof to x2 (m3, of any shape)."""
+        """Return the water needed to fill an empty roof to a volume x2 (m3, any shape)."""
         return x2
 
     def water_to_raise(self, x2: float, to: float) -> float:
-        """Return the volume of water that fills the soil from x2 to a higher volume (m3)."""
+        """Return the water needed to fill the soil from x2 to a higher volume (m3)."""
         return to - x2
 
     def fill_empty(self, arrived: Values) -> Values:
-        """Return the volume (m3) on an initially empty roof that has received a volume (m3)."""
+        """Return the volume on an initially empty roof after a volume of water has arrived (m3)."""
         return arrived
 
     def predict_changes(
@@ -205,7 +206,7 @@ class PaperSoil:
         self, layer: float, x2: Values, rain: Values, pump: Values, potential: Values,
         drainage: Values, durations: Values,
     ) -> tuple[Values, Values]:
-        """Compute the quantities that are not measured for a roof with known volumes.
+        """Compute the quantities that are not measured on a roof whose volumes are known.
 
         Args:
             layer: initial volume in the drainage layer (m3).
@@ -327,7 +328,7 @@ class FieldCapacitySoil:
     def tick(
         self, x2: float, layer: float, available: float, arriving: float, potential: float
     ) -> Losses:
-        """Return the drainage and the evapotranspiration; percolation is never limited by water."""
+        """Return drainage and evapotranspiration; available water never limits percolation."""
         percolated = self.drained(x2, arriving, self._tau)
         evaporated, remaining = potential * self.water_stress(x2), available - percolated
         limited = evaporated > remaining

@@ -40,8 +40,8 @@ class PaperSoils:
             evaporated: array to which the evapotranspiration is written (m3).
 
         Returns:
-            Whether there is no rain, all soils are below their capacity, and all can yield the
-            evapotranspiration.
+            Whether there is no rain, all soils are below their capacity, and all of them can supply
+            the evapotranspiration.
         """
         evaporated[:], self._x2 = self._potential, x2
         if self._raining:
@@ -57,7 +57,7 @@ class PaperSoils:
         return np.zeros_like(x2)
 
     def water_to_raise(self, to: Values, rows: Rows) -> Values:
-        """Return the volume of water that fills selected soils to higher volumes in the tick (m3).
+        """Return the water needed to fill selected soils to higher volumes in the tick (m3).
 
         Args:
             to: volumes to which the soils are filled (m3).
@@ -77,7 +77,7 @@ class PaperSoils:
         return np.zeros_like(arrived)
 
     def lose(self, evaporated: Values, arrived: Values) -> tuple[Values, Values, Flags]:
-        """Return percolation and evapotranspiration (m3), and a mask of soils short of water.
+        """Return percolation and evapotranspiration (m3), and a mask of soils that lack water.
 
         The result is valid in any tick, even with rain or with soils at their capacity.
 
@@ -138,7 +138,7 @@ class FieldCapacitySoils:
         return share
 
     def water_to_raise(self, to: Values, rows: Rows) -> Values:
-        """Return the water that fills selected soils to higher volumes; see :class:`PaperSoils`."""
+        """Return the water needed to fill the selected soils; see :class:`PaperSoils`."""
         wilting, available = self._sites.wilting_volume[rows], self._sites.available_volume[rows]
         filled, reached = self._filled[rows], to - wilting
         np.divide(reached, available, out=reached)

@@ -20,7 +20,7 @@ class VirtualSite:
         plant: the true state of the cistern and the roof.
         metrics: metrics of all previous ticks, as if the run ended with the current tick.
         tick: number of the current tick.
-        frost: 0 without frost in the current tick; other values, including NaN, denote frost. The
+        frost: 0 without frost in the current tick; any other value, including NaN, means frost. The
             caller sets this attribute.
         quiet: whether the current tick is within the site's quiet hours.
     """

@@ -62,7 +62,7 @@ def list_events(store: GraphStore) -> list[dict[str, Any]]:
 
 
 def count_alarms(store: GraphStore) -> tuple[int, int, int]:
-    """Return the number of causes at alarm level, of causes at warning level, and of consequences.
+    """Return the numbers of causes at alarm level, causes at warning level, and consequences.
 
     The level of a cause is the most severe among the cause itself and its consequences.
     """

@@ -1,4 +1,4 @@
-"""MQTT bridge that publishes the values on the page and accepts a stop; see :class:`Bridge`."""
+"""MQTT bridge that publishes the page's values and accepts stop requests; see :class:`Bridge`."""
 
 from __future__ import annotations
 
@@ -46,16 +46,16 @@ _STOP_S = 60.0
 
 
 class Bridge:
-    """A bridge that publishes a site over MQTT and accepts only one request, to stop the pump.
+    """A bridge that publishes a site over MQTT and accepts a single request: to stop the pump.
 
     The bridge publishes ``state``, ``alarms`` and ``availability``, and subscribes to ``stop``, all
-    under ``greenroof/SITE/``. The state and the alarms are sent on every change, and at least every
-    10 s. The state and the alarms are not retained, since a client that connects later would
+    under ``greenroof/SITE/``. The state and the alarms are sent whenever they change, and at least
+    every 10 s. The state and the alarms are not retained, since a client that connects later would
     mistake an old value for a current one. A stop that the broker has retained is ignored, since it
     would stop the pump again each time the bridge connects. While connected, the bridge obeys every
     stop. MQTT 3.1.1 does not tell a connected subscriber whether a message was sent as a retained
-    message, and a stop requested by a person must be obeyed. The broker queues no stop while the
-    bridge is disconnected.
+    message, and a stop that a person has requested must be obeyed. The broker does not queue stop
+    requests while the bridge is disconnected.
 
     The bridge subscribes to its own topics. If another client has published on one of these topics,
     the bridge reports this, publishes its own message again, and clears any state and alarms that
@@ -184,7 +184,7 @@ class Bridge:
         self._publish_all()
 
     def _publish_all(self) -> None:
-        """Publish all messages, after connecting to the broker or a start of Home Assistant."""
+        """Publish all messages, after connecting to the broker or after Home Assistant starts."""
         for topic, text in self._kept.items():
             self._client.publish(topic, text, retain=True)
         self._publish_availability()

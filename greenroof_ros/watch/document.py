@@ -113,12 +113,12 @@ def _make_document(store: GraphStore, wall: float) -> dict[str, Any]:
 
 
 def list_present(shown: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the alarms of a document that are not over."""
+    """Return the alarms in a document that are still active."""
     return [row for row in shown["alarms"] if row["over"] is None]
 
 
 def join_summary(shown: Mapping[str, Any]) -> str:
-    """Return the summary of a document as one text."""
+    """Return the summary of a document as a single string."""
     summary = shown["tiles"]["summary"]
     return f"{summary['word']} {summary['sentence']}"
 
@@ -237,7 +237,7 @@ def _advise(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
 
 
 def _trim(rows: list[dict[str, Any]], max_length: int) -> list[dict[str, Any]]:
-    """Return as many of the first rows as fit into ``max_length`` characters of JSON."""
+    """Return the first rows, as many as fit into ``max_length`` characters of JSON."""
     lengths = accumulate(len(json.dumps(row)) + 2 for row in rows)
     return [row for row, length in zip(rows, lengths, strict=True) if length <= max_length]
 

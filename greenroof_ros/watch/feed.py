@@ -1,4 +1,4 @@
-"""Feed that passes messages from a running graph to the store, and requests to the pump node.
+"""Feed that passes messages from a running graph to the store and requests to the pump node.
 
 A watcher must not slow down the graph: see :mod:`greenroof_ros.watch.graph_client`. Each of a
 watcher's subscriptions nevertheless costs the publisher time in every tick, so the watcher receives
@@ -55,7 +55,7 @@ class Feed:
 
         Args:
             store: the store to feed.
-            past_file: file in which the history of a live site is kept across restarts; None for no
+            past_file: file that preserves the history of a live site across restarts; None for no
                 file.
         """
         self._store = store
@@ -239,11 +239,11 @@ class Feed:
     # --- incoming messages ----------------------------------------------------------------------
 
     def _on_message(self, *message: Any) -> None:
-        """Receive a message; after a message that cannot be processed, go on with the next."""
+        """Receive a message; after a message that cannot be processed, continue with the next."""
         self._fails(lambda: self._receive_message(*message))
 
     def _excuse_own_pause(self) -> None:
-        """Exclude a pause of this process from the time for which the nodes have been silent."""
+        """Exclude a pause in this process from the time for which the nodes have been silent."""
         before, self._awake = self._awake, time.monotonic()
         if self._awake - before > _OWN_PAUSE_S:
             with self._store.lock:

@@ -1,6 +1,6 @@
 """Server of a running graph for Foxglove and Lichtblick over the Foxglove WebSocket protocol.
 
-The server subscribes to a topic only while a viewer shows the topic, with the same type of
+The server subscribes to a topic only while a viewer shows the topic, using the same kind of
 subscription as the page. Even a slow viewer therefore does not delay any node (see
 :mod:`greenroof_ros.watch.graph_client`). Each message has the same time as in a bag: in a
 simulation, the simulated time of its tick; otherwise, its time of arrival.
@@ -28,7 +28,7 @@ _CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 
 
 def refuse_unusable(port: int) -> None:
-    """Raise an error if the port is in use or the SDK is missing, before anything is started.
+    """Before anything is started, raise an error if the port is in use or the SDK is missing.
 
     Raises:
         ConfigurationError: if the graph cannot be served on this port.
@@ -104,7 +104,7 @@ class FoxgloveServer:
             self._server.stop()
 
     def _on_message(self, name: str, message: bytes, number: int | None, arrived_ns: int) -> None:
-        """Receive a message and determine its time; at a new run, clear the viewers' old data."""
+        """Receive a message and determine its time; on a new run, clear the viewers' old data."""
         if name == DIAGNOSTICS and (received := wire.read_statuses(message)) is not None:
             now = time.monotonic()
             self._registry.receive(now, received[1], stamp_ns=received[0])
@@ -119,7 +119,7 @@ class FoxgloveServer:
     def _pass_on(self) -> None:
         """Pass on the waiting messages in order of time.
 
-        The time is sent before the messages, since Lichtblick assigns to each message the last time
+        The time is sent before the messages, since Lichtblick assigns each message the last time
         that it has received.
         """
         self._waiting.sort(key=lambda each: each[0])

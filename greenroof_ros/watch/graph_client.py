@@ -41,7 +41,7 @@ class PumpRequestError(Exception):
     """Error for a request that the pump node did not confirm; the message states the reason.
 
     Attributes:
-        answered: whether the pump node answered at all.
+        answered: whether the pump node replied at all.
     """
 
     def __init__(self, why: str, *, answered: bool = False) -> None:
@@ -50,7 +50,7 @@ class PumpRequestError(Exception):
 
 
 class GraphClient:
-    """A client with two nodes in its own context: one receives messages, one makes requests.
+    """A client with two nodes in its own context: one to receive messages, one to make requests.
 
     One thread receives the messages. Any thread may make requests, but only one at a time.
     """
@@ -120,7 +120,7 @@ class GraphClient:
             )
 
     def receive(self, wait_s: float) -> None:
-        """Wait, then pass on the messages that have arrived, starting with /diagnostics."""
+        """Wait, and then pass on the messages that have arrived, starting with /diagnostics."""
         time.sleep(wait_s)
         for name in sorted(self._subscriptions, key=lambda name: name != DIAGNOSTICS):
             subscription = self._subscriptions[name]
@@ -162,14 +162,14 @@ class GraphClient:
         A stop is sent to every node that may control the pump. The answer warns of nodes that claim
         to be the pump node but do not offer the service. If more than one node may control the
         pump, no other request is sent to any of them. If two nodes have the same name, an answer
-        from one node reveals nothing about the other, so the request is made again once only one of
+        from one node reveals nothing about the other, so the request is repeated once only one of
         the two nodes is left.
 
         Args:
             action: name of the action. ``stop`` holds the pump until someone releases it, or until
-                a given time. ``release`` ends the hold, whoever requested it. ``clear`` clears a
-                latched fault that may be cleared remotely. ``reset`` clears any fault, and is meant
-                for a person at the pump. ``dose`` delivers a volume.
+                a given time. ``release`` ends the hold, regardless of who requested it. ``clear``
+                clears a latched fault that may be cleared remotely. ``reset`` clears any fault, and
+                is meant for a person at the pump. ``dose`` delivers a volume.
             timeout_s: maximum time to wait for the answer (s).
             reported: full names of the nodes that claim to be the pump node.
             parameters: parameters of the action. A stop has an ``owner`` (the person or program
@@ -256,7 +256,7 @@ class GraphClient:
 
 
 def _make_parameters(values: Mapping[str, float | str]) -> dict[str, Any]:
-    """Return the fields of a request with the given parameters; empty without parameters."""
+    """Return the fields of a request with the given parameters; empty if there are none."""
     from rclpy.parameter import Parameter
 
     return {"parameters": [
@@ -269,7 +269,7 @@ def _explain(name: str, future: Any, timeout_s: float) -> tuple[bool, str]:
 
     Args:
         name: name of the node.
-        future: future of the answer; None if the node's service could not be reached.
+        future: future for the response; None if the node's service could not be reached.
         timeout_s: time spent waiting for the answer (s).
     """
     if future is None:

@@ -120,7 +120,7 @@ class History:
 
 
 def _condense(rows: NDArray[np.void], stretch_ns: int) -> NDArray[np.void]:
-    """Combine the rows into longer stretches; of equal changes, the first is kept."""
+    """Combine the rows into longer stretches; if changes are equally large, keep the first."""
     begins = np.flatnonzero(np.diff(rows["ended"] // stretch_ns, prepend=-1))
     ends = np.append(begins[1:], len(rows)) - 1
     condensed: NDArray[np.void] = rows[ends].copy()
@@ -170,8 +170,8 @@ def read_histories(file: Path, names: Iterable[str], until_ns: int) -> dict[str,
 
     Args:
         file: file that :func:`write_histories` wrote.
-        names: names of the histories to read; any others in the file are ignored.
-        until_ns: current time (ns since 1970). Later values are ignored, since they were written
+        names: names of the histories to read; any other histories in the file are ignored.
+        until_ns: current time (ns since 1970). Later values are ignored, since they were recorded
             before the clock was set back.
 
     Raises:

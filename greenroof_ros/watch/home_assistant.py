@@ -1,7 +1,7 @@
 """Discovery messages that let Home Assistant show a site, one message for each entity.
 
-Every entity takes its value from a field of one message, ``greenroof/SITE/state``. Each entity has
-its own discovery message, since Home Assistant releases before 2024.11 do not support device
+Every entity takes its value from a field of the same message, ``greenroof/SITE/state``. Each entity
+has its own discovery message, since Home Assistant releases before 2024.11 do not support device
 discovery.
 """
 

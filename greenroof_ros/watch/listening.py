@@ -37,8 +37,8 @@ class Listener:
     Attributes:
         socket: the listening socket.
         url: address for a browser.
-        names: host names that are allowed in a request; None if all are allowed, as with a wildcard
-            address.
+        names: host names that are allowed in a request; None if all names are allowed, as with a
+            wildcard address.
     """
 
     socket: socket.socket
@@ -47,7 +47,7 @@ class Listener:
 
 
 def _resolve(host: str) -> list[tuple[socket.AddressFamily, str]]:
-    """Return the addresses of a host, in the order in which to try them.
+    """Return the addresses of a host in the order in which they should be tried.
 
     Raises:
         ConfigurationError: if the host has no address.
@@ -120,7 +120,8 @@ def read_token(file: Path) -> str:
     """Return the token in a file; if there is no file, create one with a new token.
 
     Raises:
-        ConfigurationError: if the file cannot be used, or if other users may read or change it.
+        ConfigurationError: if the file cannot be used, or if other users are able to read or change
+            the file.
     """
     def refuse(why: str) -> ConfigurationError:
         return ConfigurationError(why, key="--token-file", value=str(file))
@@ -146,7 +147,7 @@ def read_token(file: Path) -> str:
 
 
 def _find_own_address(wildcard: str) -> str:
-    """Return this machine's network address, or its name if unknown, without sending data."""
+    """Return this machine's network address, or else its name, without sending data."""
     if ":" in wildcard:
         return socket.gethostname()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

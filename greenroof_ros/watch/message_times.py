@@ -26,7 +26,7 @@ class MessageTimes:
     """
 
     def __init__(self, registry: Registry) -> None:
-        """Start before the first message, with the registry of the nodes."""
+        """Start without any messages, with the registry of the nodes."""
         self.mode = "none"
         self.live: bool | None = None
         self._registry = registry

@@ -1,4 +1,4 @@
-"""Rain forecast and controller's plan for the hours ahead."""
+"""The rain forecast and the controller's plan for the hours ahead."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class _Steps:
         return np.append(self.at, self.ends[:-1])
 
     def lengths(self, now: float) -> Values:
-        """Return the part of each step between now and 12 h ahead (s), shape (steps,)."""
+        """Return the part of each step that is between now and 12 h ahead (s), shape (steps,)."""
         until = now + AHEAD_S
         return np.clip(self.ends, now, until) - np.clip(self.begins, now, until)
 
@@ -91,7 +91,7 @@ class Forecast(_Steps):
         return RainAmount(float(amounts.mean()), low, high, reach, fallen_at, len(amounts))
 
     def rows(self) -> list[list[float]]:
-        """Return start, end (s since 1970) and mean, low and high rain rate (m/s) of each step."""
+        """Return each step's start and end (s since 1970) and mean, low and high rain (m/s)."""
         columns = (self.begins, self.ends, self.rain.mean(axis=0), *_compute_ranges(self.rain))
         rows: list[list[float]] = np.column_stack(columns).tolist()
         return rows
@@ -107,7 +107,7 @@ def _compute_ranges(values: Values) -> tuple[Values, Values]:
 
 @dataclass(frozen=True)
 class Plan(_Steps):
-    """The controller's plan of pumping.
+    """The controller's pumping plan.
 
     Attributes:
         flow: mean flow in each step (m3/s).

@@ -15,20 +15,20 @@ _PRINTED: set[str] = set()
 
 
 class Parts:
-    """Maker of the parts of a document, which replaces a part that fails and keeps the others.
+    """Generator of a document's parts, which replaces a part that fails and keeps the others.
 
     Attributes:
         failed: reason for each failure, by the name of the part.
     """
 
     def __init__(self) -> None:
-        """Start without a failure."""
+        """Start without any failures."""
         self.failed: dict[str, str] = {}
 
     def make(self, name: str, make: Callable[[], _Part], instead: Any) -> _Part:
-        """Return a part, or its replacement if it cannot be made or sent as JSON.
+        """Return a part, or its replacement if the part cannot be made or cannot be sent as JSON.
 
-        The traceback of a failure is printed, once for each place in the code.
+        The traceback of a failure is printed once for each location in the code.
 
         Args:
             name: name of the part, worded as the subject at the start of a sentence.

@@ -54,7 +54,7 @@ _NODE_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 
 
 class Node(NodeReport):
-    """A process of this package, with the information that the page reads from its values.
+    """A process of this package, with the information that the page takes from its values.
 
     Attributes:
         number: number of the last message from the process, as counted by its publisher.
@@ -78,7 +78,7 @@ class Node(NodeReport):
 
     @property
     def lockstep(self) -> bool:
-        """Whether the node runs in lockstep; nodes of a live graph do not number their ticks."""
+        """Whether the node runs in lockstep; nodes in a live graph do not number their ticks."""
         return "run_length" in self.values
 
     @property
@@ -88,7 +88,7 @@ class Node(NodeReport):
         return values.get("stands") is not True and "speed" in values and values["speed"] is None
 
     def is_present(self, wall: float) -> bool:
-        """Return whether the node has not ended and has reported within the last 10 s."""
+        """Return whether the node has reported within the last 10 s and has not ended."""
         return not self.has_ended and wall - self.received_at < _GONE_S
 
     def code_of(self, part: str) -> str:
@@ -96,7 +96,7 @@ class Node(NodeReport):
         return self.parts[part].diagnosis.code if part in self.parts else ""
 
     def text(self, key: str) -> str:
-        """Return a text that the node reports; empty if it reports no such text."""
+        """Return the text of a key that the node reports; empty if it reports none."""
         value = self.values.get(key)
         return clean_sentence(value) if isinstance(value, str) else ""
 
@@ -105,7 +105,7 @@ class Registry:
     """Registry of the nodes in one namespace, filled from their reports on /diagnostics.
 
     Attributes:
-        runs: number of new runs begun by a restart of the plant node.
+        runs: number of new runs that began with a restart of the plant node.
         time_ns: time of the plant's latest tick (ns since 1970); 0 before the first.
         offered: names of the nodes that offer a hold service for the pump, regardless of any
             reports.
@@ -149,7 +149,7 @@ class Registry:
         Args:
             wall: current time (steady clock, s).
             statuses: the statuses.
-            now: graph time with which alarms are stamped (s since 1970).
+            now: graph time with which alarms are time-stamped (s since 1970).
             stamp_ns: time stamp of the message (ns since 1970); in a simulation, the time of the
                 tick.
             number: number of the message, as counted by its publisher; None if unknown.
@@ -174,7 +174,7 @@ class Registry:
                     self._receive_plant(wall, node, stamp_ns)
 
     def _receive_other(self, wall: float, name: str, status: WireStatus) -> None:
-        """Receive a status of a part of a node, or of another device."""
+        """Receive the status of a part of a node, or of another device."""
         node_name, _, part = name.partition(": ")
         node = self._latest.get(node_name) if part else None
         report = (
@@ -226,7 +226,7 @@ class Registry:
         return node
 
     def _make_room(self, wall: float, role: str) -> bool:
-        """Return whether a role has room for a node, after dropping a silent node if necessary."""
+        """Return whether a role can accept a node, after dropping a silent node if necessary."""
         same = [node for node in self._nodes.values() if node.role == role]
         if len(same) < _NODES:
             return True
@@ -367,11 +367,11 @@ class Registry:
         )
 
     def _find_twins(self, name: str, wall: float) -> tuple[Node, Node] | None:
-        """Return two processes that report in turn under one name, older first; None if none do.
+        """Return two processes that alternate under one name, older first; None if none do.
 
-        If another publisher copies a process's reports, that process is returned twice. A
-        process that replaced another one is not a twin: the earlier process did not report after
-        the later one began.
+        If another publisher copies a process's reports, that process is returned twice. A process
+        that replaced an earlier one is not a twin, because the earlier process did not report after
+        the later one had started.
         """
         online = [
             node for node in self._nodes.values() if node.name == name and node.is_online(wall)
@@ -401,7 +401,7 @@ class Registry:
     # --- what is wrong ----------------------------------------------------------------------------
 
     def diagnoses(self, wall: float) -> dict[str, StatusDiagnosis]:
-        """Return the diagnoses of all current faults by the name of the status."""
+        """Return the diagnoses of all current faults, keyed by the name of the status."""
         diagnoses: dict[str, StatusDiagnosis] = {}
         for name, part in self._foreign.items():
             silent = wall - part.received_at > _FOREIGN_SILENT_S
@@ -431,7 +431,7 @@ class Registry:
         return diagnoses
 
     def _has_ended(self, name: str, part: PartReport) -> bool:
-        """Return whether a node outside this graph, or the node of a part, has reported its end."""
+        """Return whether a node outside this graph, or a part's node, has reported its end."""
         node = self._foreign.get(name.partition(": ")[0])
         if node is None or node.diagnosis.sentence not in (FINISHED, ENDED):
             return False
@@ -446,7 +446,7 @@ def _read_hold(values: Mapping[str, Any]) -> str:
 
 
 def _read_value(text: str) -> Any:
-    """Return the value of a JSON text in a status from a node of this package.
+    """Return the value of a JSON string in a status from a node of this package.
 
     Numbers that are not finite and integers of 20 or more characters are read as None, since no
     quantity has such values, and calculations with them would fail.
@@ -459,7 +459,7 @@ def _read_value(text: str) -> Any:
 
 
 def _find_changes(before: Mapping[str, Any], values: Mapping[str, Any]) -> tuple[list[Any], int]:
-    """Return the parameter changes since a node's last report, and the number of unlisted changes.
+    """Return a node's new parameter changes, and the number of changes that it does not list.
 
     The node keeps only the latest changes, but counts all of them.
     """
@@ -473,7 +473,7 @@ def _find_changes(before: Mapping[str, Any], values: Mapping[str, Any]) -> tuple
 
 @cache
 def _list_roles() -> frozenset[str]:
-    """Return the roles of all nodes of the interface."""
+    """Return the roles of all nodes in the interface."""
     return frozenset(
         role for topic in read_topics().values() for roles in (
             topic.publishers, topic.subscribers, topic.live_publishers, topic.live_subscribers

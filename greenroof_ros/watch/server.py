@@ -1,15 +1,15 @@
 """HTTP server for the page: files, pushed events, and the actions that the page can request.
 
-Anyone who can reach the address can view the page and stop the pump. If there is a token, it is
-required for both. The page can release a hold only if this was allowed when the server was started,
-which requires a token. The page can then also clear a fault that does not require a person at the
-pump and, if the site file allows doses, request a dose.
+Anyone who can reach the address can view the page and stop the pump. If a token has been set, it is
+required for both actions. The page can release a hold only if releasing was allowed when the server
+was started; this requires a token. The page can then also clear a fault that does not require a
+person at the pump and, if the site file allows doses, request a dose.
 
 Every path is a fixed route; no path is looked up in the file system. Other pages in the same
 browser cannot make requests: a request must name this host (and not another name that resolves to
-its address), and an action needs a header that only this page can send. No connection can hold up
-the others: the number of connections is limited, each has a time limit, and a browser that does not
-read is skipped.
+its address), and an action needs a header that only this page can send. No connection can block the
+others: the number of connections is limited, each has a time limit, and a browser that does not
+read its data is skipped.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ class ServerEvent:
 class EventStream:
     """A stream of events with the document and the series, updated while there are readers.
 
-    A reader receives the latest event as soon as it has read the previous one. Events in between
+    A reader receives the latest event as soon as it has read the previous one. Intermediate events
     are dropped, so a thousand slow readers need no more memory than a single reader.
 
     Attributes:
@@ -193,10 +193,11 @@ class EventStream:
 
 
 class _Connections:
-    """The connections of a server that always accepts new ones and drops the oldest if needed.
+    """The connections of a server that always accepts new ones, dropping the oldest if needed.
 
     A new connection therefore has time for its request until a hundred others have connected. A
-    stop gets through no matter how many clients connect, and whether or not they send and read.
+    stop request gets through, no matter how many clients connect and whether or not they send or
+    read data.
     """
 
     def __init__(self, server: web.Server) -> None:
@@ -229,7 +230,7 @@ class _Connections:
 
     @contextmanager
     def keep(self, request: web.Request) -> Iterator[None]:
-        """Lift a connection's time limit during its answer, and read nothing more from it."""
+        """Suspend a connection's time limit during the response, and read nothing more from it."""
         if request.transport is not None:
             request.transport.pause_reading()
         self._until[request.protocol] = math.inf
@@ -239,7 +240,7 @@ class _Connections:
             self._until[request.protocol] = time.monotonic() + _ANSWER_S
 
     async def drop_overdue(self) -> None:
-        """Periodically close the connections that take too long."""
+        """Periodically close connections that take too long."""
         while True:
             await asyncio.sleep(1.0)
             now = time.monotonic()
@@ -252,7 +253,7 @@ class _Connections:
             self._drop(handler)
 
     def drop_gone(self) -> bool:
-        """Close one kept connection whose reader is gone or reads nothing; return False if none."""
+        """Close one open connection whose reader is gone or reads nothing; return False if none."""
         for handler, until in self._until.items():
             transport = handler.transport
             if until < math.inf or transport is None:
@@ -296,7 +297,7 @@ class _PageApplication:
 
     @web.middleware
     async def _refusals(self, request: web.Request, handler: _Handler) -> web.StreamResponse:
-        """Answer a rejected request with the reason; close each connection after one answer."""
+        """Answer a rejected request with the reason; close every connection after its answer."""
         try:
             answer = await handler(request)
         except web.HTTPException as error:
@@ -368,7 +369,7 @@ class _PageApplication:
         return _make_response(known, "" if known else "This alarm is no longer listed.")
 
     async def _act(self, request: web.Request) -> web.Response:
-        """Carry out an action on the pump; a request repeated in the meantime gets the same answer.
+        """Carry out an action on the pump; a request repeated meanwhile gets the same answer.
 
         Doses are an exception: if a dose is requested twice, only the first request is carried out.
         """
@@ -396,7 +397,7 @@ class _PageApplication:
     async def _request_action(
         self, action: str, given: dict[str, float], asker: str
     ) -> tuple[bool, str]:
-        """Request an action from the pump node; return the result, even if the sender is gone."""
+        """Request an action from the pump node; return the result, even if the client is gone."""
         try:
             request = {"owner": "the page"} if action == "stop" else given
             answer = await asyncio.to_thread(self._feed.request_action, action, **request)
@@ -455,7 +456,7 @@ def _is_of_another_page(request: web.Request) -> bool:
 async def _send(
     answer: web.StreamResponse, data: bytes, transport: asyncio.Transport | None
 ) -> None:
-    """Send data, and wait until the buffer, in which data would become outdated, is empty."""
+    """Send data, and wait until the buffer, where data would become outdated, is empty."""
     await answer.write(data)
     while transport is not None and transport.get_write_buffer_size():
         await asyncio.sleep(_DRAIN_S)

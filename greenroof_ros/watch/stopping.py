@@ -26,14 +26,14 @@ _THEN = (
 
 
 def describe_stop(store: GraphStore) -> dict[str, Any]:
-    """Return whether the pump can be stopped from here, whether it is stopped, and a warning.
+    """Return whether the pump can be stopped here, whether it is stopped, and any warning.
 
-    The pump can be stopped if any node may control it, whatever the nodes report. The pump counts
-    as stopped if it is held and at standstill; a hold alone only means that the pump should be
-    stopped. ``release`` is the command that releases the pump; empty if it would have no effect.
-    Entries that end in ``_here`` state whether an action is allowed here, and entries that end in
-    ``_then`` describe the effect of an action. A request for a dose includes ``asked_at``, so that
-    a delayed request is recognized.
+    The pump can be stopped if any node may control it, regardless of what the nodes report. The
+    pump counts as stopped if it is held and at standstill; a hold alone only means that the pump
+    should be stopped. ``release`` is the command that releases the pump; empty if it would have no
+    effect. Entries that end in ``_here`` state whether an action is allowed here, and entries that
+    end in ``_then`` describe the effect of an action. A request for a dose includes ``asked_at``,
+    so that a delayed request is recognized.
     """
     two = store.graph.two_pumps(store.wall)
     node = None if two else store.graph.pump(store.wall)
@@ -68,7 +68,7 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
 
 
 def _allow(node: Node | None, at_rest: bool, area: float = 0.0) -> dict[str, Any]:
-    """Return the actions other than a stop that are allowed here, and their effects.
+    """Return the actions, other than a stop, that are allowed here, with their effects.
 
     Args:
         node: the pump node, if it is online and releasing is allowed; otherwise None.
@@ -114,7 +114,7 @@ def _write_limits(minimum: float, maximum: float, area: float) -> str:
 
 
 def _write_then(*others: str) -> str:
-    """Describe the effect on the pump; ``others`` are other reasons that keep it off, or empty."""
+    """Describe the effect on the pump; ``others`` are other reasons for it to stay off, if any."""
     remain = "; ".join(filter(None, others))
     return f"The pump nevertheless stays off: {remain}. " if remain else _THEN
 

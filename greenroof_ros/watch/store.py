@@ -71,7 +71,7 @@ class TopicValue:
     """
 
     def __init__(self) -> None:
-        """Start without a value."""
+        """Initialize without a value."""
         self.time_ns = 0
         self.value: float | None = None
         self.stale = False
@@ -98,14 +98,14 @@ class GraphStore:
     """The state of one graph; any thread may call any method, and may read under ``lock``.
 
     Times of the graph are either simulated times or system times. ``wall`` is a time of the steady
-    clock (s), so a change of the system's clock does not affect the age of a value.
+    clock (s), so a change in the system clock does not affect the age of a value.
 
     Attributes:
         lock: lock that must be held while more than one attribute is read.
         namespace: namespace of the graph; empty if it has none.
         site: site whose parameters are used to judge levels: the paper's until another is known.
         wall: time of the last update of the store (steady clock, s).
-        notes: notes to the operator about the site file and the watched graph.
+        notes: notes for the operator about the site file and the watched graph.
         mode: ``none`` if nothing has been received yet, ``simulated``, ``live``, or ``ended`` for a
             run that is over.
         factor: ratio of simulated to wall time; None if there is no such ratio.
@@ -121,7 +121,7 @@ class GraphStore:
     """
 
     def __init__(self, namespace: str = "") -> None:
-        """Start with an empty state.
+        """Initialize the store with an empty state.
 
         Args:
             namespace: namespace of the graph; empty if it has none. Nodes in other namespaces are
@@ -141,7 +141,7 @@ class GraphStore:
         self.reset()
 
     def reset(self) -> None:
-        """Reset everything for a new run, except the nodes and how they are watched."""
+        """Reset everything for a new run, except the nodes and the settings for watching them."""
         with self.lock:
             self.judge = Judge()
             self.events: deque[tuple[float, str]] = deque(maxlen=_MAX_EVENTS)
@@ -192,7 +192,7 @@ class GraphStore:
     def update(self, wall: float, system: float | None = None) -> None:
         """Update the overdue values and the alarms; call this often, even without a document.
 
-        If the clock of a live site is set back, the charts start again, since new values would be
+        If the clock of a live site is set back, the charts start afresh, since new values would be
         older than the existing ones.
 
         Args:
@@ -322,7 +322,7 @@ class GraphStore:
         """Add a plan of the controller.
 
         Args:
-            time_ns: time of planning (ns since 1970); a plan that is not newer than the present
+            time_ns: time of planning (ns since 1970); a plan that is not newer than the current
                 plan is ignored.
             rows: for each step, its end (s after ``time_ns``), the mean flow (m3/s), the expected
                 roof level at the end (m), and a level that is not shown; shape (steps, 4). Empty

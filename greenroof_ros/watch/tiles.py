@@ -69,7 +69,7 @@ def _make_tile(
 
 
 def _find_reason(store: GraphStore, topic: str) -> str:
-    """Return the reported reason why a topic has no values, from its publisher or its readers.
+    """Return the reason, reported by its publisher or readers, why a topic has no values.
 
     The reason is empty if no fault is reported, since the first value may still arrive.
     """
@@ -88,7 +88,7 @@ def _find_reason(store: GraphStore, topic: str) -> str:
 
 
 def make_unknown_tile(label: str) -> Tile:
-    """Return the replacement for a tile that cannot be made."""
+    """Return the replacement for a tile that cannot be generated."""
     return {
         "label": label, "value": words.UNKNOWN, "number": None, "state": "unknown",
         "sentence": "cannot be shown", "stale": True, "why": "", "alarm": False, "idle": False,
@@ -123,7 +123,7 @@ def make_roof_tile(store: GraphStore) -> Tile:
 
 
 def _write_difference(difference: float) -> str:
-    """Write the deviation of the roof's level from its target: ``0.4 mm below its target``."""
+    """Format the deviation of the roof's level from its target: ``0.4 mm below its target``."""
     text = write_level(abs(difference))
     if text == write_level(0.0):
         return "at its target"
@@ -335,7 +335,7 @@ def make_controller_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) 
 
 
 def _has_forecast(store: GraphStore) -> bool:
-    """Return whether a forecast that is not too old covers the current time."""
+    """Return whether a sufficiently recent forecast covers the current time."""
     forecast, now = store.forecast, store.now
     return (
         forecast is not None and now is not None and forecast.amount(now) is not None
@@ -361,8 +361,8 @@ def _write_plan(store: GraphStore, plan: Plan, now: float) -> str:
 def describe_wait(store: GraphStore, idle: bool) -> str:
     """Describe the rain that the controller is waiting for; empty if it is not waiting.
 
-    The controller is waiting if the roof is too dry, only the controller keeps the pump off, and at
-    least as much rain as the roof lacks is forecast to fall before the controller plans to pump.
+    The controller is waiting if the roof is too dry, only the controller keeps the pump off, and
+    if, before the controller plans to pump, at least as much rain is forecast as the roof lacks.
 
     Args:
         store: state of the graph.

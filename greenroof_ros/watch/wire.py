@@ -28,8 +28,8 @@ class WireStatus:
             name of the part.
         level: 0 OK, 1 WARN, 2 ERROR, 3 STALE.
         message: the status, as a sentence.
-        values: values as transmitted: JSON texts from this package's nodes, plain texts from their
-            parts.
+        values: values as transmitted: JSON strings from this package's nodes, plain strings from
+            their parts.
     """
 
     name: str
@@ -65,7 +65,7 @@ def read_rows(message: bytes) -> WithFront | None:
 def read_statuses(message: bytes) -> tuple[int, list[WireStatus]] | None:
     """Return the time (ns) and the statuses of a ``diagnostic_msgs/msg/DiagnosticArray``.
 
-    Texts and lists that exceed the limits above are truncated; no honest sender exceeds them.
+    Strings and lists that exceed the limits above are truncated; no legitimate sender exceeds them.
     """
     from diagnostic_msgs.msg import DiagnosticArray
     from rclpy.serialization import deserialize_message

@@ -79,7 +79,7 @@ def write_command(share: float) -> str:
 
 
 def write_horizon(seconds: float) -> str:
-    """Write the time covered by a forecast or plan, in whole hours from 90 min upward: ``12 h``."""
+    """Format the time covered by a forecast or plan, in whole hours from 90 min on: ``12 h``."""
     if seconds >= 5400:
         return write_quantity(seconds / 3600, "h", 0)
     return duration(round(seconds)).replace(" ", SPACE)
@@ -111,7 +111,7 @@ def name_clock(seconds: float, zone: tzinfo) -> str:
 
 @lru_cache(maxsize=8)
 def list_offsets(zone: tzinfo, day: int) -> list[tuple[int, float]]:
-    """Return the offsets of a clock from UTC (h), each with the time from which it applies.
+    """Return a clock's offsets from UTC (h), each with the time from which it applies.
 
     Args:
         zone: time zone of the clock.
@@ -152,7 +152,7 @@ def clean_sentence(text: str) -> str:
 
 
 def list_names(names: Iterable[str]) -> str:
-    """List only the first few node names, since any number of nodes can be reported."""
+    """List only the first few node names, since the number of reported nodes is unlimited."""
     listed = sorted({*names})
     more = len(listed) - _MAX_NAMES
     return " and ".join(listed[:_MAX_NAMES] + ([f"{more} more"] if more > 0 else []))

@@ -49,7 +49,7 @@ def read_frame(frame: Any, site: Site) -> Records:
 
 
 def find_zone(frame: Any) -> tzinfo | None:
-    """Return the time zone of a data frame's times; None if the times have no zone or are text."""
+    """Return the time zone of a data frame's times; None if they have no zone or are text."""
     times = frame["time"] if "time" in frame.columns else getattr(frame, "index", ())
     zone: Any = getattr(next(iter(times), None), "tzinfo", None)
     return ZoneInfo(zone.zone) if hasattr(zone, "zone") else zone  # from pytz, as in older pandas

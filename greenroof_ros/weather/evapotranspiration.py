@@ -108,10 +108,10 @@ def compute_hourly(
 def compute_fao56(records: Records, site: Site) -> NDArray[np.float64]:
     """Return the evapotranspiration of the vegetation in every hour (mm/day), shape (hours,).
 
-    The result is the site's crop coefficient times the reference evapotranspiration; it is NaN
-    where records are missing. If solar radiation was not measured in an hour, the records must
-    cover the whole day, 0 to 24 h of local standard time. The height of the wind sensor is taken
-    from the records if they state it, and otherwise from the site.
+    The result is the site's crop coefficient times the reference evapotranspiration; it is NaN for
+    hours without records. If solar radiation was not measured in an hour, the records must cover
+    the whole day, 0 to 24 h of local standard time. The height of the wind sensor is taken from the
+    records if they state it, and otherwise from the site.
 
     Raises:
         ConfigurationError: if the file lacks a required quantity, if the site file lacks the
@@ -212,7 +212,7 @@ def _find_local_seconds(records: Records, site: Site) -> NDArray[np.int64]:
 
 
 def explain_missing(records: Records, hours: NDArray[np.int64]) -> str:
-    """Return the reason why computed values are missing in some hours.
+    """Return the reason why computed values are missing for some hours.
 
     Args:
         records: the records passed to :func:`compute_fao56` or :func:`compute_hargreaves`.
@@ -241,7 +241,7 @@ _ENOUGH, _MAX_GAP_DAYS, _FOR_EVER = 0.75, 3, 10**6
 
 
 def hargreaves(latitude: float, days: Days, minimum: Values, maximum: Values) -> Values:
-    """Return the reference evapotranspiration of each day (mm/day), FAO-56 Eq. 52, shape (days,).
+    """Return each day's reference evapotranspiration (mm/day), FAO-56 Eq. 52, shape (days,).
 
     ET0 = 0.0023 (Tmean + 17.8) sqrt(Tmax - Tmin) Ra, where Ra is in mm/day and Tmean is the mean of
     the extremes; negative results are set to 0. The equation requires no humidity, wind or
@@ -318,11 +318,11 @@ def find_extremes(
 ) -> Values:
     """Return the minimum and maximum temperature of every day (degC), shape (2, days).
 
-    The result is NaN for a day with less than a minimum share of its values.
+    The result is NaN for a day on which less than the minimum share of values is known.
 
     Args:
         day: index of the day of every value.
-        minimum: temperatures that include every day's minimum; NaN if missing.
+        minimum: temperatures that include the minimum of every day; NaN if missing.
         maximum: temperatures that include every day's maximum; NaN if missing.
         complete: number of values of a complete day.
         min_share: minimum share of the values of a complete day that must be known (1).
@@ -353,10 +353,10 @@ class DailyTemperatures(NamedTuple):
     def evapotranspiration(
         self, site: Site, seconds: NDArray[np.int64], step_s: float, offset_s: float
     ) -> Values:
-        """Return every step's reference evapotranspiration (mm) after Hargreaves, shape (steps,).
+        """Return each step's reference evapotranspiration (mm) by Hargreaves' method.
 
-        Every step receives a share of the evapotranspiration of the day in which it begins. On days
-        without extremes, the extremes are interpolated.
+        The result has the shape (steps,). Every step receives a share of the evapotranspiration of
+        the day in which it begins. On days without extremes, the extremes are interpolated.
 
         Args:
             site: site with its location.
@@ -378,7 +378,7 @@ class DailyTemperatures(NamedTuple):
 
 
 def compute_hargreaves(records: Records, site: Site) -> Values:
-    """Return the hourly evapotranspiration of the vegetation after Hargreaves (mm/day).
+    """Return the vegetation's hourly evapotranspiration by Hargreaves' method (mm/day).
 
     The result, shape (hours,), is the site's crop coefficient times the reference
     evapotranspiration, computed from the minimum and maximum temperature of every day in local

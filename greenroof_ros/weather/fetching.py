@@ -1,6 +1,6 @@
 """Download of past weather from a service, in blocks that are checked, stored and joined.
 
-**Open-Meteo**'s Historical Weather API provides reanalyses (ERA5, ECMWF IFS) for any place, from
+**Open-Meteo**'s Historical Weather API provides reanalyses (ERA5, ECMWF IFS) for any location, from
 1940 to a few days ago. The service answers one request at a time, and allows 600 requests per
 minute, 5,000 per hour and 10,000 per day; a request for more than two weeks counts as more than one
 request. If the service rejects a request, the required wait is stated only in the text of the
@@ -8,9 +8,9 @@ response, not in a header. The data are licensed under CC BY 4.0, and the servic
 non-commercial use.
 
 **ECCC**, the climate archive of Environment and Climate Change Canada, provides bulk files with the
-observations of a station, one file per month. Hours without observations have rows as well; for a
-month in which the station did not exist, the file contains only a header. The data are licensed
-under the Open Government Licence - Canada.
+observations of a station, one file per month. The files also contain rows for hours without
+observations; for a month in which the station did not exist, the file contains only a header. The
+data are licensed under the Open Government Licence - Canada.
 
 Complete blocks are stored unchanged, and are not requested again.
 """
@@ -71,7 +71,7 @@ class Block:
         first: first day of the block.
         last: last day of the block.
         suffix: suffix of the file in which the block is stored.
-        parameters: parameters of the request, in addition to the parameters of the source.
+        parameters: parameters of the request, in addition to those of the source.
     """
 
     first: date
@@ -265,7 +265,7 @@ def fetch(
     source: Source, site: Site, directory: Path, pause_s: float | None,
     progress: ProgressBar,
 ) -> list[Path]:
-    """Fetch the blocks that a directory does not contain yet, and return the files of all blocks.
+    """Fetch the blocks that are not in a directory yet, and return the files of all blocks.
 
     Args:
         source: service and blocks to fetch.
@@ -276,7 +276,7 @@ def fetch(
 
     Raises:
         ServiceError: if a block could not be fetched in eight attempts, or if another attempt would
-            be useless.
+            be pointless.
         ConfigurationError: if a response does not match the site.
         OSError: if a block cannot be stored.
     """
@@ -305,7 +305,7 @@ def fetch(
 
 
 def _is_whole(file: Path, source: Source, block: Block) -> bool:
-    """Return whether a block is stored and undamaged; a power cut, for instance, may damage it."""
+    """Return whether a block is stored and undamaged; a power cut, for instance, can damage it."""
     try:
         source.check(file.read_bytes(), block)
     except (FileNotFoundError, ServiceError):
@@ -314,7 +314,7 @@ def _is_whole(file: Path, source: Source, block: Block) -> bool:
 
 
 def _fetch_block(source: Source, site: Site, block: Block, file: Path) -> None:
-    """Fetch a block, check it, and store it under its name.
+    """Fetch a block, check it, and store it under the block's file name.
 
     Raises:
         ServiceError: if the service does not send the whole block.
@@ -335,7 +335,7 @@ def _fetch_block(source: Source, site: Site, block: Block, file: Path) -> None:
 
 
 def _find_wait(error: ServiceError) -> float:
-    """Return the waiting time that a service requests (s); 0 if it requests none."""
+    """Return the waiting time requested by a service (s); 0 if it requests none."""
     asked = [seconds for words, seconds in _ASKED_S.items() if words in str(error)]
     return max([error.wait or 0.0, *asked])
 
@@ -346,7 +346,7 @@ def _is_empty(file: Path) -> bool:
 
 
 def join_blocks(files: Sequence[Path], site: Site, years: range) -> Records:
-    """Join blocks, and return the hours of the years on the site's clock.
+    """Join blocks, and return the hours that belong to the years on the site's clock.
 
     Args:
         files: files of the blocks.

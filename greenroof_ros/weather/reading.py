@@ -99,8 +99,8 @@ def read_weather(
         files: one or more files.
         site: site with its location, which evapotranspiration and some file formats require.
         method: method for evapotranspiration: one of :data:`.evapotranspiration.COMPUTED`, or the
-            method of the column in the files. By default, the column in the files is used if it
-            exists, otherwise the most accurate method that the files allow.
+            method of the column in the files. By default, the column in the files is used if there
+            is one, and otherwise the most accurate method that the files allow.
         gaps: treatment of longer gaps, one of :data:`greenroof_ros.weather.series.GAPS`.
         rain_only: whether to leave evapotranspiration unknown (NaN), because a rain gauge does not
             measure evapotranspiration.
@@ -229,7 +229,7 @@ def compute_evapotranspiration(
 
 
 def _drop_partial_hours(records: Records) -> Records:
-    """Drop the first or last hour if it lacks minutes of rain, or quantities because of a shift.
+    """Drop the first or last hour if it is incomplete due to partial rain or shifted quantities.
 
     Hours must be dropped after joining, because a file may complete the last hour of the previous
     file.
@@ -280,10 +280,10 @@ def find_files(names: Iterable[str], key: str) -> list[Path]:
 def fill_long_gaps(values: Mapping[str, Array]) -> dict[str, Array]:
     """Fill missing values: rain with 0, other quantities with the mean of the adjacent days.
 
-    The mean is that of the known or interpolated values at the same time of day on the three days
-    before and the three days after. If none of these values is known, the hour remains missing.
-    Years with a few estimated hours are more useful than fragments of years, but rain that was not
-    measured is lost, so gaps are filled only at the user's request.
+    The mean is taken over the known or interpolated values at the same time of day on the three
+    days before and the three days after. If none of these values is known, the hour remains
+    missing. Years with a few estimated hours are more useful than fragments of years, but rain that
+    was not measured is lost, so gaps are filled only at the user's request.
     """
     filled = {}
     for quantity, series in values.items():

@@ -75,7 +75,7 @@ class Weather(Records):
 
 
 class _Clock(NamedTuple):
-    """The hour (or other step) of every tick in the records; at most their last hour."""
+    """The hour (or other step) of every tick in the records, but no later than the last hour."""
 
     offset_ns: int
     """time of tick 0 relative to hour 0 (ns)"""
@@ -94,7 +94,7 @@ class _Clock(NamedTuple):
         return np.minimum(elapsed_ns // self.step_ns, self.last)
 
     def first_tick(self, step: int) -> int:
-        """Return the first tick that begins in a step or later."""
+        """Return the first tick that begins in a given step or later."""
         return -((self.offset_ns - step * self.step_ns) // self.tick_ns)
 
 
@@ -153,13 +153,13 @@ class WeatherSeries:
         evapotranspiration: evapotranspiration of the whole bed (m3/s) in the same ticks.
         frost: 1 during frost, 0 without frost or if the temperature is unknown, in the same ticks.
         repeats_from: time from which the last record is repeated, because the window of M ticks
-            extends beyond the end of the records; None if the records are sufficient.
+            extends beyond the end of the records; None if the records extend far enough.
         filled: names of the hours that were missing and have been filled, by quantity, during the
             run and the day before and after.
         filled_hours: number of filled hours; an hour in which more than one quantity was filled
             counts once.
         suspicious: sentences about implausible weather in the hours of the run.
-        frost_hours: duration of frost in the run (h); None without temperature.
+        frost_hours: duration of frost in the run (h); None if the temperature is unknown.
         precipitation_in_frost: precipitation during frost (mm), which the model treats as rain.
     """
 
@@ -174,7 +174,7 @@ class WeatherSeries:
 
         Raises:
             ConfigurationError: if the records do not cover the run, or if an hour of the run is
-                missing.
+                missing from the records.
         """
         tick_ns = round(site.tau * 1e9)
         before = (weather.end - start).total_seconds()
@@ -297,7 +297,7 @@ def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:
 def _refuse_missing(
     weather: Weather, quantity: str, hours: NDArray[np.int64], further: str
 ) -> None:
-    """Reject records that lack a quantity in some hours; the message ends with ``further``."""
+    """Reject records that lack a quantity for some hours; the message ends with ``further``."""
     missing = hours[np.isnan(weather.values[quantity][hours])]
     if missing.size:
         named = ", ".join(name_hours(weather.first, missing))

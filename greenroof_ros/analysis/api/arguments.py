@@ -64,7 +64,7 @@ def build_run(
     Args:
         controller: controller of the run.
         inputs: keyword arguments of the run.
-        warned: warnings that were issued before and are not repeated; new warnings are added.
+        warned: warnings that have already been issued and are not repeated; new warnings are added.
 
     Raises:
         ConfigurationError: if an input is invalid.
@@ -78,7 +78,7 @@ def build_run(
 
 
 def _count_own_calls() -> int:
-    """Return the number of calls up from the caller that are inside this package or Gymnasium."""
+    """Return the number of stack frames up to the first outside this package and Gymnasium."""
     frame, count = sys._getframe(1), 1
     while frame.f_back is not None and (
         frame.f_globals.get("__name__", "").partition(".")[0] in _NOT_THE_USERS

@@ -114,7 +114,7 @@ class FunctionController:
 
 
 def choose_controller(controller: Any) -> tuple[ControllerChoice, Controller | None]:
-    """Return the choice of a controller, and the controller itself if it is an instance.
+    """Return the choice of controller, and the controller itself if it is an instance.
 
     Args:
         controller: a name, ``package.module:Class``, a class, an instance, or a function of a

@@ -17,7 +17,7 @@ def district(
 
     Args:
         file: path of the district file.
-        weather: directory of weather files that are not next to the district file.
+        weather: directory to search for weather files that are not next to the district file.
         jobs: number of processes. If it is greater than 1, a script must guard its main code with
             ``if __name__ == "__main__":``.
 

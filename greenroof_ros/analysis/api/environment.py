@@ -100,9 +100,9 @@ class Environment:
         """Begin a run.
 
         Args:
-            inputs: inputs of :func:`.simulate` except the controller and ``trajectory_every``, and
-                ``horizon``, the length of the forecasts (h). At a site with a valve on its low
-                outlet, ``outlet`` and its parameters set the policy that commands the valve in
+            inputs: inputs of :func:`.simulate`, except the controller and ``trajectory_every``,
+                plus ``horizon``, the length of the forecasts (h). At a site with a valve on its low
+                outlet, ``outlet`` and its parameters set the policy that commands the valve during
                 ticks in which :meth:`step` does not command it.
 
         Raises:

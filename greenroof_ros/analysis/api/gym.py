@@ -1,7 +1,7 @@
 """The environment ``GreenRoof-v1`` for Gymnasium, the interface for reinforcement learning.
 
-If the name is preceded by that of the package, as in ``greenroof_ros:GreenRoof-v1``, every process
-finds the environment:
+With the package name as a prefix, as in ``greenroof_ros:GreenRoof-v1``, any process can find the
+environment:
 
     import gymnasium
 
@@ -225,7 +225,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         return Environment(**{**self._inputs, **begin})
 
     def _draw_start(self) -> datetime:
-        """Draw a full hour of the weather at which an episode can start."""
+        """Draw a random full hour, covered by the weather, at which an episode can start."""
         length = timedelta(seconds=(self._steps + self.site.M) * self.site.tau)
         hours = (self._weather.end - self._weather.first - length) // timedelta(hours=1) + 1
         if hours < 1:

@@ -103,9 +103,9 @@ class Scenario:
         """Return the lowest score that is possible in this scenario.
 
         For the deviation, the bound is the minimum over all commands up to 1, or up to the highest
-        command in the result if that is higher. For storm water, it is the minimum over all ways to
-        control the valve, given the irrigation in the result, and it excludes the term for water
-        stress.
+        command in the result if that is higher. For storm water, it is the minimum over all
+        possible valve commands, given the irrigation in the result, and it excludes the term for
+        water stress.
         """
         run, metrics = result.run, result.metrics
         if _MAINS in self.weights:
@@ -148,7 +148,7 @@ scenarios: Mapping[str, Scenario] = MappingProxyType(_read_scenarios())
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """The score of a controller in a scenario, printed together with the reference controllers.
+    """The score of a controller in a scenario, printed with those of the reference controllers.
 
     Attributes:
         scenario: the scenario.
@@ -188,7 +188,7 @@ class Score:
         return polars.DataFrame(self.rows).drop("scenario")
 
     def __repr__(self) -> str:
-        """Return the score on one line, and the table below it."""
+        """Return the score on one line, with the table below it."""
         known = self.scenario
         lines = [
             f"{known.name}: {self.value:.2f} {known.unit}, at best {self.bound:.2f}. The score is "
@@ -262,7 +262,7 @@ def evaluate(
 
     Raises:
         ConfigurationError: if an input is invalid.
-        NoBoundError: if the solver does not find the bound.
+        NoBoundError: if the solver cannot find the bound.
     """
     result = simulate(controller, **{**scenario.inputs, **inputs})
     return Score(

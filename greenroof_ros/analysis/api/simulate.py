@@ -179,7 +179,7 @@ class Result:
         return Comparison({self.run.controller.name: self}).plot()
 
     def save(self, directory: PathText) -> Path:
-        """Write a run directory with the trajectory, as the command does, and return its path.
+        """Write a run directory as ``greenroof simulate --trajectory`` does, and return its path.
 
         ``greenroof report DIRECTORY`` reads it.
 
@@ -238,9 +238,10 @@ def simulate(
               paper, ``"site"`` for the state in the site file, or the volumes in the cistern and on
               the roof (m3). The default is the state in the site file, or low-low if the file
               contains none.
-            - ``evapotranspiration``: ``"fao56"``, ``"hargreaves"``, ``"monthly"``, or the column in
-              the weather that contains it. By default this column is used or, if it is missing, the
-              first of these three methods for which the weather contains the required data.
+            - ``evapotranspiration``: ``"fao56"``, ``"hargreaves"``, ``"monthly"``, or the name of
+              the weather column that contains it. By default this column is used or, if it is
+              missing, the first of these three methods for which the weather contains the required
+              data.
             - ``gaps``: ``"refuse"``, or ``"fill"`` to fill long gaps in the weather.
             - ``roof_noise`` and ``roof_offset`` of the roof's level sensor (m), ``noise_seed``,
               ``pump_min_on`` and ``pump_min_off`` (s): by default 0, as in the paper.
@@ -276,7 +277,7 @@ def simulate(
 def _simulate(
     controller: str | type | Controller | Function, keywords: Mapping[str, Any], warned: set[str]
 ) -> Result:
-    """Simulate a run; ``warned`` is the argument of :func:`.build_run`."""
+    """Simulate a run; ``warned`` has the same meaning as in :func:`.build_run`."""
     inputs = {**keywords}
     every_s = _EVERY.read(inputs.pop("trajectory_every", None) or 0.0, key="trajectory_every")
     choice, instance = choose_controller(controller)
@@ -364,9 +365,9 @@ def compare(
     """Simulate several controllers with the same inputs.
 
     Args:
-        controllers: controllers by their names in the table and the chart. A :class:`Result` is
-            used unchanged, so controllers can have different parameters.
-        inputs: inputs of :func:`simulate`, for all controllers.
+        controllers: controllers, keyed by their names in the table and the chart. A :class:`Result`
+            is used unchanged, so controllers can have different parameters.
+        inputs: inputs of :func:`simulate`, which apply to all controllers.
 
     Returns:
         The results, with a common table and a common chart.

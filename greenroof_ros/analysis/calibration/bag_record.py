@@ -30,14 +30,14 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
     always 0, the record has no runoff.
 
     Evapotranspiration that the run computed (``fao56`` in the files next to its bag) includes the
-    crop coefficient of the run's site, and is divided by it. The column of a weather file and the
-    forecasts of a live site do not include the crop coefficient, so all other evapotranspiration is
-    used unchanged.
+    crop coefficient of the run's site, and is therefore divided by this coefficient. The column of
+    a weather file and the forecasts of a live site do not include the crop coefficient, so all
+    other evapotranspiration is used unchanged.
 
     The command counts only while the pumps deliver water. The command is unknown in steps with a
     command above 1, which no real pump can follow. In a gap only evapotranspiration is filled in,
-    because the roof continues to dry. It takes the value from the same time of the previous day or,
-    on the first day, the last value before the gap.
+    because the roof continues to dry. The fill value is the value at the same time on the previous
+    day or, on the first day, the last value before the gap.
 
     Raises:
         ConfigurationError: if the bag cannot be read, is shorter than two steps, or contains no
@@ -59,7 +59,7 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
         gap[int(low):int(high)] = True
 
     def summed(flow: Values) -> Values:
-        """Return the sum of a flow over every step; the flow is constant between two samples."""
+        """Return the volume of a flow in every step, with the flow constant between samples."""
         total = np.concatenate(([0.0], np.cumsum(flow[:-1] * spacing)))
         amounts = np.diff(np.interp(edges, trajectory.time, total))
         return np.where(gap, np.nan, amounts)

@@ -28,7 +28,7 @@ def check_record(record: StepRecord, site: Site) -> list[str]:
         site: site with the roof and its location.
 
     Raises:
-        ConfigurationError: if a rule rejects the record, or if it is too short for a fit.
+        ConfigurationError: if a rule rejects the record, or if the record is too short for a fit.
     """
     for column, values in {"rain": record.rain, **record.measured}.items():
         there = int(np.count_nonzero(~np.isnan(values)))

@@ -120,7 +120,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
 
 
 def _find_last_decimal(values: Values) -> float:
-    """Return the value of the last decimal place that the values use, at least 1e-12."""
+    """Return the place value of the last decimal digit in the values, at least 1e-12."""
     there = values[~np.isnan(values)]
     places = 0
     while places < 12 and not np.allclose(np.round(there, places), there, rtol=1e-9, atol=0.0):
@@ -147,8 +147,8 @@ def _compute_pumped(series: Mapping[str, Values], site: Site, step_s: float) -> 
 def _bridge_short_gaps(record: StepRecord, values: Values, counts: Steps) -> Values:
     """Return reference evapotranspiration without gaps (mm), shape (steps,).
 
-    A roof dries even while its sensors fail. Therefore, a gap of no more than an hour, or of a
-    single step, is interpolated linearly, and a longer gap is rejected.
+    A roof dries out even while its sensors are not working. Therefore, a gap of no more than an
+    hour, or of a single step, is interpolated linearly, and a longer gap is rejected.
 
     Args:
         record: record with the times and the column's name.
@@ -157,7 +157,7 @@ def _bridge_short_gaps(record: StepRecord, values: Values, counts: Steps) -> Val
             contains no such step may have any length.
 
     Raises:
-        ConfigurationError: if any other gap is longer, or if evapotranspiration is always 0.
+        ConfigurationError: if any other gap is too long, or if evapotranspiration is always 0.
     """
     column = record.reference_column
     if not np.any(values > 0):
@@ -185,8 +185,8 @@ def _compute_from_temperatures(
     """Return Hargreaves' reference evapotranspiration in every step (mm), shape (steps,).
 
     Days follow the record's own clock. The temperatures of a day without values, or with fewer than
-    75 % of its ``temperature`` values, are interpolated. Every day that is used must have
-    temperatures within three days of it.
+    75 % of its ``temperature`` values, are interpolated. For every day that is used, there must be
+    temperatures no more than three days before or after.
 
     Args:
         record: record with the times.

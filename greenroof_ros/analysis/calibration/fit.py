@@ -98,8 +98,8 @@ def list_ranges(site: Site, record: StepRecord) -> list[FitRange]:
 
     The ranges of field capacity and wilting point do not overlap; the driest level, if measured,
     separates them. The drainage layer's storage is not fitted: while the layer is not full, its
-    outflow k V^2 depends only on storage times time constant. With steps longer than an hour, its
-    time constant is not fitted either.
+    outflow k V^2 depends only on the product of storage and time constant. With steps longer than
+    an hour, its time constant is not fitted either.
     """
     if record.level is None:
         highest = max(0.1, (site.wilting_point or 0.0) + 0.01)
@@ -142,7 +142,7 @@ def lower_target(site: Site) -> Site:
     """Return the site, with a lower target if its roof cannot hold the current target.
 
     Water above field capacity drains, so the pumps would never reach a target above it. Because a
-    record says nothing about the target, it is set half-way between wilting point and field
+    record says nothing about the target, the target is set half-way between wilting point and field
     capacity, and the site's owner is asked to choose another target.
 
     Args:
@@ -198,8 +198,8 @@ def fit(
     are longer than an hour, and any parameter whose column of the Jacobian, scaled by the
     parameter's range, is small or a linear combination of other columns (QR with column pivoting;
     Golub and Van Loan, Matrix Computations, 5.5.7). Intervals come from :func:`compute_intervals`,
-    with weeks as groups. The intervals are widened by the largest effect that changing the fixed
-    parameters within their ranges has on a parameter.
+    with weeks as groups. Each parameter's interval is widened by the largest effect that changing
+    the fixed parameters within their ranges has on this parameter.
 
     Args:
         site: site that provides the start of the search and the values of the fixed parameters.
@@ -381,9 +381,9 @@ def compute_intervals(
     r_g. If few groups contain most of the information about a parameter, its variance is less
     certain. The degrees of freedom are Kish's effective number of groups minus one, sum(w)^2 /
     sum(w^2) - 1, where w is the information that is lost without a group; they are at least 1. If
-    all groups are equal, they are the number of groups minus one. If one group alone determines
-    nearly everything about a parameter, nothing shows how the parameter would vary, and the
-    half-width of its interval is infinite.
+    all groups are equal, the degrees of freedom are the number of groups minus one. If one group
+    alone determines nearly everything about a parameter, nothing shows how the parameter would
+    vary, and the half-width of its interval is infinite.
 
     Args:
         jacobian: Jacobian at the fit, shape (n, parameters).
@@ -405,7 +405,7 @@ def compute_intervals(
 
 
 def _measure_information(jacobian: Values) -> Values:
-    """Return the information about each parameter: the squares that other columns do not explain.
+    """Return each parameter's information: squares of its column not explained by other columns.
 
     Args:
         jacobian: Jacobian, shape (n, parameters).
@@ -424,8 +424,8 @@ def compute_half_intervals(moved: Values, degrees: Values | int) -> Values:
     The method is Tukey's jackknife (Efron 1982, doi:10.1137/1.9781611970319) with Student's t.
 
     Args:
-        moved: values obtained without each group, shape (groups, values); a constant added to all
-            groups makes no difference.
+        moved: values obtained with each group left out in turn, shape (groups, values); a constant
+            added to all groups makes no difference.
         degrees: degrees of freedom of each value; if all groups are equal, the number of groups
             minus one.
     """

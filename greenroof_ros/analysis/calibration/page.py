@@ -1,4 +1,4 @@
-"""The page of a calibration: a single file with all figures that needs only a browser."""
+"""The page of a calibration: a self-contained HTML file with all figures."""
 
 from __future__ import annotations
 

@@ -85,12 +85,12 @@ def find_runs(record: StepRecord, site: Site, command: Values, cistern: Values) 
 def fit_pumps(site: Site, record: StepRecord) -> PumpFit:
     """Fit the pump curve to the mean fall of the cistern's level in undisturbed pump runs.
 
-    The flow Q at command 1 is the fall in all runs times the cistern's area, divided by their time
-    at full command. ``a_hat`` is fixed, and ``c_hat`` follows from Q at the mean level Z with Eqs.
-    (3b)-(3e): Z + c_hat - d = Q^2 (pipe_resistance - a_hat). A sensor's offset has no effect, nor
-    does a pump state that is slightly late. The interval comes from
+    The flow Q at command 1 is the total fall in all runs times the cistern's area, divided by the
+    equivalent time at full command. ``a_hat`` is fixed, and ``c_hat`` follows from Q at the mean
+    level Z with Eqs. (3b)-(3e): Z + c_hat - d = Q^2 (pipe_resistance - a_hat). A sensor's offset
+    has no effect, nor does a pump state that is recorded slightly late. The interval comes from
     :func:`.fit.compute_half_intervals` with runs as groups. Runs whose flow is far from the median
-    are left out, because the level changed for another reason.
+    are left out, because the level must have changed for another reason as well.
 
     With fewer than ten runs no curve is fitted.
 
@@ -99,7 +99,7 @@ def fit_pumps(site: Site, record: StepRecord) -> PumpFit:
         record: the measurements; without a command or a cistern level, nothing is fitted.
 
     Raises:
-        ConfigurationError: if the flow is far from the flow according to the site's pump curve.
+        ConfigurationError: if the flow is far from that given by the site's pump curve.
     """
     if record.command is None or record.cistern is None:
         return PumpFit(site)

@@ -28,7 +28,7 @@ _RAINED_MM = 1.0
 
 
 def sum_spans(values: Values | Steps, seconds: NDArray[np.int64], span_s: int) -> Values:
-    """Add up the values that begin in the same clock span of ``span_s`` seconds.
+    """Add up the values whose steps begin in the same clock span of ``span_s`` seconds.
 
     Spans without values are left out.
     """
@@ -37,7 +37,7 @@ def sum_spans(values: Values | Steps, seconds: NDArray[np.int64], span_s: int) -
 
 
 def average_spans(values: Values, seconds: NDArray[np.int64], span_s: int) -> Values:
-    """Average the values that begin in the same clock span; see :func:`sum_spans`.
+    """Average the values whose steps begin in the same clock span; see :func:`sum_spans`.
 
     NaN values are ignored; the mean of a span that contains only NaN is NaN.
     """
@@ -54,11 +54,11 @@ Amounts add up. Levels do not: their sum would depend on the length of gaps in t
 
 
 def find_outages(record: StepRecord) -> list[slice]:
-    """Return the steps from each outage of a water meter until it no longer affects the roof.
+    """Return the steps from each outage of a water meter to the end of its effect on the roof.
 
-    A storm may have occurred during an outage. Its water is gone after about a week, but not before
-    20 mm could have evaporated. Outages of up to an hour count only if it rained in the hour before
-    or after them.
+    A storm may have occurred during an outage. The water of such a storm is gone after about a
+    week, but not before 20 mm could have evaporated. Outages of up to an hour count only if it
+    rained in the hour before or after them.
     """
     lost = find_gaps(np.isnan(record.rain) | np.isnan(record.pumped))
     evaporated = np.concatenate(([0.0], np.cumsum(record.reference)))
@@ -77,9 +77,10 @@ def select_comparable(record: StepRecord) -> Steps:
     """Return the steps in which a simulation is compared: complete steps outside broken storms.
 
     A storm is broken if rain, pumped water or runoff is missing during it, because unrecorded water
-    affects the roof for the whole storm. In addition, meters fail when runoff is largest, and their
-    values can then be incomplete for an unknown time before and after the gap. Steps after an
-    outage are left out until its water no longer affects the roof (:func:`find_outages`).
+    affects the roof for the whole storm. In addition, meters tend to fail when runoff is largest,
+    and their values can then be incomplete for an unknown time before and after the gap. Steps
+    after an outage are left out until the unrecorded water no longer affects the roof
+    (:func:`find_outages`).
     """
     steps = record.complete
     for outage in find_outages(record):

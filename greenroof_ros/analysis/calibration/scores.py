@@ -60,7 +60,7 @@ def score(
     quantity: str, part: str, simulated: Values, measured: Values, seconds: NDArray[np.int64],
     step_s: float,
 ) -> FitScores:
-    """Score a series over its steps, and over hours and days if they are longer.
+    """Score a series over its steps, and over hours and days if these are longer than the steps.
 
     Args:
         quantity: ``runoff`` or ``level``.

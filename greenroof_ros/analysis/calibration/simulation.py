@@ -35,8 +35,8 @@ def simulate(site: Site, record: StepRecord, filled: float, minimum: float = 0.0
 
     The result matches :class:`greenroof_ros.model.plant.Plant` with short ticks, because
     percolation is solved for a whole step. Runoff is solved for a constant inflow. Therefore, steps
-    longer than ten minutes are divided while water arrives, and steps longer than an hour are
-    always divided. Water arrives evenly within a step. Unknown rain is treated as 0. The soil is
+    longer than ten minutes are subdivided while water arrives, and steps longer than an hour are
+    always subdivided. Water arrives evenly within a step. Unknown rain is treated as 0. The soil is
     computed only in steps in which water moves, which are few in a dry week.
 
     Args:

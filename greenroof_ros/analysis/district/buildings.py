@@ -65,7 +65,7 @@ class Buildings:
         """Return an error about a building's site that names the building and the value's source.
 
         The source of a drawn value is the district file. If all buildings share the key, its value
-        is invalid because of other keys, so the error names the drawn values.
+        is invalid only in combination with other keys, so the error names the drawn values.
 
         Args:
             place: the building's position in the sequences.

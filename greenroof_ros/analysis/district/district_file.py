@@ -254,7 +254,7 @@ def read_district(path: Path) -> tuple[District, Site]:
     """Read and check a district file and its site file.
 
     Raises:
-        ConfigurationError: if a key is unknown, missing or wrong, if two keys contradict each
+        ConfigurationError: if a key is unknown, missing or invalid, if two keys contradict each
             other, or if the site is invalid.
     """
     content = YamlMapping()

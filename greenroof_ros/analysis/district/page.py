@@ -1,4 +1,4 @@
-"""The page of a district: a single file that needs only a browser."""
+"""The page of a district: a self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ def describe_valves(rows: Sequence[dict[str, Any]], count: int) -> list[str]:
 
 
 def warn(run: DistrictRun, rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Return a warning if all valves together exceed the sewer's capacity in dry weather."""
+    """Return a warning if the flow from all valves exceeds the sewer's dry-weather capacity."""
     capacity = run.district.sewer_capacity
     if capacity is None:
         return []
@@ -204,7 +204,7 @@ def _shown(key: str, value: float | None) -> str:
 def draw_figures(
     run: DistrictRun, totals: Totals, rows: Sequence[dict[str, Any]]
 ) -> Iterator[Figure]:
-    """Yield the figures: results over adoption, water from the valves, and the highest hour."""
+    """Yield the figures: results against adoption, water from the valves, and the peak hour."""
     names = [LABELS[outlet] for outlet in totals.outlets]
     capacity = run.district.sewer_capacity
     amounts = [
@@ -247,7 +247,7 @@ def _draw_over_adoption(
     name: str, title: str, caption: str, rows: Sequence[dict[str, Any]], names: list[str],
     amounts: Sequence[tuple[str, str, str, float | None]],
 ) -> Figure:
-    """Return a figure of results over adoption; every line begins with the district as it is."""
+    """Return a figure of results against adoption; every line begins with the district as it is."""
     reference, *others = rows
     data: Rows = [
         {"outlet": LABELS[row["outlet"]], "adoption": row["adoption"],
@@ -279,7 +279,7 @@ def _draw_level(value: float) -> alt.Chart:
 
 
 def _draw_storm(run: DistrictRun, totals: Totals, names: list[str]) -> Figure:
-    """Return a figure of the flows around the highest hour, at the highest adoption."""
+    """Return a figure of the flows around the peak hour, at the highest level of adoption."""
     size = max(1, round(60 * _POINT_MIN / totals.seconds))
     hour = max(1, round(3600 / totals.seconds))
     reference = totals.discharge(AS_IS)

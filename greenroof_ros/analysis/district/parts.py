@@ -81,8 +81,8 @@ class PartResult:
             first, and then the groups of buildings without a valve.
         low_outlets: part of the discharge that leaves through low outlets (m3), in the same form as
             ``hydrographs``.
-        metrics: metrics of each building, by outlet and name, shape (n,); NaN if the building has
-            another outlet.
+        metrics: metrics of each building, by outlet and name, shape (n,); NaN if the building has a
+            different outlet.
     """
 
     areas: Values

@@ -76,7 +76,7 @@ class DistrictResult:
 
     @property
     def buildings(self) -> pl.DataFrame:
-        """A row for every building: the share of adoption at which it adopts, and its results."""
+        """A row for every building: the level of adoption at which it adopts, and its results."""
         return pl.DataFrame(list(self._list_buildings()), infer_schema_length=None)
 
     @property

@@ -40,7 +40,7 @@ _REDUCED = {
 
 
 class Flow(NamedTuple):
-    """A row of the results: one kind of outlet at one adoption."""
+    """A row of the results: one kind of outlet at one level of adoption."""
 
     outlet: str
     adoption: float
@@ -69,7 +69,7 @@ class Totals:
             adoption: groups of the buildings.
             outlets: kinds of outlet, including ``none``.
             rain: depth of rain in each cell and interval (m), shape (cells, intervals).
-            capacity: capacity of the sewer, over the connected area (mm/h); None if unknown.
+            capacity: capacity of the sewer per unit of connected area (mm/h); None if unknown.
         """
         self.outlets, self.adoption, self.rain = outlets, adoption, rain
         self.seconds = interval_seconds(site)

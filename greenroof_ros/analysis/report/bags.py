@@ -1,6 +1,6 @@
 """Reading of run directories and bags as runs of a report.
 
-A run directory contains a bag. The directory of a simulation in one process contains the trajectory
+A run directory contains a bag. The directory of a single-process simulation contains the trajectory
 instead, or only the results.
 """
 
@@ -76,7 +76,7 @@ def read_run(path: Path, site: Path | Site | None = None) -> ReportedRun:
     Raises:
         ConfigurationError: if the bag is damaged or was not recorded by this package, or if there
             is neither a bag nor a result. If the run was not finished, the message begins with a
-            statement of how it ended.
+            statement of how the run ended.
     """
     about = read_about(run_directory(path))
     try:
@@ -175,7 +175,7 @@ def _moment(seconds: float, zone: tzinfo | None) -> str:
 
 
 def complete_row(known: Row, site: Site, trajectory: Trajectory, samples: Samples) -> Row:
-    """Return a run's row: the known results, and all other results from its trajectory.
+    """Return a run's row: the known results, and all others computed from its trajectory.
 
     Sums are Euler sums, in which each value is constant until the next sample. The sums do not
     include the flows of the last sample, because the run ends in the state of this sample.

@@ -134,7 +134,7 @@ class Figure:
 
 
 def distinguish_series(name: str, values: list[str]) -> dict[str, Any]:
-    """Distinguish the series of a field by colour and by dashes; see :func:`cycle_choices`.
+    """Distinguish the series of a field by colour and dash pattern; see :func:`cycle_choices`.
 
     Without series there is no legend, because the size of an empty legend is NaN in Vega.
     """
@@ -178,7 +178,7 @@ def make_tooltips(*fields: str | tuple[str, str] | alt.Tooltip) -> list[alt.Tool
 
 
 def cycle_choices(choices: Sequence[Any], values: Sequence[str]) -> alt.Scale:
-    """Return a scale that maps values to choices, which are reused if there are more values."""
+    """Return a scale that maps values to choices, which are reused if there are too few."""
     chosen = dict(zip(values, itertools.cycle(choices)))
     return alt.Scale(domain=list(chosen), range=list(chosen.values()))
 

@@ -58,7 +58,7 @@ def make_figures(report: Report) -> Iterator[Figure]:
 
 
 def _over_time(place: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
-    """Yield the figures over time for those cases of a place that consist of a single run."""
+    """Yield the figures over time for the single-run cases of one window and initial state."""
     window, initial = place[0].place
     title = f"from {initial}: {window}"
     lines: dict[str, dict[str, Drawn]] = {}
@@ -77,7 +77,7 @@ def _over_time(place: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
 
 
 def _of_events(place: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
-    """Yield the figures of a place's rain events, if there are any."""
+    """Yield the figures of the rain events for one window and initial state, if any."""
     window, initial = place[0].place
     title = f"from {initial}: {window}"
     events: dict[str, dict[str, list[EventRow]]] = {}
@@ -99,7 +99,7 @@ _MAINS, _WET = "mains water (m³)", "discharge in wet weather (m³)"
 
 
 def _of_discharge(cases: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
-    """Yield the figure that plots the discharge in a window against the mains water.
+    """Yield the figure that plots a window's discharge against its mains water.
 
     Only sites with a valve and a mains top-up have this figure: elsewhere, a lower discharge costs
     no mains water.

@@ -50,7 +50,7 @@ class CaseRuns:
 
     @property
     def label(self) -> str:
-        """Name of the case, unique within its place."""
+        """Name of the case, unique for its window and initial state."""
         return str(self.row["case"])
 
     @property
@@ -170,7 +170,7 @@ def _sum(row: Row, terms: Mapping[str, float]) -> float | None:
 
 
 def _compare(place: Sequence[CaseRuns]) -> None:
-    """Compare the cases of a place with the on/off controller that fills to the target.
+    """Compare cases of one window and initial state with on/off control that fills to the target.
 
     The reference is the paper's controller; if some of its cases keep the valve of the low outlet
     closed, only these are used. If there is more than one such case, with different shares of the

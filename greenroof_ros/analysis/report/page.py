@@ -1,4 +1,4 @@
-"""The page of a report: a single file that needs only a browser."""
+"""The page of a report: a self-contained HTML file."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ class About:
         row: settings of the run and, if it is finished, its results.
         own: whether the run is a simulation by this package.
         external_pump: whether a pump driver reported the pump flow.
-        ending: how an unfinished run ended, as a sentence without a subject and a full stop.
+        ending: how an unfinished run ended, as a sentence without its subject and full stop.
         notes: notes about the run for the reader.
         events: rain events of the run; None if it has no results.
     """

@@ -159,7 +159,7 @@ def _text(value: object) -> str:
 
 
 def _read_study(path: Path, prefix: str, sources: Sources) -> None:
-    """Add the runs of a study, with a prefix before their names and windows."""
+    """Add the runs of a study, with a prefix added to their names and windows."""
     configuration, sites = path / "configuration", set[str]()
     read = cache(read_site)  # hundreds of runs can share a file
     for row in _read_results(path / "results.csv"):

@@ -279,7 +279,7 @@ def _axis(
 ) -> tuple[alt.Y, list[alt.Chart]]:
     """Return a quantity's axis, the same in all panels, and its reference levels with their names.
 
-    A reference level far from the values is left out, because it would make all lines flat.
+    A reference level far from the values is left out, because it would flatten all lines.
 
     Args:
         quantity: quantity of the curves.

@@ -182,7 +182,7 @@ def _make_design(site: Site, volume: float, target: float, outlet: str) -> Desig
 
 
 def _add_mains(site: Site, notes: list[str]) -> Site:
-    """Return a site with a mains top-up, which is needed to compute the share of the demand met."""
+    """Return a site with a mains top-up, which is needed to compute the share of demand met."""
     if site.mains_level is not None:
         return site
     above = min(_MAINS_ABOVE_SUCTION_M, (site.min_outlet_level - site.suction_level) / 2)

@@ -45,9 +45,9 @@ _VOLUME = "cistern (m³)"
 
 
 def draw(sizes: Sizes, target: float) -> Figure:
-    """Return a figure of the results at a target (mm) over the cistern's volume.
+    """Return a figure of the results at a target (mm) against the volume of the cistern.
 
-    Every result has a panel.
+    Each result has its own panel.
     """
     name = f"sizes-{target:g}mm"
     panels = [_draw_panel(sizes, key, column, name) for key, column in sizes.columns.items()]

@@ -59,8 +59,8 @@ class Sizes:
         window: the days of a season, in words.
         hours: length of a season (h).
         values: every metric of each design in each season, by name, shape (designs, seasons).
-        incomplete: reason why each season that the record covers only in part is incomplete, by
-            name.
+        incomplete: for each season that the record covers only in part, by name, the reason why it
+            is incomplete.
         notes: assumptions, and notes about the weather for the reader.
         prices: prices of water and cistern; None if no costs are calculated.
         knee_m3: minimum volume of water that each additional m3 of cistern must save per season
@@ -127,7 +127,7 @@ class Sizes:
     # --- what is recommended ----------------------------------------------------------------------
 
     def find_knee(self, target: float, outlet: str) -> Design | None:
-        """Return the smallest cistern beyond which another m3 does not save enough.
+        """Return the smallest cistern beyond which each additional m3 saves less than the minimum.
 
         See :mod:`greenroof_ros.analysis.sizing.choice`.
 
@@ -136,8 +136,8 @@ class Sizes:
             outlet: one of :attr:`outlets`.
 
         Returns:
-            The design, or None if even an additional m3 beyond the largest cistern would save
-            enough.
+            The design, or None if even an additional m3 beyond the largest cistern would save at
+            least the minimum.
         """
         designs = self.select(target, outlet)
         means = [
@@ -322,7 +322,7 @@ class Sizes:
         ]
 
     def plot(self, target: float | None = None) -> altair.ConcatChart:
-        """Return a chart of the results over the cistern's volume, with a line per outlet.
+        """Return a chart of the results against the cistern's volume, with a line per outlet.
 
         A line shows the mean of the seasons, and its band extends from the lowest to the highest
         season.

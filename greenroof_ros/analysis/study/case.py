@@ -25,7 +25,7 @@ _DIGESTS = {"file": "forecast_file", "skill": "skill_file"}
 
 @dataclass(frozen=True)
 class InputFile:
-    """An input file of runs; its content is sent to each worker once, not with every case."""
+    """An input file for runs; its content is sent to each worker once, not with every case."""
 
     name: str
     """name that is unique in the study"""
@@ -143,7 +143,7 @@ class Case:
         }
 
     def find_inputs(self, directory: Path) -> RunInputs:
-        """Return the inputs, with the paths of their files in a directory."""
+        """Return the inputs, which refer to their files by the paths in a directory."""
         return replace(
             self.inputs, site=directory / self.site.name,
             weather=tuple(directory / file.name for file in self.weather),
@@ -154,7 +154,7 @@ class Case:
 def place_files(
     choice: ForecastChoice, files: Mapping[str, InputFile], directory: Path
 ) -> ForecastChoice:
-    """Return a choice of forecasts, with the paths of its files in a directory."""
+    """Return a forecast choice that refers to its files by their paths in a directory."""
     places: dict[str, Any] = {key: directory / file.name for key, file in files.items()}
     if "skill" in places:
         places["skill"] = str(places["skill"])

@@ -134,7 +134,7 @@ def bound_case(directory: Path, case: Case) -> float:
 
 
 def bound_discharge(directory: Path, case: Case) -> dict[str, float]:
-    """Return the columns of the minimum discharge in wet weather with on/off control's irrigation.
+    """Return the columns of the minimum wet-weather discharge given on/off control's irrigation.
 
     The columns describe the point of the frontier at which mains water costs as much as ``plan``
     assumes. The mains water is left out if the site has no mains top-up.

@@ -73,7 +73,7 @@ def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
 
     Args:
         path: path of the grid.
-        weather: directory of weather files that are not next to the grid.
+        weather: directory to search for weather files that are not next to the grid.
 
     Returns:
         The runs, in the order of the file: sites, windows, methods, initial states,
@@ -296,7 +296,7 @@ class _Grid:
             name: name that replaces the value of the key.
 
         Raises:
-            ConfigurationError: if there is no such file in any of the directories.
+            ConfigurationError: if no directory contains a matching file.
         """
         name = str(mapping[key]) if name is None else name
         for place in self._places:
@@ -333,7 +333,7 @@ class _Grid:
     def _carry_forecast(
         self, choice: ForecastChoice, site: Site
     ) -> tuple[ForecastChoice, dict[str, InputFile]]:
-        """Return a choice of forecasts, with the names of its files in the study, and the files.
+        """Return a forecast choice that uses the file names in the study, together with the files.
 
         A directory becomes one file in the project's own format.
         """
@@ -359,7 +359,7 @@ class _Grid:
 
         Args:
             mapping: mapping that contains the key.
-            key: key of a block or of a list of blocks; a text stands for a block that contains
+            key: key of a block or of a list of blocks; a string stands for a block that contains
                 only the first required key.
             needed: keys that a block must contain.
             further: additional keys that a block may contain.
@@ -432,7 +432,7 @@ class _Grid:
 
         Args:
             lines: lines of the inputs, by their names in errors.
-            otherwise: input whose line is used if the error names no other input.
+            otherwise: input whose line is used if the error does not name an input.
             prefix: beginning of the message.
         """
         try:

@@ -63,13 +63,13 @@ class StudyStore:
             grid: file of the grid.
             cases: runs of the study.
             trajectory_every: time between the samples of each trajectory, as for the attribute of
-                this name.
+                the same name.
 
         Raises:
             ConfigurationError: if the directory contains other files, or a study with another grid,
-                trajectories or code; if it cannot be written to; if another process uses it; or if
-                an outcome exists but cannot be read, for instance on a network drive. Such an
-                outcome is kept.
+                trajectories or code; if it cannot be written to; if another process is using it; or
+                if an outcome exists but cannot be read, for instance on a network drive. An outcome
+                that cannot be read is kept.
         """
         self.directory = directory
         self.cases, self.trajectory_every = cases, trajectory_every
@@ -130,7 +130,7 @@ class StudyStore:
             ) from None
 
     def _check(self, file: Path, identity: dict[str, Any]) -> None:
-        """Reject a study that was started with another identity.
+        """Reject a study that was started with a different identity.
 
         Raises:
             ConfigurationError: if the study's file is damaged, or differs in the identity.
@@ -212,7 +212,7 @@ class StudyStore:
 
 
 def _with_digest(values: Mapping[str, Any]) -> str:
-    """Return values as JSON with their digest, which reveals any later damage."""
+    """Return values as JSON, with a digest that reveals any later damage."""
     text = json.dumps(values, sort_keys=True)
     about = {**values, _DIGEST: hashlib.sha256(text.encode()).hexdigest()}
     return json.dumps(about, indent=2) + "\n"

@@ -1,4 +1,4 @@
-"""Checks for likely errors in an archive: leads that lack water, or rain for another location."""
+"""Checks for likely errors in an archive: leads with too little water, or the wrong location."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ _MIN_R, _MIN_PAIRS = 0.1, 1000
 
 
 def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> list[str]:
-    """Return the most likely errors in forecasts, each in a sentence.
+    """Return the likely errors in the forecasts, each described in a sentence.
 
     Args:
         tallies: tally of every class.
-        previous_runs: whether the forecasts are previous runs, whose leads can lack water.
+        previous_runs: whether the forecasts are previous runs, whose leads can contain too little
+            water.
     """
     scores = {key: tally.scores() for key, tally in tallies.items()}
     warnings = [
@@ -54,11 +55,11 @@ def _find_odd_leads(scores: Mapping[Class, ForecastScores]) -> dict[str, float]:
     The water of a lead is measured by its bias, which leaves out the hours that the lead lacks. A
     lead is odd if its water is less than 0.55 times or more than 1 / 0.55 times the median of the
     other leads. The reason is that a model's climate does not change with the lead, even if its
-    forecasts get worse. Leads with less than a year of hours are left out. If fewer than three
-    leads remain, no lead is odd.
+    forecasts get worse. Leads with less than one year of hourly values are left out. If fewer than
+    three leads remain, no lead is odd.
 
     Args:
-        scores: scores of previous runs, where every pair of a lead covers different hours.
+        scores: scores of previous runs, where all pairs with the same lead cover different hours.
     """
     water: dict[str, float] = {}
     for key, of_class in scores.items():

@@ -37,8 +37,8 @@ class IssuedForecasts:
         hours: length of the longest forecast (h).
         finest_lead: finest resolution of the lead (h); more than 1 for previous runs.
         span: period that the forecasts cover, in words.
-        issues: forecasts in chronological order of issue, each with the hour of the records in
-            which it begins (negative if it begins before the records) and its rain (mm/h), shape
+        issues: forecasts in the order in which they were issued, each with the hour of the records
+            in which it begins (negative if it begins before the records) and its rain (mm/h), shape
             (members, hours), NaN if missing.
         notes: sentences about the data that could not be used unchanged.
     """
@@ -119,8 +119,8 @@ def tally_pairs(
 
     A pair consists of a sum over consecutive hours of a forecast, and the sum over the same hours
     of the records. A forecast is divided from its start: for sums of 12 h, into its first 12 hours,
-    the next 12 hours, and so on. Every sum belongs to the class of leads that contains it. A sum is
-    left out if the forecast or the records lack one of its hours.
+    the next 12 hours, and so on. Every sum belongs to the class of leads into which it falls. A sum
+    is left out if one of its hours is missing from the forecast or the records.
 
     Args:
         forecasts: forecasts to compare with the records.

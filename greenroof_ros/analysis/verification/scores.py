@@ -24,8 +24,8 @@ def compute_event_scores(
 
     The probability of detection is hits over observed events, the false alarm ratio is false alarms
     over forecast events (Wilks 2011, Sect. 8.2.2). The equitable threat score (Sect. 8.2.3, Gilbert
-    skill score) is hits over all events that were forecast or observed, both without the hits that
-    are expected by chance:
+    skill score) is hits over all events that were forecast or observed, after subtracting the hits
+    expected by chance from both:
 
         (hits - a) / (hits + misses + false alarms - a),
         a = (hits + misses) (hits + false alarms) / n
@@ -49,8 +49,8 @@ def compute_event_scores(
 class ForecastScores(NamedTuple):
     """Scores of pairs of forecast and observed sums; NaN if undefined.
 
-    Bias, r, POD, FAR and ETS are scores of member 0, which is the forecast of controllers that use
-    a single member. The Brier score and CRPS are scores of all members.
+    Bias, r, POD, FAR and ETS are scores of member 0, which is the forecast given to controllers
+    that use a single member. The Brier score and CRPS are scores of all members.
     """
 
     n: int
@@ -85,7 +85,7 @@ class Tally:
     """Sums that suffice for all scores, so that memory does not grow with the number of pairs.
 
     Attributes:
-        table: numbers of hits, false alarms, misses and correct negatives, shape (4,).
+        table: counts of hits, false alarms, misses and correct negatives, shape (4,).
     """
 
     def __init__(self, event: float) -> None:
@@ -118,7 +118,7 @@ class Tally:
         self._errors += [np.sum((probability - event) ** 2), np.sum(crps(forecast, observed))]
 
     def scores(self) -> ForecastScores:
-        """Return the scores of all pairs that were added."""
+        """Return the scores of all pairs added so far."""
         n = int(self.table.sum())
         if not n:
             return ForecastScores(0, *[math.nan] * 7)
@@ -160,5 +160,5 @@ def crps(forecast: Array, observed: Array) -> Array:
 
 
 def _ratio(part: float, whole: float) -> float:
-    """Return a ratio; NaN if the whole is 0."""
+    """Return a ratio; NaN if the denominator is 0."""
     return float(part / whole) if whole else math.nan

@@ -1,4 +1,4 @@
-"""The options that choose the workers of a command, and the workers that the options request."""
+"""The options that select the workers of a command, and the workers that they request."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from greenroof_ros.common.processes import Signals, count_cores
 
 
 def add_worker_arguments(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add the options that choose the workers.
+    """Add the options that select the workers.
 
     Args:
         parser: the command's parser.

@@ -71,7 +71,7 @@ def cluster(address: str, files: Mapping[str, bytes]) -> Iterator[Workers]:
     Raises:
         ConfigurationError: if the scheduler does not answer or has no worker, or if the versions
             on a worker differ from those of this process.
-        WorkersLostError: if the scheduler or all its workers disappeared during the work.
+        WorkersLostError: if the scheduler or all its workers were lost during the work.
     """
     lost = WorkersLostError(f"the connection to the Dask scheduler at {address} was lost")
     try:
@@ -136,7 +136,7 @@ def cluster(address: str, files: Mapping[str, bytes]) -> Iterator[Workers]:
 
 
 def _check_versions(workers: Mapping[str, Mapping[str, str]]) -> None:
-    """Reject workers with other versions, whose results could differ.
+    """Reject workers with different package versions, whose results could differ.
 
     Args:
         workers: versions of the packages on each worker, by its address.

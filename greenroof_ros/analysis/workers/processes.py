@@ -30,7 +30,7 @@ class WorkersLostError(BrokenExecutor):
 
 
 class Workers(NamedTuple):
-    """The functions that hand out work to the workers."""
+    """The functions that distribute work to the workers."""
 
     submit: Callable[..., Future[Any]]
     """schedules a function, which is called with the directory of the input files, followed by
@@ -45,7 +45,7 @@ class Workers(NamedTuple):
 
 @contextmanager
 def this_process(files: Mapping[str, bytes]) -> Iterator[Workers]:
-    """Provide this process as the only worker, in which every task runs when it is submitted.
+    """Provide this process as the only worker, which runs every task when it is submitted.
 
     Args:
         files: contents of the input files, by name.
@@ -99,7 +99,7 @@ def processes(
 
 
 def _start_fork_server(preload: Sequence[str]) -> BaseContext:
-    """Return the context in which workers start: a fork server, or on Windows new processes."""
+    """Return the context in which workers start: a fork server or, on Windows, new processes."""
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     from multiprocessing import forkserver, resource_tracker
@@ -139,7 +139,7 @@ def _from_file(future: Future[Path]) -> Any:
 
 
 def _prepare(scratch: str) -> None:
-    """Prepare a worker: set its temporary directory, silence warnings, and tie it to the command.
+    """Prepare a worker: set its directory, silence warnings, and tie its lifetime to the command.
 
     Warnings from single runs would break the progress bar. The worker has to end with the command
     itself, because its parent, the fork server, continues to run while any of its children runs.

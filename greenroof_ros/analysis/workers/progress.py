@@ -12,7 +12,10 @@ _REFRESH_S = 0.5
 
 @dataclass
 class ShareFile:
-    """The share of a task that is done, 0 to 1. A share that another machine writes is not read."""
+    """The share of a task that is done, 0 to 1.
+
+    A share written by another machine cannot be read.
+    """
 
     path: Path
     _written: float = 0.0

@@ -80,7 +80,7 @@ class ControllerCheck(NodeCheck):
         self._wrong_share = ""
 
     def run_checks(self) -> None:
-        """Run all checks in turn; after each stop, the controller must water again."""
+        """Run all checks in turn; after each stop, the controller must resume watering."""
         with self.check("publishes nothing before the first tick"):
             early = len(self.answers) + len(self._shares)
             self.answers.clear()
@@ -147,9 +147,9 @@ class ControllerCheck(NodeCheck):
         ]
 
     def _publish_last(self, topic: str) -> None:
-        """Publish one input last in a tick, and require that the command stays the same.
+        """Publish one input last in a tick, and require that the command does not change.
 
-        The command of a controller with a memory may lie between those of the ticks before and
+        For a controller with memory, the command may lie between those of the ticks before and
         after.
         """
         before = self._valid_command({})
@@ -170,7 +170,7 @@ class ControllerCheck(NodeCheck):
         )
 
     def join(self) -> None:
-        """Also listen to the commands to the outlet valve if the site has one."""
+        """Subscribe to the commands to the outlet valve as well, if the site has a valve."""
         for topic in self.further:
             self.listen(topic, self._shares.append)
         super().join()
@@ -199,8 +199,8 @@ class ControllerCheck(NodeCheck):
         """Publish a tick, and return the command that answers it.
 
         Args:
-            overrides: values by topic that replace the values at which the controller waters.
-            last: topic that is published last; empty for the usual order.
+            overrides: values, by topic, that replace the values at which the controller waters.
+            last: topic to publish last; empty for the usual order.
 
         Raises:
             BrokenRuleError: if no command arrives, or a command arrives before the last input.
@@ -254,7 +254,7 @@ class ControllerCheck(NodeCheck):
             self.hindered = "not checked: the node sent more than one command for a tick"
 
     def _value(self, topic: str, values: Mapping[str, float]) -> Any:
-        """Return the content of a message; a forecast contains the same rate in all its steps."""
+        """Return the content of a message; a forecast has the same rate in all of its steps."""
         value = values[topic]
         if topic not in _FORECASTS:
             return value

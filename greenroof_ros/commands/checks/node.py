@@ -1,6 +1,6 @@
 """Check of a running node through topics only, in which the check plays all other nodes.
 
-The check requires no more of a node than a graph does, and works with nodes written in any
+The check demands no more from a node than a graph does, and works with nodes written in any
 language.
 """
 
@@ -53,7 +53,7 @@ class BrokenRuleError(Exception):
 
 
 def require(right: bool, problem: str) -> None:
-    """Raise a BrokenRuleError with a description of the problem unless a condition holds."""
+    """Raise a BrokenRuleError that describes the problem unless a condition holds."""
     if not right:
         raise BrokenRuleError(problem)
 
@@ -67,10 +67,10 @@ class NodeCheck(ABC):
         output: topic on which the node answers a tick with a number.
         further: additional topics on which the node publishes a number in every tick.
         inputs: topics to which the node must subscribe.
-        optional: topics to which the node may subscribe, but only with the right quality of
+        optional: topics to which the node may subscribe, provided that it uses the right quality of
             service.
         played: topics that the check publishes, in the order of a tick.
-        peers: nodes that the check plays, as named in messages.
+        peers: names, for messages, of the nodes that the check plays.
         answers: values received on ``output`` but not counted yet.
         surplus: message about the first tick with too many answers; empty if there is none.
         results: results of the checks so far.
@@ -285,7 +285,7 @@ class NodeCheck(ABC):
         return bool(self.answers)
 
     def count_answers(self, expected: int) -> None:
-        """Record any surplus answers, and discard all answers, which could hide later ones."""
+        """Record any surplus answers, and discard all answers, since they could mask later ones."""
         if len(self.answers) > expected and not self.surplus:
             self.surplus = (
                 f"{len(self.answers)} {self.answer}s instead of {expected} after tick "
@@ -294,14 +294,14 @@ class NodeCheck(ABC):
         self.answers.clear()
 
     def check_count(self) -> None:
-        """Check that no tick had more than one answer, including the last tick."""
+        """Check that no tick, including the last, had more than one answer."""
         with self.check(f"publishes exactly one {self.answer} for each tick"):
             self.spin(SETTLE_S)
             self.count_answers(0)
             require(not self.surplus, self.surplus)
 
     def spin(self, seconds: float) -> None:
-        """Receive messages for a given time (s), and show the progress."""
+        """Receive messages for a given duration (s), and show the progress."""
         until = time.monotonic() + seconds
         while (remaining := until - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=remaining)

@@ -88,7 +88,8 @@ class PumpCheck(NodeCheck):
             site: site from which the levels of the check are derived.
             command: command at which the pump is run (share of its maximum flow).
             period: minimum time between two commands (s).
-            live: whether the driver publishes its flow at its own pace, not once per command.
+            live: whether the driver publishes its flow at its own rate rather than once per
+                command.
         """
         self._passed = period if live else site.tau  # in a tick (s)
         super().__init__(node, driver, site.tau, max(1.0, self._passed / period))
@@ -160,7 +161,7 @@ class PumpCheck(NodeCheck):
             self.check_count()
 
     def join(self) -> None:
-        """Also listen to the pump's state."""
+        """Subscribe to the pump's state as well."""
 
         def receive_state(message: String) -> None:
             self._state = PumpState.read(message.data)
@@ -216,7 +217,7 @@ class PumpCheck(NodeCheck):
         return flow > _NONE * self._steady
 
     def _stop(self, reason: str, overrides: Mapping[str, float]) -> None:
-        """Repeat a tick until the flow is 0, then ten more times, and record the stopping time.
+        """Repeat a tick until the flow is 0 and then ten more times, and record the stopping time.
 
         Raises:
             BrokenRuleError: if the flow is not 0 within the limit or does not stay 0.
@@ -267,7 +268,7 @@ class PumpCheck(NodeCheck):
             self.result = f"{flow:.3g} m3/s, steady after {time.monotonic() - began:.1f} s"
 
     def _fall_silent(self) -> None:
-        """Send nothing for a while, and judge by the next flow whether the pump had stopped."""
+        """Send nothing for a while, and infer from the next flow whether the pump had stopped."""
         before = self._steady_flow(self._usual)
         self.spin(SILENCE_S)
         if self.live:
