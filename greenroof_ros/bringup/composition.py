@@ -160,7 +160,7 @@ class Composition:
 
     @property
     def results(self) -> dict[str, Any]:
-        """The results of a finished run, for its summary."""
+        """The results of a completed run, for its summary."""
         controller = self._nodes.get(self._run.controller.name)
         solver = {"solver": None} if controller is None else controller.result
         recorder = self._nodes[RECORDER].result if self._record else {"messages": None}

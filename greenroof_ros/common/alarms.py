@@ -247,7 +247,7 @@ class NodeReport:
         since: time at which the node entered its state (steady clock, s); initially ``began``.
         heard: time at which the last report was received, in the graph's time (s since 1970).
         parts: reports about the node's parts, by the name of the part.
-        refused_at: time of the last increase of the count of rejected values (steady clock, s).
+        refused_at: time of the last increase in the number of rejected values (steady clock, s).
         refused: topics of the values that were rejected at that time.
         ended: description of the end of the process, if known from another source; otherwise empty.
         lost: ``heard`` and ``received_at`` of the previous process if it died; otherwise None.
@@ -351,7 +351,7 @@ def _read_counts(values: Mapping[str, Any]) -> dict[str, int]:
 
 
 def _parse_time(text: str) -> float | None:
-    """Return an ISO 8601 time as s since 1970; None if the text is not an ISO 8601 time."""
+    """Return an ISO 8601 time as seconds since 1970; None if the text is not an ISO 8601 time."""
     try:
         return datetime.fromisoformat(text).timestamp()
     except (ValueError, OverflowError, OSError):
@@ -403,12 +403,12 @@ class Judge:
     Arguments named ``wall`` are times on the steady clock (s).
 
     Attributes:
-        alarms: the active alarms and the latest past alarms, by the names of their statuses.
-        diagnoses: the diagnoses at the last update, by the names of their statuses.
+        alarms: the active alarms and the latest past alarms, keyed by status name.
+        diagnoses: the diagnoses at the last update, keyed by status name.
         causes: name of the causing diagnosis for every diagnosis that follows from another
             diagnosis.
         missing: diagnoses about nodes and values that may still arrive while the site is starting,
-            by the names of their statuses.
+            keyed by status name.
     """
 
     def __init__(self, number: int = 0) -> None:
@@ -443,7 +443,7 @@ class Judge:
         Args:
             wall: current time on the steady clock (s).
             now: current time of the graph (s since 1970).
-            diagnoses: all current diagnoses, by the names of their statuses.
+            diagnoses: all current diagnoses, keyed by status name.
             starting: True while the site is starting; nodes and values that are merely late then
                 cause no alarm.
         """
@@ -543,7 +543,7 @@ def find_causes(diagnoses: Mapping[str, StatusDiagnosis]) -> dict[str, str]:
     other diagnosis, because advice about a cause would conceal the need for this visit.
 
     Args:
-        diagnoses: diagnoses of the graph's own nodes, by the names of their statuses, oldest first.
+        diagnoses: diagnoses of the graph's own nodes, keyed by status name, oldest first.
     """
     causes: dict[str, str] = {}
     for name, diagnosis in diagnoses.items():
@@ -600,9 +600,9 @@ def find_publishers(
 
     Args:
         topics: names of topics in the interface.
-        reader: role of the node that reads the topics, whose diagnoses are left out; empty for
-            none.
-        diagnoses: diagnoses of the graph's own nodes, by the names of their statuses.
+        reader: role of the node that reads the topics, to leave out its diagnoses; empty to leave
+            out none.
+        diagnoses: diagnoses of the graph's own nodes, keyed by status name.
     """
     interface, roles = read_topics(), set[str]()
     for topic in interface.keys() & {*topics}:

@@ -36,7 +36,7 @@ _HAS_TIMER = hasattr(signal, "setitimer")  # Windows has none
 
 
 def exit_code(error: Exception) -> int:
-    """Return the exit code of a configuration error: 3 if another graph is running, or else 2."""
+    """Return the exit code for a configuration error: 3 if another graph is running, or else 2."""
     return EXIT_OCCUPIED if isinstance(error, OccupiedError) else EXIT_USAGE
 
 
@@ -53,8 +53,8 @@ class _Interrupts:
 
     Compiled code can discard an exception or replace it with another exception. A module that is
     being imported can also discard an exception, or continue without a module that it tried to
-    import. Therefore the exception is raised after the import, or during the import if it takes
-    long.
+    import. Therefore the exception is raised after the import, or during the import if the import
+    takes a long time.
     """
 
     _IMPORT_S, _MAX_IMPORTS, _REPEAT_S = 0.05, 40, 1.0
@@ -338,15 +338,16 @@ def print_check_results(title: str, results: Sequence[CheckResult]) -> int:
 
 
 def refuse_unwritable(file: Path, endings: Sequence[str], key: str) -> None:
-    """Reject a file that has the wrong ending, already exists, or cannot be written.
+    """Reject a file that has the wrong extension, already exists, or cannot be written.
 
     Args:
         file: the file to write.
-        endings: the allowed endings, such as ``.html``.
+        endings: the allowed file extensions, such as ``.html``.
         key: option that specifies the file.
 
     Raises:
-        ConfigurationError: if the file has the wrong ending, already exists, or cannot be written.
+        ConfigurationError: if the file has the wrong extension, already exists, or cannot be
+            written.
     """
     def error(expected: str) -> ConfigurationError:
         return ConfigurationError(expected, key=key, value=str(file))

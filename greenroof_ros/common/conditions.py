@@ -96,7 +96,7 @@ def command_for(node: str, name: str) -> str:
 
 @functools.cache
 def read_conditions() -> dict[str, Condition]:
-    """Return all conditions by their codes, in the order of the table."""
+    """Return all conditions, keyed by code, in the order of the table."""
     table: dict[str, dict[str, Any]] = read_yaml(
         shared_directory() / "msg_defs" / "conditions.yaml"
     )
@@ -108,7 +108,7 @@ def read_conditions() -> dict[str, Condition]:
 
 @functools.cache
 def read_interlocks() -> dict[str, Interlock]:
-    """Return the interlocks by their codes, in the order in which they are evaluated."""
+    """Return the interlocks, keyed by code, in the order in which they are evaluated."""
     return {
         code: condition.interlock for code, condition in read_conditions().items()
         if condition.interlock is not None
@@ -161,7 +161,7 @@ class Diagnosis:
         return replace(self, code=code, text=self.sentence)
 
     def add_case(self, case: str, **values: Value) -> Diagnosis:
-        """Return a copy of the diagnosis with one more of the code's sentences."""
+        """Return a copy of the diagnosis with one more of the sentences for its code."""
         return Diagnosis.of(self.code, str(self.values["case"]), case, **{**self.values, **values})
 
     @classmethod

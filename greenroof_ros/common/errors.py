@@ -14,7 +14,7 @@ _MAX_VALUE, _MAX_MESSAGE = 300, 4000
 
 
 class _Repr(reprlib.Repr):
-    """Representation of values with only a few items of each collection, for large files."""
+    """Representation of values that shows only a few items of each collection, for large files."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -190,7 +190,7 @@ def read_reason(body: bytes) -> str:
 
 
 def _read_wait(text: str, now: datetime) -> float | None:
-    """Return the wait (s) in a Retry-After header, a number or a date; None if it is neither."""
+    """Return the wait (s) in a Retry-After header (a number or a date); None if it is neither."""
     if text.isascii() and text.isdecimal():
         return float(text)
     try:

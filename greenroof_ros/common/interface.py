@@ -42,8 +42,9 @@ class Display:
     Attributes:
         label: name of the value, as shown to the operator.
         unit: unit of the shown value, such as ``mm``; empty for a plain number.
-        factor: factor from the topic's unit to the shown unit, such as 1000 from m to mm.
-        decimals: number of decimals of the shown value.
+        factor: conversion factor from the topic's unit to the shown unit, such as 1000 from m to
+            mm.
+        decimals: number of decimal places of the shown value.
     """
 
     label: str
@@ -54,7 +55,7 @@ class Display:
 
 @dataclass(frozen=True)
 class Age:
-    """The maximum age of a topic's values in a live graph, a parameter of the nodes that read it.
+    """The maximum age of a topic's values in a live graph, a parameter of nodes reading the topic.
 
     Attributes:
         parameter: name of the parameter.
@@ -162,7 +163,7 @@ def _drop_plant(roles: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def optional_topics(outputs: Mapping[str, str]) -> list[tuple[Topic, str]]:
-    """Return the topics of a controller's outputs, each with the attribute of the controller.
+    """Return the topics of a controller's outputs, with the corresponding controller attributes.
 
     Raises:
         ConfigurationError: if the name of an output is not an optional topic of the interface.

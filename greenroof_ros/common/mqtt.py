@@ -147,7 +147,7 @@ def make_client(
     on_disconnect: Callable[[str], None] = lambda why: None,
     will: tuple[str, str] | None = None,
 ) -> Client:
-    """Return a client without a connection yet; call ``loop_start`` to start its thread.
+    """Return a client that is not connected yet; call ``loop_start`` to start its thread.
 
     ``connect_async`` has been called, so the thread will connect, and will try again after every
     failure.

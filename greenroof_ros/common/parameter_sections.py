@@ -26,8 +26,8 @@ class ParameterSection:
     Attributes:
         name: name or pattern of the nodes as written in the file, such as ``/**/onoff``.
         line: line of the section in the file.
-        values: values by the names of the parameters.
-        lines: lines of the values in the file, by the names of the parameters.
+        values: values of the parameters, keyed by name.
+        lines: line numbers of the values in the file, keyed by parameter name.
     """
 
     name: str

@@ -110,7 +110,7 @@ atexit.register(LINES.wait, _END_S)
 
 
 class ProgressLines:
-    """Printer of progress, at most every ten seconds and not in the first ten seconds."""
+    """Printer that reports progress at most every ten seconds, and not in the first ten seconds."""
 
     def __init__(self, print_line: Callable[[str], None] = print_line) -> None:
         """Start the interval of ten seconds.

@@ -334,7 +334,7 @@ def take_near(cell: Cell) -> Verdict | None:
 
 
 def take_code(cell: Cell) -> Verdict | None:
-    """Treat words, codes such as -999, and impossible negative values as missing."""
+    """Treat words, codes such as -999, and physically impossible negative values as missing."""
     if math.isnan(cell.number):
         is_code = cell.text.startswith("#") or not re.search(r"\d", cell.text)
     elif cell.number <= 0 <= cell.quantity.low and cell.value < cell.quantity.low:

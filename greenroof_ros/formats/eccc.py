@@ -145,7 +145,7 @@ def _read_place(table: Table, names: Mapping[str, str]) -> dict[Path, tuple[floa
 
     Args:
         table: table of the file.
-        names: the file's columns, by their simplified names.
+        names: the file's columns, keyed by their simplified names.
     """
     columns = [
         next((names[name] for name in these if name in names), "")

@@ -28,9 +28,9 @@ class Records:
     Attributes:
         files: files that contain the values, in chronological order.
         first: start of the first hour, with a UTC offset.
-        values: values by name, shape (hours,); NaN if missing. The names are the quantities of
-            :data:`.quantities.QUANTITIES` that the files contain, with the units of that table, or
-            the columns of forecasts.
+        values: values of every quantity, keyed by name, shape (hours,); NaN if missing. The names
+            are the quantities of :data:`.quantities.QUANTITIES` that the files contain, with the
+            units of that table, or the columns of forecasts.
         method: method of the evapotranspiration; empty if the values contain no evapotranspiration.
         shifted: quantities with time stamps at the end of the hour in the files, which were moved
             to its start.

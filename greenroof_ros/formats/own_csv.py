@@ -550,7 +550,7 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForeca
 
 
 def _select_newest(path: Path, now: datetime) -> list[tuple[int, str]]:
-    """Return the header, and the numbered lines of the latest issue at a time and later issues.
+    """Return the header, and the numbered lines from the latest issue at a given time onwards.
 
     Raises:
         ConfigurationError: if the file cannot be read, or if its last issue is too long.

@@ -114,7 +114,7 @@ class StepRecord:
 
     @property
     def complete(self) -> Steps:
-        """Steps in which no measurement is missing, either in the step or in its two neighbors.
+        """Steps with no missing measurement in the step itself or in its two neighbors.
 
         The measurements are rain, pumped water and :attr:`measured`. A sensor that fails in one
         step has often recorded only a part of the neighboring step.

@@ -110,7 +110,7 @@ class GraphNode(Node):
         return read_site(file)
 
     def open_outputs(self, *names: str) -> None:
-        """Create the publishers of topics of the interface, for :meth:`publish`."""
+        """Create publishers for topics of the interface, to be used by :meth:`publish`."""
         for name in names:
             topic = self.interface[name]
             publisher = self.create_publisher(

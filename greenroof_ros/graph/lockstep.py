@@ -55,7 +55,7 @@ class RunIdentity(NamedTuple):
 
     @property
     def values(self) -> array[float]:
-        """The numbers of the message on ``/run``."""
+        """The numbers in the message on ``/run``."""
         return array("d", self)
 
 

@@ -99,7 +99,7 @@ def describe_qos(qos: Qos) -> str:
 
 
 def encoder(type_name: str, dimensions: tuple[str, ...] = ()) -> Callable[[Any], bytes]:
-    """Return a function that serialises values as messages of a type.
+    """Return a function that serialises values as messages of a given type.
 
     Args:
         type_name: ``std_msgs/msg/Float64`` for a number; ``std_msgs/msg/Float64MultiArray`` for an
@@ -118,7 +118,7 @@ def encoder(type_name: str, dimensions: tuple[str, ...] = ()) -> Callable[[Any],
 
 
 def decoder(type_name: str) -> Callable[[bytes], Any]:
-    """Return a function that reads the value from a message of a type; see :func:`encoder`.
+    """Return a function that reads the value in a message of a given type; see :func:`encoder`.
 
     For a type that has no encoder, the value is the message itself. The function raises
     MalformedMessageError if the bytes are not a message of the type.
@@ -131,7 +131,7 @@ def decoder(type_name: str) -> Callable[[bytes], Any]:
 
 
 def pass_whole(type_name: str, callback: Callable[[bytes], None]) -> Callable[[bytes], None]:
-    """Return a function that passes on the bytes of a message if they are a message of the type.
+    """Return a function that passes on bytes if they form a message of the given type.
 
     An array of numbers is not decoded if its length and layout are those of the previous message.
     """

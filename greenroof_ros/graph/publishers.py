@@ -62,7 +62,7 @@ class Publishers:
         """Return the names of the publishers' nodes, or the last known names if all are gone.
 
         Args:
-            wait_s: maximum wait for the names that are not discovered yet (s); after the first
+            wait_s: maximum wait for names that have not been discovered yet (s); after the first
                 messages, discovery may take :data:`DISCOVERY_S`.
         """
         until = time.monotonic() + wait_s

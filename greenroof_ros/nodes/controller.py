@@ -33,7 +33,7 @@ def parameters(choice: ControllerChoice | None) -> list[Parameter]:
 
 
 class ControllerNode(SimulationNode):
-    """Node that runs a controller; commands 0 in frost, in quiet hours and if inputs are invalid.
+    """Node that runs a controller, commanding 0 in frost, in quiet hours and for invalid inputs.
 
     At a site with an outlet valve, the node also commands the valve, even in frost and in quiet
     hours.

@@ -78,7 +78,7 @@ class LiveBag:
     def __init__(
         self, directory: Path, topics: Sequence[Topic], *, file_bytes: int, total_bytes: int
     ) -> None:
-        """Read the indices of an existing bag, without writing before the first message.
+        """Read the indices of an existing bag, and write nothing before the first message.
 
         Args:
             directory: directory of the bag, which may exist.
@@ -368,7 +368,7 @@ class FileIndex(NamedTuple):
 
     Attributes:
         name: name of the file.
-        types: message types, by the numbers of their schemas.
+        types: message types, keyed by schema number.
         channels: channels, one for each topic.
         statistics: number of messages, and the times of the first and the last message (ns since
             1970).
@@ -413,7 +413,7 @@ def write_metadata(bag: Path, indices: Iterable[FileIndex | None]) -> None:
 
     Args:
         bag: directory of the bag.
-        indices: indices of the bag's files, the oldest first; None for a file that was not closed
+        indices: indices of the bag's files, oldest first; None for a file that was not closed
             and is therefore not listed. If no file was closed, ``metadata.yaml`` is removed.
 
     Raises:

@@ -17,12 +17,12 @@ Cell = TypeVar("Cell")
 
 
 def parameter_columns(parameters: Mapping[str, Cell]) -> dict[str, Cell]:
-    """Return the values of parameters by the names of their columns."""
+    """Return the values of parameters, keyed by column name."""
     return {f"{_PREFIX}{name}": value for name, value in parameters.items()}
 
 
 def summary_columns(summary: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the results in a run's summary by the names of the table's columns.
+    """Return the results in a run's summary, keyed by the table's column names.
 
     No result depends on the duration of the run. A value that the summary lacks is None or empty,
     but a missing metric has no column.
@@ -61,7 +61,7 @@ def format_exactly(value: float) -> str:
 
 
 def row_parameters(row: Mapping[str, Cell]) -> dict[str, Cell]:
-    """Return the values of the parameters in a row of the table, by the parameters' names."""
+    """Return the values of the parameters in a row of the table, keyed by parameter name."""
     return {
         column.removeprefix(_PREFIX): value
         for column, value in row.items() if column.startswith(_PREFIX)

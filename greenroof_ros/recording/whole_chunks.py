@@ -46,7 +46,7 @@ def read_whole_chunks(stream: BinaryIO) -> Iterator[list[McapRecord] | int]:
 
 
 def _read_in_order(stream: BinaryIO, size: int) -> Iterator[list[McapRecord] | int]:
-    """Yield records and losses by following the lengths of records, up to an invalid length."""
+    """Yield records and losses by following the lengths of records up to the first invalid one."""
     at = accounted = MAGIC_SIZE  # what lies before the second is whole, or known to be lost
     while at < size:
         opcode, end = _read_head(stream, at)
