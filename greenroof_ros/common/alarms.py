@@ -246,7 +246,7 @@ class NodeReport:
             ``began``.
         since: time at which the node entered its state (steady clock, s); initially ``began``.
         heard: time at which the last report was received, in the graph's time (s since 1970).
-        parts: reports about the node's parts, by the name of the part.
+        parts: reports about the node's parts, keyed by part name.
         refused_at: time of the last increase in the number of rejected values (steady clock, s).
         refused: topics of the values that were rejected at that time.
         ended: description of the end of the process, if known from another source; otherwise empty.

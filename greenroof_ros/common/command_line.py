@@ -43,8 +43,8 @@ def exit_code(error: Exception) -> int:
 class Interrupted(KeyboardInterrupt):
     """Raised if a signal asks the command to stop; the message names the signal.
 
-    After a plain KeyboardInterrupt, Python may kill its own process with the signal, so the exit
-    code would be unpredictable.
+    After a plain KeyboardInterrupt, Python may kill its own process with the signal, which would
+    make the exit code unpredictable.
     """
 
 

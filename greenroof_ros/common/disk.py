@@ -73,7 +73,7 @@ class DiskThread:
             return bool(self._jobs) and time.monotonic() - self._jobs[0][2] > PATIENCE_S
 
     def wait(self, within: float) -> bool:
-        """Wait for all jobs, but no longer than the given time (s); return True if all are done."""
+        """Wait up to the given time (s) until all jobs are done; return True if they are."""
         with self._changed:
             return self._changed.wait_for(lambda: not self._jobs, within)
 

@@ -44,7 +44,7 @@ def _shorten(text: str, max_length: int) -> str:
 
 
 class ConfigurationError(Exception):
-    """Raised if a file or an option is invalid; the message states where, and the valid values.
+    """Raised if a file or an option is invalid; the message gives the place and valid values.
 
     A command then exits with code 2 and prints no traceback.
 
@@ -156,7 +156,7 @@ def describe_choices(known: Collection[str], name: str, otherwise: str = "") -> 
     Args:
         known: the valid names.
         name: the unknown name.
-        otherwise: text about other allowed values, for the end of the list, such as ``, or a
+        otherwise: text about other allowed values, to append to the list, such as ``, or a
             FILE.yaml``.
     """
     if find_similar(name, known):

@@ -86,7 +86,7 @@ def check_url(url: str, parameters: Collection[str]) -> str:
 
 
 def name_url(url: str) -> str:
-    """Return a URL without its query, which may contain a key, for display."""
+    """Return a URL for display, without its query, because the query may contain a key."""
     return urlsplit(url)._replace(query="", fragment="").geturl()
 
 
@@ -158,7 +158,7 @@ def _late(seconds: float) -> TimeoutError:
 
 
 def _within(seconds: float, get: Callable[[], Answer]) -> Answer:
-    """Run a request in a thread, and return its response or raise its error before a timeout (s).
+    """Run a request in a thread; return its response or raise its error within a time limit (s).
 
     The library's timeout applies to each part of a response, and even the header may arrive byte by
     byte.

@@ -61,7 +61,7 @@ class Broker:
 
 
 def parse_host(text: str) -> tuple[str, str, int | None] | None:
-    """Return scheme, host and port of ``SCHEME://HOST[:PORT]``; None for any other text."""
+    """Return the scheme, host and port of ``SCHEME://HOST[:PORT]``; None for any other text."""
     match = _ADDRESS.fullmatch(text)
     if match is None or not 0 < int(match[3] or 1) < 65536:
         return None

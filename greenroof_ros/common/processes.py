@@ -94,7 +94,7 @@ class LockedError(Exception):
 
 
 def acquire_name_lock(name: str) -> socket.socket:
-    """Lock a name for all users of this machine, and return the lock, which is held until closed.
+    """Acquire a machine-wide lock on a name, and return the lock, which is held until closed.
 
     The lock is a socket in Linux's abstract namespace. Unlike a file, the lock cannot be removed by
     a cleanup of ``/tmp`` or at the end of a login session while the lock is held, and it is
@@ -164,7 +164,7 @@ LOCK_BYTES = 32
 
 
 def acquire_file_lock(path: Path) -> FileIO:
-    """Lock a file and return it open; the lock is held until the file is closed.
+    """Open and lock a file, and return it; the lock is held until the file is closed.
 
     Args:
         path: path of the lock file, which is created if necessary; symbolic links are not followed.

@@ -82,7 +82,7 @@ class Lines:
         return os.isatty(self._number)
 
     def wait(self, within: float) -> bool:
-        """Wait until all texts are written, for at most a time (s); return True if they are."""
+        """Wait up to the given time (s) until all texts are written; return True if they are."""
         return self._thread.wait(within)
 
     def _write(self) -> None:

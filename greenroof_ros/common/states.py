@@ -51,7 +51,7 @@ class PumpState:
 
     @classmethod
     def read(cls, message: str) -> PumpState:
-        """Return the state in a message; an unknown state with the text if it is malformed."""
+        """Return the state in a message, or an unknown state with the text if malformed."""
         try:
             content = json.loads(message)
         except (ValueError, RecursionError):

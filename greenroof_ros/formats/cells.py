@@ -140,7 +140,7 @@ class Table:
     def refuse(
         self, expected: str, column: str | None = None, row: Row | None = None
     ) -> ConfigurationError:
-        """Return an error with the position and the text of a cell of a row or of the header."""
+        """Return an error with the position and the text of a cell in a row or in the header."""
         if column is None or row is None:
             return ConfigurationError(expected, file=self.file, line=self.line, value=column)
         key = f"{self._key}{column.partition(' ')[0]}[{row.number}]" if self._key else column

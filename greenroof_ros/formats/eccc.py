@@ -71,13 +71,13 @@ def read_records(file: Path, site: Site, /) -> Records:
 
     As in the paper, the values are assumed to apply to the hour that starts at the time stamp.
     However, rain applies to the hour before: in the service's current observations it is named
-    ``pcpn_amt_pst1hr``, and according to the column ``Weather``, rain is about equally frequent at
-    the time of a wet row and an hour earlier, and less frequent an hour later. Therefore rain is
-    recorded an hour late; ``rain_late`` of the records states this delay, and forecasts are
-    compared accordingly. A value with the flag ``M`` (missing) or ``NA`` is missing even if the
-    file contains a number. Values with other flags, such as ``E`` (estimated by the service), are
-    used. A row that ends before the first observation, which the service writes for hours without
-    observations, is missing.
+    ``pcpn_amt_pst1hr``. According to the column ``Weather``, rain is about equally frequent at the
+    time of a wet row and an hour earlier, but less frequent an hour later. Therefore rain is
+    recorded an hour late; the attribute ``rain_late`` of the records states this delay, and
+    forecasts are compared accordingly. A value with the flag ``M`` (missing) or ``NA`` is missing
+    even if the file contains a number. Values with other flags, such as ``E`` (estimated by the
+    service), are used. A row that ends before the first observation, which the service writes for
+    hours without observations, is missing.
 
     Args:
         file: downloaded file, in English or French, with or without a byte order mark.

@@ -37,7 +37,7 @@ class IssuedForecast:
         rain: rain rate (mm/h), shape (members, hours).
         evapotranspiration: rate (mm/day), shape (hours,); None if the file does not contain it.
         temperature: air temperature (degC), shape (hours,); None if the file does not contain it.
-        available: time of arrival; None if the forecast is available after the archive's delay.
+        available: time of arrival; None if it follows from the archive's delay.
         notes: sentences about data that could not be used unchanged.
     """
 

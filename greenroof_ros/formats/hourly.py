@@ -40,8 +40,8 @@ class Records:
             (hours,).
         left_out: sentences about data that could not be used unchanged.
         places: latitude and longitude (degrees), by file, for files that state a position.
-        wind_height: height at which the wind was measured (m); None for the height in the site
-            file.
+        wind_height: height at which the wind was measured (m); None if the height in the site file
+            applies.
         minutes: rain in every minute (mm/h), shape (hours, 60); NaN in minutes not covered by rows
             shorter than an hour, and None without such rows. The precipitation of an hour with
             known minutes is their mean.
@@ -101,7 +101,7 @@ class Records:
 
 
 def average_minutes(minutes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean rain in every hour; NaN if fewer than 0.75 of its minutes are known."""
+    """Return the mean rain in every hour; NaN if less than 0.75 of its minutes are known."""
     count = np.count_nonzero(~np.isnan(minutes), axis=1)
     # Tenths of a millimetre do not add up exactly in binary numbers.
     means = np.round(np.nansum(minutes, axis=1) / np.maximum(count, 1), 9)

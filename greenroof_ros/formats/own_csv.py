@@ -130,7 +130,8 @@ def read_rows(
         stamped: one of :data:`.comments.STAMPS`; by default, the statement in the comments.
 
     Raises:
-        ConfigurationError: if the file breaks any of these rules; the message names line and value.
+        ConfigurationError: if the file breaks any of these rules; the message names the line and
+            the value.
     """
     table = _open(file)
     named, method = _find_columns(table)
@@ -280,7 +281,7 @@ def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Recor
 
     The values of each hour are for the hour that starts at its time stamp. If rows are less than
     one hour apart, rain is stored in minutes, and the rain of an hour is the mean of its minutes;
-    the rain of an hour is missing if fewer than 0.75 of the minutes are known. Other quantities are
+    the rain of an hour is missing if less than 0.75 of the minutes are known. Other quantities are
     averaged over the clock hours in which the rows begin, with a tolerance for clock errors.
 
     Raises:
@@ -485,7 +486,8 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForeca
             the last 16 MB of the file; a live site needs no older issues.
 
     Raises:
-        ConfigurationError: if the file breaks any of these rules; the message names line and value.
+        ConfigurationError: if the file breaks any of these rules; the message names the line and
+            the value.
     """
     table = read_table(path, None if now is None else _select_newest(path, now))
     columns = ["issued", "available", "time", "member", *_FORECAST.values()]

@@ -73,7 +73,7 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
 
     Raises:
         ConfigurationError: if a file does not conform to its format, if the files have different
-            formats, if an issue occurs twice, or if only some issues have evapotranspiration.
+            formats, if an issue occurs twice, or if only some issues contain evapotranspiration.
     """
     files = [source]
     if source.is_dir():

@@ -26,7 +26,7 @@ class ControllerParameters:
     """A controller created from its node's parameters, some of which may change during a run.
 
     Attributes:
-        controller: the controller; None before the first call of :meth:`make`, or if the last call
+        controller: the controller; None before the first call to :meth:`make`, or if the last call
             failed.
     """
 

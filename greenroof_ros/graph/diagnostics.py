@@ -104,5 +104,5 @@ class NodeDiagnostics:
         self._publisher.publish(array)
 
     def flush(self, seconds: float) -> None:
-        """Wait until all readers have received all reports, but at most the given time (s)."""
+        """Wait up to the given time (s) until all readers have received all reports."""
         self._publisher.wait_for_all_acked(Duration(seconds=seconds))

@@ -4,8 +4,8 @@ ROS is imported only when a function needs it.
 
 The nodes communicate over UDP on the loopback interface, never through shared memory, although Fast
 DDS (the default middleware of ROS 2) uses shared memory by default between processes of one
-machine. A process that is stopped while it holds a lock in shared memory, such as a ``ros2 topic
-echo`` after Ctrl-Z, freezes unrelated nodes, and ``kill -9`` leaves the memory behind. UDP has
+machine. A process, such as a ``ros2 topic echo`` after Ctrl-Z, that is stopped while it holds a
+lock in shared memory freezes unrelated nodes, and ``kill -9`` leaves the memory behind. UDP has
 neither problem, but makes each tick a little longer.
 """
 

@@ -43,7 +43,7 @@ class GraphNode(Node):
         on_failure: callback, without arguments, for an error that prevents the node from
             continuing.
         malformed: number of malformed messages, which were dropped, by topic.
-        inputs: the topics that the node acts on, by their name in the interface.
+        inputs: the topics that the node acts on, keyed by their names in the interface.
         interface: all topics of the graph, by name.
         reports: object that reports the node's state.
         warnings: sentences about faults of the node's inputs.
@@ -182,7 +182,7 @@ class GraphNode(Node):
     # --- ending -----------------------------------------------------------------------------
 
     def end(self, failure: str | None) -> None:
-        """Report that the node is stopping, and wait up to 1 s until its readers have all messages.
+        """Report that the node is stopping, and wait up to 1 s for readers to receive all messages.
 
         Args:
             failure: the error that stopped the node; None if there was none.

@@ -3,11 +3,12 @@
 Messages are serialised in the wire format (CDR, XCDR version 1). This module encodes and decodes
 numbers, rows of numbers and the clock in a third of the time that the generated code of the message
 types needs, because the generated code first creates a Python object for every field. The generated
-code also leaves the padding of a message uninitialised; this module sets it to 0, so that two equal
-runs write equal bags. All messages are written in little-endian byte order, which every machine
-that runs ROS 2 uses. The generated code decodes all other messages, such as big-endian messages and
-messages with a layout. A publisher may send any bytes: if they do not form a message of the type,
-decoding raises a :class:`~greenroof_ros.graph.errors.MalformedMessageError`, and no other error.
+code also leaves the padding of a message uninitialised; this module sets it to 0, so that two
+identical runs write identical bags. All messages are written in little-endian byte order, which
+every machine that runs ROS 2 uses. The generated code decodes all other messages, such as
+big-endian messages and messages with a layout. A publisher may send any bytes: if they do not form
+a message of the type, decoding raises a :class:`~greenroof_ros.graph.errors.MalformedMessageError`,
+and no other error.
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ def _refuse_unknown(
 
     Args:
         file: a ROS 2 parameter file.
-        nodes: module of every node, by the node's name including the namespace.
+        nodes: module of every node, keyed by the node's name, including its namespace.
         controller: the graph's controller.
         given: values of the controller's parameters, by name.
 

@@ -72,7 +72,7 @@ def type_name(parameter: Parameter) -> str:
 
 
 def declare(node: Node, parameters: Iterable[Parameter]) -> dict[str, Any]:
-    """Declare the parameters not declared yet, and return the values of all given parameters.
+    """Declare those parameters that are not declared yet, and return the values of all of them.
 
     An integer such as ``weight: 5`` is accepted for a double in a file, on the command line and in
     ``ros2 param set``, although rclpy itself would reject the integer.
@@ -124,7 +124,7 @@ def _declare(node: Node, parameter: Parameter) -> Any:
 
 
 def _check_value(parameter: Parameter, value: Any) -> Any:
-    """Check a value of a parameter, and return it as the parameter's type.
+    """Check a value of a parameter, and return it converted to the parameter's type.
 
     Raises:
         ValueError: if the value is invalid; the message states the valid values.

@@ -17,7 +17,7 @@ class Peers:
     """The nodes that publish a node's inputs.
 
     Attributes:
-        publishers: the publishers of every input, by the topic's name in the interface.
+        publishers: the publishers of every input, keyed by the topic's name in the interface.
     """
 
     def __init__(self, role: str) -> None:
@@ -90,7 +90,7 @@ def group_by_role(
 
     Args:
         own: the node's own role.
-        inputs: all inputs of the node, by their name in the interface.
+        inputs: all inputs of the node, keyed by their names in the interface.
         names: names of the inputs to return.
     """
     present = {own} | {topic.publishers[0] for name, topic in inputs.items() if name not in names}

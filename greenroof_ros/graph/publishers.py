@@ -23,7 +23,7 @@ _NAMED = 5
 class Publishers:
     """The publishers of a topic, including superfluous and incompatible ones.
 
-    All publishers that ROS knows are counted. ROS is polled for the publishers, because a
+    All publishers that ROS knows of are counted. ROS is polled for the publishers, because a
     middleware event can lock up rclpy's fast executor when the liveliness of a peer changes
     (rmw_fastrtps, pull request 890). ROS knows about a publisher before its first message arrives.
 

@@ -36,7 +36,7 @@ def read_ros_arguments(
 
     Args:
         arguments: the words after ``--ros-args``.
-        controller: name of the node of the controller.
+        controller: name of the controller's node.
         parameters: names of the controller's parameters.
 
     Raises:

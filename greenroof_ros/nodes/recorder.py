@@ -131,7 +131,7 @@ class RecorderNode(SimulationNode):
             self.finish()
 
     def on_timer(self, now: float) -> None:
-        """Raise an error if the last tick is still incomplete after the limit.
+        """Raise an error if the last tick is still incomplete after the time limit.
 
         Raises:
             LockstepError: if a topic has too few or too many messages.

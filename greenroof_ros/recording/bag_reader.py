@@ -52,7 +52,7 @@ _MAX_NAMED = 10
 
 
 def count_ticks(bag: Path) -> int | None:
-    """Return the number of complete ticks in a bag of this package.
+    """Return the number of complete ticks in a bag written by this package.
 
     Return None if the bag was not closed, because its recorder was killed or its disk was full.
     """
@@ -85,8 +85,8 @@ def load_bag(
     """Read a trajectory from a bag.
 
     The trajectory has a sample at every time at which a message of a used topic was logged, with
-    the last value of every topic at or before that time. Bags of this package log all topics of a
-    tick at the same time, so their samples are the ticks.
+    the last value of every topic at or before that time. Bags written by this package log all
+    topics of a tick at the same time, so their samples are the ticks.
 
     Args:
         bag: directory of the bag, or a single MCAP file.
@@ -259,8 +259,8 @@ def _check_topics(bag: Path, types: Mapping[str, str], names: Mapping[str, str])
 
     Args:
         bag: directory of the bag.
-        types: message types of the bag's topics, by the names of the topics.
-        names: names of the used topics in the interface, by their names in the bag.
+        types: message types of the bag's topics, keyed by topic name.
+        names: names of the used topics in the interface, keyed by their names in the bag.
     """
     missing = [topic for name, topic in names.items() if topic in _NEEDED and name not in types]
     if missing:

@@ -1,7 +1,7 @@
 """Writing bags in rosbag2's format, as numbered mcap files that ``metadata.yaml`` lists.
 
 rosbag2, rosbags, Foxglove and PlotJuggler can open these bags. The bag of a simulation does not
-depend on the wall clock or on the bag's location: two equal runs produce equal bytes.
+depend on the wall clock or on the bag's location: two identical runs produce identical bytes.
 """
 
 from __future__ import annotations
@@ -198,7 +198,7 @@ class LiveBag:
 
 
 class BagFile:
-    """An mcap file that is being written, and must be truncated after an error.
+    """An mcap file that is being written, and that must be truncated after a write error.
 
     Otherwise the file would contain a part of the failed write, and the number of recoverable
     writes would differ from ``safe``.
