@@ -45,7 +45,7 @@ class AnticipatingOnOff:
     and otherwise to wait. If the pumps can deliver any flow, this rule yields the plan with the
     minimum sum of |x2 - x2*|. If y_i is the volume missing in step i, the total volumes pumped up
     to each step are the L1 isotonic regression of y. Its first value is the minimum over t of the
-    median of y up to t. This value is above zero exactly when the rule says to pump (Stout 2008,
+    median of y up to t. This value is positive exactly when the rule calls for pumping (Stout 2008,
     Unimodal regression via prefix isotonic regression, Comput. Stat. Data Anal. 53:289-297).
 
     The controller checks the rule once a minute, and in every tick while it pumps.
@@ -149,7 +149,7 @@ class AnticipatingOnOff:
         self._regret_budget.skip()
 
     def _stays_dry(self, x2: float, rain: Array, evaporated: Array) -> bool:
-        """Return whether an unwatered roof is mostly too dry until the end of each step.
+        """Return whether an unwatered roof is too dry most of the time up to the end of each step.
 
         On field-capacity soil, each step is weighted by the share of the water pumped now that
         would still be on the roof.

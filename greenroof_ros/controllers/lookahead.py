@@ -51,9 +51,9 @@ _NO_NEW_PLAN, _UNDECIDED = np.empty((0, 4)), np.full((1, 4), np.nan)
 class Lookahead:
     """Fills the roof to the level that best suits the coming rain, and holds it there.
 
-    :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` finds the level, for all members of an
-    ensemble of forecasts or for a single forecast, over growing steps and the days after the
-    forecast (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`).
+    :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` finds this level, for all members of
+    an ensemble of forecasts or for a single forecast, over steps of increasing length and the days
+    after the forecast (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`).
     :func:`~greenroof_ros.controllers.order_up_to.halve_by_rain` describes the assumption about when
     members turn out to be wrong. Without a forecast, the controller fills the roof to its target
     and holds it there, which is the best strategy if no rain falls. If the forecast is lost for a
@@ -282,7 +282,7 @@ class Lookahead:
         return np.asarray(np.add.reduce(rain * self._lengths[: self._after.steps], axis=1))
 
     def _plan(self, x1: float, x2: float, rain: Array, evaporated: Array) -> None:
-        """Make a plan, which is bit-identical for any order of the forecast's members."""
+        """Make a plan that is bit-identical regardless of the order of the forecast's members."""
         chosen = self._plan_edges[len(rain) > 1]
         edges = self._after.edges[chosen]
         rain = self._means(rain[np.lexsort(rain.T[::-1])], chosen)
@@ -371,7 +371,7 @@ class Lookahead:
 
 
 def _are_numbers(rain: Array, evaporated: Array, all_of_them: bool) -> bool:
-    """Return whether a forecast exists and its current entries, or all entries, are finite."""
+    """Return whether a forecast exists and its current entries (or all entries) are finite."""
     if not evaporated.size:
         return False
     if all_of_them:

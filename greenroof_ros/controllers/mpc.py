@@ -64,7 +64,7 @@ class Mpc:
     whose entries are of the order of 1. (The cost as printed in the paper is of the order of 1e-6,
     far below OSQP's default tolerances.) If the solver does not report the program as solved, its
     result is not used: the command is 0, the pumps stay off for a tick, and ``fallbacks`` is
-    increased by 1.
+    incremented.
 
     Attributes:
         weight: lambda, the price of pumping (1); it can be changed between ticks.

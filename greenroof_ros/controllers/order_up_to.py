@@ -34,7 +34,7 @@ class Policy:
     """Decisions for every step and every volume on the roof, computed by :class:`OrderUpTo`.
 
     Attributes:
-        edges: boundaries of the steps (s since the policy was made), beginning with 0, shape (n +
+        edges: boundaries of the steps (s since the policy was made), starting at 0, shape (n +
             1,).
         fill_to: volume to which the roof is filled and at which it is held (m3), or -1 if the roof
             is left alone; one array for each step, shape (groups of the step, S, nodes up to the
@@ -165,7 +165,7 @@ class OrderUpTo:
         water to be pumped, although there is no water at the node below.
 
         Args:
-            policy: policy from the last :meth:`solve`.
+            policy: policy from the last call to :meth:`solve`.
             step: index of a step of the policy.
             group: index of a group of the step, either one for each roof or one for all roofs.
             usable: usable water in the cistern (m3), either one value for each roof or one for all
@@ -191,7 +191,7 @@ class OrderUpTo:
         """Find the plan with the minimum cost.
 
         Args:
-            edges: boundaries of the steps (s from now), beginning with 0, shape (n + 1,).
+            edges: boundaries of the steps (s from now), starting at 0, shape (n + 1,).
             x1: volume in the cistern (m3).
             x2: volume on the roof (m3).
             rain: rain in every step (m/s), shape (members, n).
@@ -424,7 +424,7 @@ def _between(nodes: Array, values: Any) -> tuple[Any, Any]:
 
 
 def _find_minimum_onward(values: Array) -> Indices:
-    """Return, for each position, the index of the first minimum from there to the end."""
+    """Return, for each position, the index of the first minimum from that position to the end."""
     minimum = np.minimum.accumulate(values[..., ::-1], axis=-1)[..., ::-1]
     places = np.where(values == minimum, np.arange(values.shape[-1]), values.shape[-1])
     return np.asarray(np.minimum.accumulate(places[..., ::-1], axis=-1)[..., ::-1])
@@ -448,7 +448,7 @@ def halve_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:
 
     Args:
         rain: forecast of rain (m/s), shape (members, n).
-        edges: boundaries of the steps (s from now), beginning with 0, shape (n + 1,).
+        edges: boundaries of the steps (s from now), starting at 0, shape (n + 1,).
         recourse: time from one halving to the next (s).
 
     Returns:

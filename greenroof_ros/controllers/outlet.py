@@ -1,7 +1,7 @@
 """Policies for the valve of the low outlet, which work alongside any controller of the pump.
 
-The cistern keeps storm water out of the sewer only if it has room when the rain comes. A
-policy decides in every tick how far the valve is open (share, 0 to 1). ``closed`` keeps the valve
+The cistern keeps storm water out of the sewer only if it has room when the rain comes. A policy
+decides in every tick how far to open the valve (as a share from 0 to 1). ``closed`` keeps the valve
 closed, and ``open`` turns it into an orifice without a valve. ``drain`` makes room in dry weather.
 ``plan`` makes room before forecast rain, and otherwise keeps the water that the roof will need.
 """
@@ -90,7 +90,7 @@ def find_horizon(parameters: Mapping[str, Any]) -> float:
 
 
 class OutletPolicy(Protocol):
-    """Decides how far the valve of the low outlet is open."""
+    """Decides how far to open the valve of the low outlet."""
 
     def command(
         self, cistern_level: float, roof_level: float, precipitation: Any,
@@ -117,7 +117,7 @@ def make_outlet(
 
     Args:
         site: site with a valve.
-        ends: boundaries of the forecasts' steps (s from now), beginning with 0.
+        ends: boundaries of the forecasts' steps (s from now), starting at 0.
         outlet: name of the policy.
         outlet_reserve: reserve of the ``drain`` policy.
         outlet_price: price of mains water.
@@ -176,9 +176,9 @@ class Fixed:
 class Drain:
     """Opens the valve in dry weather, until the cistern is down to a reserve.
 
-    The weather is wet while it rains at 0.1 mm/h or more, during lighter rain within an hour of
-    such rain, and for ``wet_after`` hours afterwards. Water that is released in dry weather enters
-    a sewer that carries no storm water.
+    The weather counts as wet while it rains at 0.1 mm/h or more, during lighter rain within an hour
+    of such rain, and for ``wet_after`` hours afterwards. Water that is released in dry weather
+    enters a sewer that carries no storm water.
     """
 
     def __init__(self, site: Site, reserve: float) -> None:
@@ -255,7 +255,7 @@ class Plan:
 
         Args:
             site: site with a valve.
-            ends: boundaries of the forecasts' steps (s from now), beginning with 0.
+            ends: boundaries of the forecasts' steps (s from now), starting at 0.
             drain: policy that counts the dry hours, and decides without a forecast.
             price: price of one m3 of mains water, in m3 of discharge in wet weather (1).
             reach: number of days for which stored water is worth its price.

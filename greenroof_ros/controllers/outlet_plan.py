@@ -46,7 +46,7 @@ class PlannedLevels:
 
         Args:
             sites: sites with valves, the same tau and the same ``wet_after``.
-            ends: boundaries of the forecasts' steps (s from now), beginning with 0.
+            ends: boundaries of the forecasts' steps (s from now), starting at 0.
             reserves: volumes to which the cisterns are drained without a forecast (m3).
             prices: prices of mains water, in m3 of discharge in wet weather per m3 (1).
             reaches: time for which stored water is worth its price (days).

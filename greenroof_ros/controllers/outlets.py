@@ -30,7 +30,7 @@ class OutletGroup:
     Attributes:
         rows: indices of the sites.
         dry: whether the weather is dry in each tick, from :func:`find_dry_ticks`.
-        ends: boundaries of the forecasts' steps (s from now), beginning with 0.
+        ends: boundaries of the forecasts' steps (s from now), starting at 0.
         foresee: function that returns a tick's forecast: rain (m/s), shape (members, steps), and
             evapotranspiration of a bed with a crop coefficient of 1 (m/s), shape (steps,).
         has_rain: whether the forecasts contain rain and can therefore change.
@@ -59,7 +59,7 @@ def find_dry_ticks(rain: Array, tau: float, wet_after: float) -> Flags:
 
 
 class Outlets:
-    """Decides how far each low outlet is open; an outlet without a valve is always open."""
+    """Decides how far to open each low outlet; an outlet without a valve is always open."""
 
     def __init__(
         self, sites: Sites, policies: Sequence[str], reserves: Array, prices: Array,

@@ -9,7 +9,7 @@ from greenroof_ros.common.parameter import Parameter
 
 
 class Controller(Protocol):
-    """A controller, which decides in each tick how much to pump.
+    """A controller, which decides how much to pump in each tick.
 
     A controller is constructed as ``Class(site, **parameters)``, with a value for each of its
     parameters. The same inputs must lead to the same commands, at any time and on any machine.
@@ -34,7 +34,7 @@ class Controller(Protocol):
       hours. A class with this attribute is also called in quiet hours, when its command is replaced
       by 0, and can plan with ``site.quiet``. Any other class skips the ticks in quiet hours.
     - ``forecast_ends``: an array that is set after construction. The array contains the boundaries
-      of the forecasts' steps (s from the current tick), beginning with 0, shape (steps + 1,). Entry
+      of the forecasts' steps (s from the current tick), starting at 0, shape (steps + 1,). Entry
       i of a forecast is the mean from ``forecast_ends[i]`` to ``forecast_ends[i + 1]``.
     - ``outlet``: the share to which the valve of the low outlet is open, from 0 to 1, for a class
       that commands this valve itself. The attribute is read in every tick, after ``command`` or

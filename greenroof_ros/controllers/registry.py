@@ -1,4 +1,4 @@
-"""Finds controllers: those of this package by name, and any other class by its path."""
+"""Lookup of controllers: those of this package by name, and any other class by its path."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ class ControllerChoice:
         return digest_own_code([self.path.partition(":")[0], cast(type, self.kind).__module__])
 
     def make(self, site: Site, parameters: dict[str, Any]) -> Controller:
-        """Make the controller; a valve that is always open is treated as no valve.
+        """Make the controller; a valve that is always open is treated as if there were none.
 
         Raises:
             ConfigurationError: if the library of the solver cannot be imported, or the controller's

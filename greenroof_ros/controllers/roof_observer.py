@@ -32,10 +32,10 @@ class RoofObserver:
     noise of 0.5 mm, the roof soon holds a millimetre too much, and nothing removes this excess. The
     observer therefore predicts the volume from rain, evapotranspiration, drainage and pumping, and
     every reading corrects the prediction by tau / observer_time_constant of the difference. This is
-    a first-order observer, or the steady-state Kalman filter for this ratio of trust in model and
-    sensor. The observer starts with the mean of the first readings, like a Kalman filter without
-    prior knowledge. If model and sensor are exact, the estimate equals the reading, apart from
-    rounding.
+    a first-order observer, or the steady-state Kalman filter for this weighting of the model
+    against the sensor. The observer starts with the mean of the first readings, like a Kalman
+    filter without prior knowledge. If both the model and the sensor are exact, the estimate equals
+    the reading, apart from rounding.
 
     If the pumps delivered more than the model assumes, the observer would lag behind, and the pumps
     would stay on too long. Therefore, if all readings over fifteen seconds (at least ten readings)

@@ -153,7 +153,7 @@ class Batch:
             times may differ.
         weather_of: index of each site's weather, shape (n,).
         parameters: parameters of each site's controller, ``onoff``, and of its outlet valve;
-            omitted parameters have their defaults.
+            omitted parameters take their default values.
         x1: initial volume in each cistern (m3), shape (n,).
         x2: initial volume on each roof (m3), shape (n,).
         with_forecast: whether plans use the forecasts of the weather's run; otherwise the plans
@@ -223,7 +223,7 @@ def simulate_parts(
     batch: Batch, begin: Callable[[Part], _Observer],
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[tuple[Part, _Observer]]:
-    """Simulate a batch in this process, and yield every part after its simulation.
+    """Simulate a batch in this process, and yield each part after it has been simulated.
 
     Args:
         batch: batch to simulate.

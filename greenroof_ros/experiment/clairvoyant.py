@@ -57,15 +57,15 @@ def clairvoyant_bound(run: Run, block_s: float, max_command: float = 1.0) -> flo
 
     For each block of n ticks, the program has a single volume, the mean. The sum of \|x - x*\| over
     the block is at least n \|mean - x*\| (Jensen). If G_k is the sum of the largest changes before
-    tick k, G_k - x_{k,2} never falls. Its mean therefore does not fall from block to block either,
-    so the mean volume rises by at most as much as the mean of G. The same argument holds for the
-    smallest changes, and the limits of the volume hold for its mean. The bound therefore stays
-    valid. On the paper's soil, the bound never rises if the length of a block is increased to a
-    multiple of itself. On a field-capacity soil, whose limits depend on the size of the blocks, the
-    bound can rise by up to 0.4 %.
+    tick k, G_k - x_{k,2} never decreases. Its mean therefore does not fall from block to block
+    either, so the mean volume rises by at most as much as the mean of G. The same argument holds
+    for the smallest changes, and the limits of the volume hold for its mean. The bound therefore
+    stays valid. On the paper's soil, the bound never rises if the length of a block is increased to
+    a multiple of itself. On a field-capacity soil, whose limits depend on the size of the blocks,
+    the bound can rise by up to 0.4 %.
 
     Args:
-        run: weather, site, initial state and length; its controller and forecast do not matter.
+        run: weather, site, initial state and length; its controller and forecast have no effect.
         block_s: length of a block (s), which is rounded to whole ticks and is at least one tick.
         max_command: maximum command (share of the maximum flow), from 1e-9 to 100.
 

@@ -48,8 +48,8 @@ class RunInputs:
 
     Attributes:
         controller: the chosen controller, which decides how much to pump.
-        parameters: parameters of the controller; omitted parameters have their defaults, some of
-            which depend on the site.
+        parameters: parameters of the controller; omitted parameters take their default values, some
+            of which depend on the site.
         site: site, or path of the site file.
         weather: weather files, a data frame, or records, which are used unchanged if they are
             complete.

@@ -176,7 +176,7 @@ def read_controller(
 def build_run(arguments: argparse.Namespace) -> Run:
     """Build and check the run that a command line specifies.
 
-    For a command without ``--controller``, only site, weather and initial state matter.
+    For a command without ``--controller``, only the site, the weather and the initial state matter.
 
     Raises:
         ConfigurationError: if an option, or a file named by an option, is invalid.

@@ -96,7 +96,7 @@ def simulate_plan(run: Run, max_command: float = 1.0) -> PlanResult:
 
     Args:
         run: weather, site, pumps, initial state and length; its controller, its forecast and the
-            errors of its sensor do not matter.
+            errors of its sensor have no effect.
         max_command: maximum command (share of the maximum flow).
     """
     known = replace(

@@ -20,7 +20,7 @@ ROUNDING = 1e-9
 
 
 class RoofRange(NamedTuple):
-    """Limits of the roof's volume for any controller; all volumes are in m3."""
+    """Limits on the roof's volume under any controller; all volumes are in m3."""
 
     low: Values
     """minimum volume, shape (N+1,)"""

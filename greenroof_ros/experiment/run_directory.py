@@ -43,7 +43,7 @@ def make_run_directory(output: Path | None, controller: str) -> Path:
 
 @contextmanager
 def writable(directory: Path, option: str = "--output") -> Iterator[None]:
-    """Convert a write error to a :class:`ConfigurationError` that names the directory.
+    """Convert a write error into a :class:`ConfigurationError` that names the directory.
 
     Args:
         directory: directory to which files are written.
@@ -138,7 +138,7 @@ def write_configuration(
 
 
 def write_parameters(directory: Path, parameters: Mapping[str, Mapping[str, object]]) -> Path:
-    """Write a ROS 2 parameter file for some nodes, and return the path of the file.
+    """Write a ROS 2 parameter file for the given nodes, and return the path of the file.
 
     Args:
         directory: directory of the file.

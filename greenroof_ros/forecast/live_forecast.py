@@ -23,7 +23,7 @@ _HOUR_S = 3600.0
 
 
 class NoForecastError(Exception):
-    """There is no forecast for the current time; the message states the reason."""
+    """Error raised if no forecast covers the current time; the message states the reason."""
 
 
 class ForecastFile:

@@ -311,7 +311,7 @@ class ErrorModel(ForecastModel):
         Args:
             weather: the records.
             seed: seed of the errors.
-            skill: skill of the forecasts; lead times count from the time of issue.
+            skill: skill of the forecasts; lead times are counted from the time of issue.
             members: number of members in a forecast.
             delay: time that a service needs to compute a forecast, from the nominal time until the
                 forecast is known (h); this time adds to the age of the latest forecast.
@@ -488,7 +488,7 @@ def make_model(
     """Make the chosen forecast model.
 
     Args:
-        choice: choice of the model.
+        choice: the chosen model.
         weather: the records of the run.
         site: site, whose location must be near the location in a forecast file.
         all_members: whether to use all members of an ensemble, or only member 0.

@@ -86,9 +86,9 @@ class LiveControllerNode(LiveNode):
     On/off control with default parameters takes over from a controller that needs a forecast but
     has no valid forecast, or whose code fails, that is, raises an error, does not return, or
     returns an invalid command. A failed controller is tried again at intervals of 60 times
-    ``recovery_time``. After on/off control has pumped, the controller restarts, since its knowledge
-    of the roof and its plan are outdated. The cost of waiting for rain is stored in ``state_file``,
-    and thus survives restarts of the node.
+    ``recovery_time``. After on/off control has pumped, the controller is restarted, since its
+    knowledge of the roof and its plan are outdated. The cost of waiting for rain is stored in
+    ``state_file``, and thus survives restarts of the node.
 
     If the node cannot run its controller, it exits. Bringup then restarts the node with
     ``given_up``, and on/off control is used until the site is restarted.

@@ -37,7 +37,7 @@ class SensorNode(LiveNode):
     """Node that publishes the readings of a sensor."""
 
     def __init__(self, section: str, file: Path, lines: dict[str, SensorLine]) -> None:
-        """Read the sensor's section; nothing is connected yet.
+        """Read the sensor's section, without connecting to the sensor yet.
 
         Args:
             section: section of the file, such as ``cistern``.

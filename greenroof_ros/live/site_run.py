@@ -66,7 +66,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
 
     Raises:
         ConfigurationError: if a graph is already running, ROS 2 is missing, a parameter file is
-            wrong, or the directory cannot be created.
+            invalid, or the directory cannot be created.
         OSError: if the configuration cannot be written.
     """
     state: Path = arguments.state

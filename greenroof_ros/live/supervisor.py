@@ -156,7 +156,7 @@ class NodeProcess:
         DISK.do(partial(self._log.emit, record), len(data))
 
     def kill(self) -> None:
-        """Kill the process, and wait for at most 1 s until it has ended."""
+        """Kill the process, and wait at most 1 s for it to end."""
         self.process.kill()
         with contextlib.suppress(subprocess.TimeoutExpired):  # the kernel may take longer
             self.process.wait(1.0)
@@ -188,7 +188,7 @@ class LiveSupervisor:
     whatever the pump node reports.
 
     Attributes:
-        nodes: started processes of nodes, by name.
+        nodes: processes of the nodes that have been started, by name.
         may_run: warning that the pump may still be running after the end; empty if the pump is
             stopped.
     """

@@ -13,7 +13,7 @@ def refuse_valve(site: Site, file: Path | None) -> None:
 
     Args:
         site: the site.
-        file: file of the site; None if the site was not read from a file.
+        file: the site file; None if the site was not read from a file.
 
     Raises:
         ConfigurationError: if the site has a valve at its low outlet.

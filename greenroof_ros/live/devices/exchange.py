@@ -147,7 +147,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
     requests off. The caller, which limits the number of starts, decides when to start the drive
     again. During a silence, nothing is sent for longer than the drive's own timeout, which then
     stops the drive; any message might restart that timeout. A timeout above the limit is treated as
-    unknown. `stop` ends a silence early. `close` may be called in every state, and stops the drive.
+    unknown. `stop` ends a silence early. `close` may be called in any state, and stops the drive.
     From the first connection until `close`, no other program on this machine can use the drive.
 
     Attributes:

@@ -24,8 +24,8 @@ class DriveInUseError(DriveError):
 def acquire_drive_lock(drive: Endpoint) -> socket.socket:
     """Acquire the lock of a drive, and return it; closing the socket releases the lock.
 
-    Only one process on this machine, of any user, can hold the lock at a time. A serial line is
-    locked as a whole, with all devices on it. The lock does not exclude a driver on another
+    Only one process on this machine, regardless of its user, can hold the lock at a time. A serial
+    line is locked as a whole, with all devices on it. The lock does not exclude a driver on another
     computer, or in a container with its own network.
 
     Raises:

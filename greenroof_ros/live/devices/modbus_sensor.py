@@ -121,7 +121,7 @@ class ModbusReader(SensorReader):
         self._line.start()
 
     def close(self) -> None:
-        """Close the sensor's line, which also ends the reading of other sensors on that line."""
+        """Close the sensor's line, which also stops the reading of other sensors on that line."""
         self._line.close()
 
     # --- in the line's thread ---------------------------------------------------------------------

@@ -22,7 +22,7 @@ _BITS = (16, 32, 64)
 class Total:
     """The rate of a total; each rise is spread over its duration, within the maximum rate.
 
-    The integral of `rate` over time, with each value held until the next call, is the rise of the
+    The integral of `rate` over time, with each value held until the next call, is the rise in the
     total. Each call subtracts the volume that the previous value has contributed. The remaining
     volume is not affected by a lost connection or a suspension of the machine. A repeated or
     delayed message therefore changes nothing.

@@ -26,7 +26,7 @@ a hold or a fault. The lock file also contains the number of the last line that 
 first number is random, so the numbers differ between sites. If another program removes or changes
 the file, it is written again.
 
-Usage is counted in slots of half an hour, over the last 24 h of the ledger's clock, which starts at
+Usage is counted in half-hour slots over the last 24 h of the ledger's clock, which starts at
 the ledger's first step and follows the computer's steady clock, whether or not the node is running.
 Time before the computer's start is not added, since it is unknown whether the system clock was
 correct then. The oldest slot counts in full until all of it is more than 24 h old.
@@ -298,7 +298,7 @@ class Ledger:
             self._save()
 
     def count_unseen(self, max_run: float, flow: float) -> None:
-        """Add the worst-case usage after a node that ended before it had seen the pump off.
+        """Add the worst-case usage after a node that ended before it had confirmed the pump off.
 
         Args:
             max_run: longest time for which the pump may have run since the record was written (s).

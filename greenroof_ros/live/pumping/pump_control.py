@@ -38,7 +38,7 @@ class Decision:
     """Command to the drive, and the values that are reported.
 
     Attributes:
-        speed: requested speed, share of the rated speed; None means off.
+        speed: requested speed (share of the rated speed); None for off.
         state: off, starting, running, stopping, fault, held, or unknown, if the pump is commanded
             off, but may still be turning.
         why: reason for the state, in words.
@@ -48,8 +48,8 @@ class Decision:
         warnings: conditions that an operator should know about although they do not stop the pump.
         at_rest: whether the pump is stopped, either as reported or because of the drive's own
             timeout.
-        reported_speed: speed that the drive reports, share of the rated speed, negative if the pump
-            turns backwards; None if the drive does not respond or its value is implausible.
+        reported_speed: speed that the drive reports (share of the rated speed), negative if the
+            pump turns backwards; None if the drive does not respond or its value is implausible.
         flow_known: whether ``flow`` is known; if not, ``flow`` is 0.
         blind_for: time for which the delivery check has been inoperative (s), because a level is
             unknown or the levels have not been known for long enough.

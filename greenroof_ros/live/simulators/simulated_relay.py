@@ -26,7 +26,7 @@ class SimulatedRelay(ABC):
 
     Attributes:
         on: whether the output is on, as the relay reports.
-        timer_s: setting of the relay's timer (s); None for off.
+        timer_s: setting of the relay's timer (s); None if it is off.
         on_after_power_up: whether the relay is set to be on after power-up.
         auto_on: whether the relay is set to switch itself on again.
         log: function that prints a line about an event.
@@ -42,7 +42,7 @@ class SimulatedRelay(ABC):
 
         Args:
             device: topic of the relay itself.
-            timer_s: setting of its timer (s); None for off.
+            timer_s: setting of the relay's timer (s); None if it is off.
             clock: function that returns the time (s).
         """
         self.on = False
