@@ -194,7 +194,7 @@ def _ratio(site: Site, sums: Values) -> float | None:
 
 
 def _rolling(values: Values, hours: int) -> Values:
-    """Return the sum of every value and of the ``hours`` - 1 values before it."""
+    """Return, for every value, the sum of this value and the ``hours`` - 1 values before it."""
     padded = np.concatenate((np.zeros(hours - 1), values))
     return np.asarray(sum(padded[k : k + len(values)] for k in range(hours)))
 

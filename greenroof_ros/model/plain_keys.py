@@ -34,7 +34,7 @@ class Substrate:
 
     Attributes:
         about: description of the substrate, with the sources of its values.
-        depth: usual depth of the substrate, used for a new site (m).
+        depth: usual depth of the substrate, which is used for a new site (m).
         field_capacity: value of the site's parameter ``field_capacity`` (1).
         wilting_point: value of the site's parameter ``wilting_point`` (1).
         depletion_fraction: value of the site's parameter ``depletion_fraction`` (1).

@@ -24,7 +24,7 @@ class PaperSoils:
         self._sites, self._tau = sites, float(sites.tau[0])
 
     def set_weather(self, potential: Values, raining: bool) -> None:
-        """Set the weather of the following ticks.
+        """Set the weather for the following ticks.
 
         Args:
             potential: potential evapotranspiration of each bed in a tick (m3).
@@ -106,7 +106,7 @@ class FieldCapacitySoils:
         """filled share of the water that plants can take up, at the beginning of the tick (1)"""
 
     def set_weather(self, potential: Values, raining: bool) -> None:
-        """Set the weather of the following ticks; see :class:`PaperSoils`."""
+        """Set the weather for the following ticks; see :class:`PaperSoils`."""
         self._potential, self._raining, self._settled = potential, raining, False
         self._dries = potential / self._sites.stress_onset
 

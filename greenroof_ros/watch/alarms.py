@@ -64,7 +64,8 @@ def list_events(store: GraphStore) -> list[dict[str, Any]]:
 def count_alarms(store: GraphStore) -> tuple[int, int, int]:
     """Return the numbers of causes at alarm level, causes at warning level, and consequences.
 
-    The level of a cause is the most severe among the cause itself and its consequences.
+    The level of a cause is the most severe of the levels of the cause itself and of its
+    consequences.
     """
     present = store.judge.present.values()
     following = sum(bool(alarm.follows) for alarm in present)

@@ -157,7 +157,7 @@ class Bridge:
                 self._client.publish(f"{self._base}/{name}", text)
 
     def _restore_topics(self) -> None:
-        """Publish again on topics on which another client has published, at most once every 10 s.
+        """Republish on topics on which another client has published, at most once every 10 s.
 
         If two bridges publish on the same topics, they take turns.
         """

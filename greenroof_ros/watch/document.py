@@ -45,7 +45,7 @@ def make_document(store: GraphStore, wall: float) -> dict[str, Any]:
     """Return the document for the page and the status command, in plain text of less than 100 kB.
 
     Each part is generated separately. If a part cannot be generated, a placeholder takes its place,
-    and a note states this.
+    and a note says so.
 
     Args:
         store: state of the graph.

@@ -14,7 +14,8 @@ _FAR = 64
 class MessageTimes:
     """Detection of the graph that is running, and of the time of each message.
 
-    The time is that of the tick in a simulated graph, and that of arrival at a live site.
+    In a simulated graph, the time of a message is that of the tick; at a live site, it is the time
+    of arrival.
 
     In lockstep, the j-th message on a topic belongs to tick j - 1, where j is the number assigned
     by its publisher. The order of arrival is less reliable, since the plant's next clock message

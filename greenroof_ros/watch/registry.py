@@ -66,7 +66,7 @@ class Node(NodeReport):
     copied_at = -math.inf
 
     def count_message(self, wall: float, number: int) -> None:
-        """Detect a second publisher, since the numbers of a single publisher only increase."""
+        """Detect a second publisher: the message numbers of a single publisher only increase."""
         if number <= self.number:
             self.copied_at = wall
         self.number = number
@@ -106,7 +106,7 @@ class Registry:
 
     Attributes:
         runs: number of new runs that began with a restart of the plant node.
-        time_ns: time of the plant's latest tick (ns since 1970); 0 before the first.
+        time_ns: time of the plant's latest tick (ns since 1970); 0 before the first tick.
         offered: names of the nodes that offer a hold service for the pump, regardless of any
             reports.
     """

@@ -190,7 +190,7 @@ class GraphStore:
             self.notes[1] = clean_text(note)
 
     def update(self, wall: float, system: float | None = None) -> None:
-        """Update the overdue values and the alarms; call this often, even without a document.
+        """Update the overdue values and the alarms; call this often, even if no document is made.
 
         If the clock of a live site is set back, the charts start afresh, since new values would be
         older than the existing ones.

@@ -56,9 +56,9 @@ def compute_hourly(
     extremes of the day, and distributed over the hours in proportion to the extraterrestrial
     radiation Ra. At night, the ratio Rs/Rso, a measure of cloudiness, keeps the value that it had
     two to three hours before sunset. Negative results (dew) are set to 0. Where FAO-56 leaves a
-    choice, this function follows the package: Rs/Rso is at least 0.3 (ASCE-EWRI 2005), only the
-    sunlit part of an hour with sunrise or sunset counts, and the soil heat flux is 0.1 Rn (daytime)
-    if Rn > 0, and otherwise 0.5 Rn (nighttime).
+    choice, this function follows the package ``eto``: Rs/Rso is at least 0.3 (ASCE-EWRI 2005), only
+    the sunlit part of an hour with sunrise or sunset counts, and the soil heat flux is 0.1 Rn
+    (daytime) if Rn > 0, and otherwise 0.5 Rn (nighttime).
 
     Args:
         site: site with its location, elevation, UTC offset, albedo, k_Rs and height of the wind

@@ -65,7 +65,7 @@ _REQUEST = "request.txt"
 
 @dataclass(frozen=True)
 class Block:
-    """A block, which is the part of the period that a single request returns.
+    """The part of the period that a single request returns.
 
     Attributes:
         first: first day of the block.

@@ -100,7 +100,7 @@ class _Clock(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PerTick(Sequence[float]):
-    """A value for every tick, looked up in values per hour or other step; slices are arrays."""
+    """A value for every tick, looked up in hourly or other values; a slice yields an array."""
 
     values: NDArray[np.float64]
     """values for all steps of the clock"""
@@ -155,7 +155,7 @@ class WeatherSeries:
         repeats_from: time from which the last record is repeated, because the window of M ticks
             extends beyond the end of the records; None if the records extend far enough.
         filled: names of the hours that were missing and have been filled, by quantity, during the
-            run and the day before and after.
+            run and on the days before and after it.
         filled_hours: number of filled hours; an hour in which more than one quantity was filled
             counts once.
         suspicious: sentences about implausible weather in the hours of the run.

@@ -121,7 +121,7 @@ def choose_controller(controller: Any) -> tuple[ControllerChoice, Controller | N
             :class:`SiteState` and :class:`ForecastSteps`.
 
     Raises:
-        ConfigurationError: if the controller is none of these.
+        ConfigurationError: if the controller is not of any of these kinds.
     """
     if isinstance(controller, str):
         return find_controller(controller), None
@@ -143,7 +143,7 @@ def choose_controller(controller: Any) -> tuple[ControllerChoice, Controller | N
 
 
 def read_parameters(instance: Controller, choice: ControllerChoice) -> dict[str, float]:
-    """Return the parameters of a controller's class that the instance has as attributes.
+    """Return the parameters of a controller's class for which the instance has an attribute.
 
     Raises:
         ConfigurationError: if the class has a parameter ``horizon``, but the instance has no such

@@ -74,8 +74,8 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
     - Random numbers, seeded by ``reset(seed=...)``: with ``forecast="errors"`` or ``"ensemble"``,
       they determine the forecast errors. With ``start="random"``, they determine the start, which
       is on a full hour covered by the weather. With ``initial="random"``, they determine the
-      volumes, which are uniformly distributed up to the outlet of the cistern, and up to twice the
-      roof's target or to the soil's capacity if that is less.
+      volumes, which are uniformly distributed: in the cistern up to the level of its outlet, and on
+      the roof up to twice the target or up to the soil's capacity, whichever is less.
 
     Example:
         >>> import gymnasium
@@ -98,7 +98,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         self, *, reward: Callable[[Tick, SiteState], float] = minus_deviation,
         decision_ticks: int = 1, render_mode: str | None = None, **inputs: Any,
     ) -> None:
-        """Make the environment from the inputs of :class:`.Environment`.
+        """Create the environment from the inputs of :class:`.Environment`.
 
         Args:
             reward: function that returns the reward for a tick from the results of the tick and the

@@ -112,7 +112,8 @@ class Result:
         - ``frost``: 1 during frost, otherwise 0
         - ``drainage_layer_m3``: water volume in the drainage layer of field-capacity soil
 
-        The flows in the last row are not applied, because the run ends in the state of this row.
+        The flows in the last row are not applied, because the run ends in the state that this row
+        shows.
 
         Raises:
             ConfigurationError: if polars is not installed.

@@ -57,7 +57,7 @@ def check_fit(scores: Sequence[FitScores], source: Path) -> list[str]:
     longer steps, if there are too few days), or if the volume of runoff is off by more than half.
 
     Args:
-        scores: scores of every series, in the fit and in the validation.
+        scores: scores of every series, for the fit and for the validation.
         source: path of the record.
 
     Raises:

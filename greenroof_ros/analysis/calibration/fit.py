@@ -191,8 +191,8 @@ def fit(
     squares within bounds. Each sum or mean covers an hour, or eight steps (but no more than four
     days) if these are longer, because a simulated step spreads its rain evenly. Beyond ten standard
     deviations of the measurements, the loss grows only linearly ("soft_l1"), so that a broken
-    sensor does not dominate. The simulated values are compared as the record's meter would show
-    them. The search begins at the best point of a coarse grid.
+    sensor does not dominate. For the comparison, the simulated values are converted to what the
+    record's meter would show. The search begins at the best point of a coarse grid.
 
     Parameters that the record does not identify keep the site's values: the drainage time if steps
     are longer than an hour, and any parameter whose column of the Jacobian, scaled by the

@@ -35,7 +35,7 @@ def render(
         record: the measurements in the months that are used.
         halves: the steps that were fitted, and the steps for validation.
         fit: the result of the fit.
-        scores: scores of every quantity, in the fit and in the validation.
+        scores: scores of every quantity, for the fit and for the validation.
         site_file: text of the site file that was written.
         spans: time span of each half, as text.
         warnings: warnings about the record and the fit.

@@ -37,7 +37,7 @@ class Adoption:
     def groups(self, ranks: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the index of the first share at which each building has a green roof.
 
-        For a building that never has a green roof, the index is the number of shares.
+        For a building that never gets a green roof, the index is the number of shares.
 
         Args:
             ranks: positions of the buildings in the order of adoption.

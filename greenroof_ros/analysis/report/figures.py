@@ -101,8 +101,8 @@ _MAINS, _WET = "mains water (m³)", "discharge in wet weather (m³)"
 def _of_discharge(cases: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
     """Yield the figure that plots a window's discharge against its mains water.
 
-    Only sites with a valve and a mains top-up have this figure: elsewhere, a lower discharge costs
-    no mains water.
+    Only sites with a valve and a mains top-up have this figure: at other sites, reducing the
+    discharge costs no mains water.
     """
     here = [
         case for case in cases

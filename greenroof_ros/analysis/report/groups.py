@@ -63,7 +63,7 @@ class Report:
     """All results, grouped into cases.
 
     Attributes:
-        cases: cases in the order of the runs, window by window, and within a window by initial
+        cases: cases in the order of the runs, grouped by window and, within a window, by initial
             state.
         runs: all runs with results.
         failed: runs without results.
@@ -174,7 +174,7 @@ def _compare(place: Sequence[CaseRuns]) -> None:
 
     The reference is the paper's controller; if some of its cases keep the valve of the low outlet
     closed, only these are used. If there is more than one such case, with different shares of the
-    flow, the case with the most runs is used and, among equals, the case with the smallest mean
+    flow, the case with the most runs is used and, in a tie, the case with the smallest mean
     deviation. Deviations are compared for seasons. Volumes are compared if both cases ran in the
     same years.
     """

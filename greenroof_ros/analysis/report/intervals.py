@@ -52,9 +52,9 @@ class Deviations:
     def worst_tenth(self) -> float:
         """Return the mean of the worst tenth of the weeks of a season, or of the runs (m3).
 
-        The seeds of a year share the weight of the year. The value at the edge of the tenth counts
-        in part. A tenth is at least one whole value: with fewer than ten values, it is the largest
-        value.
+        The seeds of a year share the weight of the year. The value at the edge of the worst tenth
+        is counted in part. A tenth is at least one whole value: with fewer than ten values, it is
+        the largest value.
         """
         years = self.weeks or {year: runs[None, :] for year, runs in self.totals.items()}
         values = np.concatenate([seeds.ravel() for seeds in years.values()])

@@ -84,8 +84,8 @@ def find_runs(
             been read.
 
     Raises:
-        ConfigurationError: if a path is none of these, if its content is invalid, if two paths have
-            the same name, or if no run has results.
+        ConfigurationError: if a path is not a study directory, a run directory or a bag, if its
+            content is invalid, if two paths have the same name, or if no run has results.
     """
     named: dict[str, Path] = {}
     for path in paths:

@@ -127,7 +127,7 @@ def _text(value: float | None, result: _Result) -> str:
 
 
 def _spread(report: Report, case: CaseRuns) -> dict[str, str]:
-    """Return the cells about the spread of a case's runs, marked if some runs failed."""
+    """Return the cells that show the spread of a case's runs, marked if some runs failed."""
     lacking = sum(
         (run["window"], run["from"], run["case"]) == (*case.place, case.label)
         for run in report.failed

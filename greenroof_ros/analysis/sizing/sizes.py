@@ -67,8 +67,8 @@ class Sizes:
             (m3).
         tried: designs that were also run from other initial states: every second cistern, with
             one target and the recommended outlet.
-        starts: means of every metric of the designs in ``tried``, which begin with an empty or a
-            full cistern, by name, shape (2, designs).
+        starts: means of every metric of the designs in ``tried``, for seasons that begin with an
+            empty and with a full cistern, by name, shape (2, designs).
     """
 
     site: Site

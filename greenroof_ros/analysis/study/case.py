@@ -110,7 +110,7 @@ class Case:
 
     @property
     def discharge_bound_identity(self) -> str:
-        """Identity of the inputs that do not depend on the controller; empty without a valve."""
+        """Identity of the controller-independent inputs; empty if there is no valve."""
         return self.plain.identity if "outlet" in self.inputs.parameters else ""
 
     @property

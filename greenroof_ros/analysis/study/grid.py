@@ -100,7 +100,8 @@ def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
 class _Grid:
     """A grid file while it is being read.
 
-    Every block is a mapping or a list of mappings, and every list in a mapping multiplies the runs.
+    Every block is a mapping or a list of mappings, and every list in a mapping multiplies the
+    number of runs.
     """
 
     def __init__(self, path: Path, weather: Path | None) -> None:
@@ -335,7 +336,7 @@ class _Grid:
     ) -> tuple[ForecastChoice, dict[str, InputFile]]:
         """Return a forecast choice that uses the file names in the study, together with the files.
 
-        A directory becomes one file in the project's own format.
+        A directory is converted to a single file in the project's own format.
         """
         skill, path = choice.skill_file, choice.file
         files = {} if skill is None else {"skill": self._input(skill)}
@@ -363,7 +364,7 @@ class _Grid:
                 only the first required key.
             needed: keys that a block must contain.
             further: additional keys that a block may contain.
-            whole: keys whose lists do not multiply the runs.
+            whole: keys whose lists do not multiply the number of runs.
         """
         for block in self._list(mapping, key):
             if isinstance(block, str) and needed:
@@ -444,7 +445,7 @@ class _Grid:
 
 
 def _label(value: Any) -> str:
-    """Return a site value as part of a file name; quiet hours are a list."""
+    """Return a site value, which is a list for quiet hours, as part of a file name."""
     if isinstance(value, list):
         return "+".join(map(_label, value))
     return value if isinstance(value, str) else format_exactly(value)

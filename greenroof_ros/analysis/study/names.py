@@ -48,7 +48,7 @@ class Names:
         }
 
     def _name_setting(self, case: Case) -> str:
-        """Return the controller with all parameters, including sensor and pumps, but no seeds."""
+        """Return the controller with all parameters, also of sensor and pumps, without seeds."""
         values, name = _read_values(case), case.controller
         shown = (key for key in self._values[name] if key != "noise_seed")
         return _add_values(name, {key: values[key] for key in shown})

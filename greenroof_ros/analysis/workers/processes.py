@@ -122,7 +122,7 @@ def _to_file(directory: Path, function: Callable[..., Any], *arguments: Any) -> 
     """Call a function in a worker, and return the path of a file with its result.
 
     A large result is not sent to the executor itself, because the executor would wait forever for
-    the rest if the worker were killed while sending it.
+    the rest if the worker were killed while sending the result.
     """
     result = function(directory, *arguments)
     path = Path(tempfile.gettempdir(), uuid4().hex)

@@ -196,7 +196,7 @@ class ControllerCheck(NodeCheck):
         return command
 
     def _command(self, overrides: Mapping[str, float], last: str = "") -> float:
-        """Publish a tick, and return the command that answers it.
+        """Publish a tick, and return the command sent in response.
 
         Args:
             overrides: values, by topic, that replace the values at which the controller waters.

@@ -62,8 +62,8 @@ class NodeCheck(ABC):
     """Base class for the check of one node; a subclass defines the topics and the rules.
 
     Attributes:
-        kind: kind of node in messages, such as ``driver``.
-        answer: name of the node's answer in messages, such as ``flow``.
+        kind: name for the kind of node in messages, such as ``driver``.
+        answer: name for the node's answer in messages, such as ``flow``.
         output: topic on which the node answers a tick with a number.
         further: additional topics on which the node publishes a number in every tick.
         inputs: topics to which the node must subscribe.

@@ -172,7 +172,7 @@ class PumpCheck(NodeCheck):
     # --- ticks ----------------------------------------------------------------------------------
 
     def _answer(self, overrides: Mapping[str, float]) -> float:
-        """Publish a tick, and return the flow that answers its command (m3/s).
+        """Publish a tick, and return the flow reported in response to its command (m3/s).
 
         Args:
             overrides: values by topic that replace the values of an undisturbed tick.
@@ -290,7 +290,7 @@ class PumpCheck(NodeCheck):
 
     @contextmanager
     def _intruder(self) -> Iterator[None]:
-        """Add a second node whose publisher of the command publishes nothing."""
+        """Add a second node with a publisher for the command, which publishes nothing."""
         intruder = Node("check_pump_intruder", namespace=self.node.get_namespace())
         self.open_publisher(intruder, _COMMAND)
         try:
