@@ -81,7 +81,8 @@ def rename_keys(names: Mapping[str, str]) -> Iterator[None]:
     """Rename keys in errors to the user's names for inputs, such as ``--hours`` for ``hours``.
 
     Args:
-        names: the user's names, by the keys in errors; other keys and keys in files are unchanged.
+        names: the user's names, keyed by the keys in errors; other keys and keys in files are
+            unchanged.
     """
     try:
         yield

@@ -86,7 +86,7 @@ was started with, each under its full path"""
 def as_started(file: Path) -> Path:
     """Return the path to read for a file: in a live site's node, the path of any copy of it.
 
-    Because of the copy, a restarted node does not use later edits of the file. Messages name the
+    Because of the copy, a restarted node does not use later edits to the file. Messages name the
     original file.
     """
     copies = os.environ.get(COPIES)

@@ -103,7 +103,7 @@ class Topic:
 
     @property
     def graph_name(self) -> str:
-        """The name in a node's code, which is relative, so that a graph can have a namespace."""
+        """The relative name used in the code of nodes, so that a graph can have a namespace."""
         return self.name if self.absolute else self.name.removeprefix("/")
 
 

@@ -319,7 +319,7 @@ def _scalar(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> 
 
 
 def replace_infinity(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace infinity by None, because JSON has no infinity; null then means no limit."""
+    """Replace infinity with None, because JSON has no infinity; null then means no limit."""
     return {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in parameters.items()

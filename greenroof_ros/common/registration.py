@@ -1,4 +1,4 @@
-"""Registration of the Gymnasium environment, in whichever order the packages are imported."""
+"""Registration of the Gymnasium environment, regardless of the order of imports."""
 
 from __future__ import annotations
 

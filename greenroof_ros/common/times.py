@@ -1,4 +1,4 @@
-"""Reading, writing and conversion of times, and clocks that cannot be set."""
+"""Reading, writing and converting times, and clocks that cannot be set."""
 
 from __future__ import annotations
 
@@ -168,8 +168,8 @@ def read_start(text: str, zone: tzinfo | None = None) -> datetime:
     """Read a start time, in the given zone if it has no offset from UTC.
 
     A time in the hour that clocks show twice is interpreted as the first occurrence. The result has
-    a fixed offset, because the addition of durations in a zone with daylight saving time would
-    follow the wall clock.
+    a fixed offset, because adding durations in a zone with daylight saving time would follow the
+    wall clock.
 
     Args:
         text: the start time.

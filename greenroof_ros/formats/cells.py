@@ -468,7 +468,7 @@ def find_sum(given: Given) -> str:
 
 
 def find_sliding_sum(given: Given) -> str:
-    """Find moving sums over n rows, such as the rain of the last hour in rows of ten minutes.
+    """Find moving sums over n rows, such as the rain of the last hour in ten-minute rows.
 
     Normally, rain appears in only one row. In moving sums, however, rain appears in n rows, so no
     wet spell is shorter than n rows, and the rain recovered from the sums, S(t) - S(t-1) + r(t-n),

@@ -11,7 +11,7 @@ header with units, and the hours. The service's JSON files contain the same valu
     2021-07-07T00:00,21.4,0.20,0.0
 
 Files that a program has saved without these two lines and without units are also read, if they use
-the service's names of variables. In such a file, the first column must be ``time``, ``datetime`` or
+the service's variable names. In such a file, the first column must be ``time``, ``datetime`` or
 ``date``. The times in such a file are in UTC unless they have an offset, and all units are the
 service's defaults.
 

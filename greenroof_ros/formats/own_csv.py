@@ -93,7 +93,7 @@ class Rows:
         values: values of every quantity, in the unit of :data:`.quantities.QUANTITIES` and in the
             order of the rows; NaN if missing.
         about: numbers stated in the comments at the head of the file; see :mod:`.comments`.
-        rain_kind: kind of rain that the comments state; empty without a statement.
+        rain_kind: kind of rain stated in the comments; empty if none is stated.
     """
 
     table: Table

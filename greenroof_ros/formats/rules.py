@@ -72,7 +72,7 @@ def check_steps(record: StepRecord, site: Site) -> list[str]:
 
 
 def check_hours(records: Records, site: Site, hours: range) -> list[str]:
-    """Return one sentence about each implausible finding in the hours; see :func:`check_steps`.
+    """Return one sentence about each implausible finding in given hours; see :func:`check_steps`.
 
     If the records state their location, it takes precedence over the site's location.
     """
@@ -163,7 +163,7 @@ _WARMEST, _WARMEST_PER_MJ = 18.0, 0.6
 
 
 def find_wrong_rain(record: StepRecord, _site: Site) -> Iterator[str]:
-    """Find rain in a wrong unit, or with totals over periods other than its rows."""
+    """Find rain in a wrong unit, or given as totals over periods other than its rows."""
     if record.step_s > HOUR_S:
         return
     rain = np.nan_to_num(record.rain if record.all_rain is None else record.all_rain)

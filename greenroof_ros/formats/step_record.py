@@ -82,7 +82,7 @@ class StepRecord:
 
     @property
     def seconds(self) -> NDArray[np.int64]:
-        """Start of every step on the record's own clock, in seconds since its 1970-01-01."""
+        """Start of every step on the record's own clock (s since 1970-01-01 on that clock)."""
         first = round(self.start.timestamp() + self.offset_s)
         return first + np.round(self.step_s * np.arange(self.steps)).astype(np.int64)
 
@@ -92,7 +92,7 @@ class StepRecord:
         return self.seconds.astype("datetime64[s]")
 
     def time(self, step: int) -> str:
-        """Return the start of a step as text; for a step after the last, the start of the last."""
+        """Return the start of a step as text; for a step beyond the last, that of the last step."""
         return str(self.times[min(step, self.steps - 1)]).replace("T", " ")
 
     @property
@@ -117,7 +117,7 @@ class StepRecord:
         """Steps with no missing measurement in the step itself or in its two neighbors.
 
         The measurements are rain, pumped water and :attr:`measured`. A sensor that fails in one
-        step has often recorded only a part of the neighboring step.
+        step has often recorded only part of the neighboring step.
         """
         series = [self.rain, self.pumped, *self.measured.values()]
         missing = np.isnan(series).any(axis=0)

@@ -14,7 +14,7 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
 
     Args:
         parser: argument parser of the command.
-        pump: default of ``--pump``; if it is empty, ``external`` is the only choice.
+        pump: default value of ``--pump``; if it is empty, ``external`` is the only choice.
     """
     group = parser.add_argument_group("the graph")
     group.add_argument(

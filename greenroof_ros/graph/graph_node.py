@@ -35,7 +35,7 @@ _FLUSH_S = 1.0
 
 
 class GraphNode(Node):
-    """A node that uses topics of the interface and reports its state; subclasses add its actions.
+    """A node that uses topics of the interface and reports its state; subclasses add the actions.
 
     Attributes:
         role: the node's role in the interface: its name, or ``controller``.
