@@ -27,7 +27,7 @@ _CHECK_S = 60.0
 class AnticipatingOnOff:
     """Pumps like the on/off controller, except when forecast rain makes pumping unnecessary.
 
-    The paper's Conclusion asks for a 'less expensive, hybrid' design: an on/off controller that
+    The paper's Conclusion calls for a 'less expensive, hybrid' design: an on/off controller that
     anticipates the weather. The paper's on/off controller, Eq. (12), fills the roof to its target
     x2*. If rain follows, the roof stays too wet for days. This controller predicts the volume of
     water on an unwatered roof from rain, evapotranspiration and, on field-capacity soil,

@@ -14,7 +14,7 @@ from greenroof_ros.model.site import Site
 class External(Controller):
     """Placeholder for a node that the user runs; only the look-ahead of its controller is known.
 
-    The node receives the forecasts of its graph, which cover ``horizon`` and have one member.
+    The node receives the forecasts of its graph, which cover ``horizon`` and have a single member.
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = (

@@ -226,7 +226,7 @@ class Plan:
     The plan is a stochastic dynamic program over the cistern's volume v, hour by hour to the end of
     the forecast, but no more than 48 h ahead. For every member of the forecast,
 
-        V_t(v) = min over y of  U_t(y),  y from the rest of v after an hour of the open valve to v,
+        V_t(v) = min over y of  U_t(y),  y from v less an hour's discharge of the open valve to v,
         U_t(y) = c_t max(v' - full, 0) + p max(floor - v', 0) + V_{t+1}(v'),
         v' = y + inflow - need of the roof,
 

@@ -244,7 +244,7 @@ class PlannedLevels:
 
 
 def _value_at(nodes: Array, value: Array, volumes: Array) -> Array:
-    """Interpolate values between the nodes, to an array of shape (sites, members, n).
+    """Interpolate values between the nodes; the result has shape (sites, members, n).
 
     Args:
         nodes: volumes at the nodes (m3).

@@ -158,7 +158,7 @@ class SampleAndHold:
         return on_message
 
     def check_inputs(self) -> None:
-        """Check all inputs at the current time; after a pause of this process, all are outdated."""
+        """Check all inputs at the current time; after a pause of this process, all are too old."""
         self._handle_pause(boot_time())
         for entry in self.inputs:
             entry.check()

@@ -52,7 +52,7 @@ class SiteAlarms:
         self._updated_at = time.monotonic()
 
     def fail(self, process: str, text: str) -> None:
-        """Print the failure of a process; the next update turns the failure into an alarm."""
+        """Print a message about a failed process; the next update turns it into an alarm."""
         self._print_line(f"{process}: {text}")
         now = time.monotonic()
         for name in self._processes[process]:
@@ -65,7 +65,7 @@ class SiteAlarms:
         """Evaluate the last report of each node; after a pause of this process, await new ones.
 
         Args:
-            reports: reports by the names of the nodes. A report from an earlier call is not
+            reports: reports, keyed by the names of the nodes. A report from an earlier call is not
                 received again.
         """
         wall, now = time.monotonic(), time.time()

@@ -366,7 +366,7 @@ def _state_directory(path: Path) -> Iterator[Path]:
 
 
 def _fit_bag(site: LiveSite, bag: Path) -> None:
-    """Reduce the bag's limit to nine tenths of the space on its disk, and print a warning."""
+    """If the bag's limit exceeds nine tenths of the space on its disk, reduce it, and warn."""
     fits = shutil.disk_usage(bag.parent).free + sum(
         file.stat().st_size for file in bag.glob("*.mcap")
     )
@@ -388,7 +388,7 @@ class _Configuration:
     Nodes read neither the originals, which may have been edited, nor the copies from an earlier
     start. Only the forecast, which is replaced in place, and the controller's code are read from
     their original paths. The copies are stored in memory, since the disk may be full after a power
-    cut, with no one there to free space. A cleaning program may remove the copies, as may systemd
+    cut, with no one there to free space. A clean-up program may remove the copies, as may systemd
     when their user logs out, so missing copies are written again before every start of a node.
 
     Attributes:

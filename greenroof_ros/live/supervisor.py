@@ -182,8 +182,8 @@ class LiveSupervisor:
     The supervisor has no influence on whether the pump may run. A node that ends or is silent for
     too long is restarted after an increasing delay. If a node needs too many restarts, the
     supervisor stops the pump and ends the site. The recorder is an exception and is always
-    restarted, since a recording failure must not stop control. A controller that needs too many
-    restarts, or that its node can no longer run, is replaced. A pump node that has died cannot stop
+    restarted, since a recording failure must not stop control. A controller is replaced if it needs
+    too many restarts, or if its node can no longer run it. A pump node that has died cannot stop
     the drive, so the supervisor stops the drive. The supervisor also stops the drive at the end,
     whatever the pump node reports.
 

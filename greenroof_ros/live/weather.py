@@ -223,7 +223,9 @@ class LiveWeatherNode(LiveNode):
         return outlook
 
     def _frost(self, temperature: float, why: str) -> float:
-        """Return 1 in frost, otherwise 0; if unknown, report that and return NaN, or 0 if allowed.
+        """Return 1 in frost, otherwise 0.
+
+        If the temperature is unknown, report this and return NaN, or 0 if that is allowed.
 
         Args:
             temperature: air temperature (degC); NaN if unknown.

@@ -143,7 +143,7 @@ class Address:
 
 
 def _is_here(family: socket.AddressFamily, place: tuple[Any, ...]) -> bool:
-    """Return whether an address, with port 0, belongs to this machine."""
+    """Return whether an address belongs to this machine; its port must be 0."""
     with socket.socket(family, socket.SOCK_DGRAM) as plug:
         try:
             plug.bind(place)

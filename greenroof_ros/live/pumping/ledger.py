@@ -105,9 +105,9 @@ class PumpRecord:
         starts: times of the pump's last starts (s, as in ``elapsed``); the file contains the last
             hundred.
         on: whether the pump was on when the record was written.
-        boot: identifier of the computer's start after which the record was written; empty if
+        boot: identifier of the computer's boot after which the record was written; empty if
             unknown.
-        boot_s: time from that start until the record was written (s).
+        boot_s: time from that boot until the record was written (s).
     """
 
     hold_owner: str = ""
@@ -310,7 +310,7 @@ class Ledger:
             self.switch(False)
 
     def check_file(self) -> bool:
-        """Rewrite the file if another program has changed it; return whether one ever has."""
+        """Rewrite the file if another program has changed it; return whether that ever happened."""
         if self._file_lock is None:
             return False
         if self._lines.changed:
@@ -319,7 +319,7 @@ class Ledger:
         return self._lines.changed
 
     def flush(self, within: float = _WAIT_S) -> str:
-        """Write the record, and return the reason why it is not on the disk, or an empty text.
+        """Write the record, and return the reason if it is not on the disk, or else an empty text.
 
         Args:
             within: maximum time to wait for the disk (s); the write continues after that.
@@ -514,7 +514,7 @@ def _read(file: Path, noted: int | None) -> tuple[PumpRecord, int, bool]:
 
     Args:
         file: the file.
-        noted: number of the last line that was written, 0 if unknown; None if there was no lock.
+        noted: number of the last line that was written (0 if unknown); None if there was no lock.
 
     Returns:
         The latest record; its number, 0 if the file must be created; and whether the file was
@@ -553,7 +553,7 @@ def _read(file: Path, noted: int | None) -> tuple[PumpRecord, int, bool]:
 
 
 def _traces(file: Path, noted: int | None) -> list[str]:
-    """Return the evidence that a missing file existed before; see `_read`."""
+    """Return evidence that a missing file used to exist; see `_read`."""
     if file.is_symlink():
         return [f"it is a link to {file.readlink()}, which does not exist"]
     names = *(file.name + ending for ending in _LEFTOVERS), *_OF_SITE

@@ -60,7 +60,7 @@ class PumpSettings:
     """The limits of a pump and the thresholds of its checks.
 
     Every field specifies its meaning, range, unit and default. Some defaults depend on the site;
-    :func:`pump_parameters` returns them all.
+    :func:`pump_parameters` returns all defaults.
     """
 
     min_speed: float = entry(

@@ -51,8 +51,8 @@ class SimulatedSite:
         Args:
             site: parameters of the site.
             precipitation: rain rate in each tick (m/s); the last value applies to all later ticks.
-            evapotranspiration: loss of the whole bed in each tick (m3/s); the last value applies to
-                all later ticks.
+            evapotranspiration: loss from the whole bed in each tick (m3/s); the last value applies
+                to all later ticks.
             volumes: initial volumes of water in the cistern and on the roof (m3).
             sensors: the sensors, with addresses and protocols; a thermometer always reads 15 degC.
             speed: function that returns the current speed of the pump (share of the rated speed).
