@@ -104,7 +104,7 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
 
     Args:
         measured: the record.
-        months: months of the record to use, as in --months; None for all.
+        months: months of the record to use, in the format of --months; None for all.
         site_file: site file from which the fit starts.
     """
     with require_extra("study"):

@@ -1,4 +1,4 @@
-"""Print the current state of a run or a site, and exit with a code: ``greenroof status``."""
+"""Print the current state of a run or a site, and set the exit code: ``greenroof status``."""
 
 from __future__ import annotations
 

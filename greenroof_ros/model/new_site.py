@@ -75,7 +75,7 @@ def _line(
     Args:
         given: given values by key, which are always written as active lines.
         key: the key.
-        assumed: assumed value, for a key without a given value.
+        assumed: value that is assumed if no value is given for the key.
         meaning: explanation of the value.
         source: source of the assumed value.
         active: whether an assumed value applies to the site; otherwise the line is commented out.

@@ -1,6 +1,6 @@
 """Imperfections of the roof's level sensor and of the pumps, which the paper neglects.
 
-The plant and all sums of a run stay exact. Only the roof level that the controller receives, and
+The plant and all sums of a run remain exact. Only the roof level that the controller receives, and
 the times at which the pumps follow commands, are imperfect.
 """
 

@@ -46,7 +46,7 @@ class Sites:
         stress_volume: volume on the roof below which plants lack water (m3), see :mod:`.soil`.
         overdraws: whether Eq. (4) would drain too much in a tick, see :mod:`.soil`.
         has_field_capacity: whether the soil is a field-capacity soil.
-        has_short_ticks: whether the ticks are short, see :func:`.plant.has_short_ticks`.
+        has_short_ticks: whether the ticks are short; see :func:`.plant.has_short_ticks`.
     """
 
     a1: Values

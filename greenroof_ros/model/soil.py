@@ -300,7 +300,7 @@ class FieldCapacitySoil:
         return min(1.0, self.filled_share(x2) / self._onset)
 
     def layer_outflow(self, layer: float, inflow: float, seconds: float) -> float:
-        """Return the mean flow from the drainage layer off the roof during a tick (m3/s).
+        """Return the mean flow that leaves the roof through the drainage layer in a tick (m3/s).
 
         The layer's volume V follows dV/dt = i - k V^2 with k = 1 / (a2 drainage_storage
         drainage_time), solved exactly for a constant inflow i, so that the result is stable for

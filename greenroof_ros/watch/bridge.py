@@ -193,8 +193,8 @@ class Bridge:
     def _publish_availability(self) -> Any:
         """Publish the bridge's availability, and return the message so that a caller can await it.
 
-        A bridge that connects while it is shutting down publishes ``offline`` itself. Since it then
-        disconnects normally, the broker does not publish the bridge's will.
+        A bridge that connects while it is shutting down publishes ``offline`` itself. Since the
+        bridge then disconnects normally, the broker does not publish the bridge's will.
         """
         with self._availability:
             word = OFFLINE if self._ending else ONLINE

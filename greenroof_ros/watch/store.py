@@ -66,7 +66,7 @@ class TopicValue:
 
     Attributes:
         time_ns: time of the value (ns since 1970).
-        value: the value; None if it is not plausible.
+        value: the value; None if it is implausible.
         stale: whether the next value is overdue.
     """
 
@@ -80,12 +80,12 @@ class TopicValue:
         self._intervals: deque[float] = deque(maxlen=9)
 
     def receive(self, time_ns: int, value: float) -> None:
-        """Receive a value, which is NaN if it is not plausible."""
+        """Receive a value, which is NaN if it is implausible."""
         self._received = True
         self.time_ns, self.value = time_ns, None if math.isnan(value) else value
 
     def update(self, wall: float, *, ended: bool) -> None:
-        """Update whether the next value is overdue; no value is overdue once the run has ended."""
+        """Update ``stale``; no value is overdue once the run has ended."""
         if self._received or self._received_at is None:
             if self._received_at is not None:
                 self._intervals.append(min(wall - self._received_at, _MAX_S))
@@ -170,7 +170,7 @@ class GraphStore:
 
         Args:
             site: parameters of the site.
-            note: note to the operator about the site file; empty for none.
+            note: note for the operator about the site file; empty for none.
         """
         with self.lock:
             self.site = site
@@ -180,9 +180,9 @@ class GraphStore:
         """Set the mode and the speed of the watched graph.
 
         Args:
-            mode: mode, as in the attribute of this name.
+            mode: new value of the attribute ``mode``.
             factor: ratio of simulated to wall time; None if there is no such ratio.
-            note: note to the operator about the graph; empty for none.
+            note: note for the operator about the graph; empty for none.
         """
         with self.lock:
             self.mode = mode
@@ -265,7 +265,7 @@ class GraphStore:
         """Add a value from a topic that carries single numbers.
 
         A value that is not newer than the last one is ignored. A value outside the topic's range is
-        shown as not plausible, and leaves a gap in its chart line.
+        shown as implausible, and leaves a gap in its chart line.
 
         Args:
             topic: name of the topic in the interface, without a namespace.
@@ -396,7 +396,7 @@ class GraphStore:
             return alarm is not None
 
     def is_acknowledged(self, alarm: Alarm) -> bool:
-        """Return whether an alarm is acknowledged with its current level and current subjects."""
+        """Return whether an alarm, with its current level and subjects, has been acknowledged."""
         return self._acknowledged.get(alarm.name) == (alarm.number, alarm.level, alarm.about)
 
     # --- time -----------------------------------------------------------------------------------

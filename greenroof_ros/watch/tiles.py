@@ -45,8 +45,8 @@ def _make_tile(
     """Return the tile for a topic; ``judged`` returns the state and the sentence for a value.
 
     A missing or stale value is shown as unknown; for a stale value, the sentence states the last
-    value and its time. ``why`` is the reported reason for a missing value, if any. A value that is
-    not plausible is shown as an alarm.
+    value and its time. ``why`` is the reported reason for a missing value, if any. An implausible
+    value is shown as an alarm.
     """
     newest = store.newest.get(topic)
     number = None if newest is None else newest.value

@@ -217,10 +217,10 @@ def simulate(
             ``"package.module:Class"``; a class as described under "Your controller" in the
             documentation; an instance, which keeps what it has learned; or a function of (state,
             forecast) that returns the command, the share of the pumps' maximum flow. ``state`` has
-            time, cistern_level and roof_level (m), cistern and roof (m3), and the site.
-            ``forecast`` has rain (m/s), evapotranspiration (m3/s) and the ends of its steps (s);
-            for a function, the parameter ``horizon`` (h, 24 by default) is the length of the
-            forecast.
+            the attributes time, cistern_level and roof_level (m), cistern and roof (m3), and the
+            site. ``forecast`` has the attributes rain (m/s), evapotranspiration (m3/s) and the ends
+            of its steps (s); for a function, the parameter ``horizon`` (h, 24 by default) is the
+            length of the forecast.
         inputs: the inputs below and the controller's parameters, by name; None for the default.
 
             - ``site``: a site file, or a site from ``gr.read_site``; by default the paper's site.

@@ -34,8 +34,8 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
     a weather file and the forecasts of a live site do not include the crop coefficient, so all
     other evapotranspiration is used unchanged.
 
-    The command counts only while the pumps deliver water. The command is unknown in steps with a
-    command above 1, which no real pump can follow. In a gap only evapotranspiration is filled in,
+    The command is counted only while the pumps deliver water. The command is unknown in steps with
+    a command above 1, which no real pump can follow. In a gap only evapotranspiration is filled in,
     because the roof continues to dry. The fill value is the value at the same time on the previous
     day or, on the first day, the last value before the gap.
 

@@ -151,7 +151,7 @@ def _bridge_short_gaps(record: StepRecord, values: Values, counts: Steps) -> Val
     hour, or of a single step, is interpolated linearly, and a longer gap is rejected.
 
     Args:
-        record: record with the times and the column's name.
+        record: record that contains the times and the name of the column.
         values: values of every step (mm), NaN if missing.
         counts: whether each step is used for the fit or the validation, shape (steps,). A gap that
             contains no such step may have any length.

@@ -99,7 +99,7 @@ def list_ranges(site: Site, record: StepRecord) -> list[FitRange]:
     The ranges of field capacity and wilting point do not overlap; the driest level, if measured,
     separates them. The drainage layer's storage is not fitted: while the layer is not full, its
     outflow k V^2 depends only on the product of storage and time constant. With steps longer than
-    an hour, its time constant is not fitted either.
+    an hour, the layer's time constant is not fitted either.
     """
     if record.level is None:
         highest = max(0.1, (site.wilting_point or 0.0) + 0.01)
@@ -307,7 +307,7 @@ def _make_comparison(
 ) -> tuple[Callable[[Simulated], Values], NDArray[np.int64]]:
     """Return a function that computes a simulation's residuals, and the week of every residual.
 
-    Residuals are in standard deviations of the measurements.
+    Residuals are expressed in standard deviations of the measurements.
     """
     counts = steps & record.complete
     seconds = record.seconds[counts]
@@ -328,7 +328,7 @@ def _make_comparison(
 
 
 def _identify(names: Sequence[str], jacobian: Values) -> tuple[Steps, list[str]]:
-    """Return a mask of the identified parameters, and the reasons why the others are not."""
+    """Return a mask of the identified parameters, and why the others are not identified."""
     from scipy.linalg import qr
 
     _, triangle, order = qr(jacobian, mode="economic", pivoting=True)

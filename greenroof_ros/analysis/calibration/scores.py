@@ -44,9 +44,11 @@ def efficiency(simulated: Values, measured: Values) -> float:
 
 
 def kling_gupta(simulated: Values, measured: Values) -> float:
-    """Return the KGE: 1 minus the distance of correlation, spread and mean ratios from (1, 1, 1).
+    """Return the Kling-Gupta efficiency (KGE).
 
-    The result is NaN if either series does not vary, because the correlation is then undefined.
+    The KGE is 1 minus the Euclidean distance between (correlation, ratio of spreads, ratio of
+    means) and (1, 1, 1). The result is NaN if either series does not vary, because the correlation
+    is then undefined.
     """
     if np.ptp(measured) == 0 or np.ptp(simulated) == 0:
         return float("nan")

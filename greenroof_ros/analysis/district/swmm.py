@@ -2,8 +2,8 @@
 
 SWMM reads a time series from a file with a date, a time and a value on every line, and interpolates
 between them (Rossman 2015, SWMM User's Manual Version 5.1, EPA-600/R-14/413b, Appendix D,
-[TIMESERIES]). The mean of an interval is written at its middle, which preserves the volume of the
-interpolated flow.
+[TIMESERIES]). The mean of an interval is written at the interval's midpoint, which preserves the
+volume of the interpolated flow.
 """
 
 from __future__ import annotations

@@ -150,7 +150,7 @@ def distinguish_series(name: str, values: list[str]) -> dict[str, Any]:
 
 
 def distinguish_points(name: str, values: list[str]) -> dict[str, Any]:
-    """Distinguish the points of a field by colour and by shape; see :func:`cycle_choices`."""
+    """Distinguish the points of a field by colour and shape; see :func:`cycle_choices`."""
     legend = alt.Legend(symbolSize=60) if values else None
     return {
         "color": alt.Color(
@@ -166,7 +166,7 @@ def make_tooltips(*fields: str | tuple[str, str] | alt.Tooltip) -> list[alt.Tool
     """Return the tooltips for some fields; numeric fields with a title show six digits.
 
     The tooltips are built here because Altair would search all of its classes for a channel given
-    only by name, which takes longer than the rest of a chart.
+    only by name, which takes longer than building the rest of a chart.
     """
     def tooltip(shown: str | tuple[str, str] | alt.Tooltip) -> alt.Tooltip:
         if isinstance(shown, tuple):

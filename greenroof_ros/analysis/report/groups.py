@@ -142,8 +142,9 @@ _AVERAGED = (
 def _derived(run: ReportedRun) -> Row:
     """Return the changes in storage and the mass balance errors, derived from the results.
 
-    The mass balance error is the change in storage that the flows do not explain. In a simulation
-    it is a rounding error. At a real site it is all the water that was not measured.
+    The mass balance error is the change in storage that the flows do not explain. In a simulation,
+    this error is due to rounding. At a real site, it consists of all the water that was not
+    measured.
     """
     row, site = {**run.row, "mains_m3": run.row.get("mains_m3") or 0.0}, run.site
     row["drainage_kept_m3"], derived = 0.0, Row()

@@ -159,7 +159,7 @@ def _lines(
 def overlay_simulations(simulations: Mapping[str, tuple[Site, Trajectory]]) -> alt.VConcatChart:
     """Return a chart of rain, roof level, cistern level and pump flow, with a line per simulation.
 
-    If any water reaches the sewer, the chart has a panel for this flow, too.
+    If any water reaches the sewer, the chart also has a panel for this flow.
 
     Args:
         simulations: sites and trajectories, by the names of the lines. The rain is that of the

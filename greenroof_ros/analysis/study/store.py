@@ -152,7 +152,7 @@ class StudyStore:
                 )
 
     def write_outcome(self, case: Case, outcome: Outcome) -> None:
-        """Write an outcome, which exists only once it has been written completely.
+        """Write an outcome atomically: it exists only once it has been written completely.
 
         Raises:
             OSError: if writing fails, for instance because the disk is full.

@@ -62,7 +62,7 @@ def read_issued_forecasts(
     records end, are left out.
 
     Args:
-        file: the archive, a file or a directory of files.
+        file: path of the archive, which is a file or a directory of files.
         weather: the records.
         site: site with its location.
         horizon: number of hours of every forecast to compare.

@@ -141,8 +141,9 @@ def _from_file(future: Future[Path]) -> Any:
 def _prepare(scratch: str) -> None:
     """Prepare a worker: set its directory, silence warnings, and tie its lifetime to the command.
 
-    Warnings from single runs would break the progress bar. The worker has to end with the command
-    itself, because its parent, the fork server, continues to run while any of its children runs.
+    Warnings from single runs would break the progress bar. The worker itself has to ensure that it
+    ends with the command, because its parent, the fork server, continues to run while any of its
+    children is running.
 
     Args:
         scratch: directory for temporary files, which the command deletes.

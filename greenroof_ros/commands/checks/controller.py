@@ -1,4 +1,4 @@
-"""Check of a controller node against the rules of a lockstep graph, through topics only."""
+"""Check of a controller node against the rules of a lockstep graph, using topics only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Check of a running node through topics only, in which the check plays all other nodes.
+"""Check of a running node, using topics only, in which the check plays all other nodes.
 
 The check demands no more from a node than a graph does, and works with nodes written in any
 language.
@@ -64,7 +64,7 @@ class NodeCheck(ABC):
     Attributes:
         kind: name for the kind of node in messages, such as ``driver``.
         answer: name for the node's answer in messages, such as ``flow``.
-        output: topic on which the node answers a tick with a number.
+        output: topic on which the node responds to each tick with a number.
         further: additional topics on which the node publishes a number in every tick.
         inputs: topics to which the node must subscribe.
         optional: topics to which the node may subscribe, provided that it uses the right quality of
@@ -74,7 +74,7 @@ class NodeCheck(ABC):
         answers: values received on ``output`` but not counted yet.
         surplus: message about the first tick with too many answers; empty if there is none.
         results: results of the checks so far.
-        result: measurement of the current check, as text for the table; empty for none.
+        result: measurement of the current check, as text for the table; empty if there is none.
         hindered: reason why no more ticks can be published; empty if there is none.
         ticks: number of ticks published.
         live: whether the node belongs to a live graph.

@@ -1,4 +1,4 @@
-"""Check of a pump driver against the interface, through topics only."""
+"""Check of a pump driver against the interface, using topics only."""
 
 from __future__ import annotations
 
@@ -237,7 +237,7 @@ class PumpCheck(NodeCheck):
             require(not self._flowing(flow), f"the flow is {flow:g} m3/s again after {reason}")
 
     def _must_run(self) -> None:
-        """Require that the pump runs; otherwise, a check of a stop would prove nothing."""
+        """Require that the pump is running; otherwise, a check of a stop would prove nothing."""
         require(self._answer({}) >= _AT_REST * self._steady, _NOT_RUNNING)
 
     def _steady_flow(self, command: float) -> float:
