@@ -60,11 +60,9 @@ GROUPS = {
         "recover": Command("recover", "restore a bag after a crash or a full disk"),
     },
     "compare controllers, without ROS": {
-        "simulate": Command("simulate", "run in a single process, with the same results as the "
-        "graph"),
+        "simulate": Command("simulate", "run in one process, with the same results as the graph"),
         "study": Command("study", "run a study: the paper's 30 runs, or a grid of your own"),
-        "district": Command("district", "compute the total discharge from many buildings to a "
-        "sewer"),
+        "district": Command("district", "compute the discharge of many buildings into a sewer"),
         "bound": Command("bound", "compute the minimum possible deviation"),
     },
     "adapt the model to your site": {

@@ -109,7 +109,7 @@ def test_refused(tmp_path: Path) -> None:
     """The error has the line, the service's column and the value, or what the site lacks."""
     for cell, reason in (
         ((3, "Date/Time (LST)", "2021-07-01 3:00Z"), "line 5: Date/Time (LST) = '2021-07-01"),
-        ((0, "Longitude (x)", "-123.1"), "line 2: Longitude (x) = '-123.1': does not fit the"),
+        ((0, "Longitude (x)", "-123.1"), "line 2: Longitude (x) = '-123.1': does not match the"),
     ):
         path = changed(tmp_path, 24, cell)
         assert refusal(read_weather, [path], TORONTO).startswith(f"{path}, {reason}")

@@ -56,9 +56,9 @@ def changed(record: StepRecord, column: str, change: Change) -> StepRecord:
     return replace(record, **{column: change(getattr(record, column), day)})
 
 
-UNIT, BALANCE, LATE, EARLY, STUCK, BLOCKED = (
-    "is the unit", "are the units", "after it falls", "before it falls", "stuck or defective",
-    "gauge blocked",
+UNIT, UNITS, BALANCE, LATE, EARLY, STUCK, BLOCKED = (
+    "is the unit", "are the units of this column", "are the units", "after the rain falls",
+    "before the rain falls", "stuck or defective", "gauge blocked",
 )
 
 
@@ -68,7 +68,7 @@ def failed(record: StepRecord, column: str, words: str) -> bool:
         texts = check_steps(record, TWIN)
     except ConfigurationError as error:
         texts = [error.wrong]
-    return any(text.startswith(column) and words in text for text in texts)
+    return any(text.startswith(column) and words in text.lower() for text in texts)
 
 
 # --- records --------------------------------------------------------------------------------------
@@ -79,7 +79,7 @@ BOTH, LEVEL = ("runoff", "level"), ("level",)
 OF_A_MONTH: dict[str, tuple[tuple[str, ...], str, Change, tuple[str, str]]] = {
     "rain of a day": (BOTH, "rain", scaled(24), ("rain", UNIT)),
     "rain of the hour": (BOTH, "rain", scaled(12), ("rain", BALANCE)),
-    "level in cm": (BOTH, "level", scaled(100), ("level", UNIT)),
+    "level in cm": (BOTH, "level", scaled(100), ("level", UNITS)),
     "runoff in m": (BOTH, "runoff", scaled(1e-4), ("runoff", UNIT)),
     "stuck": (BOTH, "runoff", fixed(0.05, 5), ("runoff", STUCK)),
     "early": (BOTH, "runoff", shifted(-1), ("runoff", EARLY)),
@@ -90,8 +90,8 @@ OF_A_MONTH: dict[str, tuple[tuple[str, ...], str, Change, tuple[str, str]]] = {
 OF_A_SEASON: dict[str, tuple[tuple[str, ...], str, Change, tuple[str, str]]] = {
     "dead": (BOTH, "runoff", scaled(0.0), ("runoff", STUCK)),
     "runoff too large": (BOTH, "runoff", scaled(10), ("runoff", BALANCE)),
-    "level too small": (LEVEL, "level", scaled(0.01), ("level", UNIT)),
-    "level too large": (BOTH, "level", scaled(10), ("level", UNIT)),
+    "level too small": (LEVEL, "level", scaled(0.01), ("level", UNITS)),
+    "level too large": (BOTH, "level", scaled(10), ("level", UNITS)),
     "stuck level": (BOTH, "level", fixed(0.03, 20), ("level", STUCK)),
     "stuck rain": (BOTH, "rain", fixed(0.3, 12, 20), ("rain", STUCK)),
     "blocked": (BOTH, "rain", fixed(0.0, 30), ("rain", BLOCKED)),
@@ -126,7 +126,7 @@ def test_a_day_with_too_much_evapotranspiration_is_found() -> None:
         reference=np.full(steps, 48 / DAY),
     )
     assert check_steps(record, TWIN) == []
-    assert failed(replace(record, reference_column="ET"), "ET", UNIT)
+    assert failed(replace(record, reference_column="ET"), "ET", UNITS)
 
 
 @pytest.mark.parametrize(("hours", "stuck"), [(12, False), (24, True)])
@@ -149,7 +149,7 @@ def test_a_stuck_gauge_is_found_by_a_run_and_a_calibration(
             ["rain is 0.9 mm for 24 h from 2021-06-09 0"] if stuck else []
         )
     unit = replace(record, rain=100 * record.rain)
-    assert any(text.startswith("rain is ") and UNIT in text for text in check_steps(unit, TORONTO))
+    assert any(text.startswith("rain is ") and UNIT in text.lower() for text in check_steps(unit, TORONTO))
 
 
 # --- roofs off which nothing runs -----------------------------------------------------------------

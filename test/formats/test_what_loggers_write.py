@@ -81,7 +81,7 @@ def test_rows_that_end_at_their_times(tmp_path: Path, step_s: int) -> None:
         assert records.values["precipitation"].tolist() == (
             starts.values["precipitation"].tolist()
         )
-        assert "the time of each row is the end of its interval" in records.notes[0]
+        assert "the time of each row was the end of its interval" in records.notes[0]
 
 
 @pytest.mark.parametrize(("before_s", "after_s"), [(300, HOUR), (HOUR, 600), (600, 900)])
@@ -569,7 +569,7 @@ def test_hours_of_dwd(tmp_path: Path) -> None:
     assert both.values["precipitation"].tolist() == pytest.approx([1.5, np.nan, 0.2], nan_ok=True)
     assert both.values["temperature"].tolist() == [10.0, 11.0, 12.0]
     assert both.values["dew point"][0] == pytest.approx(10.0)
-    assert "has no precipitation" in refusal(read_measured, [air], SITE)
+    assert "contains no precipitation" in refusal(read_measured, [air], SITE)
 
 
 

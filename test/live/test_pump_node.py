@@ -431,7 +431,7 @@ def test_a_broken_state_needs_a_reset(rig: PumpRig) -> None:
         assert rig.call(SetBool, "stop", data=False).success
         assert not rig.call(Trigger, "clear").success
         assert [rig.tick(0.5) for _ in range(10)] == [0.0] * 10
-        assert "pump.json.broken is there" in rig.state
+        assert "pump.json.broken exists" in rig.state
         node.kill()
         node.wait()
     rig.start(state_file=file)
@@ -439,10 +439,10 @@ def test_a_broken_state_needs_a_reset(rig: PumpRig) -> None:
     with forged(rig, fault='"another"', unknown='""'):
         code, output = command(rig, "reset")
     assert code == 1 and "not cleared: the request was not confirmed" in output
-    assert re.search("The fault: .* pump.json.broken is there", output) and "another" not in output
+    assert re.search("The fault: .* pump.json.broken exists", output) and "another" not in output
     assert [rig.tick(0.5) for _ in range(5)] == [0.0] * 5
     code, output = command(rig, "reset", "--yes")
-    assert code == 0 and "pump.json.broken is there" in output
+    assert code == 0 and "pump.json.broken exists" in output
     rig.run()
 
 

@@ -105,6 +105,6 @@ def test_runs_that_begin_at_different_times_are_refused(compared: Comparison) ->
     later = gr.simulate("onoff", hours=1, start="2021-07-08T02:00")
     both = gr.compare({**compared.results, "later": later})
     refusal(both.plot, match=(
-        "later: begins at 2021-07-08T02:00-05:00, but on/off at 2021-07-07T02:00-05:00"
+        "later: begins at 2021-07-08T02:00-05:00, but on/off begins at 2021-07-07T02:00-05:00"
     ))
     assert both.table.height == 3

@@ -75,4 +75,4 @@ os.waitpid(child, 0)
         [sys.executable, "-c", program], env=dict(os.environ), capture_output=True, text=True,
         check=True, timeout=120,
     )
-    assert "1 a data frame: cannot be made" in done.stdout and "spawn" in done.stdout
+    assert "1 a data frame: cannot be created" in done.stdout and "spawn" in done.stdout

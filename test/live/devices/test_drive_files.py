@@ -62,7 +62,7 @@ SECONDS = "    type: uint16\n    unit: s"
          "    - {write: reference, value: 0}", "sequences.stop: must write the register control"),
         ("    - {write: reference, value: speed}\n", "", "sequences.run: must write the speed"),
         ("- {write: reference, value: 0}", "- {write: reference, value: speed}",
-         "sequences.stop.2.value = 'speed': can only be written in sequences.run"),
+         "sequences.stop.2.value = 'speed': may only be written in sequences.run"),
         (BIT_2, BIT_2.replace("value: 0x0004", "value: 0x0005"),
          "status.running.value = '0x0005': has bits outside the mask 0x0004, so the condition"),
         ("stop_bits: 1", "stop_bits: 3", "serial.stop_bits = 3: must be a whole number from 1"),

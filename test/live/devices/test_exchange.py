@@ -423,7 +423,7 @@ def test_its_own_timeout_is_read_though_no_stop_was_ever_taken(bench: Bench) -> 
     ("raw", "limit", "silence", "words"),
     [
         # Above the limit: another master wrote it, or a bit of the answer flipped.
-        (16434, 1.2, "1.2", "read as 1643.4 s, which is above 1.2 s and is not trusted"),
+        (16434, 1.2, "1.2", "read as 1643.4 s, which is above the limit of 1.2 s and is not trusted"),
         # Not even longer by the margin of 1 s that is added to the drive's own timeout.
         (5, 1.2, "1.2", ""),
     ],
@@ -680,12 +680,12 @@ def test_a_second_driver_on_the_same_machine_keeps_off(bench: Bench) -> None:
     first = acquire_drive_lock(DriveEndpoint(ABB, parse_address(f"tcp://localhost:{port}")))
     bench.exchange.start()
     bench.speed = 0.5
-    wait(lambda: f"process {os.getpid()} on this machine" in bench.now.problem)
+    wait(lambda: f"process {os.getpid()} on this computer" in bench.now.problem)
     time.sleep(0.3)
     assert not bench.now.connected and bench.now.errors == 1
     # The supervisor's stop ignores the lock of its own driver.
     at = DriveEndpoint(ABB, parse_address(bench.wire.at))
-    with pytest.raises(DriveInUseError, match=f"process {os.getpid()} on this machine"):
+    with pytest.raises(DriveInUseError, match=f"process {os.getpid()} on this computer"):
         stop_drive(at, driver=1)
     assert bench.wire.connections == 0
     assert str(stop_drive(at, driver=os.getpid())) == "speed 0.0%, off"
@@ -705,7 +705,7 @@ def test_a_serial_line_is_one_drivers_by_any_name(tmp_path: Path) -> None:
         for name in ("ttyUSB0,1", "by-id,2")
     )
     with acquire_drive_lock(first), pytest.raises(
-        DriveInUseError, match=f"process {os.getpid()} on this machine"
+        DriveInUseError, match=f"process {os.getpid()} on this computer"
     ):
         acquire_drive_lock(second)
     acquire_drive_lock(second).close()

@@ -267,7 +267,7 @@ SHIPPED = (CONFIG / "sensors_mqtt.yaml").read_text()
         ("  high: 0.0001    ", "  # high: 0.0001 ", 29, "rain_gauge.high: is missing"),
         ("median: 1", "median: 3", 31, "rain_gauge.counts = True: requires median: 1"),
         ("roof/temperature", "roof/rain", 39, "thermometer.address = 'mqtt://127.0.0.1:1883/roof/"
-         "rain': is also the address of the rain gauge: two"),
+         "rain': is also the address of the rain gauge: the two"),
     ],
 )
 def test_a_wrong_file_is_refused_with_line_key_and_value(

@@ -290,8 +290,8 @@ def lines_of(**changes: Any) -> bytes:
 
 @pytest.mark.parametrize(("changes", "problem"), [
     # A stop under another key, as in an older version, is not forgotten.
-    ({"hold_owner": ..., "stopped": "by someone"}, "it has no hold_owner"),
-    ({"fault": ...}, "it has no fault"),
+    ({"hold_owner": ..., "stopped": "by someone"}, "it does not contain hold_owner"),
+    ({"fault": ...}, "it does not contain fault"),
     ({"version": 2}, "its format is 2, but this version reads 1"),
     ({"starts": [1.0, "2"]}, "starts must be a list of numbers"),
     ({"elapsed": math.nan}, "elapsed must be a number from 0 to 1e+11"),

@@ -99,7 +99,7 @@ def test_what_is_unknown_is_reported_so() -> None:
          decision.at_rest)
         for decision in rig.decisions[-14:]
     } == {("unknown", 0.0, False, None, False)}  # its topic has a number for every command
-    assert rig.decisions[-1].why.endswith("; it is unknown whether the pump is stopped")
+    assert rig.decisions[-1].why.endswith("; it is unknown whether the pump has stopped")
     decision = rig.run(3, 0.5)
     assert (decision.at_rest, decision.why) == (True, "connection lost")
     rig.change = {"speed": 5.0}
