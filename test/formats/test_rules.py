@@ -149,7 +149,8 @@ def test_a_stuck_gauge_is_found_by_a_run_and_a_calibration(
             ["rain is 0.9 mm for 24 h from 2021-06-09 0"] if stuck else []
         )
     unit = replace(record, rain=100 * record.rain)
-    assert any(text.startswith("rain is ") and UNIT in text.lower() for text in check_steps(unit, TORONTO))
+    sentences = check_steps(unit, TORONTO)
+    assert any(each.startswith("rain is ") and UNIT in each.lower() for each in sentences)
 
 
 # --- roofs off which nothing runs -----------------------------------------------------------------

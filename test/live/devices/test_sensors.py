@@ -334,7 +334,7 @@ def test_sensors_behind_one_gateway_share_a_connection() -> None:
         (["tcp://127.0.0.1:5030", "127.0.0.1"], 11, "cistern.address = '127.0.0.1': must be tcp"),
         (["  median: 5", "  median: 4"], 21, "cistern.median = 4: must be odd"),
         (["  median: 5", "  median: 99"], 21, "cistern.median = 99: delays the value by 49 s"),
-        (["low: 0.0 ", "low: -0.2 "], 18, "cistern.low = -0.2: must be at least -0.1 m: sensor noise"),
+        (["low: 0.0 ", "low: -0.2 "], 18, "cistern.low = -0.2: must be at least -0.1 m: sensor"),
         (["high: 6.0 ", "high: -6.0 "], 19, "cistern.high = -6.0: must be above low, which is 0 m"),
         (["scale: 0.0001 ", "scale: 0.00001 "], 16, "cistern.scale = 1e-05: cannot yield 0 to 6 m"),
         (["median: 5  ", "substrate_depth: 0.5\n  median: 5  "], 21,
