@@ -366,7 +366,7 @@ def test_a_wrong_file_is_refused_with_line_key_and_value(
         (2, "parity: even\n  stop_bits: 1\n  baud_rate: 19200", 0, ""),  # the defaults
         (1, "register: 4", 26, "roof.device_id = 1: is also the device id of the cistern on the "
          "same serial line, so a late response could be mistaken for that of the other sensor: "
-         "give each sensor its own slave address"),
+         "give each sensor its own device id"),
         (2, "baud_rate: 9600", 37, "roof.baud_rate = 9600: must be 19200, as for the cistern on "
          "the same line"),
         (2, "parity: none", 37, "roof.parity = 'none': must be even, as for the cistern"),
