@@ -59,7 +59,7 @@ from greenroof_ros.formats.quantities import QUANTITIES, ROOF
 from greenroof_ros.live.devices import drive_file, relay_file, sensor_file
 from greenroof_ros.live.pumping.limits import pump_parameters
 from greenroof_ros.model.metrics import METRICS
-from greenroof_ros.model.plain_keys import PLAIN, SUBSTRATES
+from greenroof_ros.model.plain_keys import PLAIN, SUBSTRATES, determined_by
 from greenroof_ros.model.site import read_site, site_parameters
 from greenroof_ros.model.storm_water import Event
 
@@ -279,7 +279,10 @@ def plain_keys() -> str:
         usual = "" if entry.usual is None else f"usually {entry.usual[0]:g} to {entry.usual[1]:g}"
         return " ".join(filter(None, (usual, entry.unit))) or "name"
 
-    return entries((f"`{entry.name}`", kind(entry), entry.meaning) for entry in PLAIN.values())
+    return entries(
+        (f"`{name}`", kind(entry), f"{entry.meaning}; determines {', '.join(determined_by(name))}")
+        for name, entry in PLAIN.items()
+    )
 
 
 def substrates() -> str:

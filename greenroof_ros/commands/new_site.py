@@ -148,14 +148,13 @@ def _add_option(
     """
     about = [_describe_unit(KEYS[key]), default and f"default: {default}"]
     end = "; ".join(filter(None, about))
-    meaning = KEYS[key].meaning.partition("; ")[0]
     settings: dict[str, Any] = {"metavar": "X"}
     if KEYS[key].among:
         settings = {"choices": KEYS[key].among}
     else:
         settings["type"] = _reader(key)
     group.add_argument(
-        f"--{option}", dest=key, help=f"{meaning} ({end})" if end else meaning, **settings
+        f"--{option}", dest=key, help=KEYS[key].meaning + (f" ({end})" if end else ""), **settings
     )
 
 
@@ -248,8 +247,8 @@ def _ask_what_is_missing(arguments: argparse.Namespace) -> None:
         ConfigurationError: if there is no terminal, or if the input ends.
     """
     questions = [
-        *((f"--{option}", key, _reader(key), KEYS[key].meaning.partition("; ")[0],
-           _describe_unit(KEYS[key])) for option, key in _ASKED.items()),
+        *((f"--{option}", key, _reader(key), KEYS[key].meaning, _describe_unit(KEYS[key]))
+          for option, key in _ASKED.items()),
         ("--place", "place", _read_place, "place", _PLACE_FORM),
     ]
     missing = [each for each in questions if getattr(arguments, each[1]) is None]

@@ -99,47 +99,36 @@ class PlainKeys:
     """The plain keys, each of which is optional."""
 
     cistern_volume: float | None = entry(
-        "volume of the cistern up to its overflow; determines a1, which is this volume divided "
-        "by the height of the overflow", 0.01, 1e5,
-        unit="m3", default=None, usual=(1, 50),
+        "volume of the cistern up to its overflow", 0.01, 1e5, unit="m3", default=None,
+        usual=(1, 50),
     )
     cistern_height: float | None = entry(
-        "height of the cistern's overflow above its base; determines "
-        "z_o", 0.1, 50.0, unit="m", default=None,
+        "height of the cistern's overflow above its base", 0.1, 50.0, unit="m", default=None,
         usual=(1, 3),
     )
     catchment_area: float | None = entry(
-        "area that drains to the cistern; determines a_in", 0.1, 1e6, unit="m2", default=None,
-        usual=(50, 2000),
+        "area that drains to the cistern", 0.1, 1e6, unit="m2", default=None, usual=(50, 2000),
     )
     roof_area: float | None = entry(
-        "area of the green roof; determines "
-        "a2", 0.1, 1e6, unit="m2", default=None, usual=(20, 2000),
+        "area of the green roof", 0.1, 1e6, unit="m2", default=None, usual=(20, 2000),
     )
     substrate: str | None = entry(
-        "name of the green roof's substrate; determines field_capacity, wilting_point, "
-        "depletion_fraction, drainage_storage and "
-        "drainage_time", choices=tuple(SUBSTRATES), default=None,
+        "name of the green roof's substrate", choices=tuple(SUBSTRATES), default=None,
     )
     substrate_depth: float | None = entry(
-        "depth of the substrate; determines "
-        "z_soil", 0.02, 2.0, unit="m", default=None, usual=(0.06, 0.5),
+        "depth of the substrate", 0.02, 2.0, unit="m", default=None, usual=(0.06, 0.5),
     )
     pump_flow: float | None = entry(
-        "flow of the pump at full command, independent of the cistern's level; determines a_hat "
-        "and c_hat",
-        1.0, 1e6,
+        "flow of the pump at full command, independent of the cistern's level", 1.0, 1e6,
         unit="l/h", default=None, usual=(100, 5000),
     )
     irrigation_rate: float | None = entry(
         "flow of the pump at full command, expressed as the depth of water that it adds to the "
-        "roof per hour", 0.1, 1000.0,
-        unit="mm/h", default=None, usual=(2, 10),
+        "roof per hour", 0.1, 1000.0, unit="mm/h", default=None, usual=(2, 10),
     )
     emitters: int | None = entry(
         "number of drip emitters that the pump supplies at full command, each with the flow "
-        "emitter_flow",
-        1, 10_000_000, default=None, usual=(100, 5000),
+        "emitter_flow", 1, 10_000_000, default=None, usual=(100, 5000),
     )
     emitter_flow: float | None = entry(
         "flow of one drip emitter", 0.1, 100.0, unit="l/h", default=None, usual=(1, 4),
@@ -160,10 +149,11 @@ _SAME: tuple[tuple[tuple[str, ...], ...], ...] = (
     (("cistern_volume",), ("a1",)),
     (("pump_flow",), ("irrigation_rate",), ("emitters", "emitter_flow"), ("a_hat", "c_hat")),
 )
+# The keys that a key replaces. A key of the soil does not replace the substrate's name.
 _RIVALS: dict[str, tuple[str, ...]] = {
     name: tuple(other for group in same if name not in group for other in group)
     for same in _SAME for names in same for name in names
-}
+} | {"substrate": _OF_SUBSTRATE}
 _PLACE = {"latitude", "longitude"}
 NO_VALUE = "must have a value; leave this line out if there is none"
 """reason for rejecting an empty value"""
@@ -194,6 +184,11 @@ class Translation(NamedTuple):
     """functions that compute parameters from a site's other parameters, by name"""
 
 
+def determined_by(key: str) -> tuple[str, ...]:
+    """Return the paper's parameters that a plain key determines."""
+    return tuple(name for name in _RIVALS[key] if name not in PLAIN)
+
+
 def override(base: Mapping[str, Entry], own: Mapping[str, Entry]) -> dict[str, Entry]:
     """Return the entries of one level of a site, together with those of the levels below.
 
@@ -208,10 +203,8 @@ def override(base: Mapping[str, Entry], own: Mapping[str, Entry]) -> dict[str, E
             keys.
     """
     replaced = {rival for name in own for rival in _RIVALS.get(name, ())}
-    if "substrate" in own:
-        replaced.update(_OF_SUBSTRATE)
     for name, (value, file, line, _) in own.items():
-        rivals = _OF_SUBSTRATE if name == "substrate" else _RIVALS.get(name, ())
+        rivals = _RIVALS.get(name, ())
         for rival in (rival for rival in rivals if rival in own and name in PLAIN):
             where = "" if own[rival].line is None else f" in line {own[rival].line}"
             raise ConfigurationError(

@@ -557,10 +557,9 @@ def _traces(file: Path, noted: int | None) -> list[str]:
     if file.is_symlink():
         return [f"it is a link to {file.readlink()}, which does not exist"]
     names = *(file.name + ending for ending in _LEFTOVERS), *_OF_SITE
-    left = [
-        name for name in names if os.path.lexists(file.with_name(name))
-        and not _is_empty_disk(file.with_name(name))
-    ]
+    left = [name for name in names if os.path.lexists(file.with_name(name))]
+    if "bag" in left and _is_empty_disk(file.with_name("bag")):
+        left.remove("bag")
     if noted is not None:
         left.append(_lock_file(file).name)
     return [f"it is missing, although {name} exists" for name in left]

@@ -340,12 +340,6 @@ def test_an_upgrade_needs_no_reset(tmp_path: Path, clock: Clock) -> None:
     assert written(file)["version"] == 1
 
 
-def write_in(directory: Path) -> None:
-    """Make a directory with a file in it."""
-    directory.mkdir()
-    (directory / "file").touch()
-
-
 @pytest.mark.parametrize("content", [(), ("lost+found",)])
 def test_empty_disk_mounted_for_the_bag_is_a_fresh_start(
     content: tuple[str, ...], tmp_path: Path
@@ -369,8 +363,8 @@ def test_empty_disk_mounted_for_the_bag_is_a_fresh_start(
     lambda file: file.with_name("pump.json.lock").touch(),
     lambda file: file.with_name("summary.json").write_text("{}"),
     lambda file: file.with_name("alarms.jsonl").touch(),
-    lambda file: write_in(file.with_name("bag")),
-    lambda file: write_in(file.with_name("configuration")),
+    lambda file: (file.with_name("bag") / "bag_0.mcap").mkdir(parents=True),
+    lambda file: file.with_name("configuration").mkdir(),
     lambda file: file.with_name("bag").symlink_to("unmounted"),
 ], ids=["new", "broken", "second link", "directory", "link to nothing", "loop of links", "lock",
         "summary", "alarms", "bag", "configuration", "link to a missing bag"])
