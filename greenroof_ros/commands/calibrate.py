@@ -77,7 +77,7 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--months", metavar="FIRST-LAST",
         help="fit and validate with only these months of the record, such as 4-10, or 11-3 for a "
-        "period across the new year; the other months are only simulated (default: all)",
+        "period that spans the new year; the other months are only simulated (default: all)",
     )
     return parser
 

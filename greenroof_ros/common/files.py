@@ -388,7 +388,7 @@ def parse_yaml(text: str, path: Path, plain: Callable[[str], Any] = _parse_plain
             key = str(key_node.value)
             if key in mapping:
                 before = mapping.lines[key]
-                raise refuse(key_node, f"the key {key} appears twice, first in line {before}")
+                raise refuse(key_node, f"the key {key} appears twice, first on line {before}")
             mapping[key] = value_of(value_node)
             mapping.lines[key] = key_node.start_mark.line + 1
         return mapping

@@ -176,7 +176,7 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> float:
 def _changes(
     limits: RoofRange, slope: Values, edges: NDArray[np.int64]
 ) -> tuple[Values, Values, Values]:
-    """Return limits of a block's mean, given the previous block's, on a field-capacity soil.
+    """Return the limits of a block's mean volume, given the previous one (field-capacity soil).
 
     Returns:
         A factor, and the minimum and the maximum of a block's mean minus this factor times the

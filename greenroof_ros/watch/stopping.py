@@ -120,7 +120,7 @@ def _write_then(*others: str) -> str:
 
 
 def make_bare_stop() -> dict[str, Any]:
-    """Return the stop action to offer if nothing is known; any pump node receives the request."""
+    """Return the stop action to offer while the pump node is unknown: any pump node may answer."""
     return {
         "possible": True, "stopped": False, "label": "Stop the pump",
         "sentence": "A stop holds the pump off until someone releases it. " + LOCK_OUT,

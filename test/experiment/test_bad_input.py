@@ -47,7 +47,8 @@ FORECASTS = [
     ([HEADER, f"{H1},{H1},0,2", f"{H0},{H0},0,2"], 3, "must be in chronological order"),
     ([MEMBERS, f"{H0},{H0},-1,0"], 2, "member = '-1': must be a number from 0 to 99 (whole)"),
     ([MEMBERS, f"{H0},{H0},{'9' * 5000},0"], 2, "member = '99"),
-    ([MEMBERS, f"{H0},{H0},0,0", f"{H0},{H0},2,0"], 2, "members 0, 2, but the members must be"),
+    ([MEMBERS, f"{H0},{H0},0,0", f"{H0},{H0},2,0"], 2,
+     "members 0, 2, but the members must be numbered 0, 1, 2 and"),
 ]
 
 

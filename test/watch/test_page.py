@@ -648,7 +648,8 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: A
         for wrong in ("", "0.6", "-0.1", "0"):
             volume.fill(wrong)
             page.locator("#dose-button").click()
-            until_shown(page, "#answer.failed", "A dose must be at most 0.5 m³, equiv")
+            limits = "A dose must be at most 0.5 m³, equivalent to "
+            until_shown(page, "#answer.failed", limits)
         volume.fill("0.25")
         page.locator("#dose-button").click()
         until_shown(page, "#ask", "Give a dose of 0.25 m³?")

@@ -62,7 +62,7 @@ def table(results: list[dict[str, Any]]) -> str:
     for result in results:
         groups[_row(result)].append(result)
     return "\n".join([
-        head(["fault", "cases", "failed", "nearest to its bound"]),
+        head(["fault", "cases", "failed", "closest to its bound"]),
         *(row([name, *_cells(group)]) for name, group in groups.items()),
         row(["together", *_cells(results)]),
     ])

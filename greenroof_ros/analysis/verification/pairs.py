@@ -65,7 +65,7 @@ def read_issued_forecasts(
         file: path of the archive, which is a file or a directory of files.
         weather: the records.
         site: site with its location.
-        horizon: number of hours of every forecast to compare.
+        horizon: number of hours to compare in each forecast.
 
     Raises:
         ConfigurationError: if the archive is invalid.

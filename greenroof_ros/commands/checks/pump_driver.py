@@ -280,7 +280,7 @@ class PumpCheck(NodeCheck):
         require(
             after <= _AT_REST * before,
             f"the flow is {after:.3g} m3/s at the first command after {SILENCE_S:g} s "
-            f"of silence, and was {before:.3g} before: the pump had not stopped",
+            f"of silence, and was {before:.3g} m3/s before the silence: the pump had not stopped",
         )
         require(state not in _ON, f"/pump/state reports {state!r} at the end of the silence")
         self.result = (

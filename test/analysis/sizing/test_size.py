@@ -307,7 +307,8 @@ def test_a_site_without_its_place(tmp_path: Path) -> None:
     (["--volumes", "5", "5"], "error: --volumes = 5.0: appears twice"),
     (["--cistern-price", "600"], "error: --mains-price: is missing: to compute costs, set"),
     (["--season", "04-01/10-31"], "does not cover a complete season, 1 April to 31 October"),
-    (["--output", "mine"], "error: --output = 'mine': contains letter.txt, which is not the"),
+    (["--output", "mine"],
+     "error: --output = 'mine': contains letter.txt, which is not the result"),
 ])
 def test_wrong_options(tmp_path: Path, options: list[str], message: str) -> None:
     """Exit code 2, one line, no traceback."""

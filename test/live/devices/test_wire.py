@@ -333,7 +333,8 @@ def test_own_timeout(interface: str, expected: float | None, dialogue: str) -> N
 
 @pytest.mark.parametrize("name", ["abb_acs880", "danfoss_fc202"])
 def test_no_timeout_of_an_ethernet_port_is_known(name: str) -> None:
-    with pytest.raises(DriveError, match=rf"{name}.yaml does not .*timeout .*\(timeout.tcp\)"):
+    message = rf"{name}.yaml does not describe a .*timeout .*\(timeout.tcp\)"
+    with pytest.raises(DriveError, match=message):
         follow(name, "", Drive.timeout)
 
 
@@ -412,7 +413,8 @@ def test_a_late_answer_is_not_taken_for_the_next() -> None:
 @pytest.mark.parametrize(
     ("answer", "kind", "message"),
     [
-        ([(0, frame("0001 0000 0006 01 06 0000 047F"))], "answer", "0x047E to register 0: the re"),
+        ([(0, frame("0001 0000 0006 01 06 0000 047F"))], "answer",
+         "0x047E to register 0: the response"),
         (None, "connection", "the connection was closed"),
     ],
 )
