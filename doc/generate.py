@@ -182,6 +182,8 @@ def quality() -> str:
         if not topic.publishers:
             return "published with each measurement, in a live graph only"
         if not topic.per_tick:
+            if "recorder" in topic.live_subscribers:
+                return "published as required, recorded at a live site only"
             return "published as required, not recorded"
         if topic.of_valve:
             return "only at a site with a valve on the low outlet"

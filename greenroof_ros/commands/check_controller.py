@@ -33,10 +33,9 @@ _NODE = (
     "node publishes exactly one message on /pump/command and, at a site with an outlet valve, "
     "exactly one on /outlet/command. (3) The node answers every tick. All commands are finite and "
     "not negative, and commands to the valve are at most 1. Commands are 0 if a level or frost is "
-    "not finite, and "
-    "the pump's command is also 0 in frost. (4) The node stops when /clock no longer has a "
-    "publisher. The check takes the place of the plant node and the weather node, so do not "
-    "start a run. At the end, the check stops the node."
+    "not finite, and the pump's command is also 0 in frost. (4) The node stops when /clock no "
+    "longer has a publisher. The check takes the place of the plant node and the weather node, so "
+    "do not start a run. At the end, the check stops the node."
 )
 
 

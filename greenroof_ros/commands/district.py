@@ -54,8 +54,7 @@ def make_parser() -> Parser:
     parser.add_argument(
         "district", type=Path, metavar="DISTRICT.yaml",
         help="district file, which describes the buildings, the weather, the adoption rates and "
-        "the sewer, such as "
-        "config/districts/example.yaml",
+        "the sewer, such as config/districts/example.yaml",
     )
     parser.add_argument(
         "--output", type=Path, required=True, metavar="DIR",

@@ -219,10 +219,9 @@ RELEASE = PumpRequest(
 RESET = PumpRequest(
     "reset", "cleared",
     "Clear a latched fault of the pump, in the pump node and in the drive, once the cause of the "
-    "fault has been remedied. The command is intended for a person standing at the pump, and "
-    "asks for confirmation first. A hold stays in force until 'greenroof release'. After a "
-    "reset, the pump starts when the "
-    "controller requires it and nothing else keeps it off.",
+    "fault has been remedied. The command is intended for a person standing at the pump, and asks "
+    "for confirmation first. A hold stays in force until 'greenroof release'. After a reset, the "
+    "pump starts when the controller requires it and nothing else keeps it off.",
     _reset, _add_reset_options,
 )
 DOSE = PumpRequest(

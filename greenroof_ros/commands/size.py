@@ -163,8 +163,7 @@ def show(sizes: Sizes, page: Path) -> None:
         )
     console.print(
         f"Target {own.target:g} mm, outlet {own.outlet}, on/off control; {sizes.window}; "
-        f"{seasons}. The cistern: "
-        f"{sizes.describe_knee()}", highlight=False,
+        f"{seasons}. The cistern: {sizes.describe_knee()}", highlight=False,
     )
     columns = sizes.columns
     for outlet in sizes.outlets:

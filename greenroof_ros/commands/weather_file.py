@@ -71,8 +71,7 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--stamped", choices=STAMPS,
         help="treat the time of each row in your own file as the start or the end of the row's "
-        "interval "
-        "(default: end if the file has the comment 'stamped: end', otherwise start)",
+        "interval (default: end if the file has the comment 'stamped: end', otherwise start)",
     )
     return parser
 

@@ -139,9 +139,8 @@ class RegretBudget:
                 self._warned = True
                 _log.warning(
                     "waiting for rain has cost %.0f m3 s more than plain on/off control, and the "
-                    "budget "
-                    "for this cost is used up; forecasts of rain are ignored until the budget has "
-                    "grown enough (reported once)", self.loss,
+                    "budget for this cost is used up; forecasts of rain are ignored until the "
+                    "budget has grown enough (reported once)", self.loss,
                 )
         # A controller that follows on/off is a tick behind it until both have filled the roof.
         elif behind <= site.tau * flow / 2:

@@ -274,9 +274,8 @@ class Table:
                 expected = first.astimezone(time.tzinfo) + (hours[-1] + 1) * HOUR
                 raise self.refuse(
                     f"must be {to_minutes(expected)}, or a whole number of hours later: each row "
-                    "is one "
-                    "hour; for an hour without values, leave the cells empty or leave out the "
-                    "row", column, row,
+                    "is one hour; for an hour without values, leave the cells empty or leave out "
+                    "the row", column, row,
                 )
             hours.append(hour)
             present.add(hour)

@@ -89,8 +89,7 @@ SERVICES = (
         },
         "convert inches (* 25.4), degF ((F - 32) / 1.8), mph (* 1.609) and inHg (* 3.386), or in "
         "version 2, with stations such as USW00094728, m/s (* 3.6) and hPa (/ 10); remove the "
-        "letter s after numbers; keep one row per hour with REPORT_TYPE FM-15; "
-        f"{_ENDED}",
+        f"letter s after numbers; keep one row per hour with REPORT_TYPE FM-15; {_ENDED}",
     ),
     OtherService(
         "NOAA, Global Historical Climatology Network hourly", r"Station_name\|",
@@ -167,7 +166,6 @@ def explain_file(file: Path) -> None:
             names = ", ".join(f"'{ours}' = {theirs}" for ours, theirs in service.columns.items())
             raise ConfigurationError(
                 f"is a file from {service.name}, which cannot be read directly: "
-                ""
                 + (f"rename its columns: {names}; write times as in 2024-06-01T12:00Z; leave out "
                    "the lines before the header; " if names else "")
                 + service.further, file=file,

@@ -319,8 +319,7 @@ def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Recor
             )
             values[PRECIPITATION] = average_minutes(minutes)
         notes.append(
-            f"{file.name}: rows are "
-            f"{' and '.join(duration(3600 * each) for each in durations_h)} "
+            f"{file.name}: rows are {' and '.join(duration(3600 * each) for each in durations_h)} "
             "apart; rain is simulated at a resolution of one minute, and other quantities are "
             "averaged over each hour"
         )

@@ -50,8 +50,7 @@ def require_ros() -> Iterator[None]:
     except ImportError as error:
         raise ConfigurationError(
             "ROS 2 cannot be imported: repair the installation of ROS 2, or "
-            f"{describe_extra('ros')}; "
-            f"greenroof simulate does not need ROS 2 ({error})"
+            f"{describe_extra('ros')}; greenroof simulate does not need ROS 2 ({error})"
         ) from error
 
 

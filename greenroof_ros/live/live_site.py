@@ -68,9 +68,8 @@ class LiveSite:
              "and /roof/level"),
             (drive is None and not arguments.pump, "--drive NAME", None,
              "is missing: a live site needs this option for the make of the pump's drive, and "
-             "--drive-at for its address; alternatively, use --pump external if your own node "
-             "runs the "
-             "pump"),
+             "--drive-at for its address; alternatively, use --pump external if your own node runs "
+             "the pump"),
             (others_weather and has_forecast, "--forecast", arguments.forecast,
              "is for the weather node, which --weather external replaces"),
             (not others_weather and not has_forecast and self.controller.needs_forecast,
@@ -175,9 +174,9 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="greenroof live",
         usage="%(prog)s [options]",
-        description="Operate a real site with sensors and a pump on the system clock; nothing is "
-            "simulated. The command runs until it receives Ctrl-C or SIGTERM; it then stops the "
-            "pump, and then the nodes.",
+        description="Operate a real site with sensors and a pump in real time; nothing is "
+        "simulated. The command runs until it receives Ctrl-C or SIGTERM; it then stops the pump, "
+        "and then the nodes.",
         epilog="examples:\n"
         "  greenroof live --sensors sensors.yaml --forecast forecast.csv \\\n"
         "    --drive danfoss_fc202 --drive-at /dev/ttyUSB0\n\n"

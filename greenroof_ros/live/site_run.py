@@ -373,11 +373,9 @@ def _fit_bag(site: LiveSite, bag: Path) -> None:
     reduced = max(MIN_BAG_MB, 0.9 * fits / 1e6)
     if site.bag_limit > reduced:
         print_line(
-            f"warning: {bag}: there is only enough disk space for {fits / 1e6:.0f} MB of the "
-            "bag, which is less "
-            f"than --bag-limit {site.bag_limit:g}; the bag's oldest files are removed once it "
-            "exceeds "
-            f"{reduced:.0f} MB"
+            f"warning: {bag}: there is only enough disk space for {fits / 1e6:.0f} MB of the bag, "
+            f"which is less than --bag-limit {site.bag_limit:g}; the bag's oldest files are "
+            f"removed once it exceeds {reduced:.0f} MB"
         )
         site.bag_limit = reduced
 

@@ -69,9 +69,8 @@ SUBSTRATES = {
     "extensive": Substrate(
         "assumed values: a maximum water capacity of 35 % is quoted as the minimum in the FLL "
         "guidelines (2018) for extensive roofs with more than one layer, but was not verified "
-        "against their text; the wilting point and the drainage layer are within the ranges "
-        "given in EPA's SWMM Reference Manual III (2016), 0.05 to 0.2 and 3 to 20 "
-        "mm", 0.1, 0.35, 0.1,
+        "against their text; the wilting point and the drainage layer are within the ranges given "
+        "in EPA's SWMM Reference Manual III (2016), 0.05 to 0.2 and 3 to 20 mm", 0.1, 0.35, 0.1,
     ),
     "intensive": Substrate(
         "assumed values: those of the substrate 'extensive', except for the maximum water "

@@ -26,10 +26,9 @@ def note_pumps(site: Site) -> Iterator[str]:
     depth = flow / site.a2 / LITRES_PER_HOUR
     if site.field_capacity is not None and depth > _TAKEN_UP:
         yield (
-            f"the pumps can deliver {1000 * flow:.3g} l/s, or {depth:.0f} mm/h on "
-            f"{site.a2:g} m2 of roof. A substrate is assumed to absorb {_TAKEN_UP:g} mm/h; the "
-            "excess runs off the surface, which is not simulated. Is the pump curve or the pump "
-            "flow correct?"
+            f"the pumps can deliver {1000 * flow:.3g} l/s, or {depth:.0f} mm/h on {site.a2:g} m2 "
+            f"of roof. A substrate is assumed to absorb {_TAKEN_UP:g} mm/h; the excess runs off "
+            "the surface, which is not simulated. Is the pump curve or the pump flow correct?"
         )
     share = site.tau * flow / site.x2_star
     if share > _MAX_SHARE:

@@ -165,8 +165,7 @@ class Site:
     )
     mains_level: float | None = entry(
         "water level in the cistern below which a float valve adds mains water; if omitted, the "
-        "cistern has "
-        "no mains supply",
+        "cistern has no mains supply",
         0.01, 100.0, unit="m", default=None,
     )
     mains_flow: float | None = entry(

@@ -151,8 +151,7 @@ class RecorderNode(SimulationNode):
                 f"{name}: {count}" for name, count in counts.items() if count != ticks
             )
             raise LockstepError(
-                f"expected {ticks} messages of each topic; some were lost or arrived twice: "
-                f"{wrong}"
+                f"expected {ticks} messages of each topic; some were lost or arrived twice: {wrong}"
             )
 
     def summary(self) -> dict[str, Any]:

@@ -337,9 +337,8 @@ def _drop_outliers(
         len(wrong) >= _MAX_OUTLIERS * len(values) or 2 * large >= np.count_nonzero(values)
     ):
         raise ConfigurationError(
-            f"{replace(topic.range, high=high).expected()}{why}, but is "
-            f"{values[wrong[0]]:g} {topic.unit} at "
-            f"{from_epoch_ns(int(times[wrong[0]])).isoformat()}; is a unit wrong?",
+            f"{replace(topic.range, high=high).expected()}{why}, but is {values[wrong[0]]:g} "
+            f"{topic.unit} at {from_epoch_ns(int(times[wrong[0]])).isoformat()}; is a unit wrong?",
             file=bag, key=topic.name,
         )
     return _Series(times[fine], values[fine]), [

@@ -231,8 +231,7 @@ class Bridge:
         print_seldom("foreign", (
             f"{topic}: another client, perhaps another bridge with the same namespace, has "
             "published on this topic; this bridge will publish its own message again. Configure "
-            "the broker so "
-            "that only this bridge may publish on this topic"
+            "the broker so that only this bridge may publish on this topic"
         ))
 
 

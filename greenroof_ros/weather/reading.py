@@ -78,9 +78,8 @@ def read_measured(
     joined = join_records([read_records(file, site, stamped) for file in files])
     if PRECIPITATION not in joined.values:
         raise ConfigurationError(
-            f"contains no {PRECIPITATION}, such as a column 'precipitation [mm/h]' or 'rain "
-            "[mm]'; add "
-            "the file that contains the precipitation", file=joined.source,
+            f"contains no {PRECIPITATION}, such as a column 'precipitation [mm/h]' or 'rain [mm]'; "
+            "add the file that contains the precipitation", file=joined.source,
         )
     return drop_empty(_drop_partial_hours(joined))
 

@@ -180,10 +180,8 @@ class WeatherSeries:
         before = (weather.end - start).total_seconds()
         if start < weather.first or steps * site.tau > before:
             raise ConfigurationError(
-                f"contains records from {to_minutes(weather.first)} to "
-                f"{to_minutes(weather.end)}, "
-                f"but the run starts at {to_minutes(start)} and lasts "
-                f"{duration(steps * site.tau)}",
+                f"contains records from {to_minutes(weather.first)} to {to_minutes(weather.end)}, "
+                f"but the run starts at {to_minutes(start)} and lasts {duration(steps * site.tau)}",
                 file=weather.source,
             )
         ticks = steps + site.M

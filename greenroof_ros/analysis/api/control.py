@@ -155,7 +155,6 @@ def read_parameters(instance: Controller, choice: ControllerChoice) -> dict[str,
         raise ConfigurationError(
             "must have its parameter horizon as an attribute, since the length of its forecast "
             "is otherwise unknown; alternatively, pass the class and "
-            "horizon=", key="an instance of "
-            f"{choice.name}",
+            "horizon=", key=f"an instance of {choice.name}",
         )
     return values

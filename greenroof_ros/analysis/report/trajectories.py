@@ -174,8 +174,7 @@ def overlay_simulations(simulations: Mapping[str, tuple[Site, Trajectory]]) -> a
         if run.start != start:
             raise ConfigurationError(
                 f"begins at {to_minutes(run.start)}, but {first} begins at {to_minutes(start)}: "
-                "all runs "
-                "in a chart must begin at the same time", key=name,
+                "all runs in a chart must begin at the same time", key=name,
             )
     longest = max(runs.values(), key=lambda run: run.hours)
     x = _time(start, longest.hours)

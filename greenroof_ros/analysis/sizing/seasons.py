@@ -101,9 +101,8 @@ def find_seasons(
         seasons = "".join(f"; {name}: {why}" for name, why in incomplete.items())
         raise ConfigurationError(
             f"does not cover a complete season, {window}: the record is from "
-            f"{to_minutes(weather.first)} to {to_minutes(weather.end)}{seasons}. Choose other "
-            "days with season, or fill "
-            "missing hours (gaps: fill)", file=weather.source,
+            f"{to_minutes(weather.first)} to {to_minutes(weather.end)}{seasons}. Choose other days "
+            "with season, or fill missing hours (gaps: fill)", file=weather.source,
         )
     return runs, incomplete
 

@@ -31,9 +31,8 @@ def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> l
     """
     scores = {key: tally.scores() for key, tally in tallies.items()}
     warnings = [
-        f"{lead} contains {ratio:.2f} times the rain of the other lead times, most likely "
-        "because of an "
-        "error in the archive; --horizon excludes long lead times"
+        f"{lead} contains {ratio:.2f} times the rain of the other lead times, most likely because "
+        "of an error in the archive; --horizon excludes long lead times"
         for lead, ratio in (_find_odd_leads(scores) if previous_runs else {}).items()
     ]
     # Classes with few pairs tell nothing, nor do classes whose forecast or rain never varies.

@@ -346,9 +346,8 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             self._connect_at = now + silence_s
             self._stop_monitor.silence_started(self._connect_at)
             self._fail(
-                f"{problem}{why}, so nothing is sent for {silence_s:g} s, during which the "
-                f"drive's own communication timeout ({timeout}) must stop it; any message could "
-                "restart "
+                f"{problem}{why}, so nothing is sent for {silence_s:g} s, during which the drive's "
+                f"own communication timeout ({timeout}) must stop it; any message could restart "
                 "that timeout",
                 state=ExchangeState.SILENT, status=None,
             )

@@ -341,9 +341,8 @@ def _period_mistakes(
     shown = late + interval
     if quantity is QUANTITIES["flow_meter"] and shown > _MAX_AFTERFLOW_S:
         yield "median", (
-            f"shows a flow for up to {shown:g} s after its end, at one reading every "
-            f"{interval:g} s; an afterflow of more than {_MAX_AFTERFLOW_S:g} s would look like a "
-            "welded contact"
+            f"shows a flow for up to {shown:g} s after its end, at one reading every {interval:g} "
+            f"s; an afterflow of more than {_MAX_AFTERFLOW_S:g} s would look like a welded contact"
         )
     if late > _MAX_FILTER_S:
         yield "median", (

@@ -135,8 +135,7 @@ class Doses:
             self._newest = min(self._newest, now + _AHEAD_S)  # this machine's clock was ahead
             return (
                 "the request was made before the previous request, or before the pump node was "
-                "started: "
-                "repeat the request"
+                "started: repeat the request"
             )
         self._newest = requested_at  # even if it is refused below
         if refusal := self.refusal(inhibit_reason):

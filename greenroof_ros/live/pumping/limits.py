@@ -115,9 +115,8 @@ class PumpSettings:
         1.0, 3600.0, unit="s", default=60.0,
     )
     level_tolerance: float = entry(
-        "maximum unexplained change of a mean level that the delivery check tolerates; must "
-        "exceed the "
-        "sensor's resolution. The default is 13 times the noise of the mean if readings arrive "
+        "maximum unexplained change of a mean level that the delivery check tolerates; must exceed "
+        "the sensor's resolution. The default is 13 times the noise of the mean if readings arrive "
         "every second with errors of 5 mm",
         1e-4, 1.0, unit="m", default=0.006,
     )
