@@ -153,7 +153,7 @@ def nested(levels: int, brackets: str = "[{}]", item: str = "{1}") -> str:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("a: 1\nb: 2\na: 3\n", ", line 3: is not valid YAML: the key a appears twice, first in "
+        ("a: 1\nb: 2\na: 3\n", ", line 3: is not valid YAML: the key a appears twice, first on "
         "line"),
         ("a: " + "[" * 300 + "]" * 300, ": is nested more than 200 levels deep"),
         ("a: 1\nb: \0\n", ", line 2: is not a text file (it contains a NUL byte)"),
