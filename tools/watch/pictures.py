@@ -42,7 +42,8 @@ PICTURES = {
 _SCALE, _MARGIN = 1.5, 4
 # Overheating of the motor, by the drive's model of it: bit 8 of the Danfoss drive's alarms.
 _OVERHEATING = 1 << 8
-# Time from 03:00 to 09:30 at 60 times real time, the highest speed at which the page shows values.
+# Wait at 60 times real time, the highest speed at which the page shows values. With the start of the
+# page, it is then about 09:50 in the run.
 _STORM_S = 390.0
 # Time for which the pump runs before the fault (s).
 _BEFORE_FAULT_S = 60.0
@@ -52,7 +53,7 @@ _SHOWN_S = 8.0
 
 @contextmanager
 def storm(domain: int, place: Path) -> Iterator[Callable[[], object]]:
-    """The storm of the tutorial "First run" at 09:30."""
+    """The storm of the tutorial "First run" at about 09:50."""
     run = Process(
         domain, "bringup", "--controller", "lookahead", "--start", "2021-07-08T03:00",
         "--cistern", "57.7", "--roof", "1", "--speed", "60", "--output", "run", cwd=place,
