@@ -42,8 +42,8 @@ PICTURES = {
 _SCALE, _MARGIN = 1.5, 4
 # Overheating of the motor, by the drive's model of it: bit 8 of the Danfoss drive's alarms.
 _OVERHEATING = 1 << 8
-# Wait at 60 times real time, the highest speed at which the page shows values. With the start of the
-# page, it is then about 09:50 in the run.
+# Wait at 60 times real time, the highest speed at which the page shows values. With the start of
+# the page, it is then about 09:50 in the run.
 _STORM_S = 390.0
 # Time for which the pump runs before the fault (s).
 _BEFORE_FAULT_S = 60.0
