@@ -58,10 +58,10 @@ from greenroof_ros.forecast.skill import Climate, Errors
 from greenroof_ros.formats.quantities import QUANTITIES, ROOF
 from greenroof_ros.live.devices import drive_file, relay_file, sensor_file
 from greenroof_ros.live.pumping.limits import pump_parameters
-from greenroof_ros.model.metrics import METRICS
-from greenroof_ros.model.plain_keys import PLAIN, SUBSTRATES, determined_by
-from greenroof_ros.model.site import read_site, site_parameters
-from greenroof_ros.model.storm_water import Event
+from greenroof_ros.physics.storm_water import Event
+from greenroof_ros.results.metrics import METRICS
+from greenroof_ros.site.plain_keys import PLAIN, SUBSTRATES, determined_by
+from greenroof_ros.site.site import read_site, site_parameters
 
 _BLOCK = re.compile(
     r"(?<=<!-- table: )(?P<name>[a-z_ ]+)(?P<gap> -->\n)(?P<table>.*?)(?=<!-- end of table -->)",

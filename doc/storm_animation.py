@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import greenroof_ros as gr
-from greenroof_ros.model.storm_water import Intervals, find_wet_weather
+from greenroof_ros.physics.storm_water import Intervals, find_wet_weather
 
 Values = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 
 
 class Proportional:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 
 
 class RainWait:

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.experiment.run import Run
 from greenroof_ros.forecast.resampling import SteppedForecast
-from greenroof_ros.model.look_ahead import growing_steps
+from greenroof_ros.simulation.run import Run
+from greenroof_ros.site.horizon import growing_steps
 from greenroof_ros.weather.series import Weather
 
 Array = NDArray[np.float64]

@@ -21,12 +21,12 @@ from places import CONFIG
 from greenroof_ros.common.command_line import Parser
 from greenroof_ros.controllers.lookahead import Lookahead
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.experiment.closed_loop import Simulation
-from greenroof_ros.experiment.options import add_run_arguments, build_run
-from greenroof_ros.experiment.run import Run
 from greenroof_ros.forecast.resampling import PerfectForecast
-from greenroof_ros.model.metrics import Metrics
-from greenroof_ros.model.site import Site, format_site, read_site
+from greenroof_ros.results.metrics import Metrics
+from greenroof_ros.simulation.loop import Simulation
+from greenroof_ros.simulation.options import add_run_arguments, build_run
+from greenroof_ros.simulation.run import Run
+from greenroof_ros.site.site import Site, format_site, read_site
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
 TABLE_I: dict[str, float] = {

@@ -14,8 +14,8 @@ from greenroof_ros.live.pumping.ledger import Ledger
 from greenroof_ros.live.pumping.limits import PumpSettings, pump_parameters
 from greenroof_ros.live.pumping.pump_control import Decision, PumpControl
 from greenroof_ros.live.pumping.pump_inputs import Observation
-from greenroof_ros.model.plant import Plant
-from greenroof_ros.model.site import Site
+from greenroof_ros.physics.plant import Plant
+from greenroof_ros.site.site import Site
 
 
 def settings_for(site: Site, **changes: float) -> PumpSettings:

@@ -27,7 +27,6 @@ from pathlib import Path
 from greenroof_ros.common.command_line import add_site, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.mqtt import parse_topic
-from greenroof_ros.experiment.options import add_site_arguments, build_run
 from greenroof_ros.live.devices.drive_file import DriveFile, find_drive_file, read_drive_file
 from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine, parse_address
 from greenroof_ros.live.devices.relay_file import read_relay_file
@@ -42,9 +41,10 @@ from greenroof_ros.live.simulators.simulated_drive import (
 )
 from greenroof_ros.live.simulators.simulated_relay import RELAYS, RelayOnBroker, SimulatedRelay
 from greenroof_ros.live.simulators.simulated_site import SimulatedSite
-from greenroof_ros.model.initial_state import initial_states
-from greenroof_ros.model.pump_speed import flow_at
-from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.physics.pump import flow_at
+from greenroof_ros.physics.start import initial_states
+from greenroof_ros.simulation.options import add_site_arguments, build_run
+from greenroof_ros.site.site import Site, read_site
 
 DEVICE_ID = 247
 # Registers of the workbench. The parameter of a fault is written before the fault.

@@ -52,7 +52,7 @@ TAKER = """
 import signal, time
 from pathlib import Path
 from greenroof_ros.controllers.onoff import OnOff
-from greenroof_ros.experiment import summary
+from greenroof_ros.simulation import summary
 def slow(*given, write=summary.write): time.sleep(1.5); write(*given)
 def take(): [signal.signal(n, lambda *_: None) for n in (signal.SIGINT, signal.SIGTERM)]
 {}

@@ -8,7 +8,7 @@ from paper import PAPER_SITE, paper_run
 import greenroof_ros as gr
 from examples.rain_wait import RainWait
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 
 EXAMPLE = "examples.rain_wait:RainWait"
 

@@ -14,8 +14,8 @@ from paper import PAPER_SITE
 
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
 from greenroof_ros.formats.step_record import StepRecord
-from greenroof_ros.model.plant import Plant, maximum_pump_flow
-from greenroof_ros.model.site import Site
+from greenroof_ros.physics.plant import Plant, maximum_pump_flow
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import hargreaves, spread_over_day
 
 STEP_S = 300

@@ -139,8 +139,8 @@ def _drain(leader: int) -> None:
 def measure_simulated(*arguments: str) -> tuple[float, dict[str, float]]:
     """Return the time of a tick of ``simulate`` with metrics (s), and its decision times (s)."""
     from greenroof_ros.common.command_line import Parser
-    from greenroof_ros.experiment.closed_loop import Simulation
-    from greenroof_ros.experiment.options import add_run_arguments, build_run
+    from greenroof_ros.simulation.loop import Simulation
+    from greenroof_ros.simulation.options import add_run_arguments, build_run
 
     parser = Parser()
     add_run_arguments(parser, arguments)
@@ -160,9 +160,9 @@ def measure_buildings(count: int = 1000) -> tuple[float, float]:
 
     from greenroof_ros.controllers.registry import find_controller
     from greenroof_ros.experiment.batch import Batch, BatchWeather, simulate_batch
-    from greenroof_ros.experiment.closed_loop import Simulation
-    from greenroof_ros.experiment.inputs import make_inputs
-    from greenroof_ros.model.site import read_site
+    from greenroof_ros.simulation.inputs import make_inputs
+    from greenroof_ros.simulation.loop import Simulation
+    from greenroof_ros.site.site import read_site
 
     site = read_site(CONFIG / "site_valve.yaml", {"tau": 60.0})
     run = make_inputs(find_controller("onoff"), {
@@ -191,8 +191,8 @@ def measure_do_mpc(steps: int = 30) -> float:
     import do_mpc
     import numpy as np
 
-    from greenroof_ros.model.initial_state import initial_states
-    from greenroof_ros.model.site import read_site
+    from greenroof_ros.physics.start import initial_states
+    from greenroof_ros.site.site import read_site
 
     site = read_site(CONFIG / "site.yaml")
     model: Any = do_mpc.model.Model("discrete")

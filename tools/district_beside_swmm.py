@@ -29,7 +29,7 @@ from greenroof_ros.analysis.district.parts import SITE_FILE, make_sites, simulat
 from greenroof_ros.analysis.district.run import DistrictRun, read_run
 from greenroof_ros.analysis.district.totals import Flow, Totals
 from greenroof_ros.analysis.workers.input_files import write_inputs
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 
 EXAMPLE = paths.CHECKOUT / "config" / "districts" / "example.yaml"
 _NO_PUMP = "level: {values: [0.0]}"

@@ -22,14 +22,6 @@ from greenroof_ros.common.progress import RunProgress
 from greenroof_ros.common.standard_error import LINES, print_line
 from greenroof_ros.common.states import RECORDER
 from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL, find_controller
-from greenroof_ros.experiment import summary, summary_table
-from greenroof_ros.experiment.options import (
-    add_output_arguments,
-    add_run_arguments,
-    build_run,
-)
-from greenroof_ros.experiment.run import Run
-from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.graph.arguments import add_graph_arguments
 from greenroof_ros.graph.domain import (
     check_ros_arguments,
@@ -42,6 +34,14 @@ from greenroof_ros.graph.errors import explain
 from greenroof_ros.graph.parameter_file import node_parameter_files
 from greenroof_ros.graph.ros_arguments import read_ros_arguments, split_ros_arguments
 from greenroof_ros.recording.bag_reader import count_ticks
+from greenroof_ros.simulation import screen, summary
+from greenroof_ros.simulation.directory import make_run_directory, write_configuration
+from greenroof_ros.simulation.options import (
+    add_output_arguments,
+    add_run_arguments,
+    build_run,
+)
+from greenroof_ros.simulation.run import Run
 
 if TYPE_CHECKING:
     from greenroof_ros.bringup.composition import Composition
@@ -157,7 +157,7 @@ def _end(
     if status == summary.DONE:
         result = summary.make_summary(run, **graph.results, **notes)
         summary.write(result, directory)
-        summary_table.show(result, directory, as_json=as_json)
+        screen.show(result, directory, as_json=as_json)
         return
     _print_bag_contents(directory, count_ticks(directory / "bag"))
     tick = graph.tick

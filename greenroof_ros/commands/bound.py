@@ -19,14 +19,14 @@ from greenroof_ros.common.command_line import (
     make_number_type,
 )
 from greenroof_ros.common.progress import INTERVAL_S, RunProgress
-from greenroof_ros.experiment.clairvoyant import BLOCK_S, NoBoundError, clairvoyant_bound
-from greenroof_ros.experiment.closed_loop import Tick
-from greenroof_ros.experiment.discharge_bound import Frontier, simulate_frontier
-from greenroof_ros.experiment.options import add_site_arguments, build_run
-from greenroof_ros.experiment.plan import PlanResult, simulate_plan
-from greenroof_ros.experiment.run import Run, count_ticks
-from greenroof_ros.experiment.summary import describe_setting
-from greenroof_ros.experiment.summary_table import grid, print_notes, setting_rows
+from greenroof_ros.simulation.bound import BLOCK_S, NoBoundError, clairvoyant_bound
+from greenroof_ros.simulation.discharge_bound import Frontier, simulate_frontier
+from greenroof_ros.simulation.loop import Tick
+from greenroof_ros.simulation.options import add_site_arguments, build_run
+from greenroof_ros.simulation.plan import PlanResult, simulate_plan
+from greenroof_ros.simulation.run import Run, count_ticks
+from greenroof_ros.simulation.screen import grid, print_notes, setting_rows
+from greenroof_ros.simulation.summary import describe_setting
 
 
 def _result(

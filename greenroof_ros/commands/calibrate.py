@@ -33,7 +33,7 @@ from greenroof_ros.common.errors import ConfigurationError, require_extra
 from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.progress import ProgressBar
 from greenroof_ros.formats.step_record import DAY_S, StepRecord, Steps, name_time
-from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.site.site import Site, read_site
 
 _DESCRIPTION = """\
 Fit a site's roof parameters to a measured record: field capacity, wilting point, depletion

@@ -13,6 +13,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from zoneinfo import ZoneInfo
 
+from greenroof_ros.commands.new_site_file import (
+    HEIGHT,
+    KEYS,
+    LIFT,
+    RATE,
+    RUNOFF,
+    SUBSTRATE,
+    format_new_site,
+    standard_offset,
+)
 from greenroof_ros.common.command_line import (
     Parser,
     command,
@@ -23,20 +33,10 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import TextInMemory, add_path_to_errors
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.ranges import read_number
-from greenroof_ros.model.new_site import (
-    HEIGHT,
-    KEYS,
-    LIFT,
-    RATE,
-    RUNOFF,
-    SUBSTRATE,
-    format_new_site,
-    standard_offset,
-)
-from greenroof_ros.model.place import format_place
-from greenroof_ros.model.plain_keys import SUBSTRATES
-from greenroof_ros.model.pump_size import note_pumps
-from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.simulation.pump_size import note_pumps
+from greenroof_ros.site.place import format_place
+from greenroof_ros.site.plain_keys import SUBSTRATES
+from greenroof_ros.site.site import Site, read_site
 
 # Options and the keys that they set: those that the command asks for, and those it can assume.
 _ASKED = {"roof": "roof_area", "catchment": "catchment_area", "cistern": "cistern_volume"}

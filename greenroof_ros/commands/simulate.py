@@ -19,16 +19,16 @@ from greenroof_ros.common.command_line import (
 )
 from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.progress import INTERVAL_S, RunProgress
-from greenroof_ros.experiment import summary, summary_table
-from greenroof_ros.experiment.closed_loop import Simulation, Tick
-from greenroof_ros.experiment.options import (
+from greenroof_ros.recording.trajectory import CSV, columns_of
+from greenroof_ros.simulation import screen, summary
+from greenroof_ros.simulation.directory import make_run_directory, write_configuration
+from greenroof_ros.simulation.loop import Simulation, Tick
+from greenroof_ros.simulation.options import (
     add_output_arguments,
     add_run_arguments,
     build_run,
 )
-from greenroof_ros.experiment.run import Run
-from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
-from greenroof_ros.recording.trajectory import CSV, columns_of
+from greenroof_ros.simulation.run import Run
 
 
 def make_parser() -> Parser:
@@ -81,7 +81,7 @@ def main() -> None:
                 pass
         result = simulation.summary()
         summary.write(result, directory)
-    summary_table.show(result, directory, as_json=arguments.json)
+    screen.show(result, directory, as_json=arguments.json)
     check_interrupts()
 
 

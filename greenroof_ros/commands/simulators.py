@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from greenroof_ros.common.command_line import Parser, command
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.experiment.options import add_site_arguments, build_run
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.endpoint import Endpoint, read_endpoint
 from greenroof_ros.live.devices.modbus_line import check_installed
 from greenroof_ros.live.devices.relay import RelayEndpoint
 from greenroof_ros.live.devices.sensor_file import Sensors, default_sensors, read_sensors
 from greenroof_ros.live.valve import refuse_valve
+from greenroof_ros.simulation.options import add_site_arguments, build_run
 
 if TYPE_CHECKING:
-    from greenroof_ros.experiment.run import Run
+    from greenroof_ros.simulation.run import Run
 
 # Time without a request after which the simulated relay switches itself off (s).
 _TIMER_S = 5.0

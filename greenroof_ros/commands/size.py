@@ -28,9 +28,9 @@ from greenroof_ros.common.command_line import (
 from greenroof_ros.common.errors import ConfigurationError, rename_keys, require_extra
 from greenroof_ros.common.processes import InterruptedRun, Signals, count_cores
 from greenroof_ros.common.progress import ProgressBar
-from greenroof_ros.experiment.inputs import INPUTS
-from greenroof_ros.experiment.options import add_option, option_of
-from greenroof_ros.experiment.run_directory import writable
+from greenroof_ros.simulation.directory import writable
+from greenroof_ros.simulation.inputs import INPUTS
+from greenroof_ros.simulation.options import add_option, option_of
 
 _DESCRIPTION = """\
 Compare cisterns, targets and outlets of a site over all seasons of a weather record, by the share

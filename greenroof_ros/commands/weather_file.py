@@ -13,7 +13,6 @@ from greenroof_ros.common.command_line import Parser, add_site, command, refuse_
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.times import to_people
-from greenroof_ros.experiment.summary_table import grid
 from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.comments import STAMPS
 from greenroof_ros.formats.hourly import Records, name_hours
@@ -21,8 +20,9 @@ from greenroof_ros.formats.own_csv import write_records
 from greenroof_ros.formats.quantities import PRECIPITATION, QUANTITIES
 from greenroof_ros.formats.reading import name_format
 from greenroof_ros.formats.rules import check_hours
-from greenroof_ros.model.place import format_place, measure_distance
-from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.simulation.screen import grid
+from greenroof_ros.site.place import format_place, measure_distance
+from greenroof_ros.site.site import Site, read_site
 from greenroof_ros.weather.evapotranspiration import FAO56, HARGREAVES
 from greenroof_ros.weather.reading import complete_records, find_files, read_measured
 from greenroof_ros.weather.series import Weather

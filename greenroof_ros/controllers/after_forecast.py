@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.model.look_ahead import MAX_HORIZON, growing_steps
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.horizon import MAX_HORIZON, growing_steps
+from greenroof_ros.site.site import Site
 
 _DAY_S = 86_400.0
 # Mean net loss of a roof as a share of its evapotranspiration. 1 - rain / evapotranspiration has a

@@ -14,9 +14,9 @@ from greenroof_ros.controllers.after_forecast import DAYS_AFTER, HORIZON, AfterF
 from greenroof_ros.controllers.onoff import FRACTION
 from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE, RegretBudget
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
-from greenroof_ros.model.plant import Plant
-from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import soil_of
+from greenroof_ros.physics.plant import Plant
+from greenroof_ros.physics.soil import soil_of
+from greenroof_ros.site.site import Site
 
 Array = NDArray[np.float64]
 
@@ -121,7 +121,7 @@ class AnticipatingOnOff:
         See :class:`greenroof_ros.controllers.protocol.Controller`.
 
         The forecasts are means over the steps of
-        :func:`greenroof_ros.model.look_ahead.growing_steps`.
+        :func:`greenroof_ros.site.horizon.growing_steps`.
         """
         site = self._site
         rain, evaporated = self._after.check(precipitation, evapotranspiration, max_members=1)

@@ -20,8 +20,8 @@ from greenroof_ros.controllers.outlet import OfController
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.controllers.tick_times import TickTimes
-from greenroof_ros.model.look_ahead import look_ahead_ends
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.horizon import look_ahead_ends
+from greenroof_ros.site.site import Site
 
 # Levels, as shares of the cistern's outlet level and of the roof's target, and rates of rain (m/s)
 # and evapotranspiration (m3/s): dry, usual, a cloudburst, and what a faulty sensor can read.

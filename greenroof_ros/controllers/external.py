@@ -7,8 +7,8 @@ from typing import ClassVar
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.protocol import Controller
-from greenroof_ros.model.look_ahead import MAX_HORIZON
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.horizon import MAX_HORIZON
+from greenroof_ros.site.site import Site
 
 
 class External(Controller):

@@ -23,10 +23,10 @@ from greenroof_ros.controllers.outlet import PLAN
 from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE, RegretBudget
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
 from greenroof_ros.controllers.tick_times import TickTimes
-from greenroof_ros.model.look_ahead import MAX_HORIZON, MAX_MEMBERS
-from greenroof_ros.model.plant import command_to, maximum_pump_flow
-from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import soil_of
+from greenroof_ros.physics.plant import command_to, maximum_pump_flow
+from greenroof_ros.physics.soil import soil_of
+from greenroof_ros.site.horizon import MAX_HORIZON, MAX_MEMBERS
+from greenroof_ros.site.site import Site
 
 _HOUR_S = 3600.0
 # A plan is followed for no longer than this (s), and no longer than this share of the horizon.
@@ -205,7 +205,7 @@ class Lookahead:
         See :class:`greenroof_ros.controllers.protocol.Controller`.
 
         The forecasts are means over the steps of
-        :func:`greenroof_ros.model.look_ahead.growing_steps`; rain has shape (members, steps).
+        :func:`greenroof_ros.site.horizon.growing_steps`; rain has shape (members, steps).
         """
         started = time.perf_counter()
         site = self._site

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.tick_times import TickTimes
-from greenroof_ros.model.site import Site
-from greenroof_ros.model.smooth_plant import linearise
+from greenroof_ros.physics.smooth import linearise
+from greenroof_ros.site.site import Site
 
 _log = logging.getLogger(__name__)
 

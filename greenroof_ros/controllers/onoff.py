@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 
 FRACTION = Parameter(
     "fraction", 1.0, "1", 1e-9, 1e6,

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import soil_of
+from greenroof_ros.physics.soil import soil_of
+from greenroof_ros.site.site import Site
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

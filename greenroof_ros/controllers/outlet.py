@@ -21,10 +21,10 @@ from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.controllers.failure import ControllerError, find_place, locate_error
 from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlannedLevels
-from greenroof_ros.model.plant import low_outlet_flow
-from greenroof_ros.model.site import Site
 from greenroof_ros.model.sites import Sites
-from greenroof_ros.model.storm_water import WET_RAIN
+from greenroof_ros.physics.plant import low_outlet_flow
+from greenroof_ros.physics.storm_water import WET_RAIN
+from greenroof_ros.site.site import Site
 
 Array = NDArray[np.float64]
 

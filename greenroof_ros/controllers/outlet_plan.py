@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.model.sites import Sites
-from greenroof_ros.model.storm_water import Intervals, find_wet_weather
+from greenroof_ros.physics.storm_water import Intervals, find_wet_weather
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]

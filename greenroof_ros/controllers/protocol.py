@@ -50,7 +50,7 @@ class Controller(Protocol):
     Attributes:
         parameters: parameters of the controller. A parameter named ``horizon`` (h) sets the length
             of the forecasts, which are then means over the steps of
-            :func:`greenroof_ros.model.look_ahead.growing_steps`. Without this parameter, the
+            :func:`greenroof_ros.site.horizon.growing_steps`. Without this parameter, the
             forecasts cover M ticks. A parameter named ``min_on`` (s) is raised to at least the
             ``pump_min_on`` of a simulation's pumps.
     """

@@ -25,9 +25,9 @@ from greenroof_ros.controllers.failure import locate_error, not_imported
 from greenroof_ros.controllers.outlet import OfController, OutletPolicy
 from greenroof_ros.controllers.own_code import digest_own_code
 from greenroof_ros.controllers.protocol import Controller, ControllerClass, set_optional
-from greenroof_ros.model.look_ahead import look_ahead_ends
-from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import soil_of
+from greenroof_ros.physics.soil import soil_of
+from greenroof_ros.site.horizon import look_ahead_ends
+from greenroof_ros.site.site import Site
 
 _HERE = "greenroof_ros.controllers"
 _log = logging.getLogger(__name__)

@@ -6,9 +6,9 @@ import logging
 from collections.abc import Mapping
 
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.model.plant import Plant, maximum_pump_flow
-from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import soil_of
+from greenroof_ros.physics.plant import Plant, maximum_pump_flow
+from greenroof_ros.physics.soil import soil_of
+from greenroof_ros.site.site import Site
 
 _log = logging.getLogger(__name__)
 

@@ -6,8 +6,8 @@ from collections import deque
 from statistics import fmean
 
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import roof_after_tick, soil_of
+from greenroof_ros.physics.soil import roof_after_tick, soil_of
+from greenroof_ros.site.site import Site
 
 # If all readings over this time (s), and at least this many, differ from the prediction by more
 # than this (m) in the same direction, it is not noise but something unknown to the model: pumps

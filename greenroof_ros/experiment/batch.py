@@ -23,14 +23,14 @@ from greenroof_ros.controllers.outlet_plan import HORIZON_H
 from greenroof_ros.controllers.outlets import OutletGroup, Outlets, find_dry_ticks
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.batch_metrics import BatchMetrics, Clock
-from greenroof_ros.experiment.inputs import RunInputs
-from greenroof_ros.experiment.run import Run
 from greenroof_ros.forecast.resampling import Forecast, make_forecast
-from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.plants import Plants
-from greenroof_ros.model.site import Site
 from greenroof_ros.model.sites import Sites
-from greenroof_ros.model.storm_water import Intervals, find_wet_weather, interval_seconds
+from greenroof_ros.physics.storm_water import Intervals, find_wet_weather, interval_seconds
+from greenroof_ros.simulation.inputs import RunInputs
+from greenroof_ros.simulation.run import Run
+from greenroof_ros.site.horizon import look_ahead_ends
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import COMPUTED
 
 Values = NDArray[np.float64]
@@ -174,10 +174,10 @@ class BatchResult:
     """The results of a batch.
 
     Attributes:
-        metrics: metrics by their names in :data:`greenroof_ros.model.metrics.METRICS`, each of
+        metrics: metrics by their names in :data:`greenroof_ros.results.metrics.METRICS`, each of
             shape (n,).
         hydrograph: discharge of each group's sites to the sewer in each interval of
-            :func:`greenroof_ros.model.storm_water.interval_seconds` (m3), shape (groups,
+            :func:`greenroof_ros.physics.storm_water.interval_seconds` (m3), shape (groups,
             intervals); None without groups.
         low_outlet: part of the hydrograph that leaves through low outlets (m3), as an array of the
             same shape.

@@ -1,4 +1,4 @@
-"""The metrics of :mod:`greenroof_ros.model.metrics`, computed on arrays for many runs together.
+"""The metrics of :mod:`greenroof_ros.results.metrics`, computed on arrays for many runs together.
 
 The metrics are added up tick by tick, and discharges in blocks, so that the memory needed does not
 grow with the length of a run.
@@ -12,10 +12,10 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.model.metrics import NEAR_TARGET, find_calendar_days
 from greenroof_ros.model.plants import Moved, Plants
-from greenroof_ros.model.site import Site
-from greenroof_ros.model.storm_water import MIN_DEPTH, connected_area
+from greenroof_ros.physics.storm_water import MIN_DEPTH, connected_area
+from greenroof_ros.results.metrics import NEAR_TARGET, find_calendar_days
+from greenroof_ros.site.site import Site
 
 Values = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -51,7 +51,7 @@ class BatchMetrics:
         Args:
             plants: cisterns and roofs of n sites.
             ticks: number of steps of the runs, N.
-            per_interval: ticks in an interval of :mod:`greenroof_ros.model.storm_water`.
+            per_interval: ticks in an interval of :mod:`greenroof_ros.physics.storm_water`.
             wet: groups of rows, and whether their weather is wet in each interval.
             clocks: groups of runs with the same clock; every row is in one group.
             groups: index of each row's group; None without a hydrograph.

@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 
 from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.controllers.protocol import ControllerClass
-from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.batch import Batch, BatchWeather, Part, simulate_parts
-from greenroof_ros.experiment.plan import find_pumping_ticks
-from greenroof_ros.experiment.run import Run
-from greenroof_ros.model.metrics import BLOCK, BlockMetrics, end_state
-from greenroof_ros.model.plant import Flows, has_short_ticks
 from greenroof_ros.model.plants import Moved
-from greenroof_ros.model.sensor_and_pump import SensorAndPump
-from greenroof_ros.model.site import Site
+from greenroof_ros.physics.plant import Flows, has_short_ticks
+from greenroof_ros.physics.sensor_and_pump import SensorAndPump
+from greenroof_ros.results.metrics import BLOCK, BlockMetrics, end_state
+from greenroof_ros.simulation import summary
+from greenroof_ros.simulation.plan import find_pumping_ticks
+from greenroof_ros.simulation.run import Run
+from greenroof_ros.site.site import Site
 
 Values = NDArray[np.float64]
 

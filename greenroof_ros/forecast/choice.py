@@ -12,7 +12,7 @@ from greenroof_ros.common.parameter import entry, make_record, parameters_of
 from greenroof_ros.forecast.skill import REAL, SKILLS
 from greenroof_ros.formats.forecasts import SERVICE_DELAY_H
 from greenroof_ros.formats.reading import SUFFIXES
-from greenroof_ros.model.look_ahead import MAX_MEMBERS
+from greenroof_ros.site.horizon import MAX_MEMBERS
 
 PERFECT = "perfect"
 FILE = "file"

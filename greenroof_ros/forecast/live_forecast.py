@@ -16,8 +16,8 @@ from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.forecasts import IssuedForecast, Repetition
 from greenroof_ros.formats.own_csv import read_forecasts
 from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION
-from greenroof_ros.model.look_ahead import look_ahead_ends
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.horizon import look_ahead_ends
+from greenroof_ros.site.site import Site
 
 _HOUR_S = 3600.0
 

@@ -49,7 +49,7 @@ from greenroof_ros.formats.forecasts import (
 )
 from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.series import Weather, align_to_hours, select_records
 
 Array = NDArray[np.float64]

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from greenroof_ros.common.memo import Memo
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.models import ForecastModel, PerfectModel, make_model
-from greenroof_ros.model.look_ahead import look_ahead_ends
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.horizon import look_ahead_ends
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.series import PerTick, Weather, WeatherSeries
 
 Array = NDArray[np.float64]

@@ -43,7 +43,7 @@ from greenroof_ros.formats.hourly import bridge_gaps
 from greenroof_ros.formats.open_meteo import VARIABLES, read_records, read_run
 from greenroof_ros.formats.own_csv import write_forecasts
 from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, TEMPERATURE
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import repeat_monthly
 from greenroof_ros.weather.reading import (
     MAX_GAP_H,

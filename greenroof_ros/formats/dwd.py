@@ -29,7 +29,7 @@ from greenroof_ros.formats.quantities import (
     TEMPERATURE,
     Unit,
 )
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 
 _TIME, _STATION = "MESS_DATUM", "STATIONS_ID"
 # The service's column for each of our quantities, with its unit.

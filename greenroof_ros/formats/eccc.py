@@ -19,7 +19,7 @@ from greenroof_ros.common.times import parse_local_time
 from greenroof_ros.formats.cells import Column, Row, Table, read_table
 from greenroof_ros.formats.hourly import Records
 from greenroof_ros.formats.quantities import DEW_POINT, PRECIPITATION, TEMPERATURE
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 
 # Names of columns, in English and French, without accents, case, spaces and points; in English
 # files before 2021, the time has no zone. The last names are GeoMet's.

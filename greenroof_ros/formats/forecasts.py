@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
 from greenroof_ros.formats.hourly import bridge_gaps
-from greenroof_ros.model.look_ahead import MAX_MEMBERS
+from greenroof_ros.site.horizon import MAX_MEMBERS
 
 # Longest gap of temperature and evapotranspiration in a forecast that is bridged (h).
 _MAX_BRIDGE_H = 6

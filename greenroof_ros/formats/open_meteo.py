@@ -89,7 +89,7 @@ from greenroof_ros.formats.quantities import (
     TEMPERATURE,
     Unit,
 )
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 
 _OFFSET = "utc_offset_seconds"
 # The service's unit for a variable that the model does not have: all its values are missing.

@@ -57,8 +57,8 @@ from greenroof_ros.formats.quantities import (
     is_amount,
 )
 from greenroof_ros.formats.steps import RowSteps, Values, find_steps
-from greenroof_ros.model.look_ahead import MAX_MEMBERS
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.horizon import MAX_MEMBERS
+from greenroof_ros.site.site import Site
 
 TIME = "time"
 _WEATHER = [name for name in QUANTITIES if name not in ROOF]

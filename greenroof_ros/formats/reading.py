@@ -14,7 +14,7 @@ from greenroof_ros.common.times import to_minutes
 from greenroof_ros.formats import dwd, eccc, open_meteo, own_csv
 from greenroof_ros.formats.forecasts import Archive, IssuedForecast, check_same_form
 from greenroof_ros.formats.hourly import Records
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 
 SUFFIXES = (".csv", ".json")
 """suffixes of forecast files, whose format is recognised from their content"""

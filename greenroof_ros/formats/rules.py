@@ -40,7 +40,7 @@ from greenroof_ros.formats.step_record import (
     prolong_steps,
 )
 from greenroof_ros.formats.sun import MM_PER_MJ, extraterrestrial_radiation
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 
 
 class Rule(NamedTuple):

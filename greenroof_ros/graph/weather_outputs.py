@@ -9,8 +9,8 @@ from typing import Any
 
 from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.messages import WithFront
-from greenroof_ros.model.look_ahead import look_ahead_ends
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.horizon import look_ahead_ends
+from greenroof_ros.site.site import Site
 
 FROST = "/weather/frost"
 RAIN, EVAPOTRANSPIRATION = "/weather/precipitation", "/weather/evapotranspiration"

@@ -39,8 +39,8 @@ from greenroof_ros.live.engine import RECOVERY, Levels, live_parameters
 from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.live.supervisor_socket import supervisor_socket
-from greenroof_ros.model.plant import pump_flow
-from greenroof_ros.model.site import Site
+from greenroof_ros.physics.plant import pump_flow
+from greenroof_ros.site.site import Site
 
 # The inputs; without the forecasts, the flow or the gauge, the node still commands.
 _INPUTS = (

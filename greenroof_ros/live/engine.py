@@ -24,7 +24,7 @@ from greenroof_ros.live.pumping.input_rules import (
     expected_movement,
     roof_bounds,
 )
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 
 # A gap longer than this means that this process was paused (s), so its inputs are outdated.
 # Messages that arrive within this time after the pause are ignored, since they may have been

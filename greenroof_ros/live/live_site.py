@@ -13,10 +13,6 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.states import PUMP, RECORDER
 from greenroof_ros.controllers.failure import find_place
 from greenroof_ros.controllers.registry import EXTERNAL, FOR_A_SITE, ControllerChoice
-from greenroof_ros.experiment.options import (
-    add_controller_arguments,
-    read_controller,
-)
 from greenroof_ros.forecast.service import ENSEMBLE, FORECAST, OPEN_METEO
 from greenroof_ros.graph.arguments import add_graph_arguments
 from greenroof_ros.live.devices.drive import DriveEndpoint
@@ -26,7 +22,11 @@ from greenroof_ros.live.drive_choice import DriveChoice, add_drive_arguments, re
 from greenroof_ros.live.pumping.ledger import RECORD
 from greenroof_ros.live.supervisor import NodeStart
 from greenroof_ros.live.valve import refuse_valve
-from greenroof_ros.model.site import read_site
+from greenroof_ros.simulation.options import (
+    add_controller_arguments,
+    read_controller,
+)
+from greenroof_ros.site.site import read_site
 
 # Minimum size of a bag (MB).
 MIN_BAG_MB = 2.0

@@ -30,7 +30,7 @@ from greenroof_ros.live.live_diagnostics import LiveDiagnostics
 from greenroof_ros.live.live_input import LiveInput, LivePublishers
 from greenroof_ros.live.pumping.input_rules import InputRules, LevelRule
 from greenroof_ros.live.valve import refuse_valve
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 
 # Longest time for which a node waits for messages before it checks clocks and signals again (s).
 _CHECK_S = 0.05

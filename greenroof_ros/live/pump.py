@@ -47,7 +47,7 @@ from greenroof_ros.live.pumping.ledger import MAX_NUMBER, Ledger
 from greenroof_ros.live.pumping.limits import PumpSettings, pump_parameters
 from greenroof_ros.live.pumping.pump_control import Decision, PumpControl
 from greenroof_ros.live.pumping.pump_inputs import INPUTS, Observation
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 
 _COMMAND_LIMIT = LIMITS["/pump/command"]
 # For how long a suspension of the machine, or a changed record, is reported (s).

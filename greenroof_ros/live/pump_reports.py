@@ -13,7 +13,7 @@ from greenroof_ros.live.live_input import LiveInput, bad_inputs
 from greenroof_ros.live.pumping.dose import DONE, Dose
 from greenroof_ros.live.pumping.pump_control import Decision, drive_fault
 from greenroof_ros.live.pumping.pump_inputs import INPUTS
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 
 
 class PumpReports:

@@ -24,8 +24,8 @@ from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.live.node import LiveNode, live_command
-from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_writer import LiveBag
+from greenroof_ros.site.site import Site
 
 # A file of the bag is neither larger than this nor than a tenth of the whole bag.
 _FILE_BYTES, _MB = 100e6, 1e6

@@ -34,16 +34,16 @@ from greenroof_ros.common.standard_error import print_line
 from greenroof_ros.common.states import PUMP, DriveState, PumpState
 from greenroof_ros.common.times import iso
 from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL
-from greenroof_ros.experiment import summary
-from greenroof_ros.experiment.run_directory import writable, write_parameters
-from greenroof_ros.experiment.summary import versions
 from greenroof_ros.graph.domain import lock_namespace, refuse_other_nodes, require_ros
 from greenroof_ros.graph.parameter_file import node_parameter_files
 from greenroof_ros.live.live_site import MIN_BAG_MB, LiveSite
 from greenroof_ros.live.pumping.ledger import RECORD, make_record
 from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart
-from greenroof_ros.model.site import format_site, read_site
+from greenroof_ros.simulation import summary
+from greenroof_ros.simulation.directory import writable, write_parameters
+from greenroof_ros.simulation.summary import versions
+from greenroof_ros.site.site import format_site, read_site
 
 # Interval at which systemd is notified (s), and how far each notice extends the start timeout (us).
 _NOTIFY_S = 1.0
@@ -288,7 +288,7 @@ class _SiteRecord:
         self._warnings = of_nodes | warnings
 
     def write(self, status: str, reason: str | None = None) -> None:
-        """Write the summary with a status of :mod:`greenroof_ros.experiment.summary`."""
+        """Write the summary with a status of :mod:`greenroof_ros.simulation.summary`."""
         log = self.alarms.log
         self._written = log.changes
         self._summary.write({

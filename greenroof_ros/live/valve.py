@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 
 
 def refuse_valve(site: Site, file: Path | None) -> None:

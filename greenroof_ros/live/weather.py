@@ -39,7 +39,7 @@ from greenroof_ros.live.engine import live_parameters
 from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.live_input import LiveInput
 from greenroof_ros.live.node import LiveNode, live_command
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 
 # How long the start waits for the first forecast (s), which is more than most files take.
 _FIRST_READ_S = 1.0

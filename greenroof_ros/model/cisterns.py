@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.model.plant import ABOVE_SUCTION, MIN_RUN_S, SHORT_SHARE
 from greenroof_ros.model.sites import Sites
+from greenroof_ros.physics.plant import ABOVE_SUCTION, MIN_RUN_S, SHORT_SHARE
 
 Values = NDArray[np.float64]
 Rows = NDArray[np.intp]

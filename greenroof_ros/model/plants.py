@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.model.cisterns import CisternFlows, Cisterns
-from greenroof_ros.model.plant import MAX_STEP_S, MIN_RUN_S
 from greenroof_ros.model.sites import Sites
 from greenroof_ros.model.soils import soils_of
+from greenroof_ros.physics.plant import MAX_STEP_S, MIN_RUN_S
 
 Values = NDArray[np.float64]
 Rows = NDArray[np.intp] | slice

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.model.plant import has_short_ticks
-from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import soil_of
+from greenroof_ros.physics.plant import has_short_ticks
+from greenroof_ros.physics.soil import soil_of
+from greenroof_ros.site.site import Site
 
 Values = NDArray[np.float64]
 Flags = NDArray[np.bool_]

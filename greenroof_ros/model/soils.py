@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.model.sites import Sites
-from greenroof_ros.model.soil import ALMOST_FULL
+from greenroof_ros.physics.soil import ALMOST_FULL
 
 Values = NDArray[np.float64]
 Flags = NDArray[np.bool_]

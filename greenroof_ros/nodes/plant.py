@@ -24,11 +24,11 @@ from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare, site_file
-from greenroof_ros.model.initial_state import check_volumes, initial_states
-from greenroof_ros.model.plant import Flows
-from greenroof_ros.model.sensor_and_pump import PARAMETERS, SensorAndPump
-from greenroof_ros.model.site import Site
-from greenroof_ros.model.virtual_site import VirtualSite
+from greenroof_ros.physics.plant import Flows
+from greenroof_ros.physics.sensor_and_pump import PARAMETERS, SensorAndPump
+from greenroof_ros.physics.start import check_volumes, initial_states
+from greenroof_ros.results.virtual_site import VirtualSite
+from greenroof_ros.site.site import Site
 
 # How far the plant may be ahead of the ticks that the recorder has flushed (ticks).
 _AHEAD = 32

@@ -19,8 +19,8 @@ from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.messages import decode_clock
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare, site_file
-from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_writer import BagWriter
+from greenroof_ros.site.site import Site
 
 
 def parameters(site: Site | None = None) -> list[Parameter]:

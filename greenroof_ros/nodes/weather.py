@@ -16,8 +16,8 @@ from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare, look_ahead_parameters, site_file
 from greenroof_ros.graph.weather_outputs import EVAPOTRANSPIRATION, FROST, RAIN, WeatherOutputs
-from greenroof_ros.model.look_ahead import MAX_HORIZON
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.horizon import MAX_HORIZON
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.reading import default_weather, find_files, read_weather
 from greenroof_ros.weather.series import GAPS, REFUSE, WeatherSeries
 

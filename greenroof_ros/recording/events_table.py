@@ -13,7 +13,7 @@ from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text
-from greenroof_ros.model.storm_water import Event
+from greenroof_ros.physics.storm_water import Event
 
 EVENTS = "events.csv"
 """name of the file in a run's directory"""

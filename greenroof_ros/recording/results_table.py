@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
-from greenroof_ros.model.metrics import METRICS
+from greenroof_ros.results.metrics import METRICS
 
 _PREFIX = "parameter:"
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from greenroof_ros.common.errors import ConfigurationError, require_extra
 from greenroof_ros.common.processes import refuse_forked_polars
 from greenroof_ros.common.times import epoch_ns
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 
 if TYPE_CHECKING:
     import polars

@@ -13,9 +13,9 @@ from typing import Any
 
 from greenroof_ros.common.alarms import WARN, find_publishers
 from greenroof_ros.common.states import PUMP, PumpState
-from greenroof_ros.model.metrics import NEAR_TARGET
-from greenroof_ros.model.plant import pumps_run
-from greenroof_ros.model.site import Site
+from greenroof_ros.physics.plant import pumps_run
+from greenroof_ros.results.metrics import NEAR_TARGET
+from greenroof_ros.site.site import Site
 from greenroof_ros.watch import words
 from greenroof_ros.watch.outlook import Plan, RainAmount
 from greenroof_ros.watch.store import GraphStore

@@ -30,7 +30,7 @@ from greenroof_ros.formats.quantities import (
     TEMPERATURE,
 )
 from greenroof_ros.formats.sun import MM_PER_MJ, extraterrestrial_radiation
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 
 FAO56, HARGREAVES, MONTHLY = "fao56", "hargreaves", "monthly"
 COMPUTED = (FAO56, HARGREAVES, MONTHLY)

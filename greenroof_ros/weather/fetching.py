@@ -46,7 +46,7 @@ from greenroof_ros.formats.open_meteo import VARIABLES
 from greenroof_ros.formats.own_csv import write_records
 from greenroof_ros.formats.quantities import PRECIPITATION
 from greenroof_ros.formats.reading import read_records
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.reading import read_measured
 
 _OPEN_METEO_URL = "https://archive-api.open-meteo.com/v1/archive"

@@ -23,7 +23,7 @@ from greenroof_ros.formats.quantities import (
     TEMPERATURE,
 )
 from greenroof_ros.formats.reading import read_records
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import (
     COMPUTED,
     FAO56,

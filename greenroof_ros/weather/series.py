@@ -24,7 +24,7 @@ from greenroof_ros.formats.forecasts import IssuedForecast
 from greenroof_ros.formats.hourly import Records, name_hours
 from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
 from greenroof_ros.formats.rules import check_hours
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import COMPUTED, explain_missing
 
 _HOUR_NS = 3_600_000_000_000

@@ -9,7 +9,7 @@ import pytest
 from paper import PAPER_SITE, site_with
 
 from greenroof_ros.controllers.after_forecast import AfterForecast
-from greenroof_ros.model.look_ahead import growing_steps
+from greenroof_ros.site.horizon import growing_steps
 
 EDGES = growing_steps(12)
 STEPS = len(EDGES) - 1

@@ -20,7 +20,7 @@ from greenroof_ros.controllers.after_forecast import AfterForecast
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
 from greenroof_ros.forecast.models import PerfectModel
 from greenroof_ros.forecast.resampling import SteppedForecast
-from greenroof_ros.model.look_ahead import growing_steps
+from greenroof_ros.site.horizon import growing_steps
 
 STEPS = len(growing_steps(12)) - 1
 DRY = [0.0] * STEPS

@@ -11,10 +11,10 @@ from paper import SLOW, weather_of
 
 from greenroof_ros.controllers.lookahead import Lookahead
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.experiment.closed_loop import Simulation, Tick
-from greenroof_ros.experiment.inputs import make_inputs
-from greenroof_ros.experiment.run import Run
-from greenroof_ros.model.site import Site
+from greenroof_ros.simulation.inputs import make_inputs
+from greenroof_ros.simulation.loop import Simulation, Tick
+from greenroof_ros.simulation.run import Run
+from greenroof_ros.site.site import Site
 
 # The pump may run only from 17:00 to 19:00, as where people use the roof by day.
 EVENING = replace(SLOW, quiet_hours=("19:00-17:00",), time_zone="America/Toronto")

@@ -18,9 +18,9 @@ from places import CONFIG
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.lookahead import Lookahead
 from greenroof_ros.controllers.order_up_to import OrderUpTo, Policy, halve_by_rain
-from greenroof_ros.model.look_ahead import growing_steps
-from greenroof_ros.model.plant import Plant
-from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.physics.plant import Plant
+from greenroof_ros.site.horizon import growing_steps
+from greenroof_ros.site.site import Site, read_site
 
 # --- the recursion, on whole numbers of a unit ----------------------------------------------------
 

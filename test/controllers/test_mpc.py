@@ -17,8 +17,8 @@ from scipy.optimize import lsq_linear, nnls
 
 from greenroof_ros.controllers import mpc as module
 from greenroof_ros.controllers.mpc import Mpc
-from greenroof_ros.experiment.closed_loop import Simulation
-from greenroof_ros.model.site import Site
+from greenroof_ros.simulation.loop import Simulation
+from greenroof_ros.site.site import Site
 
 # Weights, each with its run: one until the commands have been 0 for a while, one in a storm.
 RUNS = {

@@ -17,12 +17,12 @@ import greenroof_ros as gr
 from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.outlet import OutletPolicy, make_outlet
 from greenroof_ros.controllers.outlets import find_dry_ticks
-from greenroof_ros.experiment.closed_loop import Simulation
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.resampling import make_forecast
-from greenroof_ros.model.plant import low_outlet_flow
-from greenroof_ros.model.site import Site
-from greenroof_ros.model.storm_water import Intervals, find_wet_weather
+from greenroof_ros.physics.plant import low_outlet_flow
+from greenroof_ros.physics.storm_water import Intervals, find_wet_weather
+from greenroof_ros.simulation.loop import Simulation
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.series import WeatherSeries
 
 # 10 m3 below the upper outlet at 2 m; a valve at 0.1 m that takes 4.7 m3/h at a head of 1 m.

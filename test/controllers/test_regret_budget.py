@@ -13,10 +13,10 @@ from places import CONFIG, DATA
 
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.controllers.regret_budget import RegretBudget
-from greenroof_ros.experiment.run import Run
-from greenroof_ros.model.look_ahead import growing_steps
-from greenroof_ros.model.plant import Plant, maximum_pump_flow
-from greenroof_ros.model.site import read_site
+from greenroof_ros.physics.plant import Plant, maximum_pump_flow
+from greenroof_ros.simulation.run import Run
+from greenroof_ros.site.horizon import growing_steps
+from greenroof_ros.site.site import read_site
 
 EMPTY_HOUR = 3600 * PAPER_SITE.x2_star  # m3 s
 STEPS = len(growing_steps(12)) - 1

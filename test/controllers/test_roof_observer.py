@@ -14,9 +14,9 @@ from places import CONFIG
 
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
 from greenroof_ros.controllers.roof_observer import RoofObserver
-from greenroof_ros.experiment.closed_loop import Simulation
-from greenroof_ros.model.look_ahead import growing_steps
-from greenroof_ros.model.plant import maximum_pump_flow
+from greenroof_ros.physics.plant import maximum_pump_flow
+from greenroof_ros.simulation.loop import Simulation
+from greenroof_ros.site.horizon import growing_steps
 
 STEPS = len(growing_steps(12)) - 1
 FIELD_CAPACITY = ("--site", str(CONFIG / "site_neubrandenburg.yaml"))

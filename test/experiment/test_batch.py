@@ -16,10 +16,10 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.outlet import OutletPolicy
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.batch import Batch, BatchResult, BatchWeather, simulate_batch
-from greenroof_ros.experiment.closed_loop import Simulation
-from greenroof_ros.experiment.inputs import make_inputs
-from greenroof_ros.experiment.run import Run
-from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.simulation.inputs import make_inputs
+from greenroof_ros.simulation.loop import Simulation
+from greenroof_ros.simulation.run import Run
+from greenroof_ros.site.site import Site, read_site
 
 VALVE = replace(read_site(CONFIG / "site_valve.yaml"), tau=60.0, M=1)
 NONE = replace(

@@ -26,9 +26,9 @@ from skill_figures import (
 )
 
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.experiment.run_directory import write_configuration
 from greenroof_ros.forecast.models import ErrorModel
 from greenroof_ros.forecast.skill import SKILLS, read_skill
+from greenroof_ros.simulation.directory import write_configuration
 
 Array = NDArray[np.float64]
 REAL = read_skill("real")

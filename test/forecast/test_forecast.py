@@ -35,7 +35,7 @@ from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.forecasts import Archive, IssuedForecast
 from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
 from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.model.look_ahead import growing_steps
+from greenroof_ros.site.horizon import growing_steps
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
 Array = NDArray[np.float64]

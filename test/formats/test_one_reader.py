@@ -13,7 +13,7 @@ from refusals import refusal
 from twins import TWIN
 
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.reading import read_weather
 
 HEADER = "time,rain [mm],runoff [mm],temperature [degC],dew point [degC]"

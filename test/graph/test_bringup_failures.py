@@ -22,7 +22,7 @@ from graphs import (
 from peers import in_domain
 from rosbags.highlevel import AnyReader
 
-from greenroof_ros.model.metrics import METRICS
+from greenroof_ros.results.metrics import METRICS
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 

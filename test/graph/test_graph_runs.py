@@ -16,7 +16,7 @@ from paper import VALVE, paper_run, site_file
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.controllers.lookahead import Lookahead
-from greenroof_ros.experiment.closed_loop import Simulation
+from greenroof_ros.simulation.loop import Simulation
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 

@@ -51,7 +51,7 @@ from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiA
 
 from greenroof_ros.common.interface import read_live_topics
 from greenroof_ros.live.devices.sensor_file import QUANTITIES
-from greenroof_ros.model.look_ahead import growing_steps
+from greenroof_ros.site.horizon import growing_steps
 
 
 def test_a_bad_input_stops_the_pump(site: Site) -> None:

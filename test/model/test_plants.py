@@ -11,10 +11,10 @@ from paper import PAPER_SITE, field_capacity_sites, sites
 from places import CONFIG
 
 from greenroof_ros.controllers.onoff import OnOff
-from greenroof_ros.model.plant import Flows, Plant
 from greenroof_ros.model.plants import Moved, Plants
-from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.model.sites import Sites
+from greenroof_ros.physics.plant import Flows, Plant
+from greenroof_ros.site.site import Site, read_site
 
 VALVE = read_site(CONFIG / "site_valve.yaml")
 NO_MAINS = replace(VALVE, mains_level=None, mains_flow=None)

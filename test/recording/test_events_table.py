@@ -9,7 +9,7 @@ import polars
 import pytest
 from refusals import refusal
 
-from greenroof_ros.model.storm_water import Event
+from greenroof_ros.physics.storm_water import Event
 from greenroof_ros.recording.events_table import EVENTS, event_rows, format_events, read_events
 
 START = datetime.fromisoformat("2021-07-07T02:00-05:00")

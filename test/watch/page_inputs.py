@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from paper import PAPER_SITE
 
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.wire import WireStatus
 

@@ -31,8 +31,8 @@ from page_inputs import (
 from paper import PAPER_SITE
 
 from greenroof_ros.common.conditions import read_conditions
-from greenroof_ros.model.look_ahead import growing_steps
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.horizon import growing_steps
+from greenroof_ros.site.site import Site
 from greenroof_ros.watch import words
 from greenroof_ros.watch.document import make_document as read_document
 from greenroof_ros.watch.document import make_series as read_series

@@ -15,8 +15,8 @@ from places import CONFIG, DATA
 from refusals import refusal
 
 from greenroof_ros.common.times import parse_time
-from greenroof_ros.experiment.run_directory import write_configuration
-from greenroof_ros.model.site import read_site
+from greenroof_ros.simulation.directory import write_configuration
+from greenroof_ros.site.site import read_site
 from greenroof_ros.weather.reading import (
     default_weather,
     fill_long_gaps,

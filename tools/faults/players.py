@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from faults.truth import Truth
 from faults.watcher import Watcher
 
-from greenroof_ros.model.pump_speed import flow_at
-from greenroof_ros.model.site import Site
+from greenroof_ros.physics.pump import flow_at
+from greenroof_ros.site.site import Site
 
 Value = float | Sequence[float]
 PERIOD_S = 1.0

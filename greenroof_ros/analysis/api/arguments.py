@@ -12,10 +12,10 @@ from typing import Any, TypeAlias
 from greenroof_ros.analysis.api.control import FunctionController
 from greenroof_ros.common.files import default_site_file
 from greenroof_ros.controllers.registry import ControllerChoice, choose_class
-from greenroof_ros.experiment.inputs import make_inputs
-from greenroof_ros.experiment.run import Run
-from greenroof_ros.model import site as site_file
-from greenroof_ros.model.site import Site
+from greenroof_ros.simulation.inputs import make_inputs
+from greenroof_ros.simulation.run import Run
+from greenroof_ros.site import site as site_file
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.series import Weather
 
 PathText: TypeAlias = "str | os.PathLike[str]"

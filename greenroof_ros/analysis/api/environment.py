@@ -23,10 +23,10 @@ from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.decide import cut_forecast
 from greenroof_ros.controllers.outlet import SHARE, OutletPolicy
 from greenroof_ros.controllers.registry import choose_class
-from greenroof_ros.experiment.closed_loop import Simulation, Tick
-from greenroof_ros.experiment.inputs import find_needs
 from greenroof_ros.forecast.resampling import PerfectForecast, make_forecast
-from greenroof_ros.model.look_ahead import look_ahead_ends
+from greenroof_ros.simulation.inputs import find_needs
+from greenroof_ros.simulation.loop import Simulation, Tick
+from greenroof_ros.site.horizon import look_ahead_ends
 
 
 class _Commanded:

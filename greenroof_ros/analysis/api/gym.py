@@ -26,7 +26,7 @@ from greenroof_ros.common.errors import ConfigurationError, require_extra, sugge
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.controllers.outlet import Drain
 from greenroof_ros.controllers.registry import choose_class
-from greenroof_ros.experiment.closed_loop import Tick
+from greenroof_ros.simulation.loop import Tick
 
 with require_extra("gym"):
     import gymnasium

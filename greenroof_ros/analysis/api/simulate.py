@@ -22,14 +22,7 @@ from greenroof_ros.common.processes import refuse_forked_polars
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.common.times import duration, to_minutes
 from greenroof_ros.controllers.protocol import Controller, set_optional
-from greenroof_ros.experiment import summary
-from greenroof_ros.experiment.closed_loop import Simulation, record
-from greenroof_ros.experiment.run import Run
-from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
-from greenroof_ros.model.look_ahead import look_ahead_ends
-from greenroof_ros.model.metrics import METRICS
-from greenroof_ros.model.site import Site
-from greenroof_ros.model.storm_water import Event
+from greenroof_ros.physics.storm_water import Event
 from greenroof_ros.recording.trajectory import (
     COLUMNS,
     LAYER,
@@ -37,6 +30,13 @@ from greenroof_ros.recording.trajectory import (
     Trajectory,
     zone_name,
 )
+from greenroof_ros.results.metrics import METRICS
+from greenroof_ros.simulation import summary
+from greenroof_ros.simulation.directory import make_run_directory, write_configuration
+from greenroof_ros.simulation.loop import Simulation, record
+from greenroof_ros.simulation.run import Run
+from greenroof_ros.site.horizon import look_ahead_ends
+from greenroof_ros.site.site import Site
 
 if TYPE_CHECKING:
     import altair
@@ -134,7 +134,7 @@ class Result:
         six hours. ``volume_reduction`` and ``peak_reduction`` compare the discharge in wet weather
         with that from the same area without a green roof and a cistern. The columns are ``start``,
         in the time zone of :attr:`trajectory`, and the fields of
-        :class:`greenroof_ros.model.storm_water.Event`.
+        :class:`greenroof_ros.physics.storm_water.Event`.
 
         Raises:
             ConfigurationError: if polars is not installed.

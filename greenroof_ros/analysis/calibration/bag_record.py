@@ -11,9 +11,9 @@ from greenroof_ros.analysis.report.bags import run_directory
 from greenroof_ros.analysis.report.run import read_about
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.formats.step_record import StepRecord, Values
-from greenroof_ros.model.plant import pumps_run
-from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.physics.plant import pumps_run
 from greenroof_ros.recording.bag_reader import load_bag
+from greenroof_ros.site.site import Site, read_site
 from greenroof_ros.weather.evapotranspiration import COMPUTED
 
 # Duration of the steps (s): short relative to storms, long relative to a sensor's noise.

@@ -12,7 +12,7 @@ from greenroof_ros.analysis.calibration.scores import FitScores
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.formats.rules import check_steps
 from greenroof_ros.formats.step_record import HOUR_S, StepRecord
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 
 # The minimum for a fit: number of values in every column, and water (mm).
 _MIN_VALUES, _MIN_WATER = 100, 20.0

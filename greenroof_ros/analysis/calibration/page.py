@@ -20,7 +20,7 @@ from greenroof_ros.analysis.report.drawing import (
 )
 from greenroof_ros.analysis.report.page import make_page
 from greenroof_ros.formats.step_record import DAY_S, StepRecord, Steps, Values, name_time
-from greenroof_ros.model.site import site_parameters
+from greenroof_ros.site.site import site_parameters
 
 MEASURED, SIMULATED = "measured", "simulated"
 

@@ -12,8 +12,8 @@ from greenroof_ros.analysis.calibration.fit import FittedParameter, compute_half
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.formats.hourly import find_gaps
 from greenroof_ros.formats.step_record import StepRecord, Steps, Values, prolong_steps
-from greenroof_ros.model.plant import maximum_pump_flow
-from greenroof_ros.model.site import Site
+from greenroof_ros.physics.plant import maximum_pump_flow
+from greenroof_ros.site.site import Site
 
 # For this long after rain, the catchment still feeds the cistern (s). At this distance from the
 # levels of outlet, valve and suction, a sensor's noise does not matter (m).

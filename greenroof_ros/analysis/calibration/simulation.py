@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from greenroof_ros.formats.step_record import StepRecord, Values
-from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import FieldCapacitySoil
+from greenroof_ros.physics.soil import FieldCapacitySoil
+from greenroof_ros.site.site import Site
 
 # Less water than this in the drainage layer does not count: outflow falls with its square (m3 per
 # m2).
@@ -33,7 +33,7 @@ class Simulated(NamedTuple):
 def simulate(site: Site, record: StepRecord, filled: float, minimum: float = 0.0) -> Simulated:
     """Simulate field-capacity soil over a record's steps.
 
-    The result matches :class:`greenroof_ros.model.plant.Plant` with short ticks, because
+    The result matches :class:`greenroof_ros.physics.plant.Plant` with short ticks, because
     percolation is solved for a whole step. Runoff is solved for a constant inflow. Therefore, steps
     longer than ten minutes are subdivided while water arrives, and steps longer than an hour are
     always subdivided. Water arrives evenly within a step. Unknown rain is treated as 0. The soil is

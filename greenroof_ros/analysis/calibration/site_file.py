@@ -7,7 +7,7 @@ from pathlib import Path
 
 from greenroof_ros.analysis.calibration.fit import FILLED, Fit
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.model.site import format_site, read_site
+from greenroof_ros.site.site import format_site, read_site
 
 CROP_NOTE = (
     "applies only if evapotranspiration is computed (fao56; hargreaves in calibrate), not if a "

@@ -14,8 +14,8 @@ from greenroof_ros.common.parameter import Parameter, entry, find, read_record
 from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.onoff import LEVEL
 from greenroof_ros.forecast.choice import PERFECT
-from greenroof_ros.model.plain_keys import PLAIN
-from greenroof_ros.model.site import Site, read_site, site_parameters
+from greenroof_ros.site.plain_keys import PLAIN
+from greenroof_ros.site.site import Site, read_site, site_parameters
 from greenroof_ros.weather.series import GAPS, REFUSE
 
 NONE, ORIFICE, DRAIN, PLAN = OUTLETS = ("none", "orifice", outlet.DRAIN, outlet.PLAN)

@@ -25,9 +25,9 @@ from greenroof_ros.controllers.onoff import LEVEL
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.batch import Batch, BatchWeather, simulate_batch
 from greenroof_ros.forecast.choice import PERFECT
-from greenroof_ros.model.initial_state import find_state
-from greenroof_ros.model.site import Site, SiteFile, check_site
-from greenroof_ros.model.storm_water import connected_area
+from greenroof_ros.physics.start import find_state
+from greenroof_ros.physics.storm_water import connected_area
+from greenroof_ros.site.site import Site, SiteFile, check_site
 
 SITE_FILE = "site.yaml"
 """name of the input file with the site that all buildings have in common"""

@@ -22,7 +22,7 @@ from greenroof_ros.analysis.district.totals import Flow, Totals
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import replace_file, replace_text
 from greenroof_ros.common.text import number_of
-from greenroof_ros.experiment.run_directory import writable
+from greenroof_ros.simulation.directory import writable
 
 PAGE = "page.html"
 

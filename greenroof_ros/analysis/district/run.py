@@ -36,10 +36,10 @@ from greenroof_ros.common.files import YamlMapping
 from greenroof_ros.common.processes import scratch_directory
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.batch import BatchWeather
-from greenroof_ros.experiment.inputs import make_inputs
-from greenroof_ros.experiment.run import Run
-from greenroof_ros.model.site import Site, merge_site_file
-from greenroof_ros.model.storm_water import interval_seconds
+from greenroof_ros.physics.storm_water import interval_seconds
+from greenroof_ros.simulation.inputs import make_inputs
+from greenroof_ros.simulation.run import Run
+from greenroof_ros.site.site import Site, merge_site_file
 
 # A building takes less time in a larger part, but other processors need parts, too. Parts do not
 # depend on the number of workers, so neither does the last bit of their sums.

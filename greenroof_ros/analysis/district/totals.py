@@ -16,13 +16,13 @@ from greenroof_ros.analysis.district.adoption import Adoption
 from greenroof_ros.analysis.district.buildings import Buildings, Values
 from greenroof_ros.analysis.district.district_file import NONE
 from greenroof_ros.analysis.district.parts import METRICS, PartResult
-from greenroof_ros.model.site import Site
-from greenroof_ros.model.storm_water import (
+from greenroof_ros.physics.storm_water import (
     Intervals,
     find_peak,
     find_wet_weather,
     interval_seconds,
 )
+from greenroof_ros.site.site import Site
 
 PEAK_MIN = (5, 15, 60)
 """times over which the flow is averaged for a peak (min)"""

@@ -19,16 +19,16 @@ from greenroof_ros.common.alarm_log import read_alarms
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.times import to_people
-from greenroof_ros.experiment.summary import find_site_file
-from greenroof_ros.model.metrics import Samples, events_of, totals_of
-from greenroof_ros.model.plant import mains_flow
-from greenroof_ros.model.site import Site, read_site
-from greenroof_ros.model.soil import soil_of
+from greenroof_ros.physics.plant import mains_flow
+from greenroof_ros.physics.soil import soil_of
 from greenroof_ros.recording.bag_reader import load_bag
 from greenroof_ros.recording.bag_writer import METADATA, name_recovered_bag
 from greenroof_ros.recording.events_table import event_rows
 from greenroof_ros.recording.results_table import format_exactly
 from greenroof_ros.recording.trajectory import CSV, TRAJECTORY, Trajectory
+from greenroof_ros.results.metrics import Samples, events_of, totals_of
+from greenroof_ros.simulation.summary import find_site_file
+from greenroof_ros.site.site import Site, read_site
 
 # Columns without which results alone do not make a run of a report.
 _NEEDED = {"start", "hours", "cistern_m3", "total_deviation_m3"}

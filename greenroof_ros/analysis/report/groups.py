@@ -15,7 +15,7 @@ from greenroof_ros.analysis.report.run import ReportedRun, Row
 from greenroof_ros.analysis.report.sources import Sources
 from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.controllers.outlet import CLOSED
-from greenroof_ros.model.metrics import METRICS
+from greenroof_ros.results.metrics import METRICS
 
 Item = TypeVar("Item")
 

@@ -13,8 +13,8 @@ from markupsafe import Markup
 from greenroof_ros.analysis.report.drawing import CONFIG, Figure, Rows
 from greenroof_ros.analysis.report.groups import Report
 from greenroof_ros.analysis.report.tables import Table, make_notes, make_tables
-from greenroof_ros.experiment.summary import format_versions, versions
-from greenroof_ros.model.site import Site, site_parameters
+from greenroof_ros.simulation.summary import format_versions, versions
+from greenroof_ros.site.site import Site, site_parameters
 
 
 def make_page(package: str, figures: Sequence[Figure], **values: object) -> str:

@@ -16,9 +16,7 @@ from greenroof_ros.analysis.report.bags import read_run, run_directory
 from greenroof_ros.analysis.report.run import ReportedRun, Row, read_about
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import file_digest, read_text
-from greenroof_ros.model.metrics import METRICS
-from greenroof_ros.model.sensor_and_pump import PARAMETERS
-from greenroof_ros.model.site import read_site
+from greenroof_ros.physics.sensor_and_pump import PARAMETERS
 from greenroof_ros.recording.events_table import EVENTS
 from greenroof_ros.recording.results_table import (
     find_differing_keys,
@@ -26,6 +24,8 @@ from greenroof_ros.recording.results_table import (
     row_parameters,
 )
 from greenroof_ros.recording.trajectory import TRAJECTORY
+from greenroof_ros.results.metrics import METRICS
+from greenroof_ros.site.site import read_site
 
 _NEEDED = {
     "run", "site", "start", "hours", "evapotranspiration", "controller", "initial", "cistern_m3",

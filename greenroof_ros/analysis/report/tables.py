@@ -9,7 +9,7 @@ import numpy as np
 
 from greenroof_ros.analysis.report.groups import TOTAL, CaseRuns, Report
 from greenroof_ros.analysis.report.intervals import SeasonComparison
-from greenroof_ros.model.metrics import METRICS
+from greenroof_ros.results.metrics import METRICS
 
 Table = list[dict[str, str]]
 

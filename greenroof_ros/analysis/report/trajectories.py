@@ -24,8 +24,8 @@ from greenroof_ros.analysis.report.drawing import (
 )
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
-from greenroof_ros.model.site import Site
 from greenroof_ros.recording.trajectory import Trajectory
+from greenroof_ros.site.site import Site
 
 MAX_POINTS = 500
 """approximate number of points in a drawn line"""

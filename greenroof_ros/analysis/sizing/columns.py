@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-from greenroof_ros.model.metrics import METRICS
+from greenroof_ros.results.metrics import METRICS
 
 KEPT, COST = "storm_water_kept_share", "cost"
 """Results in addition to the metrics: the share of storm water kept out of the sewer; the cost."""

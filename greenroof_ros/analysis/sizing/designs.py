@@ -12,10 +12,9 @@ from greenroof_ros.common.errors import ConfigurationError, describe_choices
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.controllers.outlet import DRAIN, PLAN
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.model.new_site import EMPTIED_H
-from greenroof_ros.model.plant import find_outlet_radius
-from greenroof_ros.model.site import Site, check_site
-from greenroof_ros.model.storm_water import connected_area
+from greenroof_ros.physics.plant import EMPTIED_H, find_outlet_radius
+from greenroof_ros.physics.storm_water import connected_area
+from greenroof_ros.site.site import Site, check_site
 
 NONE = "none"
 OUTLETS = (NONE, DRAIN, PLAN)

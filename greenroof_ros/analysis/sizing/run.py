@@ -21,7 +21,7 @@ from greenroof_ros.common.ranges import Range
 from greenroof_ros.common.text import number_of
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.batch import BatchWeather
-from greenroof_ros.experiment.inputs import make_inputs
+from greenroof_ros.simulation.inputs import make_inputs
 
 PRICES = {parameter.name: parameter for parameter in parameters_of(Prices)}
 KNEE_RANGE = Range(0.0, 1e6, "m3")

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import FIRST_YEAR, LAST_YEAR, to_minutes
-from greenroof_ros.experiment.inputs import RunInputs
-from greenroof_ros.experiment.run import Run
-from greenroof_ros.model.site import Site
+from greenroof_ros.simulation.inputs import RunInputs
+from greenroof_ros.simulation.run import Run
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.series import Weather
 
 # Any year that is not a leap year.

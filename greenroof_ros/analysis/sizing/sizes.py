@@ -32,9 +32,9 @@ from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.processes import refuse_forked_polars
 from greenroof_ros.common.text import number_of
 from greenroof_ros.controllers.outlet import PLAN
-from greenroof_ros.experiment.run_directory import writable
-from greenroof_ros.model.metrics import METRICS
-from greenroof_ros.model.site import Site
+from greenroof_ros.results.metrics import METRICS
+from greenroof_ros.simulation.directory import writable
+from greenroof_ros.site.site import Site
 
 if TYPE_CHECKING:
     import altair

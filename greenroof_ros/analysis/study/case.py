@@ -13,10 +13,10 @@ from typing import Any
 
 from greenroof_ros.common.parameter import parameters_of
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.experiment.inputs import RunInputs
 from greenroof_ros.forecast.choice import OPTIONS, ForecastChoice
-from greenroof_ros.model.sensor_and_pump import SensorAndPump
+from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.recording.results_table import format_exactly
+from greenroof_ros.simulation.inputs import RunInputs
 from greenroof_ros.weather.series import REFUSE
 
 # Keys of the digests of a case's forecast files in the data of its identity.

@@ -13,13 +13,13 @@ from greenroof_ros.analysis.study.case import Case
 from greenroof_ros.analysis.workers.progress import ShareFile
 from greenroof_ros.controllers.outlet import PRICE
 from greenroof_ros.experiment.batch_runs import simulate_runs
-from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
-from greenroof_ros.experiment.closed_loop import Simulation, record
-from greenroof_ros.experiment.discharge_bound import simulate_frontier
-from greenroof_ros.experiment.run import Run
 from greenroof_ros.recording.events_table import EVENTS, format_events
 from greenroof_ros.recording.results_table import summary_columns
 from greenroof_ros.recording.trajectory import TRAJECTORY
+from greenroof_ros.simulation.bound import clairvoyant_bound
+from greenroof_ros.simulation.discharge_bound import simulate_frontier
+from greenroof_ros.simulation.loop import Simulation, record
+from greenroof_ros.simulation.run import Run
 from greenroof_ros.weather.reading import read_weather
 
 # Fewer cases are quicker alone; of more, an interruption would lose too many, and memory grows.
@@ -127,7 +127,7 @@ def _make_outcome(results: Mapping[str, Any], files: Mapping[str, bytes]) -> Out
 def bound_case(directory: Path, case: Case) -> float:
     """Return the minimum total deviation achievable by a controller with commands up to 1 (m3).
 
-    See :func:`greenroof_ros.experiment.clairvoyant.clairvoyant_bound`.
+    See :func:`greenroof_ros.simulation.bound.clairvoyant_bound`.
     """
     run = case.find_inputs(directory).build()
     return clairvoyant_bound(run, case.bound_block)

@@ -24,18 +24,18 @@ from greenroof_ros.common.ranges import Range
 from greenroof_ros.controllers.outlet import find_horizon
 from greenroof_ros.controllers.registry import BUILT_IN, ControllerChoice, find_controller
 from greenroof_ros.experiment.batch_runs import is_covered
-from greenroof_ros.experiment.clairvoyant import BLOCK_S
-from greenroof_ros.experiment.inputs import RunInputs, make_inputs
-from greenroof_ros.experiment.run import Run, count_ticks
 from greenroof_ros.forecast.choice import MODELS, OPTIONS, PERFECT, ForecastChoice
 from greenroof_ros.forecast.skill import SKILLS, read_skill
 from greenroof_ros.formats.hourly import name_files
 from greenroof_ros.formats.own_csv import write_forecasts
 from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.model.initial_state import INITIAL_STATES
-from greenroof_ros.model.sensor_and_pump import PARAMETERS, SensorAndPump
-from greenroof_ros.model.site import SITE_KEYS, Site, format_site, read_site
+from greenroof_ros.physics.sensor_and_pump import PARAMETERS, SensorAndPump
+from greenroof_ros.physics.start import INITIAL_STATES
 from greenroof_ros.recording.results_table import format_exactly
+from greenroof_ros.simulation.bound import BLOCK_S
+from greenroof_ros.simulation.inputs import RunInputs, make_inputs
+from greenroof_ros.simulation.run import Run, count_ticks
+from greenroof_ros.site.site import SITE_KEYS, Site, format_site, read_site
 from greenroof_ros.weather.reading import read_weather
 
 # What each block must be.

@@ -15,7 +15,7 @@ from greenroof_ros.analysis.verification.scores import Tally
 from greenroof_ros.common.times import to_people
 from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.series import Weather, align_to_hours
 
 Array = NDArray[np.float64]

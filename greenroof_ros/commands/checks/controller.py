@@ -15,8 +15,8 @@ from greenroof_ros.controllers.check import trial_values
 from greenroof_ros.controllers.outlet import SHARE
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.messages import WithFront
-from greenroof_ros.model.look_ahead import look_ahead_ends
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.horizon import look_ahead_ends
+from greenroof_ros.site.site import Site
 
 _LEVELS = ("/cistern/level", "/roof/level")
 _FROST = "/weather/frost"

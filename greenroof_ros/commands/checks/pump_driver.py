@@ -13,8 +13,8 @@ from std_msgs.msg import String
 
 from greenroof_ros.commands.checks.node import NodeCheck, require
 from greenroof_ros.common.states import PumpState
-from greenroof_ros.model.initial_state import initial_states
-from greenroof_ros.model.site import Site
+from greenroof_ros.physics.start import initial_states
+from greenroof_ros.site.site import Site
 
 _COMMAND = "/pump/command"
 # A flow is steady if more than this many answers vary by at most this share of the largest.

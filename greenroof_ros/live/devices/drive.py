@@ -17,7 +17,7 @@ from greenroof_ros.live.devices.drive_file import (
     Timeout,
 )
 from greenroof_ros.live.devices.modbus_line import Address, DriveError, decode, limits
-from greenroof_ros.model.pump_speed import STANDSTILL
+from greenroof_ros.physics.pump import STANDSTILL
 
 # Time between two checks of whether a drive has reached a state (s).
 _POLL_S = 0.05

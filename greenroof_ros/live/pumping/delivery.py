@@ -64,9 +64,9 @@ from typing import NamedTuple
 
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.live.pumping.limits import PumpSettings
-from greenroof_ros.model.plant import low_outlet_flow
-from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import soil_of
+from greenroof_ros.physics.plant import low_outlet_flow
+from greenroof_ros.physics.soil import soil_of
+from greenroof_ros.site.site import Site
 
 _M_PER_S = 1e-3 / 3600
 """m/s per mm/h"""

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from greenroof_ros.common.conditions import Diagnosis
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 
 EXPIRES_S = 60.0
 """A request expires at this age (s), both on arrival and while its dose waits to begin."""

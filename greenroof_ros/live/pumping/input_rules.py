@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
-from greenroof_ros.model.plant import (
+from greenroof_ros.physics.plant import (
     low_outlet_flow,
     maximum_pump_flow,
     outlet_flow,
 )
-from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import soil_of
+from greenroof_ros.physics.soil import soil_of
+from greenroof_ros.site.site import Site
 
 # An input that has not arrived since the start is treated as silent after this time (s).
 _START_S = 10.0

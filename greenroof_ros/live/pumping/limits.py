@@ -14,10 +14,10 @@ from greenroof_ros.common.parameter import Parameter, entry, parameters_of
 from greenroof_ros.common.times import to_people
 from greenroof_ros.live.pumping.ledger import DAY_S, Ledger
 from greenroof_ros.live.pumping.pump_inputs import Observation
-from greenroof_ros.model.plant import maximum_pump_flow
-from greenroof_ros.model.pump_speed import flow_at, speed_for
-from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import soil_of
+from greenroof_ros.physics.plant import maximum_pump_flow
+from greenroof_ros.physics.pump import flow_at, speed_for
+from greenroof_ros.physics.soil import soil_of
+from greenroof_ros.site.site import Site
 
 _HOUR_S = 3600.0
 # A pump that runs continuously makes up the outstanding volume in this time (s).

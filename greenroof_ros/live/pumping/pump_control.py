@@ -19,8 +19,8 @@ from greenroof_ros.live.pumping.interlocks import evaluate
 from greenroof_ros.live.pumping.ledger import SAVE_EVERY_S, Ledger
 from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings
 from greenroof_ros.live.pumping.pump_inputs import Observation
-from greenroof_ros.model.pump_speed import STANDSTILL, flow_at
-from greenroof_ros.model.site import Site
+from greenroof_ros.physics.pump import STANDSTILL, flow_at
+from greenroof_ros.site.site import Site
 
 # A measured flow above this multiple of the maximum flow is implausible.
 _MAX_FLOW = 1.5

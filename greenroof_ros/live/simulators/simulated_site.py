@@ -15,10 +15,10 @@ from greenroof_ros.common.mqtt import make_client, parse_path
 from greenroof_ros.live.devices.modbus_line import encode, parse_address
 from greenroof_ros.live.devices.sensor_file import ModbusSensor, MqttSensor, Sensors
 from greenroof_ros.live.simulators.server import Device, Server
-from greenroof_ros.model.pump_speed import flow_at
-from greenroof_ros.model.sensor_and_pump import SensorAndPump
-from greenroof_ros.model.site import Site
-from greenroof_ros.model.virtual_site import VirtualSite
+from greenroof_ros.physics.pump import flow_at
+from greenroof_ros.physics.sensor_and_pump import SensorAndPump
+from greenroof_ros.results.virtual_site import VirtualSite
+from greenroof_ros.site.site import Site
 
 # Number of readings of the drive's speed per tick, if there is time for as many.
 _POLLS = 20

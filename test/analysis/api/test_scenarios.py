@@ -15,9 +15,9 @@ from refusals import refusal
 
 import greenroof_ros as gr
 from greenroof_ros.analysis.api.scenarios import read_references
-from greenroof_ros.experiment.discharge_bound import simulate_frontier
 from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.model.storm_water import Intervals, find_wet_weather
+from greenroof_ros.physics.storm_water import Intervals, find_wet_weather
+from greenroof_ros.simulation.discharge_bound import simulate_frontier
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 SHORT = ("paper", "storm-minutes", "dry-month")

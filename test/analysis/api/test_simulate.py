@@ -34,8 +34,8 @@ from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
 from greenroof_ros.controllers.lookahead import Lookahead
 from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.experiment.inputs import make_inputs
-from greenroof_ros.model.look_ahead import look_ahead_ends
+from greenroof_ros.simulation.inputs import make_inputs
+from greenroof_ros.site.horizon import look_ahead_ends
 
 PAPERS = CONFIG / "weather" / "toronto_2021-07.csv"
 # What depends on the machine, and the directory.

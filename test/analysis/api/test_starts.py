@@ -9,7 +9,7 @@ import pytest
 from refusals import refusal
 
 import greenroof_ros as gr
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 
 PAPERS = gr.read_site()
 BERLIN = gr.read_site(time_zone="Europe/Berlin", utc_offset=1.0, latitude=52.5, longitude=13.4)

@@ -17,7 +17,7 @@ from twins import TWIN, record_rows, summed, write
 
 from greenroof_ros.analysis.calibration.site_file import format_fitted_site
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.model.site import format_site, read_site
+from greenroof_ros.site.site import format_site, read_site
 
 PUMPED = replace(TWIN, a_in=300.0, a_hat=-1e6, c_hat=45.0)
 PAPER = shared_directory() / "config" / "site.yaml"

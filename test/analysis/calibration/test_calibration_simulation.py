@@ -10,7 +10,7 @@ from twins import TWIN, a_record, storms
 
 from greenroof_ros.analysis.calibration.simulation import find_min_reading, simulate
 from greenroof_ros.formats.step_record import StepRecord
-from greenroof_ros.model.plant import Plant
+from greenroof_ros.physics.plant import Plant
 
 TICK_S = 5.0
 

@@ -14,7 +14,7 @@ from twins import TWIN
 
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
 from greenroof_ros.formats.step_record import StepRecord
-from greenroof_ros.model.site import Site
+from greenroof_ros.site.site import Site
 
 ROWS = 120
 

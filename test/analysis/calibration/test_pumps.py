@@ -12,8 +12,8 @@ from twins import DAY, NOISE_M, STEP_S, TWIN, a_record, storms
 
 from greenroof_ros.analysis.calibration.pumps import PumpFit, fit_pumps
 from greenroof_ros.formats.step_record import StepRecord
-from greenroof_ros.model.plant import Plant, maximum_pump_flow
-from greenroof_ros.model.site import Site
+from greenroof_ros.physics.plant import Plant, maximum_pump_flow
+from greenroof_ros.site.site import Site
 
 TICK_S = 60.0
 SITE = replace(TWIN, a_in=1000.0)

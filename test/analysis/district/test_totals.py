@@ -24,9 +24,9 @@ from greenroof_ros.analysis.district.run import DistrictRun, read_run
 from greenroof_ros.analysis.district.totals import AS_IS, Flow, Totals
 from greenroof_ros.analysis.workers.input_files import write_inputs
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.experiment.closed_loop import Simulation
-from greenroof_ros.experiment.inputs import make_inputs
-from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.simulation.inputs import make_inputs
+from greenroof_ros.simulation.loop import Simulation
+from greenroof_ros.site.site import Site, read_site
 
 
 @pytest.fixture(scope="module")

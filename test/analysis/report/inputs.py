@@ -27,11 +27,11 @@ from greenroof_ros.analysis.report.figures import make_figures
 from greenroof_ros.analysis.report.groups import Report
 from greenroof_ros.analysis.report.page import render
 from greenroof_ros.analysis.report.sources import find_runs
-from greenroof_ros.experiment import summary
-from greenroof_ros.experiment.closed_loop import Simulation, record
-from greenroof_ros.experiment.run import Run
-from greenroof_ros.model.storm_water import Event
+from greenroof_ros.physics.storm_water import Event
 from greenroof_ros.recording.trajectory import Trajectory
+from greenroof_ros.simulation import summary
+from greenroof_ros.simulation.loop import Simulation, record
+from greenroof_ros.simulation.run import Run
 
 START = datetime.fromisoformat("2021-07-07T02:00-05:00")
 START_NS = 1_625_641_200 * 10**9  # date -d 2021-07-07T02:00-05:00 +%s

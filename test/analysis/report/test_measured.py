@@ -10,7 +10,7 @@ from inputs import trajectory_of
 from paper import PAPER_SITE, paper_run, site_file
 
 from greenroof_ros.analysis.report.bags import complete_row, make_samples
-from greenroof_ros.experiment.closed_loop import Simulation, record
+from greenroof_ros.simulation.loop import Simulation, record
 
 TARGET = 68.8 * 0.0457
 

@@ -42,9 +42,9 @@ from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.analysis.report.tables import make_notes, make_tables
 from greenroof_ros.commands.recover import recover
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.model.site import format_site, read_site
 from greenroof_ros.recording.events_table import event_rows
 from greenroof_ros.recording.trajectory import Trajectory, read_trajectory
+from greenroof_ros.site.site import format_site, read_site
 
 TOTAL = "total_deviation_m3"
 

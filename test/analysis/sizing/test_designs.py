@@ -13,8 +13,8 @@ from greenroof_ros.analysis.sizing.designs import (
     choose_volumes,
     make_designs,
 )
-from greenroof_ros.model.plant import low_outlet_flow
-from greenroof_ros.model.site import read_site
+from greenroof_ros.physics.plant import low_outlet_flow
+from greenroof_ros.site.site import read_site
 
 VALVE = CONFIG / "site_valve.yaml"
 

@@ -13,9 +13,9 @@ from places import CONFIG
 from greenroof_ros.analysis.sizing.seasons import find_seasons, read_window
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.experiment.inputs import make_inputs
-from greenroof_ros.experiment.run import Run
-from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.simulation.inputs import make_inputs
+from greenroof_ros.simulation.run import Run
+from greenroof_ros.site.site import Site, read_site
 
 SITE = read_site(CONFIG / "site_valve.yaml", {"tau": 60.0, "M": 1})
 

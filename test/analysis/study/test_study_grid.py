@@ -26,10 +26,10 @@ from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.analysis.workers.input_files import write_inputs
 from greenroof_ros.commands.study import show
 from greenroof_ros.common.parameter import parameters_of
-from greenroof_ros.experiment.inputs import RunInputs
 from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.model.sensor_and_pump import PARAMETERS
-from greenroof_ros.model.site import format_site, read_site
+from greenroof_ros.physics.sensor_and_pump import PARAMETERS
+from greenroof_ros.simulation.inputs import RunInputs
+from greenroof_ros.site.site import format_site, read_site
 
 SITE = f"site: {CONFIG / 'site.yaml'}"
 HOURS = "    hours: 0.25\n"

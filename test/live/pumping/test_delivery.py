@@ -14,8 +14,8 @@ from pump_rig import Rig, settings_for
 
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.live.pumping.delivery import DeliveryCheck
-from greenroof_ros.model.plant import Plant
-from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.physics.plant import Plant
+from greenroof_ros.site.site import Site, read_site
 
 NOISE = 0.005
 """standard deviation of a reading (m)"""

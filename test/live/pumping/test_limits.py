@@ -15,7 +15,7 @@ from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.live.devices.drive_file import MAX_RAMP_S
 from greenroof_ros.live.pumping.ledger import Ledger
 from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings
-from greenroof_ros.model.plant import maximum_pump_flow, pump_flow
+from greenroof_ros.physics.plant import maximum_pump_flow, pump_flow
 
 # A fifth of the maximum flow at 3 m, 0.00842205 m3/s, for 10 s.
 MIN_PULSE = 0.0168441

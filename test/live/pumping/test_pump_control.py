@@ -13,7 +13,7 @@ from pump_rig import Rig, settings_for
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.live.pumping.ledger import Ledger
 from greenroof_ros.live.pumping.pump_control import Decision, Observation, PumpControl
-from greenroof_ros.model.plant import maximum_pump_flow
+from greenroof_ros.physics.plant import maximum_pump_flow
 
 
 def warning(decision: Decision) -> str:

@@ -1,0 +1,1 @@
+"""The plant: numbers in, numbers out."""

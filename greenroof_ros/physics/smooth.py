@@ -1,0 +1,147 @@
+"""The smooth plant, Eqs. (5)-(9), used only for linearisation, and its linear model, Eq. (10).
+
+Each equation has its own function: :func:`f` for Eq. (5), :func:`psi` for Eq. (6), :func:`q_out`
+for Eq. (7), :func:`q_pump` for Eq. (8) and :func:`q_drain` for Eq. (9). The last four functions
+also return the derivatives that Eq. (10) requires. A field-capacity soil replaces Eq. (9). This
+soil is not smoothed, because it is continuous everywhere, and smooth except at the wilting point,
+the onset of stress and field capacity.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from greenroof_ros.physics.plant import mains_flow
+from greenroof_ros.physics.soil import SoilSlopes, soil_of
+from greenroof_ros.site.site import Site
+
+
+def f(
+    site: Site, x1: float, w_r: float, w_e: float, out: float, pumped: float, soil: SoilSlopes
+) -> tuple[float, float]:
+    """Return f^epsilon: the rates of change of the two volumes (m3/s), Eq. (5).
+
+    Args:
+        site: parameters of the site (Table I).
+        x1: water volume in the cistern (m3).
+        w_r: precipitation (m/s).
+        w_e: evapotranspiration (m3/s).
+        out: q_out, Eq. (7) (m3/s).
+        pumped: q_pump, Eq. (8) (m3/s).
+        soil: slopes of the soil, including q_drain, Eq. (9).
+    """
+    f1 = w_r * site.effective_catchment + mains_flow(site, x1, 0.0, site.tau) - out - pumped
+    return f1, (w_r * site.a2 + pumped) * soil.retained - w_e * soil.stress - soil.drained
+
+
+def psi(y: float, epsilon: float) -> tuple[float, float]:
+    """Return psi^epsilon, a smooth square root, and its slope, Eq. (6).
+
+    The function is Eq. 3 of Duan and Lian (2016).
+    """
+    if y > epsilon:
+        root = math.sqrt(y)
+        return root, 0.5 / root
+    minimum = 2 / 3 * math.sqrt(epsilon)
+    if y > 0:
+        return minimum + y**1.5 / (3 * epsilon), math.sqrt(y) / (2 * epsilon)
+    return minimum, 0.0
+
+
+def q_out(site: Site, x1: float) -> tuple[float, float]:
+    """Return the flow to the sewer, q_out^epsilon (m3/s), Eq. (7), and its slope in x1 (1/s).
+
+    A low outlet with a valve is treated as closed.
+    """
+    root, slope = psi(x1 / site.a1 - site.z_o, site.epsilon)
+    flow, flow_1 = site.c_out * root, site.c_out * slope / site.a1
+    if site.always_drains and site.low_outlet_level is not None:
+        root, slope = psi(x1 / site.a1 - site.low_outlet_level, site.epsilon)
+        flow += site.c_low * root
+        flow_1 += site.c_low * slope / site.a1
+    return flow, flow_1
+
+
+def q_pump(site: Site, x1: float, x2: float, u: float) -> tuple[float, float, float, float]:
+    """Return the flow of the pumps, q_pump^epsilon (m3/s), Eq. (8), and its slopes.
+
+    The slopes are those in x1 and x2 (1/s), and in the command u (m3/s).
+    """
+    epsilon = site.epsilon
+    root, slope = psi(x1 / site.a1 + site.c_hat - site.d, epsilon)
+    full, full_1 = site.b * root, site.b * slope / site.a1  # eta at u = 1
+    sigma_1 = sigma(x1 - site.a1 * site.suction_level, epsilon)
+    sigma_2 = sigma(site.a2 * site.z_veg - x2, epsilon)
+    sigma_1_1 = sigma_1 * (1 - sigma_1) / epsilon
+    sigma_2_2 = -sigma_2 * (1 - sigma_2) / epsilon
+    by_u = full * sigma_1 * sigma_2
+    by_x1 = u * sigma_2 * (full_1 * sigma_1 + full * sigma_1_1)
+    return u * by_u, by_x1, u * full * sigma_1 * sigma_2_2, by_u
+
+
+def q_drain(site: Site, x2: float) -> tuple[float, float]:
+    """Return the drainage, q_drain^epsilon (m3/s), Eq. (9), and its slope in x2 (1/s)."""
+    sigma_3 = sigma(x2 - site.z_cap, site.epsilon)
+    flow = site.K * site.a2 * (x2 / site.a2 + site.z_soil) / site.z_soil * sigma_3
+    return flow, site.K / site.z_soil * sigma_3 + flow * (1 - sigma_3) / site.epsilon
+
+
+def sigma(y: float, epsilon: float) -> float:
+    """Return 1 / (1 + exp(-y / epsilon)) without overflow: a smooth step, Eqs. (8) and (9)."""
+    if y >= 0:
+        return 1 / (1 + math.exp(-y / epsilon))
+    growth = math.exp(y / epsilon)
+    return growth / (1 + growth)
+
+
+class Linearisation(NamedTuple):
+    """The linear model x' ~ A x~ + B u~ + C w~ + b at an operating point, Eq. (10).
+
+    The paper prints C_p as a 2x1 matrix, but with two disturbances w = (w_r, w_e), it is 2x2.
+    """
+
+    A: tuple[tuple[float, float], tuple[float, float]]
+    """I + tau df/dx, shape (2, 2), dimensionless"""
+    B: tuple[float, float]
+    """tau df/du, shape (2,), m3"""
+    C: tuple[tuple[float, float], tuple[float, float]]
+    """tau df/dw, shape (2, 2); columns w_r (m2 s) and w_e (s)"""
+    b: tuple[float, float]
+    """tau f, shape (2,), m3: the change of the state in a tick at the operating point"""
+
+
+def linearise(
+    site: Site, x1: float, x2: float, u: float, w_r: float, w_e: float
+) -> Linearisation:
+    """Linearise the smooth plant about p = (x, u, w), Eq. (10).
+
+    Args:
+        site: parameters of the site (Table I).
+        x1: water volume in the cistern (m3).
+        x2: water volume on the roof (m3).
+        u: command, share of the maximum flow (1).
+        w_r: precipitation (m/s).
+        w_e: evapotranspiration (m3/s).
+    """
+    tau, soil = site.tau, soil_of(site).linearise(x2, q_drain)
+    out, out_1 = q_out(site, x1)
+    pumped, pumped_1, pumped_2, pumped_u = q_pump(site, x1, x2, u)
+    f1, f2 = f(site, x1, w_r, w_e, out, pumped, soil)
+    into_roof = w_r * site.a2 + pumped
+    f2_2 = (
+        pumped_2 * soil.retained + into_roof * soil.retained_2
+        - w_e * soil.stress_2 - soil.drained_2
+    )
+    return Linearisation(
+        A=(
+            (1 + tau * (-out_1 - pumped_1), tau * -pumped_2),
+            (tau * pumped_1 * soil.retained, 1 + tau * f2_2),
+        ),
+        B=(tau * -pumped_u, tau * pumped_u * soil.retained),
+        C=(
+            (tau * site.effective_catchment, 0.0),
+            (tau * site.a2 * soil.retained, -tau * soil.stress),
+        ),
+        b=(tau * f1, tau * f2),
+    )

@@ -1,0 +1,101 @@
+"""Initial states of a run: those of the paper (Table II), and the state defined in a site file."""
+
+from __future__ import annotations
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.physics.soil import soil_of
+from greenroof_ros.site.site import Site, find_unheld
+
+# Table II: factors of the volumes at the outlet's level and at the target.
+_TABLE_II = {
+    "low-low": (1 / 1.3, 1 / 1.3),
+    "high-low": (1.3, 1 / 1.3),
+    "high-high": (1.3, 1.3),
+}
+SITE_STATE = "site"
+"""name of the state that a site file defines with ``initial_cistern`` and ``initial_roof``"""
+INITIAL_STATES = (*_TABLE_II, SITE_STATE)
+"""names of the states of a site whose file defines a state"""
+
+
+def initial_states(site: Site) -> dict[str, tuple[float, float]]:
+    """Return the volumes x1 and x2 (m3) of each initial state, with the default state first.
+
+    The default is the state defined in the site file or, if the file defines none, low-low. The
+    states do not include the drainage layer of a field-capacity soil, which always starts with
+    ``initial_layer``.
+    """
+    states = {
+        name: (site.a1 * site.z_o * cistern, site.a2 * site.z_veg * roof)
+        for name, (cistern, roof) in _TABLE_II.items()
+    }
+    if site.initial_cistern is None or site.initial_roof is None:
+        return states
+    return {SITE_STATE: (site.initial_cistern, site.initial_roof), **states}
+
+
+def find_state(
+    site: Site, name: str | None, volumes: tuple[float, float] | None
+) -> tuple[str, tuple[float, float]]:
+    """Return the name of a run's initial state, and its volumes x1 and x2 (m3).
+
+    Args:
+        site: the site.
+        name: name of an initial state, or an arbitrary name if volumes are given; None for the
+            default.
+        volumes: volumes x1 and x2 (m3); None for the volumes of the named state.
+
+    Raises:
+        ConfigurationError: if the state does not exist, if its volumes differ from the given
+            volumes, or if the site cannot hold the volumes.
+    """
+    states = initial_states(site)
+    if volumes is None:
+        name = next(iter(states)) if name is None else name
+        if name not in states:
+            raise ConfigurationError(
+                "requires initial_cistern and initial_roof in the site file" if name == SITE_STATE
+                else f"must be one of {', '.join(INITIAL_STATES)}, or volumes (m3) must be "
+                "given for the cistern and the roof", key="initial", value=name,
+            )
+        volumes = states[name]
+    elif states.get(name or "", volumes) != volumes:
+        raise ConfigurationError(
+            "differs from the volumes given for the cistern and the roof; remove either the name "
+            "or the volumes",
+            key="initial", value=name,
+        )
+    check_volumes(site, *volumes)
+    return name or "custom", volumes
+
+
+def check_volumes(site: Site, cistern: float, roof: float) -> None:
+    """Reject initial volumes that the site cannot hold.
+
+    The roof has no rim, so rain can raise the water above the capacity of the soil. The excess then
+    drains slowly from the paper's soil, and within the first tick from a field-capacity soil.
+    Therefore a run can start in any state in which another run can end.
+
+    Args:
+        site: the site.
+        cistern: volume x1 (m3).
+        roof: volume x2 (m3).
+
+    Raises:
+        ConfigurationError: if a volume exceeds what any rain could produce, which indicates a wrong
+            unit. The error's key is ``cistern`` or ``roof``.
+    """
+    for key, value, expected in find_unheld(site, cistern, roof):
+        raise ConfigurationError(expected, key=key, value=value)
+
+
+def note_full_roof(site: Site, roof: float) -> list[str]:
+    """Return a warning if a volume on the roof (m3) exceeds the capacity of the soil."""
+    if roof <= site.z_cap:
+        return []
+    full = site.roof_level(site.z_cap)
+    return [
+        f"the run starts with {roof:g} m3 on the roof, more than the {site.z_cap:g} m3 (a level of "
+        f"{full:g} m) that the soil holds: {site.roof_level(roof) - full:.3g} m "
+        f"{soil_of(site).excess}. The value must be a volume in m3"
+    ]

@@ -1,0 +1,159 @@
+"""The directory of a run, with its bag, its summary, its logs and its exact configuration."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from datetime import datetime
+from itertools import count
+from pathlib import Path
+
+import yaml
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import unique_name
+from greenroof_ros.formats.own_csv import write_records
+from greenroof_ros.simulation.inputs import find_needs
+from greenroof_ros.simulation.run import Run
+from greenroof_ros.site.site import format_site
+
+# Parent of the runs' directories, unless a user chooses one.
+_RUNS = Path("runs")
+
+
+def make_run_directory(output: Path | None, controller: str) -> Path:
+    """Create the directory of a run: ``output``, or a dated directory in ``runs/``.
+
+    Raises:
+        ConfigurationError: if the directory is not empty, or cannot be created or written to.
+    """
+    with writable(output or _RUNS):
+        directory = output or _make_dated_directory(controller)
+        directory.mkdir(parents=True, exist_ok=True)
+        if any(directory.iterdir()):
+            raise ConfigurationError(
+                "exists and is not empty; a run never overwrites files",
+                key="--output", value=str(directory),
+            )
+        (directory / "configuration").mkdir()
+    return directory.resolve()
+
+
+@contextmanager
+def writable(directory: Path, option: str = "--output") -> Iterator[None]:
+    """Convert a write error into a :class:`ConfigurationError` that names the directory.
+
+    Args:
+        directory: directory to which files are written.
+        option: option that sets the directory.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise ConfigurationError(
+            f"cannot be written: {error.strerror}", key=option, value=str(directory)
+        ) from error
+
+
+def _make_dated_directory(controller: str) -> Path:
+    """Create a directory named after the current second, with a suffix such as -2 if it exists."""
+    name = f"{datetime.now().astimezone().strftime('%Y-%m-%dT%H-%M-%S')}-{controller}"
+    _RUNS.mkdir(exist_ok=True)
+    for number in count(1):
+        directory = _RUNS / (name if number == 1 else f"{name}-{number}")
+        with suppress(FileExistsError):
+            directory.mkdir()
+            break
+    return directory
+
+
+def write_configuration(
+    directory: Path, run: Run, nodes: dict[str, object]
+) -> Path:
+    """Copy a run's input files, and write the parameters of its nodes.
+
+    Args:
+        directory: directory of the run.
+        run: the run.
+        nodes: parameters of the plant that the run does not set; peer_limit also applies to the
+            recorder.
+
+    Returns:
+        The ROS 2 parameter file that all nodes of the run read.
+
+    Raises:
+        ConfigurationError: if the directory cannot be written to.
+    """
+    configuration = directory / "configuration"
+    with writable(directory):
+        site_file = configuration / "site.yaml"
+        site_file.write_text(format_site(run.site), encoding="utf-8")
+        weather_files: list[str] = []
+        for file in run.weather.files:
+            named = file if file.suffix else Path("weather.csv")  # of a data frame
+            name = unique_name(named, [Path(copy).name for copy in weather_files])
+            copy = configuration / "weather" / name
+            copy.parent.mkdir(exist_ok=True)
+            if run.records is None:
+                shutil.copyfile(file, copy)
+            else:
+                copy.write_text(write_records(run.records, name), encoding="utf-8")
+            weather_files.append(str(copy))
+        choice = run.forecast_choice
+        if choice.file is not None:
+            name = choice.file.resolve().name
+            choice = replace(choice, file=_copy(choice.file, configuration / "forecast" / name))
+        if choice.skill_file is not None:
+            skill = _copy(choice.skill_file, configuration / "skill.yaml")
+            choice = replace(choice, skill=str(skill))
+        common = {"site_file": str(site_file)}
+        all_members, outlet_horizon = find_needs(run.controller, run.parameters)
+        span = {"start": run.start.isoformat(), "run_length": run.steps}
+        parameters = {
+            "plant": {
+                **common, **span, "initial_cistern_volume": run.x1, "initial_roof_volume": run.x2,
+                **run.sensor_and_pump.values(), **nodes,
+            },
+            "weather": {
+                **common, **span, "weather_files": weather_files,
+                "evapotranspiration": run.weather.method,
+                "gaps": run.weather.gaps,
+                "horizon": run.parameters.get("horizon", 0.0),
+                "outlet_horizon": outlet_horizon,
+                "all_members": all_members,
+                "forecast": str(choice),
+                **{f"forecast_{name}": value for name, value in choice.options().items()},
+            },
+            run.controller.name: {**common, **run.parameters},
+            "recorder": {
+                **common,
+                **({"peer_limit": nodes["peer_limit"]} if nodes else {}),
+                "directory": str(directory / "bag"),
+                "controller": run.controller.reference,
+            },
+        }
+        return write_parameters(configuration, parameters)
+
+
+def write_parameters(directory: Path, parameters: Mapping[str, Mapping[str, object]]) -> Path:
+    """Write a ROS 2 parameter file for the given nodes, and return the path of the file.
+
+    Args:
+        directory: directory of the file.
+        parameters: parameters of each node, by the name of the node.
+    """
+    file = directory / "parameters.yaml"
+    of_nodes = {f"/**/{name}": {"ros__parameters": values} for name, values in parameters.items()}
+    file.write_text(yaml.safe_dump(of_nodes, sort_keys=False), encoding="utf-8")
+    return file
+
+
+def _copy(source: Path, copy: Path) -> Path:
+    copy.parent.mkdir(exist_ok=True)
+    if source.is_dir():
+        shutil.copytree(source, copy)
+    else:
+        shutil.copyfile(source, copy)
+    return copy

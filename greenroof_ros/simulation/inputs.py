@@ -1,0 +1,320 @@
+"""The inputs of a run that a user specifies, and the function that builds a run from them.
+
+The command line, Python and the grid of a study set the same inputs under the same names, which
+:func:`make_inputs` checks. To add an input, add a field to :class:`RunInputs`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from datetime import date, tzinfo
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greenroof_ros.common.errors import ConfigurationError, suggest_names
+from greenroof_ros.common.files import default_site_file
+from greenroof_ros.common.interface import read_topics
+from greenroof_ros.common.parameter import Parameter, entry, make_record, parameters_of
+from greenroof_ros.common.times import DEFAULT_START, read_start
+from greenroof_ros.controllers.outlet import find_horizon
+from greenroof_ros.controllers.registry import DEFAULT, ControllerChoice, find_controller
+from greenroof_ros.forecast import choice
+from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
+from greenroof_ros.forecast.resampling import make_forecast
+from greenroof_ros.formats.hourly import Records
+from greenroof_ros.physics import sensor_and_pump
+from greenroof_ros.physics.sensor_and_pump import SensorAndPump
+from greenroof_ros.physics.start import INITIAL_STATES, find_state
+from greenroof_ros.simulation.run import Run, count_ticks
+from greenroof_ros.site.site import Site, check_site, read_site
+from greenroof_ros.weather.data_frame import find_zone, is_frame, read_frame
+from greenroof_ros.weather.reading import (
+    complete_records,
+    default_weather,
+    find_files,
+    read_weather,
+)
+from greenroof_ros.weather.series import GAPS, REFUSE, Weather, WeatherSeries
+
+
+@dataclass(frozen=True)
+class RunInputs:
+    """The inputs of a run, before any file is read.
+
+    Attributes:
+        controller: the chosen controller, which decides how much to pump.
+        parameters: parameters of the controller; omitted parameters take their default values, some
+            of which depend on the site.
+        site: site, or path of the site file.
+        weather: weather files, a data frame, or records, which are used unchanged if they are
+            complete.
+        forecast: choice of the forecasts that the controller receives.
+        sensor_and_pump: deviations of the level sensor and the pumps from those in the paper.
+    """
+
+    controller: ControllerChoice = field(default_factory=partial(find_controller, DEFAULT))
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    site: Path | Site = field(default_factory=default_site_file)
+    weather: Any = field(default_factory=lambda: (default_weather(),))
+    forecast: ForecastChoice = field(default_factory=ForecastChoice)
+    sensor_and_pump: SensorAndPump = field(default_factory=SensorAndPump)
+    start: str = entry(
+        "time of the first tick (ISO 8601); without an offset from UTC, the time is in the site's "
+        "time_zone or, if the site has none, in the zone or offset of the weather",
+        default=DEFAULT_START,
+    )
+    hours: float | None = entry(
+        "length of the run; by default, N of the site", 1e-9, 1e9, unit="h", default=None
+    )
+    initial: str | None = entry(
+        "initial levels in the cistern and on the roof: the name of a state from Table II of the "
+        "paper, or 'site' for the levels in the site file (default: site, or low-low if the file "
+        "contains no levels)",
+        default=None,
+    )
+    cistern: float | None = entry(
+        "initial volume in the cistern, instead of a named state; roof must also be set",
+        0.0, 1e9,
+        unit="m3", default=None,
+    )
+    roof: float | None = entry(
+        "initial volume on the roof, instead of a named state; cistern must also be set",
+        0.0, 1e9, unit="m3", default=None,
+    )
+    evapotranspiration: str | None = entry(
+        "source of evapotranspiration. fao56: FAO-56 Penman-Monteith; hargreaves: FAO-56 Eq. 52, "
+        "from temperature alone; monthly: the site's monthly_evapotranspiration; or the name of a "
+        "column of the weather file, for example published (default: the column of the weather "
+        "file, if any; otherwise the first of these three methods for which the data suffice)",
+        default=None,
+    )
+    gaps: str = entry(
+        "treatment of missing hours in the weather, except in short gaps. refuse: stop and list "
+        "the hours; fill: treat missing rain as no rain, and replace other values with the "
+        "mean for that time of day over the three days before and after",
+        choices=GAPS,
+        default=REFUSE,
+    )
+
+    def read_site(self) -> Site:
+        """Read and check the site.
+
+        Raises:
+            ConfigurationError: if the site is invalid.
+        """
+        return check_site(self.site) if isinstance(self.site, Site) else read_site(self.site)
+
+    def read_records(
+        self, site: Site,
+        read: Callable[[tuple[Path, ...], Site, str | None, str], Weather] = read_weather,
+    ) -> tuple[Weather, Records | None]:
+        """Read the weather; also return the records, or None if the weather is from files.
+
+        Args:
+            site: the site.
+            read: function that reads weather files; see :meth:`build`.
+
+        Raises:
+            ConfigurationError: if the weather is invalid.
+        """
+        records = self.weather if isinstance(self.weather, Records) else None
+        if is_frame(self.weather):
+            records = read_frame(self.weather, site)
+        what = site.of_weather(), self.evapotranspiration, self.gaps
+        if isinstance(records, Weather):
+            return records, records
+        if records is None:
+            return read(self.weather, *what), None
+        return complete_records(records, *what), records
+
+    def _find_zone(self, site: Site) -> tzinfo | None:
+        """Return the time zone for times without an offset, if the site or the data has one."""
+        if site.time_zone is not None:
+            return site.zone
+        return find_zone(self.weather) if is_frame(self.weather) else None
+
+    def build(
+        self, read: Callable[[tuple[Path, ...], Site, str | None, str], Weather] = read_weather
+    ) -> Run:
+        """Read the files, and build and check the run.
+
+        Args:
+            read: function that reads weather files; it can cache files for runs that are built
+                together.
+
+        Raises:
+            ConfigurationError: if an input or a file is invalid, if weather or forecasts do not
+                cover the run, or if the nodes would reject a value. The error's key is the name of
+                the input, as for :func:`make_inputs`.
+        """
+        file = self.site if isinstance(self.site, Path) else None
+        site = self.read_site()
+        given = None
+        if self.cistern is not None and self.roof is not None:
+            given = self.cistern, self.roof
+        elif self.cistern is not None or self.roof is not None:
+            lacking = "cistern" if self.cistern is None else "roof"
+            raise ConfigurationError("is missing; set both cistern and roof", key=lacking)
+        initial, (x1, x2) = find_state(site, self.initial, given)
+        weather, records = self.read_records(site, read)
+        start = read_start(self.start, self._find_zone(site) or weather.first.tzinfo)
+        steps = count_ticks(site, self.hours, "hours")
+        series = WeatherSeries(weather, site, start, steps)
+        _refuse_what_nodes_refuse(site, series, x1, x2)
+        parameters = self.controller.complete_parameters(site, self.parameters)
+        if "min_on" in parameters:  # the controller knows the limits of its pumps
+            min_on = max(parameters["min_on"], self.sensor_and_pump.pump_min_on)
+            parameters["min_on"] = min_on
+        forecast = make_forecast(
+            weather, series, site, start, parameters.get("horizon", 0.0), self.forecast,
+            *find_needs(self.controller, parameters),
+        )
+        return Run(
+            file, site, weather, series, forecast, start, steps, self.controller, parameters,
+            initial, x1, x2, self.forecast, self.sensor_and_pump, records,
+        )
+
+
+def find_needs(controller: ControllerChoice, parameters: Mapping[str, Any]) -> tuple[bool, float]:
+    """Return whether forecasts include all members, and the look-ahead of an outlet's plan (h)."""
+    outlet_horizon = find_horizon(parameters)
+    return controller.ensemble or outlet_horizon > 0, outlet_horizon
+
+
+INPUTS: dict[str, Parameter] = {
+    parameter.name: parameter for parameter in (
+        Parameter("site", None, meaning="site file"),
+        Parameter(
+            "weather", None, meaning="weather files, which are joined in chronological order, or a "
+            "pattern such as 'weather/2021_*.csv'. The files can be CSV in this project's format, "
+            "hourly bulk files from Environment and Climate Change Canada, or hourly CSV from "
+            "Open-Meteo's archive, in which rain and radiation are moved from the end of their "
+            "hour to its start (default: config/weather/toronto_2021-07.csv)",
+        ),
+        *parameters_of(RunInputs),
+        Parameter(
+            "forecast", PERFECT, meaning="the controller's knowledge of the weather ahead. "
+            "perfect: complete knowledge; errors: a forecast with errors, by default as large as "
+            "those of real forecasts; ensemble: an ensemble of such forecasts; path of a file or a "
+            "directory of files: archived forecasts in this project's CSV format, or CSV or JSON "
+            "from Open-Meteo. errors and ensemble are issued every 6 hours, and archived forecasts "
+            "at their own times",
+        ),
+        *choice.INPUTS.values(),
+        *sensor_and_pump.PARAMETERS.values(),
+    )
+}
+"""the inputs of a run, by name, apart from its controller and the controller's parameters"""
+_SCALARS = {parameter.name for parameter in parameters_of(RunInputs)}
+
+
+def make_inputs(controller: ControllerChoice, given: Mapping[str, Any]) -> RunInputs:
+    """Make the inputs of a run from their values by name: options, keywords or a grid's keys.
+
+    Args:
+        controller: choice of the controller.
+        given: values of :data:`INPUTS` and of the controller's parameters; None stands for the
+            default. ``site`` may be a site, and ``weather`` can be one or more file names, records
+            or a data frame. ``start`` may be a date or a datetime, and ``initial`` the two volumes.
+
+    Raises:
+        ConfigurationError: if a name is unknown or a value is invalid; the error's key is the name.
+    """
+    values = {name: value for name, value in given.items() if value is not None}
+    own = {name: values.pop(name) for name in controller.parameters if name in values}
+    for name, value in values.items():
+        if name not in INPUTS:
+            known = [*INPUTS, *controller.parameters]
+            raise ConfigurationError(
+                f"is neither an input nor a parameter of {controller.name}; "
+                f"{suggest_names(name, known)}", key=name, value=value,
+            )
+    if isinstance(values.get("start"), np.datetime64):
+        values["start"] = values["start"].astype("datetime64[us]").item()
+    if isinstance(values.get("start"), date):
+        values["start"] = values["start"].isoformat()
+    if not isinstance(values.get("initial", ""), str):
+        values |= _read_volumes(values.pop("initial"))
+    text = values.get("forecast", PERFECT)
+    if not isinstance(text, (str, os.PathLike)):
+        raise ConfigurationError(
+            "must be the name of a forecast model, or a path",
+            key="forecast", value=text,
+        )
+    further: dict[str, Any] = {}
+    if "site" in values:
+        further["site"] = _find_site(values["site"])
+    if "weather" in values:
+        further["weather"] = _find_weather(values["weather"])
+    return replace(
+        make_record(RunInputs, {name: values[name] for name in _SCALARS if name in values}),
+        controller=controller,
+        parameters=controller.check_parameters(own),
+        forecast=choice.choose(os.fspath(text), {
+            name: values[f"forecast_{name}"] for name in choice.OPTIONS
+            if f"forecast_{name}" in values
+        }),
+        sensor_and_pump=make_record(SensorAndPump, {
+            name: values[name] for name in sensor_and_pump.PARAMETERS if name in values
+        }),
+        **further,
+    )
+
+
+def _read_volumes(initial: Any) -> dict[str, Any]:
+    try:
+        cistern, roof = initial
+    except (TypeError, ValueError) as error:
+        raise ConfigurationError(
+            f"must be one of {', '.join(INITIAL_STATES)}, or the volumes in the cistern and on "
+            "the roof (m3)",
+            key="initial", value=initial,
+        ) from error
+    return {"cistern": cistern, "roof": roof}
+
+
+def _find_site(site: Any) -> Path | Site:
+    if isinstance(site, (str, os.PathLike)):
+        return Path(site)
+    if not isinstance(site, Site):
+        raise ConfigurationError(
+            "must be the name of a site file, or a site from gr.read_site", key="site", value=site
+        )
+    return site
+
+
+def _find_weather(weather: Any) -> Any:
+    if isinstance(weather, Records) or is_frame(weather):
+        return weather
+    names = [weather] if isinstance(weather, (str, os.PathLike)) else weather
+    if not isinstance(names, (list, tuple)) or not all(
+        isinstance(name, (str, os.PathLike)) for name in names
+    ):
+        kind = type(weather)
+        raise ConfigurationError(
+            "must be a file name, a glob pattern or a list of these, or a polars or pandas data "
+            f"frame, not an object of type {kind.__module__}.{kind.__qualname__}", key="weather",
+        )
+    return tuple(find_files(map(os.fspath, names), "weather"))
+
+
+def _refuse_what_nodes_refuse(site: Site, series: WeatherSeries, x1: float, x2: float) -> None:
+    """Reject values that the nodes would reject, so that runs with and without ROS agree."""
+    topics = read_topics()
+    for name, value in (
+        ("/cistern/level", site.cistern_level(x1)),
+        ("/roof/level", site.roof_level(x2)),
+        ("/weather/precipitation", series.precipitation.maximum),
+        ("/weather/evapotranspiration", series.evapotranspiration.maximum),
+    ):
+        topic = topics[name]
+        if value > topic.high:
+            raise ConfigurationError(
+                f"{name} would reach {value:g} {topic.unit} in the run, but at most {topic.high:g} "
+                "is accepted (msg_defs/topics.yaml); is a unit wrong?"
+            )

@@ -1,0 +1,189 @@
+"""The options of a run and of its output, shared by more than one command."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from greenroof_ros.common.command_line import Parser, add_site, make_number_type
+from greenroof_ros.common.errors import rename_keys
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.registry import (
+    BUILT_IN,
+    DEFAULT,
+    ControllerChoice,
+    find_controller,
+)
+from greenroof_ros.forecast import choice
+from greenroof_ros.forecast.choice import MODELS
+from greenroof_ros.forecast.skill import SKILLS
+from greenroof_ros.physics import sensor_and_pump
+from greenroof_ros.physics.start import INITIAL_STATES
+from greenroof_ros.simulation.inputs import INPUTS, make_inputs
+from greenroof_ros.simulation.run import Run
+
+
+def add_run_arguments(
+    parser: Parser, arguments: Sequence[str] | None = None
+) -> None:
+    """Add the options that determine a run's results, for both ``simulate`` and ``run``.
+
+    Args:
+        parser: parser of the command.
+        arguments: command line that the parser will receive; ``sys.argv`` if None.
+
+    Raises:
+        ConfigurationError: if there is no such controller.
+    """
+    group = parser.add_argument_group("the run")
+    add_controller_arguments(parser, group, arguments)
+    add_site_arguments(group)
+    group = parser.add_argument_group("forecasts")
+    add_option(group, INPUTS["forecast"], metavar=f"{{{','.join(MODELS)},FILE}}")
+    skill = {"metavar": f"{{{','.join(SKILLS)},FILE.yaml}}"}
+    for name, parameter in choice.INPUTS.items():
+        add_option(group, parameter, **(skill if name == "forecast_skill" else {}))
+    group = parser.add_argument_group("sensor and pumps (default: as in the paper)")
+    for parameter in sensor_and_pump.PARAMETERS.values():
+        add_option(group, parameter)
+
+
+def add_controller_arguments(
+    parser: Parser, group: argparse._ArgumentGroup,
+    arguments: Sequence[str] | None = None, default: str = DEFAULT,
+) -> None:
+    """Add the options for the name of the controller and for its parameters.
+
+    Args:
+        parser: the command's parser.
+        group: group for the controller's name; its parameters have a group of their own.
+        arguments: command line that is searched for the name; ``sys.argv`` if None.
+        default: name of the controller if the command line contains none.
+
+    Raises:
+        ConfigurationError: if there is no such controller.
+    """
+    group.add_argument(
+        "--controller", default=default, metavar="NAME",
+        help=f"{', '.join(BUILT_IN)}, or package.module:Class for your own controller; in a graph, "
+        "also external for a node that you run yourself (default: %(default)s)",
+    )
+    # The controller's parameters are options, so its name is needed before the rest is parsed.
+    name = Parser(add_help=False, exit_on_error=False)
+    name.add_argument("--controller", nargs="?", default=default)
+    given = name.parse_known_args(arguments)[0].controller or default
+    with rename_keys(_OPTIONS):
+        controller = find_controller(given)
+    options = ", ".join(map(option_of, controller.parameters))
+    parser.hint = f"the parameters of {controller.name} are {options}"
+    of_controller = parser.add_argument_group(
+        f"parameters of {controller.name}",
+        "To see the parameters of another controller, add --controller to --help.",
+    )
+    of_controller.add_argument(
+        "--parameters", type=Path, metavar="FILE",
+        help="ROS 2 parameter file of the controller; parameters that are not in the file keep "
+        "their defaults",
+    )
+    for parameter in controller.parameters.values():
+        add_option(of_controller, parameter)
+
+
+def add_site_arguments(group: argparse._ArgumentGroup) -> None:
+    """Add the options for site, weather, initial state, start and length."""
+    add_site(group)
+    add_option(group, INPUTS["weather"], nargs="+", metavar="FILE")
+    add_option(group, INPUTS["start"], metavar="ISO")
+    add_option(group, INPUTS["initial"], choices=INITIAL_STATES)
+    for name in ("hours", "cistern", "roof", "gaps"):
+        add_option(group, INPUTS[name])
+    add_option(group, INPUTS["evapotranspiration"], metavar="METHOD")
+
+
+def add_option(group: argparse._ArgumentGroup, parameter: Parameter, **settings: Any) -> None:
+    """Add the option for an input; the value of an omitted option is None."""
+    about = [] if parameter.unit in ("", "1") else [parameter.unit]
+    if isinstance(parameter.default, (int, float)) or math.isfinite(parameter.low):
+        kind = int if parameter.whole else float
+        settings |= {"metavar": "X", "type": make_number_type(parameter.low, parameter.high, kind)}
+    elif parameter.among:
+        settings["choices"] = parameter.among
+    if isinstance(parameter.default, float) and not math.isnan(parameter.default):
+        about.append(f"default: {parameter.default:g}")
+    elif parameter.default is not None and not isinstance(parameter.default, float):
+        about.append(f"default: {parameter.default}")
+    end = f" ({', '.join(about)})" if about else ""
+    group.add_argument(option_of(parameter.name), help=f"{parameter.meaning}{end}", **settings)
+
+
+def option_of(name: str) -> str:
+    """Return the name of the option for an input."""
+    return f"--{name.replace('_', '-')}"
+
+
+# Names of the inputs in messages about a command line.
+_OPTIONS = {name: option_of(name) for name in ("controller", *INPUTS)}
+
+
+def add_output_arguments(parser: Parser) -> argparse._ArgumentGroup:
+    """Add the options for the output and the pace of a run, and return their group.
+
+    Args:
+        parser: the command's parser.
+    """
+    group = parser.add_argument_group("output and pace")
+    group.add_argument(
+        "--output", type=Path, metavar="DIR",
+        help="write the run to DIR, which must be new or empty (default: a dated directory in "
+        "runs/)",
+    )
+    group.add_argument(
+        "--speed", type=make_number_type(1e-9, 1e9, word="max"), default=0.0,
+        metavar="{max|FACTOR}",
+        help="set the ratio of simulated time to wall-clock time; 1 is real time (default: max)",
+    )
+    group.add_argument(
+        "--json", action="store_true", help="print the summary as JSON instead of a table"
+    )
+    return group
+
+
+def _read_options(arguments: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
+    """Return the values of the options that are given on the command line."""
+    values = {name: getattr(arguments, name, None) for name in names}
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def read_controller(
+    arguments: argparse.Namespace
+) -> tuple[ControllerChoice, dict[str, float]]:
+    """Return the controller and the parameters that a command line specifies.
+
+    Raises:
+        ConfigurationError: if an option, or a file named by an option, is invalid.
+    """
+    controller = find_controller(arguments.controller)
+    given = {}
+    if arguments.parameters is not None:
+        namespace = getattr(arguments, "namespace", "")  # without a graph there is none
+        given = controller.read_parameters(arguments.parameters, namespace)
+    return controller, given | _read_options(arguments, controller.parameters)
+
+
+def build_run(arguments: argparse.Namespace) -> Run:
+    """Build and check the run that a command line specifies.
+
+    For a command without ``--controller``, only the site, the weather and the initial state matter.
+
+    Raises:
+        ConfigurationError: if an option, or a file named by an option, is invalid.
+    """
+    with rename_keys(_OPTIONS):
+        given = _read_options(arguments, INPUTS)
+        if "controller" not in arguments:
+            return make_inputs(find_controller("onoff"), given).build()
+        controller, parameters = read_controller(arguments)
+        return make_inputs(controller, given | parameters).build()

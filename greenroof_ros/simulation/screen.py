@@ -1,0 +1,192 @@
+"""The summary of a run, shown as a table on the screen."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from greenroof_ros.common.times import hours_minutes, to_minutes
+from greenroof_ros.forecast.choice import PERFECT
+from greenroof_ros.physics.sensor_and_pump import SensorAndPump
+from greenroof_ros.results.metrics import METRICS
+from greenroof_ros.site.place import format_place
+
+_PERIOD = ("from", "until")
+# The storm-water metrics that are shown if there is any storm water, and those only in files.
+_STORM_WATER = {
+    "discharge_m3", "wet_discharge_m3", "peak_discharge_5min_l_s", "overflow_m3", "overflow_days",
+    "retention_share",
+}
+_IN_FILES = {
+    f"peak_discharge_{minutes}min_{unit}" for minutes in (5, 15, 60) for unit in ("l_s", "mm_h")
+} - _STORM_WATER
+# Storm water is collected if at least this share of the roof's rain flows into the cistern.
+_COLLECTED = 0.1
+
+
+def _metric_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """Yield the metrics, except those that are 0 as expected; capitals mark values over a limit."""
+    left_out = _IN_FILES if _collects_storm_water(summary) else _IN_FILES | _STORM_WATER
+    for metric in METRICS:
+        value = summary.get(metric.name, 0)
+        if metric.name in summary and metric.name not in left_out and (value or metric.max):
+            label = metric.label.upper() if value > metric.max else metric.label
+            yield label, f"{value:{metric.form}}", metric.description
+
+
+def _collects_storm_water(summary: Mapping[str, Any]) -> bool:
+    """Return whether a catchment drains to the cistern, or the cistern has an outlet valve.
+
+    The inlet of the paper's cistern, 0.3 m2, collects almost no rain.
+    """
+    rain = summary.get("rain_cistern_m3", 0.0), summary.get("rain_roof_m3", 0.0)
+    return "outlet" in summary["parameters"] or 0 < _COLLECTED * rain[1] <= rain[0]
+
+
+def _event_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """Yield the number of rain events, with a description of the largest event."""
+    events = summary.get("events")
+    if events and _collects_storm_water(summary):
+        largest = max(events, key=lambda event: float(event["rain_mm"]))
+        yield "rain events", str(len(events)), (
+            f"the largest: {largest['rain_mm']:.1f} mm, with {largest['volume_reduction']:.0%} of "
+            f"its volume and {largest['peak_reduction']:.0%} of its peak kept out of the sewer"
+        )
+
+
+def _limit(value: float | None) -> str:
+    """Return the value of a parameter as text; None means no limit."""
+    return "no limit" if value is None else f"{value:g}"
+
+
+def _initial(initial: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the initial volumes of a run as text (m3), and a description of them."""
+    volumes, tanks = [initial["cistern_m3"], initial["roof_m3"]], "in cistern / on roof"
+    if initial.get("layer_m3"):
+        volumes.append(initial["layer_m3"])
+        tanks += " / in drainage layer"
+    return " / ".join(f"{volume:.3f}" for volume in volumes), f"m3 {tanks} ({initial['name']})"
+
+
+def grid(title: str, lines: Iterable[tuple[str, str, str]]) -> Table:
+    """Return a table in which every row is a label, a number and a description."""
+    table = Table(title=title, title_justify="left", show_header=False)
+    table.add_column(style="bold")
+    table.add_column(justify="right")
+    table.add_column()
+    for line in lines:
+        table.add_row(*line)
+    return table
+
+
+def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """Yield the rows of the table at the end of a run: a label, a number and a description."""
+    parameters = {key: value for key, value in summary["parameters"].items() if value is not None}
+    yield from setting_rows(summary)
+    yield "controller", summary["controller"], _listed(parameters)
+    yield from _metric_rows(summary)
+    yield from _event_rows(summary)
+    solver = summary["solver"]
+    if solver is not None:
+        yield (
+            "solver", f"{solver['mean_s'] * 1e6:.0f} us",
+            f"mean; p99 {solver['p99_s'] * 1e6:.0f} us; {solver['solves']} solves, "
+            f"{solver['fallbacks']} fallbacks",
+        )
+    refused = summary["refused"]
+    if refused:
+        topics = ", ".join(f"{count} on {topic}" for topic, count in refused.items())
+        yield "REFUSED", str(sum(refused.values())), f"values: {topics}"
+    left_out = summary["parameter_change_count"] - len(summary["parameter_changes"])
+    if left_out:
+        yield "CHANGED", f"{left_out} times", "before the latest changes, which are listed below"
+    for change in summary["parameter_changes"]:
+        tick = change["tick"]
+        yield (
+            "CHANGED", change["parameter"],
+            f"{_limit(change['before'])} -> {_limit(change['value'])} at "
+            f"{hours_minutes(tick * summary['tau_s'])} (tick {tick})",
+        )
+    if summary["frost_hours"]:
+        yield (
+            "FROST", f"{summary['frost_hours']:.1f} h",
+            f"at or below 0 degC, without pumping; {summary['precipitation_in_frost_mm']:.1f} mm "
+            "of precipitation, treated as rain",
+        )
+    for quantity, hours in summary["filled"].items():
+        yield "FILLED", quantity, ", ".join(hours)
+    for sentence in summary["suspicious"]:
+        yield "SUSPICIOUS", "weather", f"{sentence}; used unchanged"
+    forecast = dict(summary["forecast"])
+    model = forecast.pop("model")
+    if model != PERFECT:
+        yield "forecast", model, _listed(forecast)
+    repeats_from = summary["forecast_repeats_last_record_from"]
+    if repeats_from:
+        yield "forecast", "ends", f"at {repeats_from}; later values are assumed"
+    max_issue, horizon = summary["max_issue_h"], summary["parameters"].get("horizon") or 0.0
+    if max_issue is not None and max_issue < horizon:
+        yield (
+            "FORECAST", f"{max_issue} h",
+            f"is the longest forecast, but the horizon is {horizon:g} h: no rain is assumed after "
+            "its end",
+        )
+    if SensorAndPump(**summary["sensor_and_pump"]) != SensorAndPump():
+        yield "sensor and pump", "", _listed(summary["sensor_and_pump"])
+    messages = summary["messages"]
+    if messages:
+        yield "messages", str(sum(messages.values())), f"in the bag, on {len(messages)} topics"
+    factor = f"{summary['times_real_time']:.0f} times real time"
+    yield "wall time", f"{summary['wall_s']:.1f} s", factor
+
+
+def setting_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """Yield rows about a run's site, weather, initial state and length."""
+    start = datetime.fromisoformat(summary["start"])
+    end = start + timedelta(seconds=summary["steps"] * summary["tau_s"])
+    places = [format_place(*place) for place in summary["weather_places"]]
+    records = [to_minutes(datetime.fromisoformat(summary[f"weather_{at}"])) for at in _PERIOD]
+    yield "site", Path(summary["site"]).name, format_place(*summary["place"])
+    yield "weather", Path(summary["weather"]).name, (
+        f"{' and '.join(places) or format_place(None, None)}; records from {records[0]} to "
+        f"{records[1]}, the run from {to_minutes(start)} to {to_minutes(end)}"
+    )
+    for note in summary["weather_notes"]:
+        yield "weather", "note", note
+    yield "from", *_initial(summary["initial"])
+    yield (
+        "length", f"{summary['steps']} ticks",
+        f"of {summary['tau_s']:g} s, {summary['evapotranspiration_method']} evapotranspiration",
+    )
+
+
+def print_notes(console: Console, summary: Mapping[str, Any]) -> None:
+    """Print the notes that a reader should see before the results."""
+    for note in summary["notes"]:
+        console.print(f"note: {note}", soft_wrap=True, highlight=False, markup=False)
+
+
+def _listed(values: Mapping[str, Any]) -> str:
+    return ", ".join(
+        f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
+        for name, value in values.items()
+    )
+
+
+def show(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:
+    """Print a summary as a table, with the run's directory, or as JSON."""
+    if as_json:
+        print(json.dumps(summary, indent=2, allow_nan=False))
+    else:
+        console = Console()
+        print_notes(console, summary)
+        console.print(grid("Result", rows(summary)))
+        console.print(
+            f"{summary['status']}; written to {directory}", soft_wrap=True, highlight=False
+        )

@@ -1,0 +1,202 @@
+"""The summary of a run, ``summary.json``, which exists from the start of the run."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import platform
+from collections.abc import Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from greenroof_ros import __version__
+from greenroof_ros.common.files import replace_text
+from greenroof_ros.common.parameter import replace_infinity
+from greenroof_ros.physics.storm_water import Event
+from greenroof_ros.recording.events_table import EVENTS, event_rows, format_events
+from greenroof_ros.simulation.run import Run
+
+# The file's name in the directory of a run.
+SUMMARY = "summary.json"
+# The site file's name in the configuration of a run.
+SITE_FILE = "site.yaml"
+# Status of a run. It is RUNNING until the run ends, and remains so if the process was killed.
+RUNNING, DONE, FAILED, INTERRUPTED = "running", "done", "failed", "interrupted"
+
+
+def make_summary(
+    run: Run,
+    metrics: Mapping[str, float],
+    weeks: Sequence[float],
+    events: Sequence[Event],
+    *,
+    wall_s: float,
+    solver: Mapping[str, float] | None,
+    messages: Mapping[str, int] | None = None,
+    **happened: Any,
+) -> dict[str, Any]:
+    """Assemble the summary of a completed run, in the same form for ``simulate`` and the graph.
+
+    Args:
+        run: the run.
+        metrics: results of the run, by their names in
+            :data:`greenroof_ros.results.metrics.METRICS`.
+        weeks: total deviation of each week (m3).
+        events: rain events.
+        wall_s: wall time of the run (s).
+        solver: statistics of the controller's solver; None if there is no solver.
+        messages: number of messages on each topic in the bag.
+        happened: other keyword arguments of :func:`make_unfinished_summary`.
+    """
+    return {
+        **make_unfinished_summary(run, DONE, last_tick=run.steps, **happened),
+        "frost_hours": run.series.frost_hours,
+        "precipitation_in_frost_mm": run.series.precipitation_in_frost,
+        **metrics,
+        "weekly_deviation_m3": list(weeks),
+        "events": event_rows(run.start, events),
+        "solver": dict(solver) if solver is not None else None,
+        "wall_s": wall_s,
+        "times_real_time": run.steps * run.site.tau / wall_s,
+        "messages": dict(messages or {}),
+    }
+
+
+def make_unfinished_summary(
+    run: Run,
+    status: str,
+    *,
+    reason: str | None = None,
+    last_tick: int | None = None,
+    refused: Mapping[str, int] | None = None,
+    parameter_changes: Sequence[Mapping[str, Any]] = (),
+    parameter_change_count: int = 0,
+) -> dict[str, Any]:
+    """Assemble the summary of an unfinished run, without metrics, which apply only to whole runs.
+
+    Args:
+        run: the run.
+        status: status of the run, such as :data:`RUNNING`.
+        reason: reason why the run ended.
+        last_tick: last tick reported by the plant.
+        refused: number of values rejected so far, by topic.
+        parameter_changes: latest parameter changes so far, with their ticks.
+        parameter_change_count: total number of parameter changes.
+    """
+    repeats_from = run.forecast.repeats_from
+    choice = run.forecast_choice
+    return {
+        "status": status,
+        "reason": reason,
+        "last_tick": last_tick,
+        "controller": run.controller.name,
+        "controller_reference": run.controller.reference,
+        "parameters": replace_infinity(run.parameters),
+        **describe_setting(run),
+        "gaps": run.weather.gaps,
+        "forecast": {
+            "model": choice.model,
+            **choice.options(),
+            **({"file": str(choice.file)} if choice.file is not None else {}),
+        },
+        "forecast_repeats_last_record_from": repeats_from.isoformat() if repeats_from else None,
+        "max_issue_h": run.forecast.max_issue_h,
+        "sensor_and_pump": run.sensor_and_pump.values(),
+        "filled": run.series.filled,
+        "filled_hours": run.series.filled_hours,
+        "suspicious": run.series.suspicious,
+        "refused": dict(refused or {}),
+        "parameter_changes": list(parameter_changes),
+        "parameter_change_count": parameter_change_count,
+        "versions": versions(),
+    }
+
+
+def describe_setting(run: Run) -> dict[str, Any]:
+    """Return the location and time of a run, and the notes that precede its results."""
+    weather = run.weather
+    layer = {} if run.site.drainage_storage is None else {"layer_m3": run.site.initial_layer}
+    return {
+        "initial": {"name": run.initial, "cistern_m3": run.x1, "roof_m3": run.x2, **layer},
+        "start": run.start.isoformat(),
+        "steps": run.steps,
+        "tau_s": run.site.tau,
+        "site": str(run.site_file or SITE_FILE),
+        "place": [run.site.latitude, run.site.longitude],
+        "weather": weather.source,
+        "weather_places": [list(place) for place in dict.fromkeys(weather.places.values())],
+        "weather_from": weather.first.isoformat(),
+        "weather_until": weather.end.isoformat(),
+        "evapotranspiration_method": weather.method,
+        "notes": run.notes(),
+        "weather_notes": [*weather.notes, *run.forecast.notes],
+    }
+
+
+def write(summary: Mapping[str, Any], directory: Path) -> None:
+    """Write a summary to the directory of its run, atomically if possible.
+
+    The table of events is written together with the summary of a completed run. If the disk is too
+    full for a second file, the old file is overwritten, so that the end of the run is still
+    recorded.
+
+    Raises:
+        OSError: if the summary cannot be written.
+    """
+    path = directory / SUMMARY
+    text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
+    try:
+        replace_text(path, text)
+    except OSError as error:
+        try:
+            with path.open("r+", encoding="utf-8") as stream:
+                stream.write(text)
+                stream.truncate()
+        except OSError:
+            # The error from a write does not name the file.
+            raise OSError(error.errno, error.strerror, str(path)) from error
+    if "events" in summary:
+        replace_text(directory / EVENTS, format_events(summary["events"]))
+
+
+def find_site_file(run: Path) -> Path:
+    """Return the path of a run's site file, which is in its own directory for a live site."""
+    configuration = run / "configuration"
+    return next(iter((configuration / "site").glob("*")), configuration / SITE_FILE)
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of the software that determines the results of a run.
+
+    ``source`` is a hash of this package's source files rather than a commit, because an installed
+    package does not know its commit, and edited files do not belong to any commit.
+    """
+    result = {
+        "greenroof_ros": __version__,
+        "source": _source(),
+        "python": platform.python_version(),
+    }
+    for package in ("numpy", "scipy", "osqp", "eto", "mcap", "rclpy"):
+        try:
+            result[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue  # rclpy, if there is no ROS
+    return result
+
+
+def format_versions(by_name: Mapping[str, str]) -> str:
+    """Return versions as human-readable text, with an intelligible name for the hash."""
+    names = {"source": "hash of its source files"}
+    return ", ".join(f"{names.get(name, name)} {version}" for name, version in by_name.items())
+
+
+@functools.cache
+def _source() -> str:
+    """Return twelve digits that identify this package's code (a version covers many commits)."""
+    digest = hashlib.sha256()
+    package = Path(__file__).resolve().parent.parent
+    for file in sorted(package.rglob("*.py")):
+        digest.update(file.relative_to(package).as_posix().encode() + file.read_bytes())
+    return digest.hexdigest()[:12]

@@ -1,0 +1,246 @@
+"""The cistern against EPA's SWMM 5: the same storm, outlets and valve, as hydrographs.
+
+SWMM routes the storm through a storage unit to two outfalls by its dynamic wave equations, in steps
+of half a second. Its outlet links have Eq. (2) as a rating curve. Its orifices are holes in the
+wall, which flow as a weir until they are under water.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from paper import site_with
+
+from greenroof_ros.physics.plant import Plant
+from greenroof_ros.site.site import Site
+
+solver = pytest.importorskip("swmm.toolkit.solver")  # of the extra test
+swmm_run = pytest.importorskip("swmm_run")
+# Codes of its results: the flow of a link, the depth at a node.
+FLOW, DEPTH = 0, 5
+
+# Rain in Berlin on 29 July 2019 from 16:00 on (mm in five minutes): 43.8 mm in 50 minutes, and the
+# drizzle after it, from 18:00 on. Kompetenzzentrum Wasser Berlin, github.com/KWB-R/keys.lid (MIT).
+STORM = (
+    0.1, 7.3, 5.0, 5.0, 6.2, 5.5, 6.2, 4.6, 2.5, 0.2, 0.2, *[0.0] * 13,
+    0.1, 0.0, 0.0, 0.1, 0.1, 0.0, 0.1, 0.0, 0.0, *[0.1] * 7, *[0.0] * 20,
+)
+FIVE_MINUTES = 300.0
+MINUTES = 5 * len(STORM)
+HALF_S = 0.5
+# From the minute on: the valve is open to this share.
+VALVES = {
+    "closed": {0: 0.0}, "half open": {0: 0.5}, "open": {0: 1.0},
+    "moved": {0: 1.0, 10: 0.0, 60: 0.5, 90: 1.0, 150: 0.25},
+}
+
+
+class Hydrograph(NamedTuple):
+    """Minute by minute, each of shape (n,)."""
+
+    overflow: NDArray[np.float64]
+    """mean flow (m3/s)"""
+    low_outlet: NDArray[np.float64]
+    """mean flow (m3/s)"""
+    level: NDArray[np.float64]
+    """at the end of the minute (m)"""
+
+    @property
+    def outflow(self) -> NDArray[np.float64]:
+        """Mean flow through both outlets (m3/s)."""
+        return self.overflow + self.low_outlet
+
+
+def site_of(volume: float, tau: float) -> Site:
+    """Return a site with a cistern of a volume, the roof of 300 m2, and a valve."""
+    return site_with(
+        a1=volume / 2.0, z_o=2.0, r_o=0.125, a_in=300.0, z_pump=0.0, z_H=0.05, tau=tau,
+        low_outlet_level=0.1, low_outlet_radius=0.0125, low_outlet_valve=True,
+    )
+
+
+def share_at(valve: dict[int, float], minute: int) -> float:
+    """Return the share to which the valve is open."""
+    return valve[max(start for start in valve if start <= minute)]
+
+
+def stepped(site: Site, x1: float, valve: dict[int, float]) -> Hydrograph:
+    """Return the plant's hydrograph; in ticks longer than a minute each minute has its mean."""
+    plant, sums = Plant(site, x1, 1.0), np.zeros((2, MINUTES))
+    levels = np.zeros(MINUTES)
+    for tick in range(round(60 * MINUTES / site.tau)):
+        time = tick * site.tau
+        minute, to = int(time // 60), max(int((time + site.tau) // 60), int(time // 60) + 1)
+        rain = STORM[int(time // FIVE_MINUTES)] / 1000 / FIVE_MINUTES
+        flows = plant.flows(rain, 0.0, 0.0, outlet=share_at(valve, minute))
+        plant.step(rain, flows)
+        part = min(1.0, site.tau / 60)
+        sums[:, minute:to] += [
+            [part * (flows.outflow - flows.low_outlet)], [part * flows.low_outlet]
+        ]
+        levels[minute:to] = plant.x1 / site.a1
+    return Hydrograph(sums[0], sums[1], levels)
+
+
+def routed(
+    site: Site, x1: float, valve: dict[int, float], directory: Path, orifices: bool = False
+) -> Hydrograph:
+    """Return SWMM's hydrograph, with outlet links by Eq. (2), or orifices of the same diameter."""
+    model = directory / "cistern.inp"
+    model.write_text(_model_of(site, x1, valve, orifices), encoding="utf-8")
+    flows: list[tuple[float, float]] = []
+    levels: list[float] = []
+
+    def read_step() -> None:
+        flows.append((solver.link_get_result(0, FLOW), solver.link_get_result(1, FLOW)))
+        levels.append(solver.node_get_result(0, DEPTH))
+
+    _, errors = swmm_run.run_swmm(model, read_step, read_step)  # the last step is the end
+    assert abs(errors.routing) < 0.1  # per cent that SWMM loses of the water
+    per_minute = round(60 / HALF_S)
+    means = np.array(flows).reshape(MINUTES, per_minute, 2).mean(axis=1)
+    return Hydrograph(means[:, 0], means[:, 1], np.array(levels[per_minute - 1::per_minute]))
+
+
+def _model_of(site: Site, x1: float, valve: dict[int, float], orifices: bool) -> str:
+    """Return SWMM's input file."""
+    assert site.low_outlet_level is not None and site.low_outlet_radius is not None
+    kind = "ORIFICE" if orifices else "OUTLET"
+    outlets = (
+        ("UPPER", site.z_o, site.r_o, site.c_out),
+        ("LOW", site.low_outlet_level, site.low_outlet_radius, site.c_low),
+    )
+    if orifices:  # the offset is that of the lowest point
+        links = "[ORIFICES]\n" + "".join(
+            f"{name} CISTERN {name}_END SIDE {level - radius} {site.c_d} NO 0\n"
+            for name, level, radius, _ in outlets
+        ) + "[XSECTIONS]\n" + "".join(
+            f"{name} CIRCULAR {2 * radius} 0 0 0\n" for name, _, radius, _ in outlets
+        )
+    else:
+        links = "[OUTLETS]\n" + "".join(
+            f"{name} CISTERN {name}_END {level} FUNCTIONAL/DEPTH {c!r} 0.5 NO\n"
+            for name, level, _, c in outlets
+        )
+    rules = "".join(
+        f"RULE R{start}\nIF SIMULATION TIME >= {start / 60!r}\n"
+        f"THEN {kind} LOW SETTING = {share}\nPRIORITY {index + 1}\n"
+        for index, (start, share) in enumerate(sorted(valve.items()))
+    )
+    inflow = [site.effective_catchment * rain / 1000 / FIVE_MINUTES for rain in (*STORM, 0.0)]
+    # SWMM interpolates: each value has a row at its beginning and one just before its end.
+    series = "".join(
+        f"RAIN {(FIVE_MINUTES * k + at) / 3600!r} {flow!r}\n"
+        for k, flow in enumerate(inflow) for at in (0.0, FIVE_MINUTES - 0.01)
+    )
+    hours, minutes = divmod(MINUTES, 60)
+    return f"""[OPTIONS]
+FLOW_UNITS CMS
+FLOW_ROUTING DYNWAVE
+LINK_OFFSETS DEPTH
+START_DATE 07/29/2019
+START_TIME 16:00:00
+END_DATE 07/29/2019
+END_TIME {16 + hours}:{minutes:02}:00
+REPORT_STEP 00:01:00
+ROUTING_STEP {HALF_S}
+VARIABLE_STEP 0
+RULE_STEP 0
+MINIMUM_STEP {HALF_S}
+MAX_TRIALS 20
+HEAD_TOLERANCE 1e-6
+ALLOW_PONDING NO
+[STORAGE]
+CISTERN 0 {4 * site.z_o} {x1 / site.a1!r} FUNCTIONAL 0 0 {site.a1!r} 0 0
+[OUTFALLS]
+UPPER_END -10 FREE NO
+LOW_END -10 FREE NO
+{links}[CONTROLS]
+{rules}[INFLOWS]
+CISTERN FLOW RAIN FLOW 1.0 1.0
+[TIMESERIES]
+{series}"""
+
+
+class Agreement(NamedTuple):
+    """How well the plant's hydrograph agrees with SWMM's."""
+
+    efficiency: float
+    """Nash and Sutcliffe's, of the mean outflow of each tick or minute (1)"""
+    volume: float
+    """relative error of the outflow (1)"""
+    peak: float
+    """relative error of the highest mean of five minutes (1)"""
+    delay_min: float
+    """of these five minutes (min)"""
+    level: float
+    """maximum difference at the end of a tick or minute (m)"""
+
+
+def compare(found: Hydrograph, expected: Hydrograph, tau: float) -> Agreement:
+    """Compare two hydrographs, the first in ticks of tau (s)."""
+    size = max(1, round(tau / 60))
+    q, reference = (graph.outflow.reshape(-1, size).mean(axis=1) for graph in (found, expected))
+    fives, references = (
+        graph.outflow.reshape(-1, 5).mean(axis=1) for graph in (found, expected)
+    )
+    differences = (found.level - expected.level)[size - 1 :: size]
+    return Agreement(
+        1 - float(((q - reference) ** 2).sum() / ((reference - reference.mean()) ** 2).sum()),
+        float(q.sum() / reference.sum() - 1), float(fives.max() / references.max() - 1),
+        5.0 * (fives.argmax() - references.argmax()), float(np.abs(differences).max()),
+    )
+
+
+@pytest.mark.parametrize("valve", VALVES)
+@pytest.mark.parametrize("volume", [5.0, 10.0])
+def test_hydrograph_with_the_same_outlets(volume: float, valve: str, tmp_path: Path) -> None:
+    """The cistern is full to 30 %, and gets 13 m3 within an hour: it overflows.
+
+    In ticks of 300 s the low outlet's flow is the mean of a tick.
+    """
+    expected = routed(site_of(volume, 1.0), 0.3 * volume, VALVES[valve], tmp_path)
+    assert expected.overflow.max() > 1e-3
+    for tau, efficiency in (1.0, 0.99999), (60.0, 0.9997), (300.0, 0.9999):
+        found = stepped(site_of(volume, tau), 0.3 * volume, VALVES[valve])
+        agreement = compare(found, expected, tau)
+        assert agreement.efficiency > efficiency
+        assert agreement.volume == pytest.approx(0, abs=0.0003)
+        assert agreement.peak == pytest.approx(0, abs=0.0003)
+        assert agreement.delay_min == 0
+        assert agreement.level < 0.008
+
+
+@pytest.mark.parametrize("valve", VALVES)
+@pytest.mark.parametrize(("volume", "efficiency", "error"), [(5.0, 0.98, 0.04), (10.0, 0.94, 0.13)])
+def test_hydrograph_with_holes_in_the_wall(
+    volume: float, efficiency: float, error: float, valve: str, tmp_path: Path
+) -> None:
+    """Eq. (2) has its head above the middle of an outlet; a hole also flows below it, as a weir.
+
+    So SWMM's cistern stands up to the upper outlet's radius, 125 mm, lower while it overflows. The
+    10 m3 overflow for some minutes only.
+    """
+    expected = routed(site_of(volume, 1.0), 0.3 * volume, VALVES[valve], tmp_path, orifices=True)
+    agreement = compare(
+        stepped(site_of(volume, 60.0), 0.3 * volume, VALVES[valve]), expected, 60.0
+    )
+    assert agreement.efficiency > efficiency
+    assert agreement.volume == pytest.approx(0, abs=error)
+    assert agreement.peak == pytest.approx(0, abs=error)
+    assert abs(agreement.delay_min) <= 5
+    assert 0.08 < agreement.level < 0.126
+
+
+def test_hydrograph_of_a_low_hole(tmp_path: Path) -> None:
+    """Without overflow: only the last 12.5 mm above the low outlet flow in another way."""
+    expected = routed(site_of(20.0, 1.0), 4.0, VALVES["open"], tmp_path, orifices=True)
+    assert expected.overflow.max() == 0
+    agreement = compare(stepped(site_of(20.0, 60.0), 4.0, VALVES["open"]), expected, 60.0)
+    assert agreement.efficiency > 0.9999
+    assert agreement.volume == pytest.approx(0, abs=0.002)
+    assert agreement.peak == pytest.approx(0, abs=0.002)

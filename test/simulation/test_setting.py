@@ -1,0 +1,151 @@
+"""What a result states before its figures: site, weather and period, and what may mislead."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import sys
+from itertools import accumulate
+from pathlib import Path
+
+import pytest
+from commands import run_command
+from paper import paper_run
+from places import CHECKOUT, CONFIG
+
+from greenroof_ros.bringup import simulated
+from greenroof_ros.commands import simulate
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.simulation.loop import Simulation
+from greenroof_ros.simulation.options import build_run
+from greenroof_ros.site.place import format_place, measure_distance
+
+BERLIN = (52.52, 13.41)
+HEADER = "time,precipitation [mm/h],published evapotranspiration [mm/day]\n"
+
+
+def berlin(directory: Path) -> Path:
+    """Write a site in Berlin, with the offset that the paper's weather has."""
+    site = directory / "berlin.yaml"
+    site.write_text(
+        f"extends: {CONFIG / 'site.yaml'}\nlatitude: {BERLIN[0]}\nlongitude: {BERLIN[1]}\n"
+    )
+    return site
+
+
+def table(*lines: str) -> list[list[str]]:
+    """Return the rows of a printed table, those that go on in the next line as one."""
+    rows: list[list[str]] = []
+    for line in lines:
+        if line.startswith("│"):
+            cells = [cell.strip() for cell in line.strip("│").split("│")]
+            if cells[0]:
+                rows.append(cells)
+            else:
+                rows[-1] = [" ".join(pair).strip() for pair in zip(rows[-1], cells, strict=True)]
+    return rows
+
+
+@pytest.mark.parametrize(("options", "length", "ahead", "end"), [
+    (("--controller", "lookahead"), "12 h", "120 h", "2021-07-07T14:00-05:00"),
+    (("--controller", "mpc", "--hours", "0.0025", "--start", "2021-07-08T09:00"),
+     "9 s", "10 s", "2021-07-08T09:00-05:00"),
+])
+def test_a_run_shorter_than_the_look_ahead_reports_it(
+    options: tuple[str, ...], length: str, ahead: str, end: str
+) -> None:
+    (note,) = paper_run(*options).notes()
+    assert note == (
+        f"the run of {length} is shorter than the look-ahead of {ahead}, so the controller also "
+        f"plans beyond the end of the run at {end}"
+    )
+
+
+def test_no_such_note_where_it_is_long_enough() -> None:
+    assert paper_run("--controller", "lookahead", "--horizon", "12").notes() == []
+    assert paper_run("--controller", "mpc").notes() == []
+
+
+@pytest.mark.parametrize("command", ["simulate", "bound"])
+def test_the_first_rows_name_site_weather_and_period(command: str, tmp_path: Path) -> None:
+    """And a site in Berlin does not run Toronto's weather without a word."""
+    done = run_command(command, "--hours", "0.5", "--site", str(berlin(tmp_path)),
+                       cwd=tmp_path, env=dict(os.environ))
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    # 6480 km: an independent calculator of great circles gives 6475 to 6485, by its ellipsoid.
+    away = re.match(r"note: \S*toronto_2021-07.csv is from 43.63 N, 79.40 W, (\d+) km from the "
+                    r"site at 52.52 N, 13.41 E", lines[0])
+    assert away is not None, lines[0]
+    assert float(away[1]) == pytest.approx(6480, rel=0.005)
+    site, weather, third = table(*lines)[:3]
+    assert site == ["site", "berlin.yaml", "52.52 N, 13.41 E"]
+    assert weather[:2] == ["weather", "toronto_2021-07.csv"]
+    assert weather[2] == (
+        "43.63 N, 79.40 W; records from 2021-07-07T00:00-05:00 to 2021-07-10T00:00-05:00, the run "
+        "from 2021-07-07T02:00-05:00 to 2021-07-07T02:30-05:00"
+    )
+    assert third[0] == "from"
+
+
+@pytest.mark.parametrize(("comment", "away"), [
+    ("# latitude: 44.23, longitude: -76.50\n", 242.0),  # Kingston
+    ("# Station X\n# Longitude = -79.87\n# Latitude = 43.26\n", None),  # Hamilton, 56 km
+    ("# latitude: 43.68\n# longitude: -79.63\n", 0.0),  # the airport, 19 km
+    ("# Toronto\n", 0.0),  # no place
+    ("# latitude: 43.68\n", 0.0),
+])
+def test_the_place_of_a_weather_file_is_in_its_comments(
+    comment: str, away: float | None, tmp_path: Path
+) -> None:
+    file = tmp_path / "w.csv"
+    rows = "".join(f"2021-07-07T{hour:02}:00-05:00,0,1\n" for hour in range(24))
+    file.write_text(comment + HEADER + rows)
+    notes = paper_run("--weather", str(file), "--hours", "1").notes()
+    assert len(notes) == (away != 0.0)
+    if away:
+        (found,) = re.findall(r"(\d+) km from the site", notes[0])
+        assert float(found) == pytest.approx(away, rel=0.01)
+
+
+def test_a_wrong_place_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "w.csv"
+    file.write_text(f"#\n# latitude: 436, longitude: 7\n{HEADER}2021-07-07T00:00-05:00,0,1\n")
+    with pytest.raises(ConfigurationError, match=r"w.csv, line 2: latitude.*-90 to 90 degrees"):
+        paper_run("--weather", str(file))
+
+
+@pytest.mark.parametrize(("here", "there", "distance"), [
+    ((0.0, 0.0), (0.0, 180.0), 20015.0),  # half the circumference
+    ((0.0, 179.5), (0.0, -179.5), 111.2),  # a degree across the date line
+    ((89.0, 0.0), (89.0, 180.0), 222.4),  # two degrees across the pole
+])
+def test_distances(
+    here: tuple[float, float], there: tuple[float, float], distance: float
+) -> None:
+    assert measure_distance(here, there) == pytest.approx(distance, rel=1e-3)
+    assert format_place(-33.87, 151.21) == "33.87 S, 151.21 E"
+
+
+def examples() -> list[str]:
+    """Return the examples of README and help that need no other file, machine or node."""
+    texts = [simulate.make_parser().epilog, simulated.make_parser().epilog]
+    texts.append((CHECKOUT / "README.md").read_text())
+    whole = "\n".join(map(str, texts)).replace("\\\n", " ")
+    found = re.findall(r"greenroof ((?:run|simulate) [^#\n]*)", whole)
+    alone = [line for line in found if not re.search(
+        r"--(weather|site|drive|drive-at|ros-args) |external", line
+    )]
+    assert len(alone) >= 5
+    return alone
+
+
+@pytest.mark.parametrize("line", examples())
+def test_the_pump_runs_in_the_examples(line: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    words = shlex.split(line)
+    parser = {"run": simulated, "simulate": simulate}
+    monkeypatch.setattr(sys, "argv", [f"greenroof {words[0]}", *words[1:]])
+    arguments = parser[words[0]].make_parser().parse_args(words[1:])
+    flows = (tick.flows.pump for tick in Simulation(build_run(arguments)).ticks())
+    assert any(pumped_m3 > 0.1 for pumped_m3 in accumulate(flows))  # in ticks of a second

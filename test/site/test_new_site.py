@@ -1,0 +1,335 @@
+"""A new site: asked for on a terminal, or given by options; a run with it goes well."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import pty
+import re
+import select
+import subprocess
+import sys
+import termios
+from pathlib import Path
+
+import pytest
+from commands import run_command
+from studies import WEATHER
+
+from greenroof_ros.commands.new_site_file import format_new_site, standard_offset
+from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.physics.plant import low_outlet_flow, maximum_pump_flow
+from greenroof_ros.simulation.inputs import make_inputs
+from greenroof_ros.site.plain_keys import SUBSTRATES
+from greenroof_ros.site.site import Site, read_site
+
+GIVEN = ("--roof", "120", "--catchment", "200", "--cistern", "5", "--place", "43.63,-79.40")
+HOUSE = {
+    "roof_area": 120.0, "catchment_area": 200.0, "cistern_volume": 5.0, "latitude": 43.63,
+    "longitude": -79.4,
+}
+
+
+def new_site(directory: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    return run_command("new-site", *options, cwd=directory, env=dict(os.environ))
+
+
+def made(path: Path, **given: object) -> Site:
+    path.write_text(format_new_site({**HOUSE, **given}))
+    return read_site(path)
+
+
+def test_a_site_is_written_and_simulated(tmp_path: Path) -> None:
+    """In a script, without a question: a site of minute ticks whose runs have nothing to note."""
+    ended = new_site(tmp_path, *GIVEN)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert ended.stdout.startswith("written: my_site.yaml, for a house at 43.63 N, 79.40 W\n")
+    site = read_site(tmp_path / "my_site.yaml")
+    assert (site.a1, site.z_o, site.a2, site.a_in, site.tau) == (2.5, 2.0, 120.0, 200.0, 60.0)
+    # Neubrandenburg's stress begins at 35.1 mm; 0.96 * 4 mm more, rounded down to 0.1 mm.
+    assert (site.z_veg, site.initial_cistern, site.initial_roof) == (0.0389, 2.5, 4.668)
+    run = run_command(
+        "simulate", "--site", "my_site.yaml", "--controller", "onoff", "--weather", str(WEATHER),
+        "--hours", "72", "--start", "2021-07-07T00:00", "--pump-min-off", "1800", "--json",
+        cwd=tmp_path, env=dict(os.environ),
+    )
+    assert run.returncode == 0, run.stderr
+    summary = json.loads(run.stdout)
+    assert [note for note in summary["notes"] if "look-ahead" not in note] == []
+    assert summary["busiest_hour_starts"] <= 2
+    again = new_site(tmp_path, *GIVEN)
+    assert again.returncode == 2 and "--output = 'my_site.yaml': exists" in again.stderr
+
+
+def test_every_line_states_its_source(tmp_path: Path) -> None:
+    """Also of what is given, and of what only waits to be used; lines fit a page."""
+    text = format_new_site({**HOUSE, "cistern_height": 1.5})
+    entries = re.findall(r"^[a-z]\w*: \S+ +# .*(?:\n +# .*)*", text, re.MULTILINE | re.IGNORECASE)
+    assert len(entries) == len(re.findall(r"^\w+:", text, re.MULTILINE)) - 1  # extends
+    assert all(re.search(r"\[[^]]+\]$", entry) for entry in entries)
+    assert len(re.findall(r"\[given\]$", text, re.MULTILINE)) == 6
+    assert max(map(len, text.splitlines())) <= 120
+
+
+def uncommented(text: str, *keys: str) -> str:
+    for key in keys:
+        text = re.sub(rf"^# (?={key}:)", "", text, count=1, flags=re.MULTILINE)
+    return text
+
+
+def drain_hours(site: Site, from_level: float) -> float:
+    """Return how long the low outlet takes, in steps of a second by Euler's method (h)."""
+    x1, seconds = from_level * site.a1, 0
+    while x1 / site.a1 > (site.low_outlet_level or 0) + 1e-4:
+        x1 -= low_outlet_flow(site, x1)
+        seconds += 1
+    return seconds / 3600
+
+
+def test_outlets_ready_to_be_used(tmp_path: Path) -> None:
+    """A valve empties the full cistern in 12 h, an orifice its upper half."""
+    file = tmp_path / "my_site.yaml"
+    text, keys = format_new_site(HOUSE), ("low_outlet_level", "low_outlet_radius")
+    file.write_text(uncommented(text, *keys, "low_outlet_valve"))
+    valve = read_site(file)
+    assert valve.low_outlet_valve and valve.low_outlet_level == 0.1
+    assert drain_hours(valve, 2.0) == pytest.approx(12, rel=0.03)
+    file.write_text(format_new_site(HOUSE, valve=True))
+    assert read_site(file) == valve
+    head, tail = text.split("# Or add an orifice")
+    file.write_text(head + "# Or add an orifice" + uncommented(tail, *keys))
+    orifice = read_site(file)
+    assert not orifice.low_outlet_valve and orifice.low_outlet_level == 1.0
+    assert drain_hours(orifice, 2.0) == pytest.approx(12, rel=0.03)
+    file.write_text(format_new_site(HOUSE, mains=False))
+    assert read_site(file).mains_flow is None
+    file.write_text(uncommented(file.read_text(), "mains_level", "mains_flow", "elevation",
+                                "time_zone"))
+    assert read_site(file).mains_flow == 2e-4 and read_site(file).elevation == 100
+
+
+def test_pumps_of_all_forms(tmp_path: Path) -> None:
+    """The mains keep up with them: with 20 mm/h on 120 m2 they give 1.2 times 2.4 m3/h."""
+    file = tmp_path / "my_site.yaml"
+    for given, litres in (
+        ({}, 360.0), ({"pump_flow": 900.0}, 900.0), ({"irrigation_rate": 20.0}, 2400.0),
+        ({"emitters": 300, "emitter_flow": 1.6}, 480.0),
+    ):
+        site = made(file, **given)
+        assert 3.6e6 * maximum_pump_flow(site, 0.0) == pytest.approx(litres)
+        assert 3.6e6 * (site.mains_flow or 0) == pytest.approx(max(720, 1.2 * litres), rel=0.02)
+    assert made(file, pump_flow=900.0, d=12.0).d == 12.0
+
+
+@pytest.mark.parametrize("name", SUBSTRATES)
+def test_targets(tmp_path: Path, name: str) -> None:
+    """Plants have enough water at the target, and it does not drain off; a thin substrate, too."""
+    file = tmp_path / "my_site.yaml"
+    for depth in (None, 0.02, 1.0):
+        given = {} if depth is None else {"substrate_depth": depth}
+        site = made(file, substrate=name, **given)
+        content = site.z_veg / site.z_soil
+        onset = (SUBSTRATES[name].field_capacity + SUBSTRATES[name].wilting_point) / 2
+        assert onset < content <= 0.95 * SUBSTRATES[name].field_capacity
+        assert made(file, substrate=name, **given, z_veg=0.9 * site.z_veg).z_veg < site.z_veg
+
+
+def test_sizes_from_a_shed_to_a_hospital(tmp_path: Path) -> None:
+    """All are sites, and none has a pump that its own roof or tick would make us note."""
+    for scale in (0.01, 0.1, 1, 100, 1000):
+        sizes = {key: scale * HOUSE[key] for key in (
+            "roof_area", "catchment_area", "cistern_volume",
+        )}
+        file = tmp_path / "my_site.yaml"
+        site = made(file, **sizes)
+        assert site.x2_star == pytest.approx(site.a2 * site.z_veg)
+        inputs = make_inputs(find_controller("onoff"), {"site": file, "weather": str(WEATHER)})
+        assert inputs.build().notes() == []
+
+
+def test_zones() -> None:
+    """Without daylight saving, on both hemispheres, and where there is none."""
+    assert [standard_offset(zone) for zone in (
+        "America/Toronto", "Europe/Berlin", "Australia/Sydney", "Asia/Kolkata", "Europe/Dublin",
+    )] == [-5.0, 1.0, 10.0, 5.5, 0.0]
+
+
+PLACE = "must be latitude,longitude in degrees with decimal points, such as 43.63,-79.40"
+
+
+@pytest.mark.parametrize(
+    ("place", "message"), [
+        (
+            "91,0",
+            f"{PLACE}, with a latitude from -60 to 79 and a longitude from -180 to 180, not 91,0",
+        ),
+        ("-79.40,43.63", "not -79.40,43.63; did you mean 43.63,-79.4?"),
+        ("43,63,-79,40", f"{PLACE}, not 43,63,-79,40"), ("43.63", f"{PLACE}, not 43.63"),
+        ("43.63,-181", "from -180 to 180, not 43.63,-181"), ("nan,0", ", not nan,0"),
+        ("43.63;inf", ", not 43.63;inf"), ("Toronto", f"{PLACE}, not Toronto"),
+        ("", f"{PLACE}, not "), ("43.63N,79.40W", f"{PLACE}, not 43.63N,79.40W"),
+    ],
+)
+def test_bad_places(tmp_path: Path, place: str, message: str) -> None:
+    ended = new_site(tmp_path, *GIVEN[:-1], place)
+    assert ended.returncode == 2 and message in ended.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_forms_of_places(tmp_path: Path) -> None:
+    """South of the equator a place begins with a minus."""
+    for number, place in enumerate(("43.63 -79.40", "43.63, -79.40", "-33.87,151.21")):
+        ended = new_site(tmp_path, *GIVEN[:-1], place, "-o", f"{number}.yaml")
+        assert ended.returncode == 0, ended.stderr
+    assert read_site(tmp_path / "2.yaml").latitude == -33.87
+    zone = ("--time-zone", "Europe/Berlin", "-o", "berlin.yaml")
+    ended = new_site(tmp_path, *GIVEN[:-1], "13.40,52.52", *zone)
+    assert ended.returncode == 2
+    assert f"'13.4,52.52': is not in Europe/Berlin, which is +1 h from UTC; {PLACE}" in ended.stderr
+    assert new_site(tmp_path, *GIVEN[:-1], "52.52,13.40", *zone).returncode == 0
+    assert read_site(tmp_path / "berlin.yaml").utc_offset == 1.0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"), [
+        (GIVEN[2:], "--roof: must be specified, since there is no terminal"),
+        (GIVEN[:2], "--catchment, --cistern, --place: must be specified, since there is no"),
+        ((*GIVEN, "--roof", "12,5"), "--roof: must be a number from 0.1 to 1000000, with a d"),
+        ((*GIVEN, "--roof", "nan"), "argument --roof: must be a number from 0.1 to 1000000, not n"),
+        ((*GIVEN, "--cistern", "-5"), "argument --cistern: must be a number from 0.01 to 1000"),
+        ((*GIVEN, "--cistern", "5m3"), "argument --cistern: must be a number from 0.01 to 1000"),
+        ((*GIVEN, "--substrate", "moss"), "--substrate: 'moss' must be one of neubrandenburg, ber"),
+        ((*GIVEN, "--substrate-depth", "10"), "--substrate-depth: must be a number from 0.02 to 2"),
+        ((*GIVEN, "--emitters", "10"), "error: --emitters = 10: also needs --emitter-flow"),
+        ((*GIVEN, "--emitter-flow", "2"), "error: --emitter-flow = 2.0: also needs --emitters"),
+        (
+            (*GIVEN, "--pump-flow", "9", "--irrigation-rate", "3"),
+            "error: --pump-flow and --irrigation-rate: set the same quantity, the pump's flow: use "
+            "only one",
+        ),
+        ((*GIVEN, "--target", "108"), "z_veg = 0.108: must be below z_soil = 0.108 m"),
+        ((*GIVEN, "--time-zone", "Mars"), "--time-zone: must be the IANA name of a time zone"),
+        ((*GIVEN, "--output", "my_site.txt"), "must be a file name that ends in .yaml or ."),
+        ((*GIVEN, "--output", "none/my_site.yaml"), "must be in an existing, writable d"),
+        ((*GIVEN, "--output", "."), "must be a file name that ends in .yaml or .yml"),
+    ],
+)
+def test_bad_answers(tmp_path: Path, options: tuple[str, ...], message: str) -> None:
+    """Exit code 2, a line, and no file."""
+    ended = new_site(tmp_path, *options)
+    assert ended.returncode == 2 and message in ended.stderr and "Traceback" not in ended.stderr
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("place", "zone", "offset"), [
+    ("-13.8,-171.8", "Pacific/Apia", 13.0), ("1.87,-157.4", "Pacific/Kiritimati", 14.0),
+    ("-17.8,179.9", "Pacific/Fiji", 12.0), ("39.5,76.0", "Asia/Shanghai", 8.0),
+])
+def test_places_far_from_their_solar_time_or_date(
+    tmp_path: Path, place: str, zone: str, offset: float
+) -> None:
+    """The date line bends around Samoa and Kiribati."""
+    ended = new_site(tmp_path, *GIVEN[:-1], place, "--time-zone", zone)
+    assert ended.returncode == 0, ended.stderr
+    assert read_site(tmp_path / "my_site.yaml").utc_offset == offset
+
+
+def test_a_pump_that_no_substrate_can_take_is_noted(tmp_path: Path) -> None:
+    """4 m3/h on 40 m2 is 100 mm/h."""
+    ended = new_site(tmp_path, *GIVEN, "--roof", "40", "--pump-flow", "4000")
+    assert ended.returncode == 0
+    assert "note: the pumps can deliver 1.11 l/s, or 100 mm/h on 40 m2 of roof" in ended.stderr
+
+
+def test_a_target_at_which_plants_lack_water_is_noted(tmp_path: Path) -> None:
+    """Water stress begins at 35.1 mm, and cm were meant."""
+    ended = new_site(tmp_path, *GIVEN, "--target", "5")
+    assert ended.stderr == (
+        "note: plants lack water at the target of 5 mm; water stress begins at 35.1 mm\n"
+    )
+
+
+def test_the_first_run_is_in_summer(tmp_path: Path) -> None:
+    for place, start in (("43.63,-79.40", "2025-06-01"), ("-33.87,151.21", "2025-01-01")):
+        ended = new_site(tmp_path, *GIVEN[:-1], place, "--output", f"{start}.yaml")
+        assert f"--weather weather.csv --start {start} --hours 720" in ended.stdout
+
+
+def test_an_unusual_share_is_noted(tmp_path: Path) -> None:
+    ended = new_site(tmp_path, *GIVEN, "--runoff-coefficient", "0.09")
+    assert ended.stderr == (
+        "note: --runoff-coefficient 0.09 is unusual; is the unit right? The value is usually "
+        "0.75 to 0.95\n"
+    )
+
+
+def test_an_unusual_answer_is_noted(tmp_path: Path) -> None:
+    """Litres instead of m3, but a large roof is nothing strange."""
+    ended = new_site(tmp_path, *GIVEN, "--cistern", "5000", "--roof", "3000")
+    assert ended.stderr == (
+        "note: --cistern 5000 m3 is unusual; is the unit right? The value is usually 1 to 50\n"
+    )
+
+
+class Terminal:
+    """The command on a terminal of its own, where keys are pressed."""
+
+    def __init__(self, directory: Path, *options: str) -> None:
+        self._screen, inner = pty.openpty()
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "greenroof_ros", "new-site", *options], cwd=directory,
+            stdin=inner, stdout=inner, stderr=inner, start_new_session=True,
+            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+        )
+        os.close(inner)
+        self.shown, self._seen = "", 0
+
+    def press(self, expected: str, keys: str = "") -> None:
+        """Type keys after a text is shown, which follows the one before."""
+        while (place := self.shown.find(expected, self._seen)) < 0:
+            assert select.select([self._screen], [], [], 60)[0], self.shown
+            self.shown += os.read(self._screen, 4096).decode()
+        self._seen = place + len(expected)
+        os.write(self._screen, keys.encode())
+
+    def end(self) -> int:
+        """Return the exit code."""
+        try:
+            while more := os.read(self._screen, 4096):
+                self.shown += more.decode()
+        except OSError:  # the command has closed its side
+            pass
+        os.close(self._screen)
+        return self.process.wait(60)
+
+
+def test_questions(tmp_path: Path) -> None:
+    """What is wrong is asked again; what is given by an option is not asked."""
+    terminal = Terminal(tmp_path, "--catchment", "200")
+    terminal.press("Area of the green roof (m2, usually 20 to 2000): ", "a hundred\r")
+    terminal.press("must be a number from 0.1 to 1000000, not a hundred")
+    terminal.press("Area of the green roof", "120\r")
+    terminal.press("Volume of the cistern up to its overflow (m3, usually 1 to 50): ", "5\r")
+    terminal.press("such as 43.63,-79.40): ", "-79.40,43.63\r")
+    terminal.press("did you mean 43.63,-79.4?")
+    terminal.press("such as 43.63,-79.40): ", "43.63, -79.40\r")
+    assert terminal.end() == 0, terminal.shown
+    assert "Area that drains" not in terminal.shown
+    asked = (tmp_path / "my_site.yaml").read_text()
+    assert new_site(tmp_path, *GIVEN, "-o", "given.yaml").returncode == 0
+    assert asked == (tmp_path / "given.yaml").read_text()
+
+
+@pytest.mark.parametrize(("key", "code", "end"), [
+    ("\x03", 130, "interrupted"),
+    ("\x04", 2, "error: --cistern: is missing, since the question was not answered"),
+])
+def test_an_end_at_a_question(tmp_path: Path, key: str, code: int, end: str) -> None:
+    """By Ctrl-C or Ctrl-D: a line, and nothing is written."""
+    terminal = Terminal(tmp_path, "--catchment", "200")
+    terminal.press("Area of the green roof", "120\r")
+    terminal.press("Volume of the cistern", key)
+    assert terminal.end() == code
+    assert terminal.shown.rstrip().endswith(end) and "Traceback" not in terminal.shown
+    assert not list(tmp_path.iterdir())

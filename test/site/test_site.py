@@ -1,0 +1,261 @@
+"""The site file: Table I, and what is refused."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import pytest
+from hypothesis import example, given, settings
+from paper import PAPER_SITE, TABLE_I, paper_run, sites
+from studies import GRID, grid
+
+from greenroof_ros.analysis.study.grid import read_grid
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.simulation.directory import make_run_directory, write_configuration
+from greenroof_ros.site.site import Site, format_site, read_site
+
+FIELD_CAPACITY = {
+    "field_capacity": 0.6, "wilting_point": 0.05, "depletion_fraction": 0.5,
+    "drainage_storage": 0.01, "drainage_time": 600.0,
+}
+"""parameters of a roof with a field-capacity soil"""
+
+
+def write(directory: Path, *extra: str, **changes: object) -> Path:
+    """Write Table I as a site file, one key a line, with other values (None: without the key)."""
+    values: dict[str, object] = {**TABLE_I, **changes}
+    lines = [f"{key}: {value}" for key, value in values.items() if value is not None]
+    path = directory / "my site.yaml"
+    path.write_text("\n".join([*lines, *extra]) + "\n")
+    return path
+
+
+def refusal(path: Path) -> str:
+    """Return the error for an invalid site file."""
+    with pytest.raises(ConfigurationError) as caught:
+        read_site(path)
+    return str(caught.value)
+
+
+def test_packaged_site_is_table_i() -> None:
+    """Every row has the paper's value, and there is no other row."""
+    site = asdict(read_site(shared_directory() / "config" / "site.yaml"))
+    assert {key: site[key] for key in TABLE_I} == pytest.approx(TABLE_I, rel=1e-15)
+    # The paper's soil drains by Eq. (4), its cistern has no top-up and one outlet, all rain on its
+    # inlet arrives, and a run begins in one of Table II's states.
+    absent = {
+        *FIELD_CAPACITY, "mains_level", "mains_flow", "low_outlet_level", "low_outlet_radius",
+        "initial_cistern", "initial_roof", "quiet_hours", "time_zone", "max_dose",
+    }
+    assert {key for key, value in site.items() if value is None} == absent
+    assert (site["initial_layer"], site["runoff_coefficient"]) == (0, 1)
+    # What fao56 gives for Toronto's records: 125 mm in July, 0.8 m in a year.
+    climate = site["monthly_evapotranspiration"]
+    assert 31 * climate[6] == pytest.approx(125, abs=1)
+    assert sum(climate) / 12 * 365 == pytest.approx(804, abs=5)
+    # Toronto City Centre; FAO-56's reference grass; radiation "for coastal locations" (Eq. 50).
+    place = {
+        "latitude": 43.63, "longitude": -79.40, "elevation": 77.0, "utc_offset": -5.0,
+        "albedo": 0.23, "k_Rs": 0.19, "wind_height": 10.0, "crop_coefficient": 1.0,
+    }
+    assert {key: site[key] for key in place} == place
+    assert (type(site["M"]), type(site["N"])) == (int, int)
+
+
+@settings(max_examples=20)
+@given(site=sites())
+@example(replace(PAPER_SITE, k_L=0.0, z_pump=0.0, z_H=0.0))
+def test_any_consistent_site_is_read_back(
+    tmp_path_factory: pytest.TempPathFactory, site: Site
+) -> None:
+    """Exactly; also numbers such as 1e-05, which YAML 1.1 reads as text, and what may be 0."""
+    directory = tmp_path_factory.mktemp("site")
+    assert read_site(write(directory, **asdict(site))) == site
+
+
+MONTHS = [0.0, 1, *[2.5] * 9, 20.0]
+
+
+def test_site_climate(tmp_path: Path) -> None:
+    """Of the whole bed, with its crop; 2.5 mm/day from 68.8 m2 are 172 litres a day."""
+    path = write(tmp_path, monthly_evapotranspiration=MONTHS, crop_coefficient=0.5)
+    site = read_site(path)
+    assert site.monthly_evapotranspiration == tuple(MONTHS)
+    assert site.climatic_evapotranspiration(3) == pytest.approx(0.5 * 0.172 / 86400)
+    assert site.climatic_evapotranspiration(12) == pytest.approx(0.5 * 1.376 / 86400)
+    assert PAPER_SITE.climatic_evapotranspiration(3) is None
+
+
+@pytest.mark.parametrize("key", [key for key in TABLE_I if key not in ("x2_star", "z_cap")])
+def test_missing(tmp_path: Path, key: str) -> None:
+    """The error has the file, and a remedy that works; the other two follow from these."""
+    path = write(tmp_path, **{key: None})
+    why = refusal(path)
+    assert why.startswith(f"{path}: {key}: is missing: ")
+    (remedy,) = re.findall("begin the file with '(.+?)'", why)
+    path.write_text(f"{remedy}\n{path.read_text()}")
+    read_site(path)
+
+
+@pytest.mark.parametrize(("key", "wrong"), [("z_H", "-1e-300"), ("M", "10.5")])
+def test_what_is_no_number_of_its_range(tmp_path: Path, key: str, wrong: str) -> None:
+    """Nor is a value that is not finite."""
+    for value in (wrong, "1e10", ".nan", ".inf", "-.inf", "1e400"):
+        assert f" {key} = " in refusal(write(tmp_path, **{key: value}))
+    for value in ("three", "true", "", "[3]", "2021-07-07"):
+        assert re.search(": must be a (whole )?number ", refusal(write(tmp_path, **{key: value})))
+
+
+PAPERS: dict[str, object] = {}
+ROOF: dict[str, object] = {"z_cap": 20.64, **FIELD_CAPACITY}
+MAINS: dict[str, object] = {"mains_level": 1.0, "mains_flow": 0.001}
+LOW: dict[str, object] = {"low_outlet_level": 1.0, "low_outlet_radius": 0.02}
+OWN: dict[str, object] = {"initial_cistern": 50.0, "initial_roof": 2.0}
+CLIMATE = "monthly_evapotranspiration"
+
+
+@pytest.mark.parametrize(
+    ("base", "changes", "key", "reason"),
+    [
+        # Out of range: with a unit, without one, and a whole number.
+        (PAPERS, {"a2": "-68.8"}, "a2", "a number greater than 0 and at most 1e+09 m2 (area"),
+        (PAPERS, {"a_hat": "0"}, "a_hat", "a number of at least -1e+21 and less than 0 s2/m5 (qu"),
+        (PAPERS, {"M": "1001"}, "M", "a whole number from 1 to 1000 ticks (length of"),
+        # A value that contradicts another.
+        (PAPERS, {"x2_star": 3.145}, "x2_star", "a2 z_veg = 3.14416 m3"),
+        (PAPERS, {"z_cap": 34.5}, "z_cap", "a2 z_soil = 34.4 m3; leave this line out to have it"),
+        (PAPERS, {"z_o": 300}, "z_o", "at most 76.92 m, since levels above 100 m are rejected"),
+        (PAPERS, {"c_hat": 15.25}, "c_hat", "d - z_pump - z_H = 15.25 m"),
+        (PAPERS, {"tau": 1.0000000001}, "tau", "a whole number of nanoseconds"),
+        (PAPERS, {"z_veg": 0.5, "x2_star": 34.4}, "z_veg", "below z_soil = 0.5 m"),
+        (ROOF, {"wilting_point": None}, "field_capacity", "needs wilting_point as well"),
+        (ROOF, {"field_capacity": 0.05, "z_cap": 1.72}, "wilting_point", "below field_capacity"),
+        (ROOF, {"z_cap": 34.4}, "z_cap", "a2 z_soil field_capacity = 20.64 m3"),
+        (ROOF, {"z_veg": 0.3, "x2_star": 20.64}, "z_veg", "below z_cap / a2 = 0.3 m"),
+        (ROOF, {"wilting_point": 0.1}, "wilting_point", "below x2_star / (a2 z_soil) = 0.0914"),
+        (MAINS, {"mains_level": 0.75}, "mains_level", "above z_pump + z_H = 0.75 m"),
+        (LOW, {"low_outlet_level": 3.0}, "low_outlet_level", "below z_o = 3 m, the level of the"),
+        (OWN, {"initial_roof": None}, "initial_cistern", "needs initial_roof as well"),
+        (OWN, {"initial_cistern": 401.0}, "initial_cistern", "at most 400 m3, which is a level"),
+        ({**ROOF, **OWN}, {"initial_roof": 150.0}, "initial_roof", "at most 146.2 m3, which is a"),
+        (ROOF, {"initial_layer": 5.5}, "initial_layer", "at most the volume of the drainage layer"),
+        (PAPERS, {CLIMATE: MONTHS[:11]}, CLIMATE, "a list of twelve numbers, January to December"),
+        (PAPERS, {CLIMATE: [*MONTHS[:11], 20.1]}, f"{CLIMATE}.12", "a number from 0 to 20 mm/day"),
+        (PAPERS, {CLIMATE: 3.0}, CLIMATE, "a list (mean reference evapotranspiration"),
+        (PAPERS, {"elevation": ""}, "elevation", "must have a value"),
+        (PAPERS, {"quiet_hours": '["22:00-06:00"]'}, "quiet_hours", "needs time_zone as well"),
+    ],
+)
+def test_wrong_values(
+    tmp_path: Path, base: dict[str, object], changes: dict[str, object], key: str, reason: str
+) -> None:
+    """The error has file, line, key and value, and what would be right."""
+    path = write(tmp_path, **{**base, **changes})
+    [line] = [
+        number for number, text in enumerate(path.read_text().splitlines(), start=1)
+        if text.startswith(f"{key.partition('.')[0]}: ")
+    ]
+    message = refusal(path)
+    assert re.match(rf"{re.escape(f'{path}, line {line}: {key}')}( = |: must have)", message)
+    assert re.search(rf": (must be |must exceed |){re.escape(reason)}", message)
+
+
+def test_what_follows_is_computed(tmp_path: Path) -> None:
+    """To Table I's last digit; and with another area, from that area."""
+    written = read_site(write(tmp_path))
+    assert read_site(write(tmp_path, x2_star=None, z_cap=None)) == written
+    larger = read_site(write(tmp_path, a2=120.0, x2_star=None, z_cap=None))
+    assert (larger.x2_star, larger.z_cap) == pytest.approx((120 * 0.0457, 60.0), rel=1e-15)
+
+
+def test_a_mistyped_key(tmp_path: Path) -> None:
+    """The error suggests similar keys, and lists all only if none is similar."""
+    path = write(tmp_path, a2=None, a3=68.8)
+    assert refusal(path).endswith("a3 = 68.8: is not a valid key; did you mean a1 or a2?")
+    path = write(tmp_path, "pi: 3.14")
+    start = f"{path}, line {len(TABLE_I) + 1}: pi = 3.14: is not a valid key; choose from a1, "
+    assert refusal(path).startswith(start)
+
+
+def test_a_site_that_extends_another(tmp_path: Path) -> None:
+    """It has only what differs, and so may its base."""
+    write(tmp_path)
+    (tmp_path / "roof.yaml").write_text(
+        "extends: my site.yaml\na2: 100.0  # m2\n   # measured\ninitial_layer: 0.0\n"
+        "x2_star: 4.57\nz_cap: 50.0\n"
+    )
+    child = tmp_path / "more" / "child.yaml"
+    child.parent.mkdir()
+    child.write_text("# A larger one\nextends: ../roof.yaml\na1: 50.0\n")
+    base, site = read_site(tmp_path / "my site.yaml"), read_site(child)
+    assert site == replace(base, a1=50.0, a2=100.0, x2_star=4.57, z_cap=50.0)
+    for form in (
+        "{extends: ../roof.yaml, a1: 50.}", '"extends": ../roof.yaml\n"a1": +50.0  # m2\n',
+        "---\n? extends\n: ../roof.yaml\na1 : &x 5.e+1\n",
+    ):
+        child.write_text(form)
+        assert read_site(child) == site, form
+    (tmp_path / "roof.yaml").write_text(
+        "extends: my site.yaml\nquiet_hours:\n# by night\n- 22:00-06:00\n# and at noon\n"
+        "- 12:00-13:00\ntime_zone: Europe/Berlin\nutc_offset: 1\n"
+    )
+    child.write_text('extends: ../roof.yaml\nquiet_hours: ["20:00-21:00"]\n')
+    night = replace(base, time_zone="Europe/Berlin", utc_offset=1.0, quiet_hours=("20:00-21:00",))
+    assert read_site(child) == night
+    # A site of this package needs no copy next to the file.
+    child.write_text("extends: site_neubrandenburg.yaml\na1: 50.0\n")
+    measured = read_site(shared_directory() / "config" / "site_neubrandenburg.yaml")
+    assert read_site(child) == replace(measured, a1=50.0)
+
+
+def test_a_site_is_written_as_a_complete_file(tmp_path: Path) -> None:
+    """What is read again is the same; volumes follow changed values; a note replaces a meaning."""
+    written = tmp_path / "whole.yaml"
+    changes = {
+        "a2": 100 / 3, "quiet_hours": ["20:00-21:00"], "time_zone": "America/Toronto",
+        "initial_cistern": 5.78e-5, "initial_roof": 1.0,
+    }
+    site = read_site(shared_directory() / "config" / "site_neubrandenburg.yaml", changes)
+    assert site.x2_star == pytest.approx(100 / 3 * site.z_veg)
+    text = format_site(site, {"a2": "as built"})
+    written.write_text(text)
+    assert read_site(written) == site
+    lines = {line.partition(":")[0]: line for line in text.splitlines()}
+    assert lines["a2"].endswith("# m2      as built")
+    assert lines["a1"].endswith("# m2      area of the cistern's base")
+
+
+def test_what_cannot_be_extended(tmp_path: Path) -> None:
+    """Itself, a circle, a missing file; an error in a base has the name of that file."""
+    child = tmp_path / "child.yaml"
+    for base, reason in (
+        ("child.yaml", "child.yaml, line 1: extends = 'child.yaml': must be the name of another"),
+        ("3", "child.yaml, line 1: extends = 3: must be the name of another site file, such as"),
+        ("absent.yaml", "child.yaml, line 1: extends = 'absent.yaml': must be the name of "),
+        ("circle.yaml", "circle.yaml, line 1: extends = 'child.yaml': must be the name of another "
+         "site file, such as site.yaml, in the same directory or in this package; these files "
+         f"form a loop: {child} extends {tmp_path / 'circle.yaml'} extends {child}"),
+        ("base.yaml", f"base.yaml, line {len(TABLE_I) + 1}: a3 = 5.0: is not a valid key"),
+    ):
+        child.write_text(f"extends: {base}\na1: 3.0\n")
+        (tmp_path / "circle.yaml").write_text("extends: child.yaml\n")
+        write(tmp_path, "a3: 5.0").rename(tmp_path / "base.yaml")
+        assert refusal(child).startswith(str(tmp_path / reason))
+
+
+def test_a_run_and_a_study_keep_the_whole_site(tmp_path: Path) -> None:
+    """In another directory the base file is not next to it."""
+    file = tmp_path / "mine.yaml"
+    file.write_text("extends: site_catchment.yaml\na1: 50.0\ninitial_cistern: 42.5\n")
+    run = paper_run("--controller", "onoff", "--hours", "1", "--site", str(file))
+    directory = make_run_directory(tmp_path / "run", "onoff")
+    write_configuration(directory, run, {})
+    assert read_site(directory / "configuration" / "site.yaml") == read_site(file)
+    text = GRID.replace(str(shared_directory() / "config" / "site.yaml"), "mine.yaml")
+    (carried,) = {case.site for case in read_grid(tmp_path / grid(tmp_path, text))}
+    copy = tmp_path / "copy.yaml"
+    copy.write_bytes(carried.content)
+    assert b"extends" not in carried.content and read_site(copy) == read_site(file)
