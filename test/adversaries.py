@@ -19,7 +19,7 @@ TOGETHER = "all of them, a member each"
 
 
 class Adversary:
-    """Hourly forecasts of one kind; the forecast replaces the first hour by the observed one."""
+    """Hourly forecasts of one kind."""
 
     max_issue_h = None  # they have no end
     notes = ()
@@ -47,6 +47,9 @@ class Adversary:
         members = kinds.values() if self._kind == TOGETHER else [kinds[self._kind]]
         return np.stack([*members]), self._weather.evapotranspiration[now]
 
+    def check(self, hours: range) -> None:
+        """Accept all hours: these forecasts lack nothing."""
+
     def issued(self, hour: int) -> None:
         """Return None: these forecasts have no issues."""
 
@@ -57,6 +60,6 @@ class Adversary:
 def with_forecasts(run: Run, kind: str, horizon: float) -> Run:
     """Return a run whose controller, with this horizon (h), gets false forecasts."""
     return replace(run, forecast=SteppedForecast(
-        Adversary(kind, run.weather), run.weather, run.site, run.start, growing_steps(horizon),
-        run.steps, run.controller.ensemble,
+        Adversary(kind, run.weather), run.weather, run.series, run.site, run.start,
+        growing_steps(horizon), run.controller.ensemble,
     ))

@@ -93,7 +93,7 @@ class LiveForecast:
                 first member.
         """
         self.issues: list[IssuedForecast] = []
-        self._area = site.a2
+        self._site = site
         self._ends = look_ahead_ends(site, horizon)
         self._limit = timedelta(seconds=limit)
         self._all_members = all_members
@@ -108,7 +108,7 @@ class LiveForecast:
 
         Args:
             now: the time.
-            observed_rain: rain in the current hour from a gauge (m/s); None if there is no gauge.
+            observed_rain: current rain from a gauge (m/s); None if there is no gauge.
 
         Raises:
             NoForecastError: if there is no forecast that is recent enough and covers the current
@@ -124,10 +124,10 @@ class LiveForecast:
         evapotranspiration = issue.evapotranspiration_at(ahead)
         assert evapotranspiration is not None  # an issue without it is rejected
         forecast = HourForecast(
-            issue.issued, rain, evapotranspiration, self._area, self._ends, observed_rain,
+            issue.issued, rain, evapotranspiration, self._site, self._ends,
             math.nan if issue.temperature is None else float(issue.temperature[present]),
         )
-        return forecast.at(since, self._all_members)
+        return forecast.at(since, self._all_members, observed_rain)
 
     def repetition(self, now: datetime) -> str:
         """Return a note if the forecasts have not changed for a day; otherwise an empty string.

@@ -1,9 +1,7 @@
 """Models of hourly forecasts: from records (perfect or with errors), or from an archive.
 
 :mod:`greenroof_ros.formats.forecasts` describes when forecasts are issued; a perfect forecast has
-no time of issue, and a file states its own times of issue. The current hour is observed, not
-forecast; :class:`greenroof_ros.forecast.resampling.SteppedForecast` takes the current hour from the
-records.
+no time of issue, and a file states its own times of issue.
 
 **Forecasts with errors** are wrong in the ways real forecasts are: missed rain, false alarms, wrong
 times and wrong amounts. The normal variable z behind the recorded rain (see
@@ -106,6 +104,18 @@ class ForecastModel(ABC):
                 missing.
         """
 
+    def check(self, hours: range) -> None:
+        """Check that there are forecasts from the first hour on, with all the records they need.
+
+        Args:
+            hours: indices of all hours in which forecasts are needed, or that they contain.
+
+        Raises:
+            ConfigurationError: as for :meth:`forecast`.
+        """
+        for quantity in (PRECIPITATION, EVAPOTRANSPIRATION):
+            select_records(self._weather, quantity, np.array(hours))
+
     def issued(self, hour: int) -> datetime | None:
         """Return the nominal time of an hour's latest forecast; None if the model has none."""
         return None
@@ -181,6 +191,11 @@ class FileModel(ForecastModel):
                 self._weather, EVAPOTRANSPIRATION, np.arange(hour, hour + hours)
             )
         return rain, evapotranspiration
+
+    def check(self, hours: range) -> None:
+        """Check the first forecast, and the records if needed; see :class:`ForecastModel`."""
+        if self._newest(hours[0])[0].evapotranspiration is None:
+            select_records(self._weather, EVAPOTRANSPIRATION, np.array(hours))
 
     def issued(self, hour: int) -> datetime:
         """Return the nominal time of the latest forecast; see :class:`ForecastModel`."""

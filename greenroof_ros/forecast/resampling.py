@@ -1,4 +1,12 @@
-"""Forecasts resampled to the steps of a controller, as it receives them in every tick."""
+"""Forecasts resampled to the steps of a controller, as it receives them in every tick.
+
+One rule holds for simulations and for live sites. A forecast begins with what is measured now: the
+weather of the tick, or the reading of the rain gauge. This value holds for the present tick, and
+for the whole first step if that is longer. Everything after it, including the rest of the current
+hour, is the forecast's own value. A later record therefore never replaces a forecast; only a
+perfect forecast consists of records. A value that is not measured (rain without a gauge, or the
+evapotranspiration of a live site) is the forecast's own from the beginning.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +24,7 @@ from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.models import ForecastModel, PerfectModel, make_model
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.series import PerTick, Weather, WeatherSeries
+from greenroof_ros.weather.series import Weather, WeatherSeries
 
 Array = NDArray[np.float64]
 Rain: TypeAlias = "array[float] | Array"
@@ -52,14 +60,14 @@ class Outlook:
 class HourForecast:
     """A forecast from one hour on, with mean rates over steps that begin at any time in the hour.
 
-    While the end of every step stays within its hour, the means are linear in time. These linear
-    functions are always computed from the start of the hour, no matter when they are first needed,
-    so that a restarted node yields bit-identical results.
+    While the end of every step stays within its hour, and the measured values stay the same, the
+    means are linear in time. These linear functions are always computed from the start of the hour,
+    no matter when they are first needed, so that a restarted node yields bit-identical results.
     """
 
     def __init__(
-        self, issued: datetime | None, rain: Array, evapotranspiration: Array, area: float,
-        ends: Array, rain_now: float | None = None, temperature: float = math.nan,
+        self, issued: datetime | None, rain: Array, evapotranspiration: Array, site: Site,
+        ends: Array, temperature: float = math.nan,
     ) -> None:
         """Set the forecast.
 
@@ -67,56 +75,74 @@ class HourForecast:
             issued: nominal time of issue; see :class:`Outlook`.
             rain: rain (mm/h), shape (members, hours), starting with the current hour.
             evapotranspiration: evapotranspiration (mm/day), shape (hours,).
-            area: area of the bed, used to convert depths to volumes (m2).
+            site: site, which provides the tick, and the bed area used to convert depths to volumes.
             ends: boundaries of the steps; see :func:`look_ahead_ends`.
-            rain_now: rain in the current hour from a gauge (m/s); None if there is no gauge.
             temperature: air temperature; see :class:`Outlook`.
         """
         self._issued, self._temperature = issued, temperature
         self._rates = rates = np.vstack([rain, evapotranspiration])
         rates[:-1] /= 1000 * _HOUR_S
-        rates[-1] *= area / 1000 / 86400
-        if rain_now is not None:
-            rates[:-1, 0] = rain_now
+        rates[-1] *= site.a2 / 1000 / 86400
         # The totals at the start of every hour.
         self._sums = np.zeros_like(rates)
         np.cumsum(rates[:, :-1] * _HOUR_S, axis=1, out=self._sums[:, 1:])
         self._ends, self._lengths = ends, np.diff(ends)
-        # The lines, and the interval in which they are valid (s since the start of the first hour).
+        # The time for which measured values hold (s).
+        self._hold = max(site.tau, float(ends[1]))
+        # The lines; the interval (s since the start of the first hour) and the measured values for
+        # which they are valid; and the current values.
         self._from = self._until = math.inf
-        self._first = self._slope = np.empty(0)
+        self._measured: tuple[float | None, float | None] = None, None
+        self._first = self._slope = self._now = np.empty(0)
 
-    def at(self, since: float, all_members: bool) -> Outlook:
+    def at(
+        self, since: float, all_members: bool, rain: float | None = None,
+        evapotranspiration: float | None = None,
+    ) -> Outlook:
         """Return the outlook at a given time.
 
         Args:
             since: time since the start of the current hour (s).
             all_members: whether to return the rain of all members, or of the first member only.
+            rain: measured current rain (m/s); None if unknown.
+            evapotranspiration: measured current evapotranspiration of the whole bed (m3/s); None if
+                unknown.
         """
-        if not self._from <= since < self._until:
-            self._draw_lines(since)
+        measured = rain, evapotranspiration
+        if measured != self._measured or not self._from <= since < self._until:
+            self._draw_lines(since, *measured)
         # No mean is negative, but rounding can make one so at the end of a line.
         means = np.maximum(self._first + self._slope * since, 0.0)
         return Outlook(
             means[:-1] if all_members else array("d", means[0].tobytes()),
-            array("d", means[-1].tobytes()), float(self._rates[0, 0]), float(self._rates[-1, 0]),
+            array("d", means[-1].tobytes()), float(self._now[0, 0]), float(self._now[-1, 0]),
             self._issued, self._temperature,
         )
 
-    def _draw_lines(self, since: float) -> None:
-        ends = since + self._ends
+    def _draw_lines(
+        self, since: float, rain: float | None, evapotranspiration: float | None
+    ) -> None:
+        self._measured = rain, evapotranspiration
+        self._now = self._rates[:, :1].copy()
+        if rain is not None:
+            self._now[:-1] = rain
+        if evapotranspiration is not None:
+            self._now[-1] = evapotranspiration
+        hold = 0.0 if rain is None else self._hold
+        held = np.diff(np.minimum(self._ends, hold)) / self._lengths  # share of every step
+        ends = np.maximum(self._ends, hold)  # boundaries of the other parts
         # The last step may end with the last hour.
-        index = np.minimum(ends // _HOUR_S, self._rates.shape[1] - 1).astype(np.intp)
+        index = np.minimum((since + ends) // _HOUR_S, self._rates.shape[1] - 1).astype(np.intp)
         begins = index * _HOUR_S
         # Selecting columns in numpy reverses the memory order, and with it the order of summation:
         # sums over members would differ in the last bit from sums of the same values received in a
         # message.
-        at_ends = np.ascontiguousarray(self._rates[:, index])
-        cumulative = np.ascontiguousarray(self._sums[:, index]) + at_ends * (self._ends - begins)
-        self._first = (cumulative[:, 1:] - cumulative[:, :-1]) / self._lengths
-        self._slope = (at_ends[:, 1:] - at_ends[:, :-1]) / self._lengths
+        rates = np.ascontiguousarray(self._rates[:, index])
+        cumulative = np.ascontiguousarray(self._sums[:, index]) + rates * (ends - begins)
+        self._first = np.diff(cumulative) / self._lengths + held * self._now
+        self._slope = np.diff(rates) / self._lengths
         self._from = since
-        self._until = since + float((begins + _HOUR_S - ends).min()) - _ROUNDING_S
+        self._until = float((begins + _HOUR_S - ends).min()) - _ROUNDING_S
 
 
 class PerfectForecast:
@@ -164,9 +190,7 @@ class PerfectForecast:
 
 
 class SteppedForecast:
-    """Means of an hourly forecast over the steps of the look-ahead.
-
-    The current hour is observed rather than forecast, so its rates come from the records.
+    """Means of an hourly forecast over the steps of the look-ahead, beginning with the present.
 
     Attributes:
         repeats_from: as for :class:`PerfectForecast`.
@@ -175,33 +199,34 @@ class SteppedForecast:
     """
 
     def __init__(
-        self, model: ForecastModel, weather: Weather, site: Site, start: datetime, ends: Array,
-        steps: int, all_members: bool = False, rain_now: PerTick | None = None,
+        self, model: ForecastModel, weather: Weather, series: WeatherSeries, site: Site,
+        start: datetime, ends: Array, all_members: bool = False,
     ) -> None:
-        """Prepare for a run, and request all its forecasts to detect missing data immediately.
+        """Prepare for a run, and check that nothing is missing in all of it.
 
         Args:
             model: model of the hourly forecasts.
-            weather: the records, which provide the weather in the current hour.
+            weather: the records, to which the hours of the model refer.
+            series: the weather of the run, tick by tick.
             site: site, which provides the tick, and the bed area used to convert depths to volumes.
             start: time of tick 0.
             ends: boundaries of the steps; see :func:`look_ahead_ends`.
-            steps: N of the run (ticks).
             all_members: whether to return the rain of all members, or of a single member.
-            rain_now: current rain in every tick (m/s), if the rain is known minute by minute.
 
         Raises:
             ConfigurationError: if there is no forecast for a part of the run.
         """
-        self._model, self._weather, self._site = model, weather, site
+        self._model, self._series, self._site = model, series, site
         self._ends, self._all_members = ends, all_members
-        self._rain_now = rain_now
         self._offset = (start - weather.first).total_seconds()
-        self._until = self._offset + steps * site.tau
+        self._until = self._offset + (len(series.precipitation) - site.M) * site.tau
         # Rain and evapotranspiration of a tick are computed together.
         self._hour_forecast = Memo(self._make_hour_forecast)
         self._at = Memo(self._outlook)
-        self.repeats_from = self._request_all()
+        hours = range(int(self._offset // _HOUR_S), int(self._until // _HOUR_S) + 1)
+        model.check(range(hours[0], hours[-1] + self._hours(hours[-1])))
+        assumed = (model.repeats_from(hour, self._hours(hour)) for hour in hours)
+        self.repeats_from = min((time for time in assumed if time is not None), default=None)
         self.max_issue_h = model.max_issue_h
         self.notes = model.notes
 
@@ -220,23 +245,10 @@ class SteppedForecast:
     def _outlook(self, tick: int) -> Outlook:
         time = self._offset + tick * self._site.tau
         hour = int(time // _HOUR_S)
-        outlook = self._hour_forecast(hour).at(time - hour * _HOUR_S, self._all_members)
-        if self._rain_now is not None and isinstance(outlook.rain, np.ndarray):
-            outlook.rain[:, 0] = self._rain_now[tick]
-        elif self._rain_now is not None:
-            outlook.rain[0] = self._rain_now[tick]
-        return outlook
-
-    def _request_all(self) -> datetime | None:
-        """Request the forecasts of all hours; return the time from which values are assumed."""
-        times = []
-        for hour in range(int(self._offset // _HOUR_S), int(self._until // _HOUR_S) + 1):
-            hours = self._hours(hour)
-            self._model.forecast(hour, hours)
-            repeats_from = self._model.repeats_from(hour, hours)
-            if repeats_from is not None:
-                times.append(repeats_from)
-        return min(times, default=None)
+        return self._hour_forecast(hour).at(
+            time - hour * _HOUR_S, self._all_members, self._series.precipitation[tick],
+            self._series.evapotranspiration[tick],
+        )
 
     def _hours(self, hour: int) -> int:
         """Return the number of hours that the ticks in an hour need, including that hour."""
@@ -244,13 +256,10 @@ class SteppedForecast:
         return math.ceil((last_tick + float(self._ends[-1])) / _HOUR_S) - hour
 
     def _make_hour_forecast(self, hour: int) -> HourForecast:
-        """Return the latest forecast in an hour, with the observed values for that hour."""
+        """Return the latest forecast in an hour."""
         rain, evapotranspiration = self._model.forecast(hour, self._hours(hour))
-        present = min(hour, len(self._weather.precipitation) - 1)
-        rain[:, 0] = self._weather.precipitation[present]
-        evapotranspiration[0] = self._weather.evapotranspiration[present]
         return HourForecast(
-            self._model.issued(hour), rain, evapotranspiration, self._site.a2, self._ends
+            self._model.issued(hour), rain, evapotranspiration, self._site, self._ends
         )
 
 
@@ -289,6 +298,4 @@ def make_forecast(
     if not horizon and not all_members and isinstance(model, PerfectModel):
         return PerfectForecast(series, site.M)
     ends = look_ahead_ends(site, horizon, outlet_horizon)
-    steps = len(series.precipitation) - site.M
-    now = None if weather.minutes is None else series.precipitation
-    return SteppedForecast(model, weather, site, start, ends, steps, all_members, now)
+    return SteppedForecast(model, weather, series, site, start, ends, all_members)

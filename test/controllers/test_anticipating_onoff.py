@@ -80,8 +80,8 @@ def test_a_longer_forecast_does_no_harm_on_a_field_capacity_soil(tmp_path: Path)
         )
         run = rain_scaled(run, 2)
         perfect = SteppedForecast(
-            PerfectModel(run.weather), run.weather, run.site, run.start,
-            growing_steps(float(horizon)), run.steps, run.controller.ensemble,
+            PerfectModel(run.weather), run.weather, run.series, run.site, run.start,
+            growing_steps(float(horizon)), run.controller.ensemble,
         )
         totals.append(metrics_of(replace(run, forecast=perfect))["total_deviation_m3"])
     assert totals[1] <= 1.005 * totals[0], totals

@@ -6,6 +6,7 @@ import struct
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -58,7 +59,7 @@ def archive_of(*issues: IssuedForecast) -> Archive:
 @settings(max_examples=40)
 @given(
     seed=st.integers(0, 2**32),
-    tau=st.sampled_from([1, 10, 60]),
+    tau=st.sampled_from([1, 10, 60, 75, 613]),
     offset=st.integers(0, 7200),
     horizon=st.sampled_from([0.0, 0.1, 0.5, 2.0, 7.5]),
     data=st.data(),
@@ -66,7 +67,10 @@ def archive_of(*issues: IssuedForecast) -> Archive:
 def test_means_count_every_second(
     seed: int, tau: int, offset: int, horizon: float, data: st.DataObject
 ) -> None:
-    """Every step of every member equals the mean of its seconds, one by one."""
+    """Every step of every member equals the mean of its seconds, one by one.
+
+    The weather of the tick holds in the tick, and in the first step; the rest is the issue's.
+    """
     chance = np.random.default_rng(seed)
     weather = weather_of(chance.uniform(0, 20, 6), chance.uniform(0, 9, 6))
     rain = chance.uniform(0, 20, (7, 2, 12)) * (chance.random((7, 2, 12)) < 0.5)
@@ -81,22 +85,24 @@ def test_means_count_every_second(
     start = MIDNIGHT + timedelta(seconds=offset)
     edges = growing_steps(horizon) if horizon else tau * np.arange(site.M + 1.0)
     steps = (6 * 3600 - offset) // tau
+    series = WeatherSeries(weather, site, start, steps)
     model = FileModel(hourly, weather, all_members=True)
-    forecast = SteppedForecast(model, weather, site, start, edges, steps, all_members=True)
+    forecast = SteppedForecast(model, weather, series, site, start, edges, all_members=True)
     for tick in data.draw(st.lists(st.integers(0, steps), min_size=1, max_size=3)):
         hour, second = divmod(offset + tick * tau, 3600)
-        lead = (second + np.arange(int(edges[-1]))) // 3600
+        seconds = np.arange(int(edges[-1]))
+        lead, measured = (second + seconds) // 3600, seconds < max(tau, edges[1])
         present = min(hour, 5)
         parts = edges[1:-1].astype(int)
         members = np.asarray(forecast.precipitation(tick))
         # As from a message: numpy's sums follow the order in memory.
         assert members.flags.c_contiguous
         for member in range(2):
-            rates = np.where(lead > 0, rain[hour, member][lead], weather.precipitation[present])
+            rates = np.where(measured, weather.precipitation[present], rain[hour, member][lead])
             means = [part.mean() / 3.6e6 for part in np.split(rates, parts)]
             assert members[member] == pytest.approx(means, rel=1e-9)
         assert members.min() >= 0.0  # rounding must not give less, which the nodes would refuse
-        rates = np.where(lead > 0, evaporated[hour][lead], weather.evapotranspiration[present])
+        rates = np.where(measured, weather.evapotranspiration[present], evaporated[hour][lead])
         means = [part.mean() * 68.8 / 8.64e7 for part in np.split(rates, parts)]
         assert list(forecast.evapotranspiration(tick)) == pytest.approx(means, rel=1e-9)
 
@@ -144,6 +150,128 @@ def test_perfect_forecast_is_the_series(tau: float) -> None:
             ahead[0] = -1.0
     hourly = make_forecast(weather, series, site, start, 6.0, ForecastChoice())
     assert forecast.issued(0) is hourly.issued(0) is None  # exact knowledge has no issue
+
+
+# --- what is measured now, and the forecast's own values ------------------------------------------
+
+# It has been dry since 06:00, and 30 mm/h fall from 12:45 to 14:00. At 06:00, UTC, 0.4, 0.8 and
+# 1.2 mm/h were forecast from 12:00, 13:00 and 14:00 on; at 13:00, 2.0 and 3.0 mm/h. A second member
+# has ten times as much rain. 2 mm/day evaporate; 4 mm/day were forecast.
+BY_MINUTE = np.zeros((24, 60))
+BY_MINUTE[12, 45:] = BY_MINUTE[13] = 30.0
+DAY = replace(weather_of(BY_MINUTE.mean(axis=1)), minutes=BY_MINUTE)
+ISSUES = [
+    IssuedForecast(
+        MIDNIGHT + hour * HOUR, Path("archive.csv"), None, np.outer((1.0, 10.0), rain),
+        np.full(len(rain), 4.0),
+    )
+    for hour, rain in ((6, [0.1] * 6 + [0.4, 0.8, 1.2] + [0.1] * 9), (13, [2.0, 3.0] + [0.1] * 9))
+]
+
+# Of each: tick (s), horizon (h; 0 for steps of a tick), the time, the number of steps that have the
+# weather of the tick, its rain (mm/h) by minutes and by hours, and the forecast's own values. The
+# steps of an hour end after 10, 20, ... 60, 90, 120, 180, 240, 300, 600, 900, 1200, 2100, 3000 and
+# 3600 s.
+PRESENTS: dict[str, tuple[float, float, str, int, float, float, list[float]]] = {
+    "five past twelve": (1, 1, "12:05", 1, 0, 7.5, [0.4] * 15 + [0.6]),
+    "an hour's first second": (1, 1, "12:00", 1, 0, 7.5, [0.4] * 16),
+    "the storm has begun": (1, 1, "12:50", 1, 30, 7.5, [0.4] * 11 + [0.8] * 5),
+    "the first step is in two hours": (1, 1, "12:59:53", 1, 30, 7.5, [0.8] * 16),
+    "the second step is in two hours": (1, 1, "12:59:45", 1, 30, 7.5, [0.6] + [0.8] * 15),
+    "a new issue": (1, 1, "13:00", 1, 30, 30, [2.0] * 16),
+    "the rain is over": (1, 1, "14:00", 1, 0, 0, [3.0] * 16),
+    "steps of a tick": (7, 0, "12:05", 1, 0, 7.5, [0.4] * 9),
+    "a tick in two hours": (7, 0, "12:59:57", 1, 30, 7.5, [0.8] * 9),
+    "a tick and the next in two hours": (
+        20, 0, "12:59:28", 1, 30, 7.5, [0.4 * 12 / 20 + 0.8 * 8 / 20] + [0.8] * 8
+    ),
+    "a tick of a minute": (60, 1, "12:05", 6, 0, 7.5, [0.4] * 10 + [0.6]),
+    "a long tick in two hours": (600, 1, "12:55", 12, 30, 7.5, [0.8] * 5),
+    "a tick of an hour": (3600, 1, "12:00", 17, 7.5, 7.5, []),
+    "half of an hour's tick in the next hour": (3600, 1, "12:30", 17, 22.5, 7.5, []),
+    "the first hour": (1, 1, "06:00", 1, 0, 0, [0.1] * 16),
+}
+
+
+@pytest.mark.parametrize("records", ["minutes", "hours"])
+@pytest.mark.parametrize("name", PRESENTS)
+def test_the_rest_of_the_hour_is_forecast(name: str, records: str) -> None:
+    """What is measured now comes first; everything else is as issued, worked out by hand.
+
+    It is the same for both members, and no matter when the run began.
+    """
+    tau, horizon, time, held, by_minutes, by_hours, own = PRESENTS[name]
+    now = by_minutes if records == "minutes" else by_hours
+    weather = DAY if records == "minutes" else replace(DAY, minutes=None)
+    site = site_with(tau=float(tau))
+    moment = datetime.fromisoformat(f"2021-07-07T{time}+00:00")
+    earlier = int((moment - ISSUES[0].issued).total_seconds() // tau)
+    for tick in (0, earlier):
+        start = moment - timedelta(seconds=tau * tick)
+        series = WeatherSeries(weather, site, start, tick + 1)
+        forecast = SteppedForecast(
+            FileModel(archive_of(*ISSUES), weather, True), weather, series, site, start,
+            growing_steps(horizon) if horizon else tau * np.arange(site.M + 1.0), True,
+        )
+        rain = np.asarray(forecast.precipitation(tick))
+        assert (rain[:, 0] == series.precipitation[tick]).all()
+        for member, factor in zip(3.6e6 * rain, (1, 10), strict=True):
+            expected = [now] * held + [factor * rate for rate in own]
+            assert member == pytest.approx(expected, abs=1e-9)
+        dried = forecast.evapotranspiration(tick)
+        assert dried[0] == series.evapotranspiration[tick]
+        expected = [2.0] * held + [4.0] * len(own)
+        assert np.array(dried) / 68.8 * 8.64e7 == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("model", ["errors", "ensemble"])
+@pytest.mark.parametrize("records", ["minutes", "hours"])
+def test_what_is_not_yet_recorded_is_not_forecast_without_skill(model: str, records: str) -> None:
+    """Whatever falls after 12:05: the same to the last bit, if the skill is none."""
+    at_noon = []
+    for rain in (BY_MINUTE, np.zeros((24, 60))):
+        weather = replace(weather_of(rain.mean(axis=1)), minutes=rain)
+        if records == "hours":
+            # The hour in which it is counts as measured.
+            rain = np.where(np.arange(24)[:, None] < 13, BY_MINUTE, rain)
+            weather = weather_of(rain.mean(axis=1))
+        start = MIDNIGHT.replace(hour=12, minute=5)
+        series = WeatherSeries(weather, PAPER_SITE, start, 60)
+        choice = ForecastChoice(model, skill="none", members=5)
+        forecast = make_forecast(
+            weather, series, PAPER_SITE, start, 6.0, choice, model == "ensemble"
+        )
+        at_noon.append(both(forecast, 0))
+    assert at_noon[0] == at_noon[1]
+
+
+def test_a_perfect_forecast_is_the_record() -> None:
+    """At 12:05, 7.5 mm/h in the rest of the hour and 30 mm/h in the next."""
+    weather, start = replace(DAY, minutes=None), MIDNIGHT.replace(hour=12, minute=5)
+    series = WeatherSeries(weather, PAPER_SITE, start, 60)
+    forecast = make_forecast(weather, series, PAPER_SITE, start, 1.0, ForecastChoice())
+    rain = 3.6e6 * np.array(forecast.precipitation(0))
+    assert rain == pytest.approx([7.5] * 16 + [(7.5 + 30) / 2])
+
+
+def test_each_forecast_is_made_once() -> None:
+    """Nothing is forecast before the run, and one forecast is made in each of its hours."""
+
+    class Counted(ErrorModel):
+        made: ClassVar[list[int]] = []
+
+        def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
+            self.made.append(hour)
+            return super().forecast(hour, hours)
+
+    site, weather = site_with(tau=600.0), drawn(60)
+    series = WeatherSeries(weather, site, MIDNIGHT, 6 * 24)
+    model = Counted(weather, 1, read_skill("real"))
+    forecast = SteppedForecast(model, weather, series, site, MIDNIGHT, growing_steps(24.0))
+    assert not model.made
+    for tick in range(6 * 24):
+        both(forecast, tick)
+    assert model.made == list(range(24))
 
 
 # --- issues ------------------------------------------------------------------------------------
@@ -235,9 +363,13 @@ def test_read_back(tmp_path: Path) -> None:
     rain, evapotranspiration = model.forecast(2, 4)
     assert rain.tolist() == [[0.5, 2.5, 0.0, 0.0]]
     assert evapotranspiration.tolist() == [1.0, 2.0, 2.0, 2.0]
-    start, steps = MIDNIGHT.replace(hour=2), 5 * 3600
-    run = SteppedForecast(model, weather, PAPER_SITE, start, growing_steps(1.0), steps)
-    assert run.repeats_from == MIDNIGHT.replace(hour=4)  # the earliest of all ticks
+
+    def run(start: datetime) -> SteppedForecast:
+        series = WeatherSeries(weather, PAPER_SITE, start, 5 * 3600)
+        return SteppedForecast(model, weather, series, PAPER_SITE, start, growing_steps(1.0))
+
+    assert run(first.issued).repeats_from == MIDNIGHT.replace(hour=4)  # the earliest of all ticks
+    refusal(run, MIDNIGHT, match="before 2021-07-07T02:00.*needs one at 2021-07-07T00:00")
 
 
 @pytest.mark.parametrize("evaporates", [True, False])

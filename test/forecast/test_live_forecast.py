@@ -70,21 +70,49 @@ def test_forecasts_that_repeat(file: Path) -> None:
 def test_the_present_hour_and_the_look_ahead(file: Path) -> None:
     """At 07:59:57 three of the ten seconds are in the second hour, the rest in the third.
 
-    A gauge's reading stands for the rest of the present hour. 3.6 mm/h are 1e-6 m/s; 3 and 4 mm/day
-    from 68.8 m2 are 2.3889e-6 and 3.1852e-6 m3/s.
+    A gauge's reading stands for the present second. 3.6 mm/h are 1e-6 m/s; 3 and 4 mm/day from 68.8
+    m2 are 2.3889e-6 and 3.1852e-6 m3/s.
     """
     write(file, SIX, [0.0, 3.6, 7.2, 0.0])
     now = SIX + timedelta(hours=1, minutes=59, seconds=57)
     for read, rain_now in ((None, 1e-6), (5e-6, 5e-6)):
         outlook = live(file).at(now, observed_rain=read)
         assert outlook.issued == SIX
-        assert np.array(outlook.rain) == pytest.approx([rain_now] * 3 + [2e-6] * 7)
+        assert np.array(outlook.rain) == pytest.approx([rain_now] + [1e-6] * 2 + [2e-6] * 7)
         assert np.array(outlook.evapotranspiration) == pytest.approx(
             [2.38889e-6] * 3 + [3.18519e-6] * 7, rel=1e-5
         )
         assert outlook.rain_now == pytest.approx(rain_now)
         assert outlook.evapotranspiration_now == pytest.approx(2.38889e-6, rel=1e-5)
         assert outlook.temperature == 14.0
+
+
+@pytest.mark.parametrize("read", [None, 0.0, 30.0])
+def test_the_rest_of_the_hour_is_forecast(file: Path, read: float | None) -> None:
+    """At 12:05 and at 12:59:55 a gauge tells what falls now (mm/h), and nothing about later.
+
+    It holds for the first 10 s, or for a tick of a minute. After it comes what is forecast: 0.4 and
+    0.8 mm/h in two hours, or ten times as much by a second member. Without a gauge, it comes first.
+    """
+    site = replace(PAPER_SITE, tau=60.0)
+    rain, noon = np.outer((1.0, 10.0), (0.4, 0.8)), SIX.replace(hour=12)
+    issue = IssuedForecast(noon, file, None, rain, np.full(2, 4.0))
+    five = timedelta(minutes=5)
+    for at, moment, held, own in (
+        (PAPER_SITE, noon + five, 1, [0.4] * 15 + [0.6]),
+        (site, noon + five, 6, [0.4] * 10 + [0.6]),
+        (PAPER_SITE, noon + timedelta(minutes=59, seconds=55), 1, [0.8] * 16),
+    ):
+        forecasts = LiveForecast(at, 1.0, 7200.0, all_members=True)
+        forecasts.issues = [issue]
+        outlook = forecasts.at(moment, None if read is None else read / 3.6e6)
+        for member, factor in zip(3.6e6 * np.asarray(outlook.rain), (1, 10), strict=True):
+            mean = factor * (0.4 if moment == noon + five else 0.6)
+            now = [mean if read is None else read] * held
+            assert member == pytest.approx([*now, *(factor * rate for rate in own)], abs=1e-9)
+        assert outlook.rain_now * 3.6e6 == pytest.approx(0.4 if read is None else read)
+        dried = np.array(outlook.evapotranspiration) / 68.8 * 8.64e7
+        assert dried == pytest.approx([4.0] * 17)
 
 
 @pytest.mark.parametrize(

@@ -314,7 +314,10 @@ def test_peaks_of_a_measured_roof(tmp_path: Path, begin: str) -> None:
 
 
 def test_forecasts_are_of_hours_and_the_present_rain_is_what_falls(tmp_path: Path) -> None:
-    """At 01:25 it pours, 72 mm/h of 12 mm in that hour; its rest is known by the mean."""
+    """At 01:25 it pours, 72 mm/h of 12 mm in that hour; its rest is known by the mean.
+
+    What falls now falls for the tick of a minute, which is the first six steps.
+    """
     rows = [
         Row(FIRST + timedelta(minutes=10 * row), 600.0, 12.0 * (row == 8)) for row in range(360)
     ]
@@ -325,13 +328,13 @@ def test_forecasts_are_of_hours_and_the_present_rain_is_what_falls(tmp_path: Pat
     forecast = make_forecast(weather, series, site, FIRST, 24.0, choose("perfect"))
     for minute, now in ((85, 72.0), (91, 0.0)):
         rain = 3.6e6 * np.array(forecast.precipitation(minute))
-        assert rain[:3] == pytest.approx([now, 12.0, 12.0])
+        assert rain[:8] == pytest.approx([*[now] * 6, 12.0, 12.0])
     hourly = complete_records(replace(records, minutes=None), SITE)
     plain = make_forecast(
         hourly, WeatherSeries(hourly, site, FIRST, 60 * 10), site, FIRST, 24.0, choose("perfect")
     )
     for minute in (0, 85, 91, 300):
-        assert forecast.precipitation(minute)[1:] == plain.precipitation(minute)[1:]
+        assert forecast.precipitation(minute)[6:] == plain.precipitation(minute)[6:]
         assert forecast.evapotranspiration(minute) == plain.evapotranspiration(minute)
 
 
