@@ -467,7 +467,8 @@ def _make_block(skill: Skill, reach: int, leads: NDArray[np.intp]) -> _Filters:
     hours = 4 * reach  # a circle large enough that its two sides do not meet
     power = skill.climate.spectrum(hours)
     frequencies = np.arange(2 * reach + 1) / hours
-    coherence = skill.coherence(leads.astype(np.float64), frequencies)
+    # At the start of the hour of issue, the rest of that hour is not known: its middle counts.
+    coherence = skill.coherence(np.maximum(leads, 0.5), frequencies)
     common = weights(np.sqrt((coherence - coherence**2) * power))
     own = weights(np.sqrt((1 - coherence) * power))
     # The mean over the circle; all frequencies but the first and last count twice.

@@ -44,7 +44,7 @@ SKILLS = {
     "much_better": 0.25, "better": 0.5, REAL: 1.0, "worse": 2.0, "much_worse": 4.0,
     "none": math.inf,
 }
-# The reach of forecasts that know nothing about the next hour (h).
+# The reach of forecasts that know nothing about any hour (h).
 _NO_REACH = 1e-6
 
 
@@ -143,8 +143,8 @@ class Skill:
     def times_lead(self, factor: float) -> Skill:
         """Return a skill whose errors at lead time l are those of this skill at ``factor`` times l.
 
-        With an infinite factor, only the climate is known from the next hour on, and it rains at
-        random times, with the frequency given by the climate.
+        With an infinite factor, only the climate is known, and it rains at random times, with the
+        frequency given by the climate.
         """
         errors = replace(self.errors, reach=_NO_REACH, timing=0.0, wetness=0.0, amount=1.0)
         if math.isfinite(factor):

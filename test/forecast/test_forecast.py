@@ -224,9 +224,12 @@ def test_the_rest_of_the_hour_is_forecast(name: str, records: str) -> None:
         assert np.array(dried) / 68.8 * 8.64e7 == pytest.approx(expected)
 
 
+@pytest.mark.parametrize("delay", [None, 0.0])  # with 0 h, the hour is the one of the issue
 @pytest.mark.parametrize("model", ["errors", "ensemble"])
 @pytest.mark.parametrize("records", ["minutes", "hours"])
-def test_what_is_not_yet_recorded_is_not_forecast_without_skill(model: str, records: str) -> None:
+def test_what_is_not_yet_recorded_is_not_forecast_without_skill(
+    model: str, records: str, delay: float | None
+) -> None:
     """Whatever falls after 12:05: the same to the last bit, if the skill is none."""
     at_noon = []
     for rain in (BY_MINUTE, np.zeros((24, 60))):
@@ -237,7 +240,7 @@ def test_what_is_not_yet_recorded_is_not_forecast_without_skill(model: str, reco
             weather = weather_of(rain.mean(axis=1))
         start = MIDNIGHT.replace(hour=12, minute=5)
         series = WeatherSeries(weather, PAPER_SITE, start, 60)
-        choice = ForecastChoice(model, skill="none", members=5)
+        choice = ForecastChoice(model, skill="none", members=5, delay=delay)
         forecast = make_forecast(
             weather, series, PAPER_SITE, start, 6.0, choice, model == "ensemble"
         )
