@@ -125,6 +125,7 @@ class LiveForecast:
         assert evapotranspiration is not None  # an issue without it is rejected
         forecast = HourForecast(
             issue.issued, rain, evapotranspiration, self._site, self._ends,
+            observed_rain is not None,
             math.nan if issue.temperature is None else float(issue.temperature[present]),
         )
         return forecast.at(since, self._all_members, observed_rain)

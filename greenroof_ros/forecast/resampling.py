@@ -67,7 +67,7 @@ class HourForecast:
 
     def __init__(
         self, issued: datetime | None, rain: Array, evapotranspiration: Array, site: Site,
-        ends: Array, temperature: float = math.nan,
+        ends: Array, measured: bool, temperature: float = math.nan,
     ) -> None:
         """Set the forecast.
 
@@ -77,6 +77,7 @@ class HourForecast:
             evapotranspiration: evapotranspiration (mm/day), shape (hours,).
             site: site, which provides the tick, and the bed area used to convert depths to volumes.
             ends: boundaries of the steps; see :func:`look_ahead_ends`.
+            measured: whether the current rain is measured.
             temperature: air temperature; see :class:`Outlook`.
         """
         self._issued, self._temperature = issued, temperature
@@ -86,9 +87,10 @@ class HourForecast:
         # The totals at the start of every hour.
         self._sums = np.zeros_like(rates)
         np.cumsum(rates[:, :-1] * _HOUR_S, axis=1, out=self._sums[:, 1:])
-        self._ends, self._lengths = ends, np.diff(ends)
-        # The time for which measured values hold (s).
-        self._hold = max(site.tau, float(ends[1]))
+        # The current values hold for a share of every step; the ends of its other part.
+        hold = max(site.tau, float(ends[1])) if measured else 0.0
+        self._ends, self._lengths = np.maximum(ends, hold), np.diff(ends)
+        self._held = np.diff(np.minimum(ends, hold)) / self._lengths
         # The lines; the interval (s since the start of the first hour) and the measured values for
         # which they are valid; and the current values.
         self._from = self._until = math.inf
@@ -128,21 +130,20 @@ class HourForecast:
             self._now[:-1] = rain
         if evapotranspiration is not None:
             self._now[-1] = evapotranspiration
-        hold = 0.0 if rain is None else self._hold
-        held = np.diff(np.minimum(self._ends, hold)) / self._lengths  # share of every step
-        ends = np.maximum(self._ends, hold)  # boundaries of the other parts
+        ends = since + self._ends
         # The last step may end with the last hour.
-        index = np.minimum((since + ends) // _HOUR_S, self._rates.shape[1] - 1).astype(np.intp)
+        index = np.minimum(ends // _HOUR_S, self._rates.shape[1] - 1).astype(np.intp)
         begins = index * _HOUR_S
         # Selecting columns in numpy reverses the memory order, and with it the order of summation:
         # sums over members would differ in the last bit from sums of the same values received in a
         # message.
-        rates = np.ascontiguousarray(self._rates[:, index])
-        cumulative = np.ascontiguousarray(self._sums[:, index]) + rates * (ends - begins)
-        self._first = np.diff(cumulative) / self._lengths + held * self._now
-        self._slope = np.diff(rates) / self._lengths
+        at_ends = np.ascontiguousarray(self._rates[:, index])
+        cumulative = np.ascontiguousarray(self._sums[:, index]) + at_ends * (self._ends - begins)
+        self._first = (cumulative[:, 1:] - cumulative[:, :-1]) / self._lengths
+        self._first += self._held * self._now
+        self._slope = (at_ends[:, 1:] - at_ends[:, :-1]) / self._lengths
         self._from = since
-        self._until = float((begins + _HOUR_S - ends).min()) - _ROUNDING_S
+        self._until = since + float((begins + _HOUR_S - ends).min()) - _ROUNDING_S
 
 
 class PerfectForecast:
@@ -259,7 +260,7 @@ class SteppedForecast:
         """Return the latest forecast in an hour."""
         rain, evapotranspiration = self._model.forecast(hour, self._hours(hour))
         return HourForecast(
-            self._model.issued(hour), rain, evapotranspiration, self._site, self._ends
+            self._model.issued(hour), rain, evapotranspiration, self._site, self._ends, True
         )
 
 
