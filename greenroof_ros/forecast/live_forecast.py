@@ -123,12 +123,12 @@ class LiveForecast:
         rain[:, : there.shape[1]] = there
         evapotranspiration = issue.evapotranspiration_at(ahead)
         assert evapotranspiration is not None  # an issue without it is rejected
+        measured = () if observed_rain is None else (observed_rain,)
         forecast = HourForecast(
-            issue.issued, rain, evapotranspiration, self._site, self._ends,
-            observed_rain is not None,
+            issue.issued, rain, evapotranspiration, self._site, self._ends, bool(measured),
             math.nan if issue.temperature is None else float(issue.temperature[present]),
         )
-        return forecast.at(since, self._all_members, observed_rain)
+        return forecast.at(since, self._all_members, measured)
 
     def repetition(self, now: datetime) -> str:
         """Return a note if the forecasts have not changed for a day; otherwise an empty string.

@@ -92,27 +92,22 @@ class HourForecast:
         self._ends, self._lengths = np.maximum(ends, hold), np.diff(ends)
         self._held = np.diff(np.minimum(ends, hold)) / self._lengths
         # The lines; the interval (s since the start of the first hour) and the measured values for
-        # which they are valid; and the current values.
+        # which they are valid; and the current values of all rows.
         self._from = self._until = math.inf
-        self._measured: tuple[float | None, float | None] = None, None
+        self._measured: tuple[float, ...] = ()
         self._first = self._slope = self._now = np.empty(0)
 
-    def at(
-        self, since: float, all_members: bool, rain: float | None = None,
-        evapotranspiration: float | None = None,
-    ) -> Outlook:
+    def at(self, since: float, all_members: bool, measured: tuple[float, ...]) -> Outlook:
         """Return the outlook at a given time.
 
         Args:
             since: time since the start of the current hour (s).
             all_members: whether to return the rain of all members, or of the first member only.
-            rain: measured current rain (m/s); None if unknown.
-            evapotranspiration: measured current evapotranspiration of the whole bed (m3/s); None if
-                unknown.
+            measured: the current values that are measured: none, or the rain (m/s), or the rain and
+                the evapotranspiration of the whole bed (m3/s).
         """
-        measured = rain, evapotranspiration
         if measured != self._measured or not self._from <= since < self._until:
-            self._draw_lines(since, *measured)
+            self._draw_lines(since, measured)
         # No mean is negative, but rounding can make one so at the end of a line.
         means = np.maximum(self._first + self._slope * since, 0.0)
         return Outlook(
@@ -121,15 +116,10 @@ class HourForecast:
             self._issued, self._temperature,
         )
 
-    def _draw_lines(
-        self, since: float, rain: float | None, evapotranspiration: float | None
-    ) -> None:
-        self._measured = rain, evapotranspiration
-        self._now = self._rates[:, :1].copy()
-        if rain is not None:
-            self._now[:-1] = rain
-        if evapotranspiration is not None:
-            self._now[-1] = evapotranspiration
+    def _draw_lines(self, since: float, measured: tuple[float, ...]) -> None:
+        self._measured, self._now = measured, self._rates[:, :1].copy()
+        for rows, value in zip((slice(-1), slice(-1, None)), measured, strict=False):
+            self._now[rows] = value
         ends = since + self._ends
         # The last step may end with the last hour.
         index = np.minimum(ends // _HOUR_S, self._rates.shape[1] - 1).astype(np.intp)
@@ -246,10 +236,8 @@ class SteppedForecast:
     def _outlook(self, tick: int) -> Outlook:
         time = self._offset + tick * self._site.tau
         hour = int(time // _HOUR_S)
-        return self._hour_forecast(hour).at(
-            time - hour * _HOUR_S, self._all_members, self._series.precipitation[tick],
-            self._series.evapotranspiration[tick],
-        )
+        measured = self._series.precipitation[tick], self._series.evapotranspiration[tick]
+        return self._hour_forecast(hour).at(time - hour * _HOUR_S, self._all_members, measured)
 
     def _hours(self, hour: int) -> int:
         """Return the number of hours that the ticks in an hour need, including that hour."""
