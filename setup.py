@@ -9,6 +9,9 @@ from setuptools import find_packages, setup
 NAME = "greenroof_ros"
 SHARE = Path("share") / NAME
 
+# Compiles the plant where there is much to do: seasons, studies, sizes, districts and environments.
+# It takes 200 MB, and nodes do not need it. 0.68 is the oldest that was tried.
+NUMBA = "numba>=0.68,<1"
 # What ``ros2 run greenroof_ros NAME`` starts in a workspace, besides ``greenroof``.
 NODES = {
     **{name: f"nodes.{name}" for name in ("plant", "weather", "controller", "recorder")},
@@ -107,6 +110,7 @@ setup(
         "mqtt": ["paho-mqtt>=2.1,<3"],  # Eclipse's own client; 2 names the reasons of failures
         # Studies of many runs, and reports with figures; neither needs a ROS.
         "study": [
+            NUMBA,
             "polars>=1.33,<3",  # trajectories as parquet; from 1.33 on it takes metadata
             "rosbags>=0.11,<1",  # reads any bag, of any storage
             "altair>=6,<7",  # figures: one description for page, PNG and SVG
@@ -122,7 +126,8 @@ setup(
         # The graph for Foxglove and Lichtblick: their protocol, from its makers.
         "foxglove": ["foxglove-sdk>=0.30,<0.31"],  # its minor releases change the interface
         "dask": ["distributed>=2024.1"],  # study, district --scheduler: more than one machine
-        "gym": ["gymnasium>=1,<2"],  # the environment GreenRoof-v1, for reinforcement learning
+        # The environments GreenRoof-v1 and GreenRoofVector-v1, for reinforcement learning.
+        "gym": ["gymnasium>=1,<2", NUMBA],
         "test": [
             # With 9.2, pytest-xdist 3.8 keeps no group together: fixtures are made once a worker.
             "pytest>=8,<9.2",

@@ -51,7 +51,7 @@ from greenroof_ros.common.conditions import (
 )
 from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.interface import Topic, read_topics
-from greenroof_ros.common.parameter import Key, Parameter, Word, keys
+from greenroof_ros.common.parameter import Key, Parameter, Word, keys, parameters_of
 from greenroof_ros.controllers.outlet import PARAMETERS
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.forecast.skill import Climate, Errors
@@ -60,8 +60,9 @@ from greenroof_ros.live.devices import drive_file, relay_file, sensor_file
 from greenroof_ros.live.pumping.limits import pump_parameters
 from greenroof_ros.physics.storm_water import Event
 from greenroof_ros.results.metrics import METRICS
-from greenroof_ros.site.plain_keys import PLAIN, SUBSTRATES, determined_by
-from greenroof_ros.site.site import read_site, site_parameters
+from greenroof_ros.site.file import read_site
+from greenroof_ros.site.plain_keys import DETERMINES, PLAIN, SUBSTRATES
+from greenroof_ros.site.site import Site
 
 _BLOCK = re.compile(
     r"(?<=<!-- table: )(?P<name>[a-z_ ]+)(?P<gap> -->\n)(?P<table>.*?)(?=<!-- end of table -->)",
@@ -270,7 +271,7 @@ def site() -> str:
                 "" if entry.default is None else f"The default is {number(entry.default)}",
             ),
         )
-        for entry in site_parameters()
+        for entry in parameters_of(Site)
     )
 
 
@@ -282,7 +283,7 @@ def plain_keys() -> str:
         return " ".join(filter(None, (usual, entry.unit))) or "name"
 
     return entries(
-        (f"`{name}`", kind(entry), f"{entry.meaning}; determines {', '.join(determined_by(name))}")
+        (f"`{name}`", kind(entry), f"{entry.meaning}; determines {', '.join(DETERMINES[name])}")
         for name, entry in PLAIN.items()
     )
 
@@ -292,8 +293,8 @@ def substrates() -> str:
     return markdown(
         ("`substrate`", "field capacity", "wilting point", "layer (mm)", "source"),
         (
-            (f"`{name}`", f"{each.field_capacity:g}", f"{each.wilting_point:g}",
-             f"{1000 * each.drainage_storage:g}", each.about)
+            (f"`{name}`", f"{each['field_capacity']:g}", f"{each['wilting_point']:g}",
+             f"{1000 * each['drainage_storage']:g}", each["about"])
             for name, each in SUBSTRATES.items()
         ),
     )

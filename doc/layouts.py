@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.interface import Display, read_topics
-from greenroof_ros.site.site import read_site
+from greenroof_ros.site.file import read_site
 
 
 @dataclass(frozen=True)

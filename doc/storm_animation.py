@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import greenroof_ros as gr
-from greenroof_ros.physics.storm_water import Intervals, find_wet_weather
+from greenroof_ros.physics.storm_water import HOUR_S, is_wet
+from greenroof_ros.simulation.season import SeasonWeather
 
 Values = NDArray[np.float64]
 
@@ -143,9 +144,10 @@ def _cumulated_wet_discharge(run: gr.Result) -> Values:
     """Return what has reached the sewer in wet weather until each tick (m3)."""
     site, ticks = run.run.site, run.ticks
     flow = ticks.outflow + (1 - site.drainage_to_cistern) * ticks.drainage
-    intervals = Intervals(site.tau, site.tau * ticks.precipitation, site.tau * flow)
-    wet = np.where(find_wet_weather(site.wet_after, intervals), intervals.discharge, 0.0)
-    return np.asarray(np.cumsum(wet) - wet)
+    dry = SeasonWeather.of_run(run.run, 1.0).without_rain
+    wet = [is_wet(without_rain, site.tau, site.wet_after * HOUR_S) for without_rain in dry]
+    volumes = np.where(wet, site.tau * flow, 0.0)
+    return np.asarray(np.cumsum(volumes) - volumes)
 
 
 def _timeline(run: gr.Result, keyframes: _Keyframes, width: float, bottom: float) -> str:

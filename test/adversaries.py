@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.forecast.resampling import SteppedForecast
+from greenroof_ros.simulation.inputs import find_needs
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.site.horizon import growing_steps
+from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.weather.series import Weather
 
 Array = NDArray[np.float64]
@@ -57,9 +58,11 @@ class Adversary:
         """Return None: this is not a record that repeats."""
 
 
-def with_forecasts(run: Run, kind: str, horizon: float) -> Run:
-    """Return a run whose controller, with this horizon (h), gets false forecasts."""
+def with_forecasts(run: Run, kind: str) -> Run:
+    """Return a run whose controller and valve get false forecasts."""
+    all_members, outlet_horizon = find_needs(run.controller, run.parameters)
+    ends = look_ahead_ends(run.site, run.parameters.get("horizon", 0.0), outlet_horizon)
     return replace(run, forecast=SteppedForecast(
-        Adversary(kind, run.weather), run.weather, run.series, run.site, run.start,
-        growing_steps(horizon), run.controller.ensemble,
+        Adversary(kind, run.weather), run.weather, run.series, run.site, run.start, ends,
+        all_members,
     ))

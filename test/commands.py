@@ -31,10 +31,10 @@ from typing import Any
 from places import words_of
 
 _ROOMS = (
-    "common", "controllers", "experiment", "live.pumping", "live.devices", "recording",
-    "live.simulators", "watch", "analysis.report", "analysis.workers", "analysis.study",
-    "analysis.sizing", "analysis.district", "analysis.calibration", "analysis.verification",
-    "graph", "bringup", "nodes", "live",
+    "common", "controllers", "physics", "results", "simulation", "live.pumping", "live.devices",
+    "recording", "live.simulators", "watch", "analysis.report", "analysis.workers",
+    "analysis.study", "analysis.sizing", "analysis.district", "analysis.calibration",
+    "analysis.verification", "graph", "bringup", "nodes", "live",
 )
 _OF_ROS = ("graph", "bringup", "nodes", "live")
 _LIMIT_S = 900

@@ -7,9 +7,10 @@ also takes complex numbers, so its derivatives come from complex steps instead o
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +21,19 @@ from places import CONFIG
 
 from greenroof_ros.common.command_line import Parser
 from greenroof_ros.controllers.lookahead import Lookahead
-from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.forecast.resampling import PerfectForecast
-from greenroof_ros.results.metrics import Metrics
+from greenroof_ros.controllers.registry import ControllerChoice, find_controller
+from greenroof_ros.forecast.choice import ForecastChoice
+from greenroof_ros.forecast.resampling import make_forecast
+from greenroof_ros.physics.parameters import Flows, State, plant_parameters
+from greenroof_ros.physics.sensor_and_pump import SensorAndPump
+from greenroof_ros.physics.tick import OWN_PUMPS, step
+from greenroof_ros.physics.virtual_site import VirtualSite
+from greenroof_ros.simulation.inputs import find_needs
 from greenroof_ros.simulation.loop import Simulation
 from greenroof_ros.simulation.options import add_run_arguments, build_run
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.site.site import Site, format_site, read_site
+from greenroof_ros.site.file import format_site, read_site
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
 TABLE_I: dict[str, float] = {
@@ -47,6 +54,8 @@ VALVE: dict[str, Any] = {
 }
 """Keys of a site file: a valve takes 2.8 m3/h at a head of 1.5 m; roofs drain into the cistern."""
 
+ONOFF = find_controller("onoff")
+
 MIDNIGHT = datetime.fromisoformat("2021-07-07T00:00+00:00")
 
 _STEP = 1e-30
@@ -64,37 +73,65 @@ def weather_of(
     first: datetime = MIDNIGHT,
     **quantities: NDArray[np.float64],
 ) -> Weather:
-    """Return hours of mm/h and mm/day (a scalar for all hours, or arrays), and other quantities."""
+    """Return hours of mm/h and mm/day (a scalar for all hours, or arrays), and other quantities.
+
+    Rain of shape (hours, 60) is that of minutes.
+    """
     fallen = np.array(rain, dtype=float)
-    dry = np.array(np.broadcast_to(evapotranspiration, fallen.shape), dtype=float)
-    values = {"precipitation": fallen, "evapotranspiration": dry, **quantities}
-    return Weather((Path("drawn.csv"),), first, values, "drawn")
+    minutes = fallen if fallen.ndim > 1 else None
+    hourly = fallen if minutes is None else fallen.mean(axis=1)
+    dry = np.array(np.broadcast_to(evapotranspiration, hourly.shape), dtype=float)
+    values = {"precipitation": hourly, "evapotranspiration": dry, **quantities}
+    return Weather((Path("drawn.csv"),), first, values, "drawn", minutes=minutes)
+
+
+def run_in(
+    weather: Weather, site: Site, x1: float, x2: float, *, choice: ControllerChoice = ONOFF,
+    after_h: float = 0.0, length_h: float | None = None, **parameters: Any,
+) -> Run:
+    """Build a run, by default of plain on/off; the site can be one that no file may describe.
+
+    Args:
+        weather: its weather.
+        site: its site.
+        x1: initial volume in the cistern (m3).
+        x2: initial volume on the roof (m3).
+        choice: its controller.
+        after_h: start of the run (h since the first record).
+        length_h: length of the run (h), by default up to the end of the records; in whole ticks.
+        parameters: parameters of the controller and of the valve.
+    """
+    start = weather.first + timedelta(hours=after_h)
+    steps = max(1, int((length_h or weather.hours - after_h) * 3600 / site.tau + 1e-9))
+    series = WeatherSeries(weather, site, start, steps)
+    values = choice.complete_parameters(site, parameters)
+    forecast = make_forecast(
+        weather, series, site, start, values.get("horizon", 0.0), ForecastChoice(),
+        *find_needs(choice, values),
+    )
+    return Run(
+        weather.files[0], site, weather, series, forecast, start, steps, choice, values, "custom",
+        x1, x2,
+    )
 
 
 def run_of_hours(
     hours: Sequence[tuple[float, float, bool]], x1: float, x2: float, site: Site = SLOW,
-    steps: int | None = None, fraction: float = 1.0,
+    **given: Any,
 ) -> Run:
-    """Build a run of plain on/off over hours of weather, or over fewer steps.
+    """Build a run of plain on/off with :func:`run_in`.
 
     Args:
         hours: rain (mm/h), evapotranspiration (mm/day), and whether there is frost, of each hour.
         x1: initial volume in the cistern (m3).
         x2: initial volume on the roof (m3).
         site: its parameters; by default the paper's, with ticks of ten seconds.
-        steps: number of steps; by default all hours.
-        fraction: of on/off.
+        given: other arguments of :func:`run_in`.
     """
     first = datetime.fromisoformat("2021-07-07T00:00-05:00")
     rain, evapotranspiration, frost = (np.array(part) for part in zip(*hours, strict=True))
     weather = weather_of(rain, evapotranspiration, first, temperature=np.where(frost, -1.0, 1.0))
-    steps = steps or round(len(hours) * 3600 / site.tau)
-    series = WeatherSeries(weather, site, first, steps)
-    controller = find_controller("onoff")
-    return Run(
-        weather.files[0], site, weather, series, PerfectForecast(series, site.M), first, steps,
-        controller, {**controller.defaults(site), "fraction": fraction}, "custom", x1, x2,
-    )
+    return run_in(weather, site, x1, x2, **given)
 
 
 def site_with(**changes: float) -> Site:
@@ -134,12 +171,34 @@ def rain_scaled(run: Run, factor: float) -> Run:
     )
 
 
-def metrics_of(run: Run, controller: Any = None) -> Metrics:
+def virtual_site(x1: float, x2: float, site: Site = PAPER_SITE) -> VirtualSite:
+    """Return a site with exact sensors and pumps, and with these volumes (m3)."""
+    return VirtualSite(site, x1, x2, 0, SensorAndPump())
+
+
+def advance(
+    plant: VirtualSite, rain: float, potential: float, command: float, pumped: float = OWN_PUMPS
+) -> Flows:
+    """Let a tick of a site pass, and return its flows; see :meth:`.VirtualSite.act`."""
+    flows = plant.act(rain, potential, command, pumped)
+    plant.step()
+    return flows
+
+
+def tick_of(
+    site: Site, x1: float, x2: float, rain: float = 0.0, potential: float = 0.0,
+    command: float = 0.0, pumped: float = OWN_PUMPS,
+) -> tuple[State, Flows]:
+    """Return the state after a tick with an open outlet, and its flows; see :func:`.tick.step`."""
+    state = State(x1, x2, site.initial_layer)
+    return step(plant_parameters(site), state, rain, potential, command, 1.0, pumped)
+
+
+def metrics_of(run: Run, controller: Any = None) -> dict[str, float]:
     """Return the metrics of a run, with its own controller or with the given one."""
     simulation = Simulation(run, controller)
-    for _ in simulation.ticks():
-        pass
-    return simulation.metrics
+    deque(simulation.ticks(), maxlen=0)
+    return simulation.metrics.results(simulation.site.state)
 
 
 def deviation_of(run: Run, controller: Any = None) -> float:
@@ -156,7 +215,7 @@ def sites(draw: st.DrawFn) -> Site:
 
     z_soil, z_pump, z_H, d = between(0.05, 2), between(0, 1), between(0, 2), between(1, 40)
     return site_with(
-        a1=between(0.5, 5000), a_in=between(0.01, 5000), z_o=between(0.1, 10),
+        a1=between(0.5, 5000), a_in=between(0.01, 5000), z_o=d * between(0.01, 0.76),
         r_o=between(0.01, 1), c_d=between(0.1, 1),
         a2=between(0.5, 50000), z_soil=z_soil, z_veg=z_soil * between(0.01, 0.99),
         K=between(1e-9, 1e-3),
@@ -179,6 +238,7 @@ def field_capacity_sites(draw: st.DrawFn) -> Site:
     layer_filled = draw(st.just(0.0) | st.floats(0.0, 1.0)) if layer else 0.0
     mains = draw(st.none() | st.tuples(st.floats(0.01, 0.99), st.floats(1e-6, 1.0)))
     low = draw(st.none() | st.tuples(st.floats(0.01, 0.99), st.floats(0.001, 0.2)))
+    exponent = draw(st.sampled_from([1.0, 2.0, 10.0]) | st.floats(1.0, 10.0))
     lowest = site.suction_level
     return replace(
         site,
@@ -192,9 +252,13 @@ def field_capacity_sites(draw: st.DrawFn) -> Site:
         mains_flow=mains and mains[1],
         z_veg=z_veg, x2_star=site.a2 * z_veg, z_cap=site.a2 * site.z_soil * capacity,
         field_capacity=capacity, wilting_point=wilting, depletion_fraction=draw(st.floats(0, 0.9)),
+        percolation_exponent=exponent,
         drainage_storage=layer and layer[0], drainage_time=layer and layer[1],
         initial_layer=layer_filled * site.a2 * layer[0] if layer else 0.0,
     )
+
+
+ANY_SITE = st.just(PAPER_SITE) | sites() | field_capacity_sites()
 
 
 def exact_flows(
@@ -263,7 +327,7 @@ def smooth_rates(site: Site, x1: Any, x2: Any, u: Any, rain: Any, evaporated: An
 
 
 def _measured_rate(site: Site, x2: Any, arriving: Any, evaporated: Any) -> Any:
-    """HBV's soil routine with beta = 2, FAO-56's Eq. 84, and no water above field capacity."""
+    """HBV's soil routine, FAO-56's Eq. 84, and no water above field capacity."""
     assert site.field_capacity is not None
     assert site.wilting_point is not None
     assert site.depletion_fraction is not None
@@ -275,7 +339,7 @@ def _measured_rate(site: Site, x2: Any, arriving: Any, evaporated: Any) -> Any:
     stress = filled / (1 - site.depletion_fraction)
     stress = np.where(np.real(stress) < 1, stress, 1)
     excess = np.where(np.real(depleted) < 0, -depleted, 0) / site.tau
-    return arriving - filled**2 * arriving - stress * evaporated - excess
+    return arriving - filled**site.percolation_exponent * arriving - stress * evaporated - excess
 
 
 def linear_model(site: Site, *point: Any) -> tuple[Any, Any, Any, Any]:

@@ -14,7 +14,8 @@ from greenroof_ros.live.pumping.ledger import Ledger
 from greenroof_ros.live.pumping.limits import PumpSettings, pump_parameters
 from greenroof_ros.live.pumping.pump_control import Decision, PumpControl
 from greenroof_ros.live.pumping.pump_inputs import Observation
-from greenroof_ros.physics.plant import Plant
+from greenroof_ros.physics.parameters import State, plant_parameters
+from greenroof_ros.physics.tick import step
 from greenroof_ros.site.site import Site
 
 
@@ -29,7 +30,9 @@ class Rig:
     """Steps pump control, drive and plant; a test sets the faults.
 
     Attributes:
-        plant: the site, simulated exactly.
+        plant: parameters of the true plant.
+        x1: true volume in the cistern (m3).
+        x2: true volume on the roof (m3).
         speed: of the pump, share of the rated speed.
         change: fields of Observation to override in the next steps.
         arriving: share of the flow that reaches the roof.
@@ -56,7 +59,8 @@ class Rig:
     ) -> None:
         self.site = replace(site, tau=tau)
         self.settings = settings or settings_for(self.site)
-        self.plant = Plant(self.site, x1, x2)
+        self.plant = plant_parameters(self.site)
+        self.x1, self.x2, self._layer = x1, x2, self.site.initial_layer
         self.ledger = Ledger(file, time.time)
         self.control = PumpControl(self.site, self.settings, self.ledger, 15.0)
         self.tau = tau
@@ -82,7 +86,7 @@ class Rig:
         self, command: float | None, rain: float = 0.0, evapotranspiration: float = 0.0
     ) -> Decision:
         """Advance by a tick; rain in m/s, evapotranspiration from the bed in m3/s."""
-        cistern, roof = self.plant.levels()
+        cistern, roof = self.levels()
         errors = next(self._noise)
         observed = Observation(
             command=command, cistern_level=cistern + self.cistern_offset + errors[0],
@@ -96,12 +100,9 @@ class Rig:
         self.delivered += decision.flow * self.tau
         setpoint = decision.speed or 0.0
         true_flow = self.plant_flow(1.0 if self.contactor_stuck else self.speed)
-        flows = self.plant.flows(rain, evapotranspiration, 0.0, true_flow)
-        leaving_m3_s = self.leak + (self.leaving - 1) * flows.pump
-        arrived = flows.pump * self.arriving
-        self.plant.step(rain, flows)
-        self.plant.x1 -= leaving_m3_s * self.tau
-        self.plant.x2 += (arrived - flows.pump) * self.tau
+        pumped = self._advance(true_flow, rain, evapotranspiration)
+        self.x1 -= (self.leaving - 1) * pumped * self.tau
+        self.x2 += (self.arriving - 1) * pumped * self.tau
         if self.stuck_speed is not None:
             self.speed = self.stuck_speed
         else:
@@ -116,14 +117,26 @@ class Rig:
         for second in range(round(seconds / self.tau)):
             if second * self.tau >= runs_on:
                 self.speed = 0.0
-            self.plant.step(0.0, self.plant.flows(0.0, 0.0, 0.0, self.plant_flow(self.speed)))
-            self.plant.x1 -= self.leak * self.tau
+            self._advance(self.plant_flow(self.speed))
         self.now += seconds
         self.control.count_unseen(seconds)
 
+    def levels(self) -> tuple[float, float]:
+        """Return the true levels of the cistern and the roof (m)."""
+        return self.x1 / self.site.a1, self.x2 / self.site.a2
+
+    def _advance(self, flow: float, rain: float = 0.0, evapotranspiration: float = 0.0) -> float:
+        """Advance the plant by a tick with a pump flow; return the pumped flow (m3/s)."""
+        (self.x1, self.x2, self._layer), flows = step(
+            self.plant, State(self.x1, self.x2, self._layer), rain, evapotranspiration, 0.0, 1.0,
+            flow,
+        )
+        self.x1 -= self.leak * self.tau
+        return flows.pump
+
     def plant_flow(self, speed: float) -> float:
         """Return the pump's flow at a speed (m3/s), computed independently by the affinity laws."""
-        head = self.plant.x1 / self.site.a1 + speed**2 * self.site.c_hat - self.site.d
+        head = self.x1 / self.site.a1 + speed**2 * self.site.c_hat - self.site.d
         return self.site.b * head**0.5 if head > 0 else 0.0
 
     def run(

@@ -41,10 +41,12 @@ from greenroof_ros.live.simulators.simulated_drive import (
 )
 from greenroof_ros.live.simulators.simulated_relay import RELAYS, RelayOnBroker, SimulatedRelay
 from greenroof_ros.live.simulators.simulated_site import SimulatedSite
+from greenroof_ros.physics.parameters import State
 from greenroof_ros.physics.pump import flow_at
 from greenroof_ros.physics.start import initial_states
 from greenroof_ros.simulation.options import add_site_arguments, build_run
-from greenroof_ros.site.site import Site, read_site
+from greenroof_ros.site.file import read_site
+from greenroof_ros.site.site import Site
 
 DEVICE_ID = 247
 # Registers of the workbench. The parameter of a fault is written before the fault.
@@ -607,13 +609,15 @@ class FaultySite(SimulatedSite):
 
     def step(self, speed: float, flow: float) -> None:
         super().step(speed, flow)
-        plant, tau = self.plant, self._site.tau
+        site, tau = self.virtual_site, self._site.tau
+        x1, x2, layer = site.state
         if self.fault.name == "burst_pipe":
-            plant.x2 = max(0.0, plant.x2 - tau * self._flowing)
+            x2 = max(0.0, x2 - tau * self._flowing)
         elif self.fault.name == "leak":
-            plant.x1 = max(0.0, plant.x1 - tau * self.fault.parameter * 1e-6)
+            x1 = max(0.0, x1 - tau * self.fault.parameter * 1e-6)
+        site.state = State(x1, x2, layer)
         if self.output is not None:
-            cistern, roof = plant.levels()
+            cistern, roof = site.levels()
             print(f"{self.tick * tau:.10g},{cistern:.9g},{roof:.9g},{speed:.4f},"
                   f"{self._flowing:.9g},{self.pumped:.9g}", file=self.output, flush=True)
 
@@ -629,7 +633,7 @@ class SiteBench(Bench):
         drive: Address | None = None, output=None,
     ) -> None:
         super().__init__(workbench)
-        pump = drive and DistantPump(drive, lambda: self.site.plant.levels()[0], self.log)
+        pump = drive and DistantPump(drive, lambda: self.site.virtual_site.levels()[0], self.log)
         self.site = FaultySite(
             site, rain, evapotranspiration, volumes, sensors,
             lambda: pump.speed if pump else 0.0,

@@ -14,7 +14,9 @@ from paper import PAPER_SITE
 
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
 from greenroof_ros.formats.step_record import StepRecord
-from greenroof_ros.physics.plant import Plant, maximum_pump_flow
+from greenroof_ros.physics import tick
+from greenroof_ros.physics.parameters import State, plant_parameters
+from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import hargreaves, spread_over_day
 
@@ -81,27 +83,26 @@ def record_rows(
         site.longitude - 15 * site.utc_offset,
     )
     x2 = site.wilting_volume + FILLED_AT_FIRST * site.available_volume
-    x1, layer = 2.5 * site.a1, 0.0
-    wet, dry = (Plant(replace(site, tau=tau), x1, x2) for tau in (_TICK_S, float(STEP_S)))
+    state = State(2.5 * site.a1, x2, 0.0)
+    wet, dry = (plant_parameters(replace(site, tau=tau)) for tau in (_TICK_S, float(STEP_S)))
     pair = np.arange(len(rain)) % (4 * DAY) // 2
     command = np.where(pumping & ((pair == 40) | (pair == 60)), 0.25, 0.0)
     level, cistern, runoff = [], [], []
     for step, (fell, wanted_mm) in enumerate(zip(rain.tolist(), reference.tolist(), strict=True)):
         plant, ticks = (wet, round(STEP_S / _TICK_S)) if fell > 0 or command[step] > 0 else (dry, 1)
-        plant.x1, plant.x2, plant.layer, drained = x1, x2, layer, 0.0
-        cistern.append(plant.levels()[0])
-        level.append(plant.levels()[1])
+        drained = 0.0
+        cistern.append(state.cistern / site.a1)
+        level.append(state.roof / site.a2)
         if cistern[-1] < site.suction_level + 0.3:
             command[step] = 0.0
         for _ in range(ticks):
-            flows = plant.flows(
-                fell / 1000 / STEP_S, wanted_mm * site.crop_coefficient * site.a2 / 1000 / STEP_S,
-                0.0, float(command[step]) * maximum_pump_flow(site, plant.x1),
+            state, flows = tick.step(
+                plant, state, fell / 1000 / STEP_S,
+                wanted_mm * site.crop_coefficient * site.a2 / 1000 / STEP_S, 0.0, 1.0,
+                float(command[step]) * maximum_pump_flow(plant, state.cistern),
             )
             drained += flows.drainage * STEP_S / ticks
-            plant.step(fell / 1000 / STEP_S, flows)
         runoff.append(drained * 1000 / site.a2)
-        x1, x2, layer = plant.x1, plant.x2, plant.layer
     measured = np.array(level) + random.normal(0, NOISE_M, len(level))
     tips = np.diff(np.floor(np.concatenate(([0.0], np.cumsum(runoff))) / TIP_MM)) * TIP_MM
     missing = np.zeros(len(rain), dtype=bool)

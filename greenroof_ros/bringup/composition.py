@@ -105,8 +105,9 @@ class Composition:
             def may_end() -> bool:
                 watchdog.report()
                 check()
-                self._show()
-                return self._finished()
+                ended = self._finished()
+                self._show(ended)
+                return ended
 
             spin(list(self._nodes.values()), may_end)
 
@@ -118,9 +119,9 @@ class Composition:
             return False
         return now - self._finished_at >= (_EXTRA_S if self._external else 0.0)
 
-    def _show(self) -> None:
+    def _show(self, ended: bool) -> None:
         self._checks += 1
-        if self._checks % _SHOWN_EVERY:
+        if self._checks % _SHOWN_EVERY and not ended:
             return
         for node in self._nodes.values():
             self._progress.warn(node.warnings)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-import time
 from typing import Any
 
 from rich.console import Console
@@ -18,25 +17,30 @@ from greenroof_ros.common.command_line import (
     command,
     make_number_type,
 )
-from greenroof_ros.common.progress import INTERVAL_S, RunProgress
-from greenroof_ros.simulation.bound import BLOCK_S, NoBoundError, clairvoyant_bound
-from greenroof_ros.simulation.discharge_bound import Frontier, simulate_frontier
-from greenroof_ros.simulation.loop import Tick
+from greenroof_ros.common.progress import ProgressBar
+from greenroof_ros.common.times import hours_minutes_seconds
+from greenroof_ros.simulation.bound import (
+    BLOCK_S,
+    NoBoundError,
+    clairvoyant_bound,
+    simulate_plan,
+)
+from greenroof_ros.simulation.discharge_bound import simulate_frontier
 from greenroof_ros.simulation.options import add_site_arguments, build_run
-from greenroof_ros.simulation.plan import PlanResult, simulate_plan
 from greenroof_ros.simulation.run import Run, count_ticks
 from greenroof_ros.simulation.screen import grid, print_notes, setting_rows
 from greenroof_ros.simulation.summary import describe_setting
 
 
 def _result(
-    run: Run, max_command: float, bound_m3: float, plan: PlanResult, block_s: float
+    run: Run, max_command: float, bound_m3: float, plan: dict[str, float], block_s: float
 ) -> dict[str, Any]:
+    plan_m3 = plan["total_deviation_m3"]
     return {
         "bound_m3": bound_m3,
-        "plan_m3": plan.total_m3,
-        "gap": plan.total_m3 / bound_m3 - 1 if bound_m3 > 0 else None,
-        "pumped_m3": plan.pumped_m3,
+        "plan_m3": plan_m3,
+        "gap": plan_m3 / bound_m3 - 1 if bound_m3 > 0 else None,
+        "pumped_m3": plan["pumped_m3"],
         "max_command": max_command,
         "block_s": block_s,
         **describe_setting(run),
@@ -113,24 +117,14 @@ def _report_failure(error: NoBoundError) -> int:
     return EXIT_FAILED
 
 
-def _show_frontier(run: Run) -> Frontier:
-    """Compute the frontier of a run, and show the progress."""
-    shown = time.monotonic()
-    with RunProgress(run.steps, run.site.tau) as progress:
-        def watch(tick: Tick) -> None:
-            nonlocal shown
-            now = time.monotonic()
-            if now - shown > INTERVAL_S:
-                check_interrupts()
-                shown = now
-                progress.show_tick(tick.k, tick.cistern_level, tick.roof_level, tick.command)
-
-        return simulate_frontier(run, watch)
-
-
 def _print_frontier(run: Run, as_json: bool) -> None:
     """Print the minimum discharge in wet weather for every amount of mains water."""
-    frontier = _show_frontier(run)
+    with ProgressBar() as bar:
+        def show(share: float) -> None:
+            check_interrupts()
+            bar.show(hours_minutes_seconds(share * run.steps * run.site.tau), share)
+
+        frontier = simulate_frontier(run, progress=show)
     result = {
         **describe_setting(run), "wet_discharge_m3": frontier.wet_discharge_m3,
         "mains_m3": frontier.mains_m3, "frontier": [point._asdict() for point in frontier.points],

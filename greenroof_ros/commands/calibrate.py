@@ -14,7 +14,12 @@ from rich.table import Table
 from greenroof_ros.analysis.calibration.bag_record import read_bag_record
 from greenroof_ros.analysis.calibration.checks import check_fit, check_record
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
-from greenroof_ros.analysis.calibration.fit import Fit, complete_roof, fit, lower_target
+from greenroof_ros.analysis.calibration.fit import Fit, complete_roof, lower_target
+from greenroof_ros.analysis.calibration.percolation import (
+    EXPONENTS,
+    choose_exponent,
+    fit_exponents,
+)
 from greenroof_ros.analysis.calibration.pumps import PumpFit, fit_pumps
 from greenroof_ros.analysis.calibration.record import (
     halve_steps,
@@ -33,14 +38,15 @@ from greenroof_ros.common.errors import ConfigurationError, require_extra
 from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.progress import ProgressBar
 from greenroof_ros.formats.step_record import DAY_S, StepRecord, Steps, name_time
-from greenroof_ros.site.site import Site, read_site
+from greenroof_ros.site.file import read_site
+from greenroof_ros.site.site import Site
 
 _DESCRIPTION = """\
 Fit a site's roof parameters to a measured record: field capacity, wilting point, depletion
-fraction, drainage time and crop coefficient, as far as the record determines them. The model is
-fitted to the first half of the rain and validated on the second half. If the record contains the
-pumps' state and the cistern's level, the pump curve is fitted first, to the rate at which the
-cistern's level falls.
+fraction, drainage time and crop coefficient, as far as the record determines them, and the exponent
+of percolation, which is changed only if the validation tells it apart. The model is fitted to the
+first half of the rain and validated on the second half. If the record contains the pumps' state and
+the cistern's level, the pump curve is fitted first, to the rate at which the cistern's level falls.
 """
 _EPILOG = """\
 MEASURED is a bag recorded by this project, or a CSV file with rows at most a day apart. Empty cells
@@ -130,8 +136,10 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
         print(f"warning: {warning}", file=sys.stderr)
     halves = halve_steps(record, select_comparable(record) & counts)
     _refuse_dry(record, halves)
+    own = site.percolation_exponent
     with ProgressBar() as progress:
-        fitted = fit(site, record, halves["fit"], progress.show)
+        fits = fit_exponents(site, record, halves, progress.show, sorted({*EXPONENTS, own}))
+    fitted, of_exponents = choose_exponent(fits, own)
     fitted = fitted._replace(
         site=lower_target(fitted.site), parameters=[*fitted.parameters, *pumps.parameters]
     )
@@ -143,7 +151,7 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
         for name, series in record.measured.items() for part, steps in halves.items()
     ]
     warnings += check_fit(rows, measured)
-    notes = _list_notes(record, halves, site, fitted.site, pumps)
+    notes = [*_list_notes(record, halves, site, fitted.site, pumps), of_exponents]
     spans = {part: _name_span(record, steps) for part, steps in halves.items()}
     entries = list_fit_entries(fitted, site.z_veg)
     heading = _write_heading(measured, spans, rows, notes + warnings)

@@ -16,8 +16,8 @@ from greenroof_ros.controllers.check import check_controller
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.graph.domain import require_ros
 from greenroof_ros.simulation.options import add_output_arguments, add_run_arguments
+from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import MAX_HORIZON
-from greenroof_ros.site.site import read_site
 
 _CLASS = (
     "Check that a controller behaves as the node graph, simulate, studies and reports require: "

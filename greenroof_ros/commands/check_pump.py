@@ -10,7 +10,7 @@ from greenroof_ros.common.command_line import (
     print_check_results,
 )
 from greenroof_ros.graph.domain import require_ros
-from greenroof_ros.site.site import read_site
+from greenroof_ros.site.file import read_site
 
 _INVENTED = (
     "THE PUMP WILL RUN. The check sends invented levels and invented weather, so it would let the "

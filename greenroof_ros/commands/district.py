@@ -25,7 +25,7 @@ from greenroof_ros.common.command_line import (
 )
 from greenroof_ros.common.errors import require_extra
 from greenroof_ros.common.files import find_shipped
-from greenroof_ros.common.processes import InterruptedRun, Signals
+from greenroof_ros.common.processes import InterruptedRun, Signals, count_cores
 from greenroof_ros.common.progress import ProgressBar
 
 _DESCRIPTION = """\
@@ -64,7 +64,7 @@ def make_parser() -> Parser:
         "--weather", type=Path, metavar="DIR",
         help="look in DIR for weather files that are not next to DISTRICT.yaml",
     )
-    add_worker_arguments(parser, "parts of the district")
+    add_worker_arguments(parser, "parts of the district", "use N threads")
     parser.add_argument(
         "--swmm", action="store_true",
         help="also write the hydrographs as time series for EPA SWMM, with a drainage network "
@@ -86,12 +86,19 @@ def main() -> int:
     for note in district.notes:
         print(f"note: {note}", file=sys.stderr)
     make_directory(arguments.output)
-    signals: Signals | None = None
+    signals = Signals()  # from now on, a signal ends the run at the next report
     try:
-        with open_workers(arguments, district.files, run.PRELOADED) as workers:
-            signals = Signals()  # from now on, a signal ends the run between two results
-            with ProgressBar() as progress:
-                totals = run.simulate_district(district, workers, progress.show, signals.check)
+        with ProgressBar() as bar:
+            def report(text: str, share: float) -> None:
+                signals.check()
+                bar.show(text, share)
+
+            if arguments.scheduler is None:
+                jobs = arguments.jobs or count_cores()
+                totals = run.simulate_district(district, jobs, report)
+            else:
+                with open_workers(arguments, district.files, []) as workers:
+                    totals = run.distribute_district(district, workers, report)
     except (BrokenExecutor, InterruptedRun) as error:
         why, code = describe_end(error, signals)
         print(why, file=sys.stderr)

@@ -21,7 +21,7 @@ from greenroof_ros.forecast.service import (
     ForecastFiles,
     Service,
 )
-from greenroof_ros.site.site import read_site
+from greenroof_ros.site.file import read_site
 
 
 def make_parser() -> Parser:

@@ -26,8 +26,8 @@ from greenroof_ros.common.times import FIRST_YEAR, to_people
 from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.hourly import name_hours
 from greenroof_ros.formats.quantities import PRECIPITATION
-from greenroof_ros.site.place import format_place, measure_distance
-from greenroof_ros.site.site import read_site
+from greenroof_ros.site.file import read_site
+from greenroof_ros.site.site import format_place, measure_distance
 from greenroof_ros.weather.fetching import (
     eccc_station,
     fetch,

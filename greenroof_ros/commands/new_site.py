@@ -15,13 +15,11 @@ from zoneinfo import ZoneInfo
 
 from greenroof_ros.commands.new_site_file import (
     HEIGHT,
-    KEYS,
     LIFT,
     RATE,
     RUNOFF,
     SUBSTRATE,
     format_new_site,
-    standard_offset,
 )
 from greenroof_ros.common.command_line import (
     Parser,
@@ -33,10 +31,11 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import TextInMemory, add_path_to_errors
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.ranges import read_number
-from greenroof_ros.simulation.pump_size import note_pumps
-from greenroof_ros.site.place import format_place
+from greenroof_ros.simulation.run import note_pumps
+from greenroof_ros.site.clock import standard_offset
+from greenroof_ros.site.file import SITE_KEYS, read_site
 from greenroof_ros.site.plain_keys import SUBSTRATES
-from greenroof_ros.site.site import Site, read_site
+from greenroof_ros.site.site import Site, format_place
 
 # Options and the keys that they set: those that the command asks for, and those it can assume.
 _ASKED = {"roof": "roof_area", "catchment": "catchment_area", "cistern": "cistern_volume"}
@@ -67,7 +66,7 @@ examples:
       --valve --time-zone Europe/Berlin --output berlin.yaml
 
 substrates:
-{chr(10).join(textwrap.fill(f"{name}: {each.about}", 78, initial_indent="  ",
+{chr(10).join(textwrap.fill(f"{name}: {each['about']}", 78, initial_indent="  ",
               subsequent_indent="    ") for name, each in SUBSTRATES.items())}
 
 exit codes: 0 done, 2 bad usage or answers, 130 interrupted
@@ -146,21 +145,22 @@ def _add_option(
         key: the key.
         default: description of the default; empty if there is none.
     """
-    about = [_describe_unit(KEYS[key]), default and f"default: {default}"]
+    entry = SITE_KEYS[key]
+    about = [_describe_unit(entry), default and f"default: {default}"]
     end = "; ".join(filter(None, about))
     settings: dict[str, Any] = {"metavar": "X"}
-    if KEYS[key].among:
-        settings = {"choices": KEYS[key].among}
+    if entry.among:
+        settings = {"choices": entry.among}
     else:
         settings["type"] = _reader(key)
     group.add_argument(
-        f"--{option}", dest=key, help=KEYS[key].meaning + (f" ({end})" if end else ""), **settings
+        f"--{option}", dest=key, help=entry.meaning + (f" ({end})" if end else ""), **settings
     )
 
 
 def _reader(key: str) -> Callable[[str], float]:
     """Return a function that parses the numeric value of a key."""
-    entry = KEYS[key]
+    entry = SITE_KEYS[key]
     return make_number_type(entry.low, entry.high, int if key == "emitters" else float)
 
 
@@ -225,7 +225,7 @@ def main() -> None:
             f"no valid site file can be written from these answers: {error.wrong}"
         ) from error
     for option, key in (*_ASKED.items(), *_ASSUMED.items()):
-        _note_unusual(option, KEYS[key], getattr(arguments, key))
+        _note_unusual(option, SITE_KEYS[key], getattr(arguments, key))
     for note in (*_note_target(site), *note_pumps(site)):
         print(f"note: {note}", file=sys.stderr)
     with add_path_to_errors(output), output.open("x", encoding="utf-8") as stream:
@@ -247,7 +247,7 @@ def _ask_what_is_missing(arguments: argparse.Namespace) -> None:
         ConfigurationError: if there is no terminal, or if the input ends.
     """
     questions = [
-        *((f"--{option}", key, _reader(key), KEYS[key].meaning, _describe_unit(KEYS[key]))
+        *((f"--{option}", key, _reader(key), SITE_KEYS[key].meaning, _describe_unit(SITE_KEYS[key]))
           for option, key in _ASKED.items()),
         ("--place", "place", _read_place, "place", _PLACE_FORM),
     ]

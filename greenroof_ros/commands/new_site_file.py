@@ -9,20 +9,15 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Iterator, Mapping
-from datetime import datetime, timedelta
 from typing import Any
-from zoneinfo import ZoneInfo
 
 from greenroof_ros.common.files import default_site_file
-from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.physics.plant import EMPTIED_H, find_outlet_radius
-from greenroof_ros.site.plain_keys import LITRES_PER_HOUR, PLAIN, SUBSTRATES
-from greenroof_ros.site.site import Site, read_site, site_parameters
+from greenroof_ros.physics.cistern import EMPTIED_H, find_outlet_radius
+from greenroof_ros.site.clock import standard_offset
+from greenroof_ros.site.file import SITE_KEYS, read_site
+from greenroof_ros.site.plain_keys import LITRES_PER_HOUR, SUBSTRATES
+from greenroof_ros.site.site import Site
 
-KEYS: dict[str, Parameter] = {
-    **{parameter.name: parameter for parameter in site_parameters()}, **PLAIN,
-}
-"""keys that a site file may contain, by name"""
 HEIGHT, RUNOFF, SUBSTRATE, RATE, LIFT = 2.0, 0.9, "neubrandenburg", 3.0, 6.0
 """assumed: height of the cistern (m), runoff coefficient of the catchment (1), substrate,
 irrigation rate (mm/h) and height of the roof (m)"""
@@ -58,12 +53,6 @@ def format_new_site(
     return "\n\n".join("\n".join(part) for part in parts) + "\n"
 
 
-def standard_offset(zone: str) -> float:
-    """Return the current UTC offset of a time zone's standard time (h)."""
-    offsets = (datetime(2026, month, 15, tzinfo=ZoneInfo(zone)).utcoffset() for month in (1, 7))
-    return min(offset or timedelta() for offset in offsets) / timedelta(hours=1)
-
-
 def _line(
     given: Mapping[str, Any], key: str, assumed: Any, meaning: str, source: str = "[assumed]",
     *, active: bool = True,
@@ -90,7 +79,7 @@ def _line(
 
 
 def _unit(key: str) -> str:
-    unit = KEYS[key].unit if key in KEYS else ""
+    unit = SITE_KEYS[key].unit if key in SITE_KEYS else ""
     return {"degrees": "deg"}.get(unit, unit)
 
 
@@ -221,11 +210,11 @@ def _roof(given: Mapping[str, Any]) -> Iterator[str]:
     yield from _line(given, "roof_area", None, "green roof")
     yield from _line(
         given, "substrate", SUBSTRATE,
-        f"one of {', '.join(SUBSTRATES)}. About this substrate: {substrate.about}",
+        f"one of {', '.join(SUBSTRATES)}. About this substrate: {substrate['about']}",
     )
     yield from _line(
-        given, "substrate_depth", substrate.depth, "0.06 to 0.15 for sedum and herbs, deeper for "
-        "shrubs", "[depth in the substrate's source]",
+        given, "substrate_depth", substrate["depth"],
+        "0.06 to 0.15 for sedum and herbs, deeper for shrubs", "[depth in the substrate's source]",
     )
     yield from _line(
         given, "crop_coefficient", _CROP,
@@ -244,10 +233,10 @@ def find_target(given: Mapping[str, Any]) -> tuple[float, str]:
     the substrate can hold.
     """
     substrate = SUBSTRATES[given.get("substrate", SUBSTRATE)]
-    depth = given.get("substrate_depth", substrate.depth)
-    available = substrate.field_capacity - substrate.wilting_point
-    onset = depth * (substrate.wilting_point + (1 - substrate.depletion_fraction) * available)
-    target = min(onset + _DAY * _CROP, _MAX_FILLED * depth * substrate.field_capacity)
+    depth = given.get("substrate_depth", substrate["depth"])
+    capacity, wilting = substrate["field_capacity"], substrate["wilting_point"]
+    onset = depth * (wilting + (1 - substrate["depletion_fraction"]) * (capacity - wilting))
+    target = min(onset + _DAY * _CROP, _MAX_FILLED * depth * capacity)
     return math.floor(1e4 * target) / 1e4, (
         f"the level at which plants begin to lack water, {1000 * onset:.1f} mm, plus the demand "
         f"of a summer day, {1000 * _DAY * _CROP:.1f} mm, but at most {_MAX_FILLED:.0%} of the "

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import csv
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import timedelta
 from operator import attrgetter
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from greenroof_ros.common.command_line import (
     Parser,
@@ -19,16 +23,22 @@ from greenroof_ros.common.command_line import (
 )
 from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.progress import INTERVAL_S, RunProgress
-from greenroof_ros.recording.trajectory import CSV, columns_of
+from greenroof_ros.common.times import hours_minutes_seconds
+from greenroof_ros.controllers.onoff import OnOff
+from greenroof_ros.physics.sensor_and_pump import read_errors
+from greenroof_ros.recording.trajectory import CSV, Trajectory, columns_of
 from greenroof_ros.simulation import screen, summary
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration
-from greenroof_ros.simulation.loop import Simulation, Tick
+from greenroof_ros.simulation.loop import Simulation, Tick, simulate
 from greenroof_ros.simulation.options import (
     add_output_arguments,
     add_run_arguments,
     build_run,
 )
 from greenroof_ros.simulation.run import Run
+
+# Rows of a trajectory that are converted together.
+_ROWS = 65_536
 
 
 def make_parser() -> Parser:
@@ -68,30 +78,41 @@ def main() -> None:
     """Simulate the run that the command line describes."""
     arguments = make_parser().parse_args()
     run = build_run(arguments)
-    every = run.count_ticks_between(arguments.trajectory_every)
+    every = 0
+    if arguments.trajectory or arguments.trajectory_every:
+        every = run.count_ticks_between(arguments.trajectory_every)
     simulation = Simulation(run)  # if a controller cannot be made, there is no directory
-    directory = make_run_directory(arguments.output, run.controller.name)
-    with _described(run, simulation, directory):
+    directory, position = make_run_directory(arguments.output, run.controller.name), _At()
+    with _described(run, position, directory):
         write_configuration(directory, run, {})
         with RunProgress(run.steps, run.site.tau) as progress:
-            ticks = _paced(run, simulation.ticks(), arguments.speed, progress)
-            if arguments.trajectory or arguments.trajectory_every:
-                ticks = _written(run, ticks, every, directory / CSV)
-            for _ in ticks:
-                pass
-        result = simulation.summary()
+            if arguments.speed or run.controller.kind is not OnOff:
+                ticks = _paced(run, simulation.ticks(), arguments.speed, position, progress)
+                if every:
+                    ticks = _written(run, ticks, every, directory / CSV)
+                for _ in ticks:
+                    pass
+                result = simulation.summary()
+            else:
+                result = _simulate_at_once(run, every, directory / CSV, position, progress)
         summary.write(result, directory)
     screen.show(result, directory, as_json=arguments.json)
     check_interrupts()
 
 
+@dataclass
+class _At:
+    """The last tick that was simulated; None before the first."""
+
+    tick: int | None = None
+
+
 @contextmanager
-def _described(run: Run, simulation: Simulation, directory: Path) -> Iterator[None]:
+def _described(run: Run, position: _At, directory: Path) -> Iterator[None]:
     """Keep the summary of an unfinished run up to date: its status, and why it ended early."""
     def write(status: str, reason: str | None = None) -> None:
-        last = simulation.site.tick - 1
         summary.write(summary.make_unfinished_summary(
-            run, status, reason=reason, last_tick=last if last >= 0 else None
+            run, status, reason=reason, last_tick=position.tick
         ), directory)
 
     try:
@@ -107,11 +128,12 @@ def _described(run: Run, simulation: Simulation, directory: Path) -> Iterator[No
 
 
 def _paced(
-    run: Run, ticks: Iterator[Tick], speed: float, progress: RunProgress
+    run: Run, ticks: Iterator[Tick], speed: float, position: _At, progress: RunProgress
 ) -> Iterator[Tick]:
     """Yield the ticks, at the given speed unless it is 0, and show the progress."""
     began = shown = time.monotonic()
     for tick in ticks:
+        position.tick = tick.k
         yield tick
         now = time.monotonic()
         if speed:
@@ -124,14 +146,65 @@ def _paced(
 
 def _written(run: Run, ticks: Iterator[Tick], every: int, file: Path) -> Iterator[Tick]:
     """Yield the ticks, and write every n-th tick, and the last one, to a new file."""
-    columns = columns_of(run.site)
-    values = attrgetter(*(column.tick for column in columns))
-    with add_path_to_errors(file), file.open("x", newline="") as stream:
-        rows = csv.writer(stream)
-        rows.writerow(("time", "time_s", *(column.name for column in columns)))
+    values = attrgetter(*(column.tick for column in columns_of(run.site)))
+    with _open_trajectory(run, file) as write_row:
         for tick in ticks:
             if tick.k % every == 0 or tick.k == run.steps:
-                seconds = tick.k * run.site.tau
-                time_of = run.start + timedelta(seconds=seconds)
-                rows.writerow((time_of.isoformat(), seconds, *values(tick)))
+                write_row(tick.k * run.site.tau, values(tick))
             yield tick
+
+
+def _simulate_at_once(
+    run: Run, every: int, file: Path, position: _At, progress: RunProgress
+) -> dict[str, Any]:
+    """Simulate on/off as fast as possible, write the trajectory, and return the summary.
+
+    Args:
+        run: the run.
+        every: interval between the ticks that are written (ticks); 0 for no trajectory.
+        file: a new file for the trajectory.
+        position: position of the run, which is kept up to date.
+        progress: progress bar.
+    """
+    def show(share: float) -> None:
+        check_interrupts()
+        position.tick = round(share * (run.steps + 1)) - 1
+        progress.show(hours_minutes_seconds(position.tick * run.site.tau), share)
+
+    result, trajectory = simulate(run, every=every, progress=show)
+    if trajectory is not None:
+        _write_trajectory(run, trajectory, every, file)
+    return result
+
+
+def _write_trajectory(run: Run, trajectory: Trajectory, every: int, file: Path) -> None:
+    """Write a trajectory of every n-th tick with the readings of the sensors to a new file."""
+    site, ticks = run.site, np.minimum(every * np.arange(len(trajectory.time)), run.steps)
+    roof, errors = trajectory.roof / site.a2, read_errors(run.sensor_and_pump, run.steps + 1)
+    levels = {
+        "cistern_level": trajectory.cistern / site.a1,
+        "roof_level": np.maximum(0.0, roof + errors[ticks]) if len(errors) else roof,
+    }
+    columns = [
+        levels[column.tick] if column.tick in levels
+        else getattr(trajectory, column.attribute or column.tick) for column in columns_of(site)
+    ]
+    with _open_trajectory(run, file) as write_row:
+        for first in range(0, len(ticks), _ROWS):
+            rows = slice(first, first + _ROWS)
+            of_rows = zip(*(column[rows].tolist() for column in columns), strict=True)
+            for seconds, values in zip(trajectory.time[rows].tolist(), of_rows, strict=True):
+                write_row(seconds, values)
+
+
+@contextmanager
+def _open_trajectory(
+    run: Run, file: Path
+) -> Iterator[Callable[[float, tuple[float, ...]], None]]:
+    """Create the file of a trajectory, and yield a function that writes a row at a time (s)."""
+    with add_path_to_errors(file), file.open("x", newline="") as stream:
+        rows = csv.writer(stream)
+        rows.writerow(("time", "time_s", *(column.name for column in columns_of(run.site))))
+        yield lambda seconds, values: rows.writerow(
+            ((run.start + timedelta(seconds=seconds)).isoformat(), seconds, *values)
+        )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +14,11 @@ from rich.table import Column, Table
 from greenroof_ros.analysis.sizing.choice import KNEE
 from greenroof_ros.analysis.sizing.columns import format_per_roof, format_spread
 from greenroof_ros.analysis.sizing.designs import OUTLETS, TARGETS, VOLUMES
-from greenroof_ros.analysis.sizing.run import JOBS, KNEE_RANGE, OPTIONS, PRICES, Progress, size_site
+from greenroof_ros.analysis.sizing.run import JOBS, KNEE_RANGE, OPTIONS, PRICES, size_site
 from greenroof_ros.analysis.sizing.sizes import PAGE, TABLE, Sizes
-from greenroof_ros.analysis.workers.choice import describe_end
 from greenroof_ros.common.command_line import (
     EXIT_DONE,
+    EXIT_INTERRUPTED,
     Parser,
     add_site,
     command,
@@ -45,7 +44,7 @@ valve that the site file lacks is assumed, and the results state this.
 The output consists of sizes.html, which can be printed to PDF, sizes.csv with one row per design
 and season, and the figures as SVG and PNG.
 
-exit codes: 0 done, 1 a process was lost, 2 bad usage or configuration, 130 interrupted
+exit codes: 0 done, 2 bad usage or configuration, 130 interrupted
 
 examples:
   greenroof size --site my_site.yaml --weather 'record/*.csv' --gaps fill --output sizes
@@ -105,7 +104,7 @@ def make_parser() -> Parser:
     )
     group.add_argument(
         "--jobs", type=make_number_type(JOBS.low, JOBS.high, int), metavar="N",
-        help="run N processes in parallel (default: one per core)",
+        help="run N threads in parallel (default: one per core)",
     )
     return parser
 
@@ -121,16 +120,19 @@ def main() -> int:
     given: dict[str, Any] = {name: getattr(arguments, name) for name in OPTIONS}
     if given["jobs"] is None:
         given["jobs"] = count_cores()
-    signals = Signals()  # a signal ends the runs at the next check
+    signals = Signals()  # a signal ends the runs at the next report
     try:
-        with ProgressBar() as progress, rename_keys({name: option_of(name) for name in OPTIONS}):
-            sizes = size_site(given, Progress(progress.show, signals.check))
-            progress.show("drawing", 1.0)
+        with ProgressBar() as bar, rename_keys({name: option_of(name) for name in OPTIONS}):
+            def report(text: str, share: float) -> None:
+                signals.check()
+                bar.show(text, share)
+
+            sizes = size_site(given, report)
+            report("drawing", 1.0)
             page = sizes.save(arguments.output)
-    except (BrokenExecutor, InterruptedRun) as error:
-        why, code = describe_end(error, signals)
-        print(why, file=sys.stderr)
-        return code
+    except InterruptedRun as error:
+        print(error, file=sys.stderr)
+        return EXIT_INTERRUPTED
     show(sizes, page)
     return EXIT_DONE
 

@@ -13,12 +13,7 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from greenroof_ros.analysis.study.case import Case, collect_contents
-from greenroof_ros.analysis.study.case_run import (
-    bound_case,
-    bound_discharge,
-    group_cases,
-    run_cases,
-)
+from greenroof_ros.analysis.study.case_run import bound_case, bound_discharge, run_case
 from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.analysis.study.names import Names
 from greenroof_ros.analysis.study.store import StudyStore
@@ -29,7 +24,6 @@ from greenroof_ros.analysis.workers.choice import (
     open_workers,
 )
 from greenroof_ros.analysis.workers.processes import Workers
-from greenroof_ros.analysis.workers.progress import ShareFile
 from greenroof_ros.common.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
@@ -39,7 +33,7 @@ from greenroof_ros.common.command_line import (
     make_number_type,
 )
 from greenroof_ros.common.files import find_shipped, shared_directory
-from greenroof_ros.common.processes import InterruptedRun, Signals, scratch_directory
+from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.progress import ProgressBar
 
 _Bound: TypeAlias = tuple[Callable[[Path, Case], Any], Case, Callable[[Case, Any], None]]
@@ -95,7 +89,7 @@ def make_parser() -> Parser:
         help="look in this directory for weather files that are named in the grid but are not "
         "next to the grid file, such as the multi-year record for config/studies/seasons.yaml",
     )
-    add_worker_arguments(parser, "runs")
+    add_worker_arguments(parser, "runs", "run N runs at a time")
     trajectories = parser.add_mutually_exclusive_group()
     trajectories.add_argument(
         "--trajectory-every", type=make_number_type(0, 1e9), default=0.0, metavar="S",
@@ -104,9 +98,8 @@ def make_parser() -> Parser:
     )
     trajectories.add_argument(
         "--no-trajectories", action="store_true",
-        help="keep only the table and the rain events, for studies with thousands of runs. Runs "
-        "of onoff with ticks of about a minute are then usually several times as fast, but a "
-        "report contains no figures of weather, commands and volumes",
+        help="keep only the table and the rain events, for studies with thousands of runs. A "
+        "report then contains no figures of weather, commands and volumes",
     )
     return parser
 
@@ -170,49 +163,38 @@ def _run(
 ) -> None:
     """Run the given cases and compute the given bounds; store each result as it arrives."""
     names = Names(store.cases)
-    groups = group_cases(cases, workers.slots, store.trajectory_every)
     # The longest first, or at the end one core may have a long run while the others are idle.
-    groups.sort(
-        key=lambda group: (
-            not group[0].inputs.controller.ensemble, not group[0].inputs.controller.outputs,
-            len(group) == 1, -group[0].hours,
-        ),
-    )
-    pending: dict[Future[Any], tuple[tuple[Case, ...], Callable[[Case, Any], None] | None]] = {
-        workers.submit(bound, case): ((case,), write) for bound, case, write in bounds
+    cases = sorted(cases, key=lambda case: (
+        not case.inputs.controller.ensemble, not case.inputs.controller.outputs, -case.hours,
+        case.weather_name, case.start,
+    ))
+    pending: dict[Future[Any], tuple[Case, Callable[[Case, Any], None]]] = {
+        workers.submit(bound, case): (case, write) for bound, case, write in bounds
     }
-    tasks, runs = len(pending) + len(cases), 0
-    with scratch_directory() as scratch, ProgressBar() as progress:
-        shares: dict[Future[Any], tuple[int, ShareFile]] = {}
-        for number, group in enumerate(groups):
-            share = ShareFile(scratch / f"{number}")
-            future = workers.submit(run_cases, group, store.trajectory_every, share)
-            pending[future], shares[future] = (group, None), (len(group), share)
+    pending |= {
+        workers.submit(run_case, case, store.trajectory_every): (case, store.write_outcome)
+        for case in cases
+    }
+    tasks, runs = len(pending), 0
+    with ProgressBar() as progress:
         while pending:
-            done_share = sum(count * share.read() for count, share in shares.values())
-            undone = sum(len(group) for group, _ in pending.values()) - done_share
-            progress.show(f"{runs} of {len(cases)} runs", 1 - undone / tasks)
+            progress.show(f"{runs} of {len(cases)} runs", 1 - len(pending) / tasks)
             workers.check()
             done, _ = wait(pending, timeout=_REFRESH_S, return_when=FIRST_COMPLETED)
             broken: Exception | None = None
             for future in done:
-                group, write_bound = pending.pop(future)
-                shares.pop(future, None)
-                results: Sequence[Any]
+                case, write = pending.pop(future)
+                is_run = write == store.write_outcome
                 try:
                     result = workers.result(future)
-                    results = result if write_bound is None else [result]
                 except (BrokenExecutor, CancelledError) as error:
                     broken = error  # raised once all results that came before are stored
                     continue
                 except Exception as error:  # raised by the run
-                    results = [error] * len(group)
-                for case, outcome in zip(group, results, strict=True):
-                    if isinstance(outcome, Exception):
-                        _report_failure(store, names, case, outcome, is_run=write_bound is None)
-                    else:
-                        (write_bound or store.write_outcome)(case, outcome)
-                runs += 0 if write_bound else len(group)
+                    _report_failure(store, names, case, error, is_run=is_run)
+                else:
+                    write(case, result)
+                runs += is_run
             if broken is not None:
                 raise broken
             signals.check()

@@ -28,7 +28,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.progress import ProgressBar
 from greenroof_ros.common.times import to_people
-from greenroof_ros.site.site import read_site
+from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.reading import find_files, read_weather
 
 _DESCRIPTION = """\

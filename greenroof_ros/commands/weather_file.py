@@ -21,8 +21,8 @@ from greenroof_ros.formats.quantities import PRECIPITATION, QUANTITIES
 from greenroof_ros.formats.reading import name_format
 from greenroof_ros.formats.rules import check_hours
 from greenroof_ros.simulation.screen import grid
-from greenroof_ros.site.place import format_place, measure_distance
-from greenroof_ros.site.site import Site, read_site
+from greenroof_ros.site.file import read_site
+from greenroof_ros.site.site import Site, format_place, measure_distance
 from greenroof_ros.weather.evapotranspiration import FAO56, HARGREAVES
 from greenroof_ros.weather.reading import complete_records, find_files, read_measured
 from greenroof_ros.weather.series import Weather

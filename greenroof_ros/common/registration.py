@@ -1,4 +1,4 @@
-"""Registration of the Gymnasium environment, regardless of the order of imports."""
+"""Registration of the Gymnasium environments, regardless of the order of imports."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 
-ID = "GreenRoof-v1"
+ID, VECTOR_ID = "GreenRoof-v1", "GreenRoofVector-v1"
 
 
 class _Registration:
-    """Import hook that registers the environment as soon as another package imports Gymnasium."""
+    """Import hook that registers the environments as soon as a package imports Gymnasium."""
 
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
@@ -35,11 +35,13 @@ class _Registration:
 
 
 def _register(gymnasium: ModuleType) -> None:
-    gymnasium.register(ID, "greenroof_ros.analysis.api.gym:GreenRoofEnv")
+    api = "greenroof_ros.analysis.api"
+    gymnasium.register(ID, f"{api}.gym:GreenRoofEnv")
+    gymnasium.register(VECTOR_ID, vector_entry_point=f"{api}.vector:GreenRoofVectorEnv")
 
 
 def register() -> None:
-    """Register the environment now or, if Gymnasium is not imported yet, as soon as it is."""
+    """Register the environments now or, if Gymnasium is not imported yet, as soon as it is."""
     known = sys.modules.get("gymnasium")
     if known is None:
         sys.meta_path.insert(0, _Registration())

@@ -14,8 +14,9 @@ from greenroof_ros.controllers.after_forecast import DAYS_AFTER, HORIZON, AfterF
 from greenroof_ros.controllers.onoff import FRACTION
 from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE, RegretBudget
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
-from greenroof_ros.physics.plant import Plant
-from greenroof_ros.physics.soil import soil_of
+from greenroof_ros.controllers.roof_prediction import RoofPrediction
+from greenroof_ros.physics.parameters import State, plant_parameters
+from greenroof_ros.physics.tick import OWN_PUMPS, step
 from greenroof_ros.site.site import Site
 
 Array = NDArray[np.float64]
@@ -92,7 +93,8 @@ class AnticipatingOnOff:
             waiting_share: allowed additional cost of waiting, as a share of the cost of
                 plain on/off control.
         """
-        self._site, self._soil = site, soil_of(site)
+        self._site, self._p = site, plant_parameters(site)
+        self._roof = RoofPrediction(self._p)
         self.fraction, self.horizon = fraction, horizon
         self._after = AfterForecast(site, horizon, days_after)
         self._lengths = np.diff(self._after.edges)
@@ -138,7 +140,10 @@ class AnticipatingOnOff:
         command = self.fraction if dry else 0.0
         self._waited += site.tau
         now = float(rain[0, 0]), float(evaporated[0])
-        pumped = Plant(site, x1, x2).flows(*now, command).pump if command else 0.0
+        pumped = 0.0
+        if command:
+            state = State(x1, x2, site.initial_layer)
+            pumped = step(self._p, state, *now, command, 1.0, OWN_PUMPS)[1].pump
         self._observer.predict(x2, *now, pumped)
         self._regret_budget.move(x1, x2, self.fraction, command, *now)
         return command
@@ -156,11 +161,11 @@ class AnticipatingOnOff:
         """
         (rain,), evaporated = self._after.lengthen(rain, evaporated)
         weather = rain, evaporated, self._lengths
-        changes = self._soil.predict_changes(x2, *weather)
+        changes = self._roof.predict_changes(x2, *weather)
         # At the middle of every step, where the course equals the step's mean.
         course = x2 + np.cumsum(changes) - changes / 2
         dry_s = np.where(course < self._site.x2_star, self._lengths, -self._lengths)
-        dry_s = dry_s * self._soil.predict_lasting_share(x2, changes, *weather)
+        dry_s = dry_s * self._roof.predict_lasting_share(x2, changes, *weather)
         if np.cumsum(dry_s).min() > 0:
             return True
         self._waited = 0.0

@@ -14,12 +14,15 @@ import numpy as np
 from greenroof_ros.common.command_line import CheckResult
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
-from greenroof_ros.controllers.decide import is_finite_number
-from greenroof_ros.controllers.failure import ControllerError, locate_error
+from greenroof_ros.controllers.decide import (
+    ControllerError,
+    TickTimes,
+    is_finite_number,
+    locate_error,
+)
 from greenroof_ros.controllers.outlet import OfController
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
-from greenroof_ros.controllers.tick_times import TickTimes
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
 

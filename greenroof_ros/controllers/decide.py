@@ -1,23 +1,30 @@
-"""Decisions in each tick: whether the controller is called, and the command to the valve.
-
-The module also truncates the forecast to the part that the controller receives.
-"""
+"""Calls of a controller: its decision in each tick, the wall times, and errors in its code."""
 
 from __future__ import annotations
 
+import importlib
 import math
-from array import array
+import traceback
+from collections import deque
 from collections.abc import Sequence
 from numbers import Real
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import greenroof_ros
 from greenroof_ros.common.errors import ConfigurationError, HangError, describe_value
-from greenroof_ros.controllers.failure import ControllerError, find_place, locate_error
-from greenroof_ros.controllers.outlet import OutletPolicy
 from greenroof_ros.controllers.protocol import Controller
-from greenroof_ros.controllers.registry import ControllerChoice
+
+# Places that are not a user's code: this package, and what Python uses to import.
+_NO_USERS = str(Path(greenroof_ros.__file__).parent), importlib.__file__, "<frozen importlib"
+# Number of ticks that the percentile of the wall times covers.
+_CAPACITY = 65_536
+
+
+class ControllerError(ConfigurationError):
+    """Error raised if a controller's code raises an error, or if its command is invalid."""
 
 
 def may_decide(controller: Controller, allowed: bool, quiet: bool) -> bool:
@@ -73,34 +80,6 @@ def decide(
     )
 
 
-def decide_outlet(
-    policy: OutletPolicy,
-    closed: bool,
-    cistern_level: float,
-    roof_level: float,
-    precipitation: Any,
-    evapotranspiration: Sequence[float],
-) -> float:
-    """Return the command to the outlet valve in a tick; call this after :func:`decide`.
-
-    The policy is called even if frost closes the valve, because the policy counts the time without
-    rain.
-
-    Args:
-        policy: policy that commands the valve.
-        closed: whether frost closes the valve.
-        cistern_level: level in the cistern (m).
-        roof_level: level on the roof (m).
-        precipitation: forecast of rain (m/s), in the shape that the controller accepts.
-        evapotranspiration: forecast of evapotranspiration (m3/s).
-
-    Raises:
-        ControllerError: if a controller that commands the valve itself sets an invalid command.
-    """
-    share = policy.command(cistern_level, roof_level, precipitation, evapotranspiration)
-    return 0.0 if closed else share
-
-
 def is_finite_number(value: Any) -> bool:
     """Return whether a value is a real Python or numpy number that is finite as a float."""
     try:
@@ -123,40 +102,105 @@ def read_statistics(controller: Controller) -> dict[str, float] | None:
         raise locate_error(type(controller), error) from error
 
 
-def cut_forecast(
-    choice: ControllerChoice, steps: int, rain: Any, evapotranspiration: Any
-) -> tuple[Any, Any]:
-    """Truncate forecasts that were extended for the outlet's plan to the controller's own steps.
+def locate_error(kind: Any, error: BaseException) -> ConfigurationError | HangError:
+    """Return an error that a controller's code raised, with the file and the line added.
 
-    Args:
-        choice: the chosen controller, which receives only the first member unless it accepts all
-            members.
-        steps: number of steps that the controller uses.
-        rain: forecast of rain, shape (steps,) or (members, steps).
-        evapotranspiration: forecast of evapotranspiration, shape (steps,).
+    An error of this package that already names the cause is returned unchanged, unless the error
+    comes from user code. The file and the line are those of the last frame in the file through
+    which the user's code was entered. If no user code was entered, as with a wrong number of
+    arguments, the file and the line are those of the method that the message names.
     """
-    if isinstance(rain, np.ndarray):
-        rain = rain[:, :steps] if choice.ensemble else array("d", rain[0, :steps])
-    return rain[:steps] if isinstance(rain, array) else rain, evapotranspiration[:steps]
+    name = getattr(kind, "__name__", str(kind))
+    file, line = None, None
+    last = _last_frame(error)
+    if isinstance(error, (ControllerError, HangError)) or (
+        last is None and isinstance(error, ConfigurationError)
+    ):
+        return error
+    try:
+        text = str(error)
+    except Exception:  # its class may be a user's, too
+        text = "the error message cannot be read"
+    if last is None and kind.__module__.startswith("greenroof_ros."):
+        last = traceback.extract_tb(error.__traceback__)[-1]
+    if last is not None:
+        file, line, name = last.filename, last.lineno, f"{name}.{last.name}"
+    else:
+        for method in ("__init__", "command", "skip", "statistics"):
+            if f"{method}()" in text:
+                file, line = find_place(kind, method)
+                name = f"{name}.{method}"
+    return ControllerError(
+        f"raises {type(error).__name__}: {text}", file=file, line=line, key=name
+    )
 
 
-def shape_rain(choice: ControllerChoice, rain: Any, topic: str) -> Any:
-    """Return a forecast of rain in the shape that a controller accepts.
+def not_imported(reference: str, error: BaseException) -> ConfigurationError:
+    """Return the error for a controller that cannot be imported, with file and line if known."""
+    last = _last_frame(error)
+    file, line = (None, None) if last is None else (last.filename, last.lineno)
+    if isinstance(error, SyntaxError):
+        file, line = error.filename, error.lineno
+    return ConfigurationError(
+        f"cannot be imported: {type(error).__name__}: {error}", file=file, line=line,
+        key="controller", value=reference,
+    )
 
-    Args:
-        choice: the controller.
-        rain: value received on the topic, either a single row or an array of members.
-        topic: name of the topic, for error messages.
 
-    Raises:
-        ConfigurationError: if the forecast has more than one member, but the controller accepts
-            only one.
+def _last_frame(error: BaseException) -> traceback.FrameSummary | None:
+    """Return the last frame of an error in the first user file through which it passed, if any."""
+    frames = [
+        frame for frame in traceback.extract_tb(error.__traceback__)
+        if not frame.filename.startswith(_NO_USERS)
+    ]
+    return next((each for each in reversed(frames) if each.filename == frames[0].filename), None)
+
+
+def find_place(kind: Any, method: str) -> tuple[str | None, int | None]:
+    """Return the file and line of a method or property; None for both if it is not in a file.
+
+    If a class wraps a function as ``__wrapped__``, the location of this function is returned.
     """
-    if choice.ensemble:
-        return np.atleast_2d(rain)
-    if isinstance(rain, np.ndarray):
-        raise ConfigurationError(
-            f"has {len(rain)} members, but {choice.name} takes only one; set all_members of the "
-            "weather node to false", key=topic,
-        )
-    return rain
+    member = getattr(kind, "__wrapped__", getattr(kind, method, None))
+    code = getattr(getattr(member, "fget", member), "__code__", None)
+    return (None, None) if code is None else (code.co_filename, code.co_firstlineno)
+
+
+class TickTimes:
+    """Wall times of ticks (s): their number, mean, maximum and 99th percentile.
+
+    The percentile covers the last 65,536 ticks; number, mean and maximum cover all ticks.
+    """
+
+    def __init__(self) -> None:
+        """Start without ticks."""
+        self._count = 0
+        self._sum = 0.0
+        self._max = 0.0
+        self._times: deque[float] = deque(maxlen=_CAPACITY)
+
+    def __len__(self) -> int:
+        """Return the number of ticks."""
+        return self._count
+
+    def append(self, seconds: float) -> None:
+        """Add the time of a tick (s)."""
+        self._times.append(seconds)
+        self._count += 1
+        self._sum += seconds
+        self._max = max(self._max, seconds)
+
+    def statistics(self, solves: int, fallbacks: int) -> dict[str, float]:
+        """Return the statistics of a controller; without ticks, the times are 0.
+
+        Args:
+            solves: number of programs that the solver attempted.
+            fallbacks: number of these programs for which the solver found no solution.
+        """
+        return {
+            "solves": solves,
+            "fallbacks": fallbacks,
+            "mean_s": self._sum / max(1, self._count),
+            "p99_s": float(np.percentile(list(self._times) or [0.0], 99)),
+            "max_s": self._max,
+        }

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.after_forecast import DAYS_AFTER, HORIZON, AfterForecast
+from greenroof_ros.controllers.decide import TickTimes
 from greenroof_ros.controllers.order_up_to import (
     BELOW_M3,
     OrderUpTo,
@@ -22,9 +23,9 @@ from greenroof_ros.controllers.order_up_to import (
 from greenroof_ros.controllers.outlet import PLAN
 from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE, RegretBudget
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
-from greenroof_ros.controllers.tick_times import TickTimes
-from greenroof_ros.physics.plant import command_to, maximum_pump_flow
-from greenroof_ros.physics.soil import soil_of
+from greenroof_ros.physics.parameters import plant_parameters
+from greenroof_ros.physics.pump import maximum_pump_flow
+from greenroof_ros.physics.tick import command_to
 from greenroof_ros.site.horizon import MAX_HORIZON, MAX_MEMBERS
 from greenroof_ros.site.site import Site
 
@@ -141,7 +142,7 @@ class Lookahead:
         waiting_share: float,
     ) -> None:
         """Set the site and the parameters; see :attr:`parameters` for their units and meanings."""
-        self._site, self._soil = site, soil_of(site)
+        self._site, self._p = site, plant_parameters(site)
         self.horizon, self._max_command = horizon, max_command
         self._min_on = max(min_on, site.tau)
         self._recourse = recourse * _HOUR_S
@@ -226,7 +227,7 @@ class Lookahead:
             self._must_plan(rain, rain_counts) or quiet != self._quiet_when_planned
         )
         now = self.gauge_rain, self._after.mean
-        if _are_numbers(rain, evaporated, plans):
+        if evaporated.size and math.isfinite(float(rain.sum() + evaporated.sum())):
             now = float(rain[0, 0]), float(evaporated[0])
             self._after.pass_tick(evaporated)
             if plans:
@@ -243,7 +244,7 @@ class Lookahead:
         if level >= x2 and cistern_level >= site.suction_level:
             share = self._share(x1, x2, level, *now)
         self.fill_to = site.roof_level(level) if level >= x2 else math.nan
-        self._flow = share * maximum_pump_flow(site, x1) if share else 0.0
+        self._flow = share * maximum_pump_flow(self._p, x1) if share else 0.0
         self._observer.predict(x2, *now, self._flow)
         self._regret_budget.move(x1, x2, 0.0 if quiet else fraction, share, *now)
         self._pass_tick()
@@ -319,7 +320,7 @@ class Lookahead:
     def _max_flow(self, x1: float) -> float:
         """Return the maximum pump flow (m3/s) from a cistern that holds x1 (m3)."""
         # If commands have no bound: the flow that fills the whole soil in a second.
-        full = maximum_pump_flow(self._site, x1)
+        full = maximum_pump_flow(self._p, x1)
         return min(self._max_command * full, self._site.z_cap) if full else 0.0
 
     def _level(self, x1: float, x2: float) -> float:
@@ -333,7 +334,7 @@ class Lookahead:
         if policy is None:
             return self._site.x2_star
         step = int(policy.edges[1:-1].searchsorted(self._age, side="right"))
-        return float(self._program.levels(policy, step, 0, self._program.usable(x1), x2))
+        return float(self._program.levels(policy, step, 0, self._program.cistern.usable(x1), x2))
 
     def _share(
         self, x1: float, x2: float, level: float, rain: float, evaporated: float
@@ -348,7 +349,7 @@ class Lookahead:
             evaporated: evapotranspiration in the current tick (m3/s).
         """
         share = command_to(
-            self._site, self._soil, x1, x2, level - BELOW_M3, rain, evaporated
+            self._p, x1, x2, level - BELOW_M3, rain, evaporated
         )
         if share < _MIN_COMMAND:
             return 0.0
@@ -368,15 +369,6 @@ class Lookahead:
         self._age += self._site.tau
         self._unchecked += self._site.tau
         self._since_start += self._site.tau
-
-
-def _are_numbers(rain: Array, evaporated: Array, all_of_them: bool) -> bool:
-    """Return whether a forecast exists and its current entries (or all entries) are finite."""
-    if not evaporated.size:
-        return False
-    if all_of_them:
-        return math.isfinite(float(rain.sum() + evaporated.sum()))
-    return math.isfinite(float(rain[0, 0]) + float(evaporated[0]))
 
 
 def _merge_steps(edges: Array, min_length: float, share: float) -> list[int]:

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.tick_times import TickTimes
+from greenroof_ros.controllers.decide import TickTimes
+from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.smooth import linearise
 from greenroof_ros.site.site import Site
 
@@ -100,7 +101,7 @@ class Mpc:
         import osqp
         import scipy.sparse
 
-        self._site = site
+        self._site, self._p = site, plant_parameters(site)
         self.weight = weight
         self.cost = math.nan
         self.status = 0
@@ -163,7 +164,9 @@ class Mpc:
         rain_mean = self._rain_sum / self._ticks if self._ticks else 0.0
         evapotranspiration_mean = self._evapotranspiration_sum / self._ticks if self._ticks else 0.0
         # Steps 1 and 2.
-        model = linearise(site, x1, x2, self._command, rain_mean, evapotranspiration_mean)
+        model = linearise(
+            site, self._p, x1, x2, self._command, rain_mean, evapotranspiration_mean
+        )
         (a11, a12), (a21, a22) = model.A
         b1, b2 = model.B
         (c11, c12), (c21, c22) = model.C

@@ -19,6 +19,21 @@ LEVEL = Parameter(
 )
 
 
+def onoff_command(
+    fraction: float, level: float, suction_level: float, cistern_level: float, roof_level: float
+) -> float:
+    """Return the command of on/off control, Eq. (12).
+
+    Args:
+        fraction: command while pumping (share of the maximum flow).
+        level: level on the roof below which the pumps run (m).
+        suction_level: level in the cistern below which the pumps do not work (m).
+        cistern_level: level in the cistern (m).
+        roof_level: level on the roof (m).
+    """
+    return fraction if roof_level < level and cistern_level >= suction_level else 0.0
+
+
 class OnOff:
     """Issues a fixed pump command while the roof is too dry and the cistern holds enough water.
 
@@ -47,9 +62,10 @@ class OnOff:
         evapotranspiration: Sequence[float],
     ) -> float:
         """Compute the command from the levels (m) alone, without the forecasts."""
-        dry = roof_level < self.level * self._site.z_veg
-        enough = cistern_level >= self._site.suction_level
-        return self.fraction if dry and enough else 0.0
+        level = self.level * self._site.z_veg
+        return onoff_command(
+            self.fraction, level, self._site.suction_level, cistern_level, roof_level
+        )
 
     def skip(self) -> None:
         """Do nothing, because the controller has no memory."""

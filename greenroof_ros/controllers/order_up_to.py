@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.physics.soil import soil_of
+from greenroof_ros.controllers.roof_prediction import RoofPrediction
+from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.site.site import Site
 
 Array = NDArray[np.float64]
@@ -127,6 +128,9 @@ class OrderUpTo:
     **Water.** If the cistern can run short, V depends on a second variable s, which is the usable
     water plus the water needed to fill an empty roof to its current volume. Filling does not change
     s. If there is always enough water, s has one node.
+
+    Attributes:
+        cistern: balance of the cistern's usable water.
     """
 
     def __init__(self, site: Site, fine: tuple[int, int] = (900, 300)) -> None:
@@ -139,10 +143,8 @@ class OrderUpTo:
         self._target = site.x2_star
         self._site = site
         self._fine = fine
-        self._soil = soil_of(site)
-        self._cistern = Cistern(site)
-        self._place(*_COARSE)
-        self._water = np.zeros(1)
+        self._soil = RoofPrediction(plant_parameters(site))
+        self.cistern = Cistern(site)
 
     def _place(self, below: int, above: int) -> None:
         """Place the nodes at x* plus or minus (k / n)^2 of the range."""
@@ -180,10 +182,6 @@ class OrderUpTo:
         low, high = table[group, row, node], table[group, row + 1, node]
         return np.where(np.minimum(low, high) < 0, high, low + part * (high - low))
 
-    def usable(self, x1: float) -> float:
-        """Return the volume that can be pumped from a cistern that holds x1 (m3)."""
-        return self._cistern.usable(x1)
-
     def solve(
         self, edges: Array, x1: float, x2: float, rain: Array, evapotranspiration: Array,
         flow: Array, groups: Indices,
@@ -205,7 +203,7 @@ class OrderUpTo:
         lengths = np.diff(edges)
         full = float(self._content(self._target))
         demand = full + float((evapotranspiration * lengths).sum())
-        scarce = self._cistern.scarce(x1, demand, float(edges[-1]))
+        scarce = self.cistern.scarce(x1, demand, float(edges[-1]))
         self._place(*(self._fine if members == 1 and not scarce else _COARSE))
         self._water = np.zeros(1)
         if scarce:
@@ -235,7 +233,7 @@ class OrderUpTo:
             )
             fill_to.append(levels)
             group_of.append(of_members)
-        stored = np.full((1, 1, 1), self.usable(x1) + self._content(x2))
+        stored = np.full((1, 1, 1), self.cistern.usable(x1) + self._content(x2))
         now = self._at(value, np.full((1, 1, 1), x2), stored)
         return Policy(
             edges, fill_to[::-1], group_of[::-1], float(now.mean()) / float(edges[-1])
@@ -262,7 +260,7 @@ class OrderUpTo:
             to which the roof is filled (m3), or 0 if it is left alone; each of shape (members, n).
         """
         roof = np.full(len(rain), x2)
-        water = np.full(len(rain), self.usable(x1))
+        water = np.full(len(rain), self.cistern.usable(x1))
         mains = self._site.mains_flow or 0.0
         pumped, volumes, aimed = np.empty_like(rain), np.empty_like(rain), np.empty_like(rain)
         for step, seconds in enumerate(np.diff(policy.edges).tolist()):
@@ -273,7 +271,7 @@ class OrderUpTo:
             roof, uptake = self._move(
                 level, roof, rain[:, step], float(evapotranspiration[step]), max_pumped, seconds
             )
-            water = self._cistern.predict_usable(water - uptake, rain[:, step], seconds)
+            water = self.cistern.predict_usable(water - uptake, rain[:, step], seconds)
             pumped[:, step], volumes[:, step] = uptake / seconds, roof
         return pumped, volumes, aimed
 
@@ -326,7 +324,7 @@ class OrderUpTo:
         Returns:
             V before the step, and the levels of :class:`Policy`, shape (groups, S, nodes to x*).
         """
-        soil, cistern, dry = self._soil, self._cistern, slice(self._below + 1)
+        soil, cistern, dry = self._soil, self.cistern, slice(self._below + 1)
         nodes, roof = self._nodes, self._nodes[dry]
         scarce = len(self._water) > 1
         reach = roof if strong else soil.predict_volume(roof, flow * seconds, potential, seconds)

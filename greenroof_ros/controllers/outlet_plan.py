@@ -1,4 +1,4 @@
-"""The plan of :class:`.outlet.Plan`, for one or more sites with the same weather.
+"""The plan of :class:`.outlet.Policy`, for one or more sites with the same weather.
 
 All arrays of the dynamic program have shape (sites, members, nodes).
 """
@@ -6,20 +6,18 @@ All arrays of the dynamic program have shape (sites, members, nodes).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.model.sites import Sites
-from greenroof_ros.physics.storm_water import Intervals, find_wet_weather
+from greenroof_ros.controllers.roof_prediction import ABOVE_M
+from greenroof_ros.physics.parameters import PlantParameters
+from greenroof_ros.physics.storm_water import is_wet, time_without_rain
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
-Observe = Callable[[], tuple[Array, Array, Array, Array]]
-"""function that returns the volumes in cisterns and on roofs (m3), shape (sites,), and the
-forecast: rain (m/s), shape (members, steps), and evapotranspiration from the areas in
-:class:`PlannedLevels` (m/s), shape (steps,)"""
 
 HORIZON_H = 48
 """time for which a plan looks ahead (h)"""
@@ -27,34 +25,57 @@ HORIZON_H = 48
 _HOUR_S, _DAY_S = 3600.0, 86_400.0
 # Number of nodes for the cistern's volume in a plan.
 _NODES = 121
-# A plan is made every hour, and if the total rain of a member has changed by more than this (m).
-_CHANGED_M = 1e-3
 # Levels count as equally expensive if their costs differ by less than this share of the cistern.
 _TIE = 1e-3
 # Number of sites times members that are computed together, which fits in the processor's cache.
 _TOGETHER = 256
 
 
+def columns(parameters: Sequence[PlantParameters]) -> Any:
+    """Return the numbers of sites as arrays of shape (sites,), under the same names."""
+    make: Any = PlantParameters
+    return make(*map(np.array, zip(*parameters, strict=True)))
+
+
+class PlanClock:
+    """Decides when a plan is made: at the start of dry weather, and every hour of dry weather."""
+
+    def __init__(self, tau: float) -> None:
+        """Set the duration of a tick (s)."""
+        self._tau, self._age = tau, math.inf
+
+    def is_due(self, wet: bool) -> bool:
+        """Return whether a plan is made in a tick; call this once per tick."""
+        self._age = math.inf if wet else self._age + self._tau
+        due = not wet and self._age > _HOUR_S - self._tau / 2
+        if due:
+            self._age = 0.0
+        return due
+
+
 class PlannedLevels:
-    """Volumes to which cisterns are drained, from plans made in the same ticks for all sites."""
+    """Volumes to which cisterns are drained, from plans made in the same ticks for all sites.
+
+    Attributes:
+        levels: volumes according to the last plan (m3), shape (sites,); at first, the reserves.
+    """
 
     def __init__(
-        self, sites: Sites, ends: Array, reserves: Array, prices: Array, reaches: Array,
-        areas: Array, check_s: float = 60.0,
+        self, sites: Any, wet_after: float, ends: Array, reserves: Array, prices: Array,
+        reaches: Array, areas: Array,
     ) -> None:
         """Set the sites and parameters; each array except ``ends`` has one entry per site.
 
         Args:
-            sites: sites with valves, the same tau and the same ``wet_after``.
+            sites: :func:`columns` of sites with valves.
+            wet_after: time after rain that counts as wet weather at all sites (h).
             ends: boundaries of the forecasts' steps (s from now), starting at 0.
             reserves: volumes to which the cisterns are drained without a forecast (m3).
             prices: prices of mains water, in m3 of discharge in wet weather per m3 (1).
             reaches: time for which stored water is worth its price (days).
             areas: areas to which the forecast's evapotranspiration applies (m2).
-            check_s: interval at which the forecast is checked for changes (s).
         """
-        self._areas, self._check_s = areas, check_s
-        self._sites, self._tau = sites, float(sites.tau[0])
+        self._areas, self._sites, self._wet_after = areas, sites, wet_after * _HOUR_S
         self._ends, self._lengths = ends, np.diff(ends)
         self._reserves, self._prices, self._reaches_s = reserves, prices, reaches * _DAY_S
         hours = max(1, min(HORIZON_H, round(float(ends[-1]) / _HOUR_S)))
@@ -63,59 +84,37 @@ class PlannedLevels:
         self._floor = sites.a1 * np.maximum(sites.suction_level, sites.mains_level)
         self._nodes = np.linspace(self._floor, self._full, _NODES, axis=-1)
         self._outlet = sites.a1 * sites.low_outlet_level
+        of_soil, above = sites.z_cap - sites.x2_star, sites.a2 * ABOVE_M
+        self._room = np.where(sites.has_field_capacity, of_soil, above)
         # The square root of the head above the outlet falls linearly with time, at this rate
         # (m^0.5/s).
         self._fall = sites.c_low / (2 * sites.a1)
-        self._drained = self._drain_hour(np.arange(len(sites)), self._nodes)
+        self._drained = self._drain_hour(np.arange(len(reserves)), self._nodes)
         self._unreachable = np.where(self._nodes < self._outlet[:, None], math.inf, 0.0)
         root = np.sqrt(np.maximum(reserves - self._outlet, 0.0) / sites.a1)
         root += self._fall * float(self._hour_ends[-1])
         self._max_levels = np.minimum(self._full, self._outlet + sites.a1 * root**2)
-        self._levels = self._full
-        self._age = math.inf  # age of the levels (s)
-        self._unchecked = math.inf  # time since the forecast was last compared (s)
-        self._total = np.zeros(0)  # total rain of each member in the last plan (m)
+        self.levels: Array = reserves
 
-    def update(self, dry: bool, observe: Observe) -> Array:
-        """Return the volumes to which the cisterns are drained in a tick (m3).
-
-        Call this method in every tick. No valve opens in wet weather, so the volumes are then
-        meaningless. A forecast with a missing value is treated as lost.
+    def plan(self, x1: Array, x2: Array, rain: Array, evaporated: Array) -> None:
+        """Make a plan; without a usable forecast, the levels are the reserves.
 
         Args:
-            dry: whether the weather is dry.
-            observe: function that returns the state and the forecast, called only if they are
-                needed.
+            x1: volumes in the cisterns (m3), shape (sites,).
+            x2: volumes on the roofs (m3), shape (sites,).
+            rain: forecast of rain (m/s), shape (members, steps).
+            evaporated: forecast of evapotranspiration from the areas (m/s), shape (steps,).
         """
-        self._age += self._tau
-        self._unchecked += self._tau
-        if not dry:
-            self._age = math.inf
-        elif max(self._age - _HOUR_S, self._unchecked - self._check_s) > -self._tau / 2:
-            self._plan(*observe())
-        return self._levels
-
-    def _plan(self, x1: Array, x2: Array, rain: Array, evaporated: Array) -> None:
-        """Make a plan if the last plan is old or the forecast has changed."""
-        self._unchecked, old = 0.0, self._age > _HOUR_S - self._tau / 2
-        usable = rain.shape[1] == evaporated.size == len(self._lengths)
-        total = rain @ self._lengths if usable else np.full(1, math.nan)
-        if not math.isfinite(float(x1.sum() + x2.sum() + total.sum() + evaporated.sum())):
-            if old:
-                self._age, self._levels = math.inf, self._reserves
+        self.levels = self._reserves
+        if not rain.shape[1] == evaporated.size == len(self._lengths):
             return
-        changed = total.shape != self._total.shape or (
-            float(np.abs(total - self._total).max()) > _CHANGED_M
-        )
-        if old or changed:
-            self._age, self._total = 0.0, total
-            mean = float(evaporated @ self._lengths) / float(self._ends[-1])
-            needed = self._reaches_s * self._areas * mean
-            levels = self._find_levels(
-                x1, x2, self._hourly(rain), self._hourly(evaporated), needed
-            )
-            levels = np.minimum(levels, np.maximum(self._reserves, self._floor + needed))
-            self._levels = np.minimum(levels, self._max_levels)
+        if not math.isfinite(float(x1.sum() + x2.sum() + rain.sum() + evaporated.sum())):
+            return
+        mean = float(evaporated @ self._lengths) / float(self._ends[-1])
+        needed = self._reaches_s * self._areas * mean
+        levels = self._find_levels(x1, x2, self._hourly(rain), self._hourly(evaporated), needed)
+        levels = np.minimum(levels, np.maximum(self._reserves, self._floor + needed))
+        self.levels = np.asarray(np.minimum(levels, self._max_levels))
 
     def _hourly(self, rates: Array) -> Array:
         """Return hourly totals from rates per second, along the last axis."""
@@ -141,7 +140,7 @@ class PlannedLevels:
         sites, kept = self._sites, self._sites.drainage_to_cistern
         most = float(rain.sum(axis=1).max()) * (sites.effective_catchment + kept * sites.a2)
         comes = most + kept * np.maximum(x2 - sites.x2_star, 0.0)
-        levels = self._full.copy()
+        levels: Array = self._full.copy()
         # Sites whose cistern could overflow are planned; the others keep all their water.
         planned = np.flatnonzero((comes > 0) & (x1 + comes > self._full))
         size = max(1, _TOGETHER // len(rain))
@@ -169,9 +168,7 @@ class PlannedLevels:
         floor, full = nodes[..., :1], nodes[..., -1:]
         inflow = rain * sites.effective_catchment[rows, None, None]
         flows = inflow - self._find_needs(rows, x2, rain, evaporated)
-        hourly = (Intervals(_HOUR_S, member, member) for member in rain)
-        after = float(sites.wet_after[0])
-        wet = np.array([find_wet_weather(after, intervals) for intervals in hourly], float)
+        wet: Array = np.array([self._find_wet(member) for member in rain], float)
         worth = price * np.minimum(nodes - floor, needed[:, None, None])
         value = np.repeat(-worth, len(rain), axis=1)
         for hour in reversed(range(rain.shape[1])):
@@ -192,8 +189,16 @@ class PlannedLevels:
         highest = _NODES - 1 - ties[:, ::-1].argmax(axis=1)
         return np.asarray(nodes[np.arange(len(rows)), 0, highest])
 
+    def _find_wet(self, rain: Array) -> list[bool]:
+        """Return whether each hour is wet, from its rain (m)."""
+        wet, without_rain = [], math.inf
+        for depth in rain.tolist():
+            without_rain = time_without_rain(without_rain, depth / _HOUR_S, _HOUR_S)
+            wet.append(is_wet(without_rain, _HOUR_S, self._wet_after))
+        return wet
+
     def _before(self, rows: Rows, value: Array, wet: Array) -> Array:
-        """Compute V from U of :class:`.outlet.Plan`, with the best use of the valve in an hour.
+        """Compute V from U of :class:`.outlet.Policy`, with the best use of the valve in an hour.
 
         Args:
             rows: indices of the sites.
@@ -232,9 +237,9 @@ class PlannedLevels:
             The water, with shape (sites, members, hours).
         """
         sites, kept = self._sites, self._sites.drainage_to_cistern[rows, None]
-        room, fallen = sites.above_target[rows, None], rain * sites.a2[rows, None, None]
+        room, fallen = self._room[rows, None], rain * sites.a2[rows, None, None]
         above = np.repeat((x2 - sites.x2_star[rows])[:, None], len(rain), axis=1)
-        needs = np.empty_like(fallen)
+        needs: Array = np.empty_like(fallen)
         for hour in range(rain.shape[1]):
             above = above + fallen[..., hour] - evaporated[:, hour, None]
             drained = np.maximum(above - room, 0.0)

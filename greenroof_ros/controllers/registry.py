@@ -7,10 +7,13 @@ import importlib
 import logging
 import re
 import sys
+from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, ClassVar, cast
+
+import numpy as np
 
 from greenroof_ros.common.errors import (
     ConfigurationError,
@@ -21,12 +24,11 @@ from greenroof_ros.common.errors import (
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.parameter_sections import read_sections
 from greenroof_ros.controllers import outlet
-from greenroof_ros.controllers.failure import locate_error, not_imported
+from greenroof_ros.controllers.decide import locate_error, not_imported
 from greenroof_ros.controllers.outlet import OfController, OutletPolicy
 from greenroof_ros.controllers.own_code import digest_own_code
 from greenroof_ros.controllers.protocol import Controller, ControllerClass, set_optional
-from greenroof_ros.physics.soil import soil_of
-from greenroof_ros.site.horizon import look_ahead_ends
+from greenroof_ros.site.horizon import MAX_HORIZON, look_ahead_ends
 from greenroof_ros.site.site import Site
 
 _HERE = "greenroof_ros.controllers"
@@ -49,10 +51,38 @@ OF_EVERY_NODE = {"use_sim_time", "start_type_description_service", "qos_override
 _OTHER_NODES = {"plant", "weather", "recorder", "pump", "bringup"}
 # Every controller's node has these parameters.
 _OF_EVERY_NODE = {
-    "site_file", "state_file", "given_up", "use_sim_time", "level_limit", "forecast_limit",
-    "frost_limit", "gauge_limit", "flow_limit", "recovery_time", "frozen_movement",
-    "jump_tolerance",
+    "site_file", "state_file", "given_up", "time_without_rain", "use_sim_time", "level_limit",
+    "forecast_limit", "frost_limit", "gauge_limit", "flow_limit", "recovery_time",
+    "frozen_movement", "jump_tolerance",
 }
+
+
+class External(Controller):
+    """Placeholder for a node that the user runs; only the look-ahead of its controller is known.
+
+    The node receives the forecasts of its graph, which cover ``horizon`` and have a single member.
+    """
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter(
+            "horizon", 0.0, "h", 0.0, MAX_HORIZON, "length of the forecasts for the node, in "
+            "growing steps; 0 for forecasts of the next M ticks",
+        ),
+    )
+
+    outlet: ClassVar[float] = 0.0
+    """the node commands the outlet valve itself"""
+
+    def __init__(self, site: Site, horizon: float) -> None:
+        """Raise an error, because an external controller does not run in this package's processes.
+
+        Raises:
+            ConfigurationError: always.
+        """
+        raise ConfigurationError(
+            "is a node that you run yourself, so only greenroof run can use it", key="controller",
+            value=EXTERNAL,
+        )
 
 
 @dataclass(frozen=True)
@@ -181,7 +211,8 @@ class ControllerChoice:
         return controller
 
     def make_outlet(
-        self, site: Site, parameters: dict[str, Any], controller: Controller
+        self, site: Site, parameters: dict[str, Any], controller: Controller,
+        without_rain: float,
     ) -> OutletPolicy | None:
         """Make the policy of a site's outlet valve; return None for a site without a valve.
 
@@ -189,6 +220,7 @@ class ControllerChoice:
             site: the site.
             parameters: as for :meth:`make`.
             controller: controller from :meth:`make`, or another object of its class.
+            without_rain: time without rain before the first tick (s).
 
         Raises:
             ConfigurationError: if only the object, and not its class, has an attribute ``outlet``.
@@ -206,7 +238,7 @@ class ControllerChoice:
             site, parameters.get("horizon", 0.0), outlet.find_horizon(parameters)
         )
         of_valve = {parameter.name: parameters[parameter.name] for parameter in self.of_valve}
-        return outlet.make_outlet(site, ends, **of_valve)
+        return outlet.Policy(site, ends, without_rain, **of_valve)
 
     def count_own_steps(self, site: Site, parameters: Mapping[str, Any]) -> int | None:
         """Return the number of forecast steps that the controller itself takes; None for all.
@@ -217,20 +249,54 @@ class ControllerChoice:
             return None
         return len(look_ahead_ends(site, parameters.get("horizon", 0.0))) - 1
 
+    def cut_forecast(self, steps: int, rain: Any, evapotranspiration: Any) -> tuple[Any, Any]:
+        """Truncate forecasts, extended for the outlet's plan, to the controller's own steps.
+
+        Without ``ensemble``, the controller receives only the first member.
+
+        Args:
+            steps: number of steps that the controller uses.
+            rain: forecast of rain, shape (steps,) or (members, steps).
+            evapotranspiration: forecast of evapotranspiration, shape (steps,).
+        """
+        if isinstance(rain, np.ndarray):
+            rain = rain[:, :steps] if self.ensemble else array("d", rain[0, :steps])
+        return rain[:steps] if isinstance(rain, array) else rain, evapotranspiration[:steps]
+
+    def shape_rain(self, rain: Any, topic: str) -> Any:
+        """Return a forecast of rain in the shape that the controller accepts.
+
+        Args:
+            rain: value received on the topic, either a single row or an array of members.
+            topic: name of the topic, for error messages.
+
+        Raises:
+            ConfigurationError: if the forecast has more than one member, but the controller accepts
+                only one.
+        """
+        if self.ensemble:
+            return np.atleast_2d(rain)
+        if isinstance(rain, np.ndarray):
+            raise ConfigurationError(
+                f"has {len(rain)} members, but {self.name} takes only one; set all_members of the "
+                "weather node to false", key=topic,
+            )
+        return rain
+
     def parameters_on(self, site: Site) -> list[Parameter]:
         """Return the parameters of the controller, each with its default for a site's roof.
 
         If the site has an outlet valve, the parameters of the valve are included.
         """
-        of_valve = []
-        if site.low_outlet_valve and self.of_valve:
-            of_valve = outlet.parameters_on(site, _policy_of(self.kind))
-        field_capacity = soil_of(site).has_field_capacity
-        return [
-            replace(parameter, default=parameter.on_field_capacity)
-            if field_capacity and parameter.on_field_capacity is not None else parameter
-            for parameter in (*self.kind.parameters, *of_valve)
+        own = [
+            parameter if site.field_capacity is None or parameter.on_field_capacity is None
+            else replace(parameter, default=parameter.on_field_capacity)
+            for parameter in self.kind.parameters
         ]
+        if not (site.low_outlet_valve and self.of_valve):
+            return own
+        policy, reserve, *others = self.of_valve
+        return [*own, policy, replace(reserve, default=outlet.find_reserve(site)), *others]
 
     def defaults(self, site: Site) -> dict[str, float]:
         """Return the default of every parameter for a site."""
@@ -316,7 +382,7 @@ def find_controller(reference: str) -> ControllerChoice:
             use.
     """
     if reference == EXTERNAL:
-        return ControllerChoice(EXTERNAL, EXTERNAL, f"{_HERE}.external:External")
+        return ControllerChoice(EXTERNAL, EXTERNAL, f"{__name__}:External")
     if ":" not in reference:
         path = BUILT_IN.get(reference)
         if path is None:

@@ -6,8 +6,10 @@ import logging
 from collections.abc import Mapping
 
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.physics.plant import Plant, maximum_pump_flow
-from greenroof_ros.physics.soil import soil_of
+from greenroof_ros.physics.parameters import State, plant_parameters
+from greenroof_ros.physics.pump import maximum_pump_flow
+from greenroof_ros.physics.soil import retained_share
+from greenroof_ros.physics.tick import OWN_PUMPS, step
 from greenroof_ros.site.site import Site
 
 _log = logging.getLogger(__name__)
@@ -93,12 +95,12 @@ class RegretBudget:
             waiting_budget: time (h) with an empty roof that costs as much as the budget.
             waiting_share: share of the cost of on/off control (1).
         """
-        self._site, self._soil = site, soil_of(site)
+        self._site, self._p = site, plant_parameters(site)
         self._budget = waiting_budget * 3600 * site.x2_star  # m3 s
         self._share = waiting_share
         self._more = 0.0  # volume on the roof with on/off minus the actual volume (m3)
         self._stored = 0.0  # the same in the cistern (m3)
-        self._theirs, self._ours = Plant(site, 0.0, 0.0), Plant(site, 0.0, 0.0)
+        self._layers = site.initial_layer, site.initial_layer  # with on/off, and actually (m3)
         self._unseen = 0
         self._warned = False
         self.loss = 0.0
@@ -130,7 +132,7 @@ class RegretBudget:
         self.loss += seconds * excess
         # Volume to pump to catch up with on/off, or to reach the target.
         behind = max(0.0, min(self._more, site.x2_star - x2))
-        flow = fraction * maximum_pump_flow(site, x1)
+        flow = fraction * maximum_pump_flow(self._p, x1)
         drained = self._drained(x1, x2)
         cost = self.loss + self._filling(x2, behind, flow) + drained
         if cost > self._budget + self._share * self.onoff_cost:
@@ -166,18 +168,21 @@ class RegretBudget:
             evapotranspiration: evapotranspiration from the whole bed (m3/s), for plants without
                 water stress.
         """
-        theirs, ours = self._theirs, self._ours
-        ours.x1, ours.x2 = x1, x2
-        theirs.x1, theirs.x2 = max(0.0, x1 + self._stored), max(0.0, x2 + self._more)
-        weather = precipitation, evapotranspiration
         outlet = float(self._site.always_drains)
-        for plant, share in (theirs, fraction), (ours, command):
-            plant.step(precipitation, plant.flows(*weather, share, outlet=outlet))
-        self._stored, self._more = theirs.x1 - ours.x1, theirs.x2 - ours.x2
+        theirs = State(max(0.0, x1 + self._stored), max(0.0, x2 + self._more), self._layers[0])
+        theirs, ours = (
+            step(
+                self._p, state, precipitation, evapotranspiration, share, outlet, OWN_PUMPS
+            )[0] for state, share in (
+                (theirs, fraction), (State(x1, x2, self._layers[1]), command)
+            )
+        )
+        self._stored, self._more = theirs.cistern - ours.cistern, theirs.roof - ours.roof
+        self._layers = theirs.layer, ours.layer
 
     def _filling(self, x2: float, behind: float, flow: float) -> float:
         """Return the cost (m3 s) of filling the roof to the target later than on/off control."""
-        stays = self._soil.retained_share(x2) * flow
+        stays = retained_share(self._p, x2) * flow
         if behind <= 0 or stays <= 0:
             return 0.0
         missing = max(0.0, self._site.x2_star - x2 - self._more)  # missing on the roof with on/off
@@ -190,4 +195,4 @@ class RegretBudget:
             return 0.0
         stays = min(x1, site.cistern_volume(site.low_outlet_level))
         usable = max(0.0, stays - site.cistern_volume(site.suction_level))
-        return max(0.0, self._more - self._soil.retained_share(x2) * usable) * _LOST_S
+        return max(0.0, self._more - retained_share(self._p, x2) * usable) * _LOST_S

@@ -6,7 +6,8 @@ from collections import deque
 from statistics import fmean
 
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.physics.soil import roof_after_tick, soil_of
+from greenroof_ros.physics.parameters import plant_parameters
+from greenroof_ros.physics.soil import roof_after_tick
 from greenroof_ros.site.site import Site
 
 # If all readings over this time (s), and at least this many, differ from the prediction by more
@@ -46,7 +47,7 @@ class RoofObserver:
 
     def __init__(self, site: Site, observer_time_constant: float) -> None:
         """Set the site and the averaging time of the readings (s); 0 disables averaging."""
-        self._site, self._soil = site, soil_of(site)
+        self._site, self._p = site, plant_parameters(site)
         self._gain = 1.0
         if observer_time_constant > 0:
             self._gain = min(1.0, site.tau / observer_time_constant)
@@ -90,7 +91,7 @@ class RoofObserver:
 
     def predict(
         self, x2: float, precipitation: float, evapotranspiration: float, pumped: float
-    ) -> float:
+    ) -> None:
         """Advance the estimate by one tick.
 
         Args:
@@ -98,12 +99,6 @@ class RoofObserver:
             precipitation: rain in the tick (m/s).
             evapotranspiration: evapotranspiration from the whole bed (m3/s).
             pumped: flow pumped onto the roof (m3/s).
-
-        Returns:
-            The volume predicted for the next tick (m3).
         """
         arriving = precipitation * self._site.a2 + pumped
-        self._predicted = roof_after_tick(
-            self._soil, self._site.tau, x2, arriving, evapotranspiration
-        )
-        return self._predicted
+        self._predicted = roof_after_tick(self._p, x2, arriving, evapotranspiration)

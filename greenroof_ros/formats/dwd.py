@@ -29,7 +29,7 @@ from greenroof_ros.formats.quantities import (
     TEMPERATURE,
     Unit,
 )
-from greenroof_ros.site.site import Site
+from greenroof_ros.site.site import Place
 
 _TIME, _STATION = "MESS_DATUM", "STATIONS_ID"
 # The service's column for each of our quantities, with its unit.
@@ -57,7 +57,7 @@ def recognises(head: bytes, /) -> bool:
     )
 
 
-def read_records(file: Path, _site: Site, /) -> Records:
+def read_records(file: Path, _site: Place, /) -> Records:
     """Read a file that contains one or two quantities.
 
     Raises:

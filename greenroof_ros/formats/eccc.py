@@ -19,7 +19,7 @@ from greenroof_ros.common.times import parse_local_time
 from greenroof_ros.formats.cells import Column, Row, Table, read_table
 from greenroof_ros.formats.hourly import Records
 from greenroof_ros.formats.quantities import DEW_POINT, PRECIPITATION, TEMPERATURE
-from greenroof_ros.site.site import Site
+from greenroof_ros.site.site import Place
 
 # Names of columns, in English and French, without accents, case, spaces and points; in English
 # files before 2021, the time has no zone. The last names are GeoMet's.
@@ -66,7 +66,7 @@ def _simplify(name: str) -> str:
     return re.sub(r"[ .\u0300-\u036f]", "", letters).replace("deg", "°")
 
 
-def read_records(file: Path, site: Site, /) -> Records:
+def read_records(file: Path, site: Place, /) -> Records:
     """Read a bulk file with times in local standard time, at the site's UTC offset.
 
     As in the paper, the values are assumed to apply to the hour that starts at the time stamp.

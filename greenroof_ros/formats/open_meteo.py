@@ -89,7 +89,7 @@ from greenroof_ros.formats.quantities import (
     TEMPERATURE,
     Unit,
 )
-from greenroof_ros.site.site import Site
+from greenroof_ros.site.site import Place
 
 _OFFSET = "utc_offset_seconds"
 # The service's unit for a variable that the model does not have: all its values are missing.
@@ -182,7 +182,7 @@ def _split_header(head: bytes) -> list[str]:
 
 
 def _read(
-    file: Path, site: Site, quantity_of: Callable[[str], str | None]
+    file: Path, site: Place, quantity_of: Callable[[str], str | None]
 ) -> tuple[Table, Records]:
     """Return a file's table, and its hours by variable, with all values at the file's time stamps.
 
@@ -361,7 +361,7 @@ def _write_cell(value: Any, missing: str = "") -> str:
     return missing if value is None else str(value)
 
 
-def _check_place(place: Table, site: Site) -> timezone:
+def _check_place(place: Table, site: Place) -> timezone:
     """Return a location's UTC offset; reject a location known not to be near the site.
 
     Raises:
@@ -401,7 +401,7 @@ def _check_place(place: Table, site: Site) -> timezone:
 # --- past weather ------------------------------------------------------------------------------
 
 
-def read_records(file: Path, site: Site, /) -> Records:
+def read_records(file: Path, site: Place, /) -> Records:
     """Read past weather; empty cells and ``NaN`` are missing values.
 
     All values are from weather models. Precipitation is required. Quantities from which
@@ -440,7 +440,7 @@ def read_records(file: Path, site: Site, /) -> Records:
 # --- forecasts ---------------------------------------------------------------------------------
 
 
-def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
+def read_archive(files: Sequence[Path], site: Place, /) -> Archive:
     """Read forecasts from files of previous runs, or from files that each contain one run.
 
     Args:
@@ -496,7 +496,7 @@ def _read_usable(sources: Iterable[_S], read: Callable[[_S], _T]) -> tuple[list[
     return read_ones, [f"{error}; the file is left out" for error in errors]
 
 
-def _read_precipitation(file: Path, site: Site) -> Records:
+def _read_precipitation(file: Path, site: Place) -> Records:
     """Return the precipitation by variable; values are for the hour after their time stamps."""
     table, hours = _read(file, site, _find_quantity)
     if not hours.values:
@@ -517,7 +517,7 @@ def _find_quantity(name: str) -> str | None:
     return PRECIPITATION
 
 
-def read_run(file: Path, site: Site, issued: datetime) -> IssuedForecast:
+def read_run(file: Path, site: Place, issued: datetime) -> IssuedForecast:
     """Read a response as a forecast with a known time of issue.
 
     Args:

@@ -58,7 +58,7 @@ from greenroof_ros.formats.quantities import (
 )
 from greenroof_ros.formats.steps import RowSteps, Values, find_steps
 from greenroof_ros.site.horizon import MAX_MEMBERS
-from greenroof_ros.site.site import Site
+from greenroof_ros.site.site import Place, Site
 
 TIME = "time"
 _WEATHER = [name for name in QUANTITIES if name not in ROOF]
@@ -108,7 +108,7 @@ class Rows:
 
 
 def read_rows(
-    file: Path, site: Site, wanted: Collection[str], stamped: str | None = None
+    file: Path, site: Place, wanted: Collection[str], stamped: str | None = None
 ) -> Rows:
     """Read a file of measurements in this project's format.
 
@@ -125,7 +125,7 @@ def read_rows(
 
     Args:
         file: file to read.
-        site: site with the clock and the area of the roof.
+        site: place with the clock; the site, if litres and m3 may occur.
         wanted: quantities to read; columns of other quantities are skipped.
         stamped: one of :data:`.comments.STAMPS`; by default, the statement in the comments.
 
@@ -148,10 +148,17 @@ def read_rows(
         )
     table = _open(file)  # again: amounts per row can be judged now that the step is known
     read: dict[float, dict[str, Column]] = {}
+    area = site.a2 if isinstance(site, Site) else math.nan
+    for quantity, (column, unit) in named.items():
+        if quantity in wanted and math.isnan(area) and unit.partition("/")[0] in ("l", "m3"):
+            raise ConfigurationError(
+                "must be a depth of water, such as mm/h, because the weather does not depend on "
+                "the area of a roof", file=file, key=f"the unit of {column}", value=unit,
+            )
     for duration_s in np.unique(rows.durations).tolist():
         read[duration_s] = {
             quantity: Column(
-                table, column, quantity, find_unit(quantity, unit, duration_s / 3600, site.a2),
+                table, column, quantity, find_unit(quantity, unit, duration_s / 3600, area),
                 step_h=duration_s / 3600,
             )
             for quantity, (column, unit) in named.items() if quantity in wanted
@@ -215,7 +222,7 @@ def _open(file: Path) -> Table:
         raise
 
 
-def _read_times(table: Table, site: Site) -> tuple[datetime, array[float], list[str]]:
+def _read_times(table: Table, site: Place) -> tuple[datetime, array[float], list[str]]:
     """Return the first time, the times of all rows (s since 1970), and a note about the clock."""
     has_clock = site.time_zone is not None or site.utc_offset is not None
     zone = site.zone if has_clock else None
@@ -276,7 +283,7 @@ def _find_columns(table: Table) -> tuple[dict[str, tuple[str, str]], str]:
     return columns, method
 
 
-def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Records:
+def read_records(file: Path, site: Place, /, stamped: str | None = None) -> Records:
     """Read a weather file; see :func:`read_rows`.
 
     The values of each hour are for the hour that starts at its time stamp. If rows are less than
@@ -461,7 +468,7 @@ def write_records(records: Records, about: str) -> str:
 # --- forecasts --------------------------------------------------------------------------------
 
 
-def read_archive(files: Sequence[Path], _site: Site, /) -> Archive:
+def read_archive(files: Sequence[Path], _site: Place, /) -> Archive:
     """Read forecasts in this format; each is known from its arrival or, if not given, its issue."""
     issues = [issue for file in files for issue in read_forecasts(file)]
     return Archive(files[0], "own format", issues, 0.0, issues)

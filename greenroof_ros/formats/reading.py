@@ -14,7 +14,7 @@ from greenroof_ros.common.times import to_minutes
 from greenroof_ros.formats import dwd, eccc, open_meteo, own_csv
 from greenroof_ros.formats.forecasts import Archive, IssuedForecast, check_same_form
 from greenroof_ros.formats.hourly import Records
-from greenroof_ros.site.site import Site
+from greenroof_ros.site.site import Place
 
 SUFFIXES = (".csv", ".json")
 """suffixes of forecast files, whose format is recognised from their content"""
@@ -30,7 +30,7 @@ _WEATHER = {form: form.recognises for form in (eccc, open_meteo, dwd)}
 _FORECASTS = {open_meteo: open_meteo.recognises_forecasts}
 
 
-def read_records(file: Path, site: Site, stamped: str | None = None) -> Records:
+def read_records(file: Path, site: Place, stamped: str | None = None) -> Records:
     """Return the records of a weather file; each value is for the hour starting at its time stamp.
 
     Args:
@@ -58,7 +58,7 @@ def name_format(file: Path) -> str:
     return _WEATHER_NAMES[_find_format(file, _WEATHER)]
 
 
-def read_archive(source: Path, site: Site, delay: float | None = None) -> Archive:
+def read_archive(source: Path, site: Place, delay: float | None = None) -> Archive:
     """Read an archive of forecasts.
 
     An issue is known as soon as it is available, hours after its nominal time, because the model

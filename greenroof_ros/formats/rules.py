@@ -40,19 +40,19 @@ from greenroof_ros.formats.step_record import (
     prolong_steps,
 )
 from greenroof_ros.formats.sun import MM_PER_MJ, extraterrestrial_radiation
-from greenroof_ros.site.site import Site
+from greenroof_ros.site.site import Place, Site
 
 
 class Rule(NamedTuple):
     """A rule that detects one kind of implausible data."""
 
-    find: Callable[[StepRecord, Site], Iterator[str]]
+    find: Callable[[StepRecord, Place], Iterator[str]]
     """function that yields a sentence for each finding"""
     refuses: bool = False
     """whether a finding of the rule rejects the record; otherwise its sentences are warnings"""
 
 
-def check_steps(record: StepRecord, site: Site) -> list[str]:
+def check_steps(record: StepRecord, site: Place) -> list[str]:
     """Return one sentence about each implausible finding in a record.
 
     Args:
@@ -71,7 +71,7 @@ def check_steps(record: StepRecord, site: Site) -> list[str]:
     return warnings
 
 
-def check_hours(records: Records, site: Site, hours: range) -> list[str]:
+def check_hours(records: Records, site: Place, hours: range) -> list[str]:
     """Return one sentence about each implausible finding in given hours; see :func:`check_steps`.
 
     If the records state their location, it takes precedence over the site's location.
@@ -107,7 +107,7 @@ _MIN_MOVEMENT = 0.002
 _MAX_ABOVE = 1.0
 
 
-def find_much_rain(record: StepRecord, _site: Site) -> Iterator[str]:
+def find_much_rain(record: StepRecord, _site: Place) -> Iterator[str]:
     """Find amounts of rain and pumped water that are too large for the length of the record."""
     days = float(np.count_nonzero(~np.isnan(record.rain))) * record.step_s / DAY_S
     water, limit = float(record.water.sum()), _MAX_A_DAY * max(days, _MIN_DAYS)
@@ -118,7 +118,7 @@ def find_much_rain(record: StepRecord, _site: Site) -> Iterator[str]:
         )
 
 
-def find_wrong_amounts(record: StepRecord, site: Site) -> Iterator[str]:
+def find_wrong_amounts(record: StepRecord, site: Place) -> Iterator[str]:
     """Find evapotranspiration, levels and dew points that do not occur anywhere on Earth."""
     amounts = []
     if record.reference_column:
@@ -129,6 +129,7 @@ def find_wrong_amounts(record: StepRecord, site: Site) -> Iterator[str]:
         above = _find_median(record.dew_point - record.temperature)
         amounts.append((DEW_POINT, "K above the temperature", above, -math.inf, _MAX_ABOVE))
     if record.level is not None and not np.isnan(record.level).all():
+        assert isinstance(site, Site)  # only the record of a roof has a level
         highest, lowest = float(np.nanmax(record.level)), float(np.nanmin(record.level))
         amounts += [
             ("level", "m at its highest", highest, -math.inf, site.max_roof_level),
@@ -162,7 +163,7 @@ _CLEAREST, _CLEAREST_DAYS = (0.3, 1.0), 10
 _WARMEST, _WARMEST_PER_MJ = 18.0, 0.6
 
 
-def find_wrong_rain(record: StepRecord, _site: Site) -> Iterator[str]:
+def find_wrong_rain(record: StepRecord, _site: Place) -> Iterator[str]:
     """Find rain in a wrong unit, or given as totals over periods other than its rows."""
     if record.step_s > HOUR_S:
         return
@@ -194,7 +195,7 @@ def find_wrong_rain(record: StepRecord, _site: Site) -> Iterator[str]:
             break
 
 
-def find_unlike_sun(record: StepRecord, site: Site) -> Iterator[str]:
+def find_unlike_sun(record: StepRecord, site: Place) -> Iterator[str]:
     """Find evapotranspiration, radiation and temperature that contradict the sun's energy."""
     if site.latitude is None:
         return
@@ -237,7 +238,7 @@ _MAX_SATURATED, _VAPOUR_KPA, _DEW_HOURS = 0.05, 4.5, 240
 _WINDIEST, _WIND_HOURS = 43.0, 240
 
 
-def find_unlike_air(record: StepRecord, _site: Site) -> Iterator[str]:
+def find_unlike_air(record: StepRecord, _site: Place) -> Iterator[str]:
     """Find vapour pressure in the column of the dew point, and wind speed in a wrong unit."""
     if record.dew_point is not None:
         dew_point = record.dew_point[~np.isnan(record.dew_point)]
@@ -281,7 +282,7 @@ _EXTRA_STORAGE = 20.0
 _MIN_SHARE = 0.001
 
 
-def find_imbalance(record: StepRecord, site: Site) -> Iterator[str]:
+def find_imbalance(record: StepRecord, site: Place) -> Iterator[str]:
     """Compare runoff with rain and pumped water, in total and for every storm."""
     if record.runoff is None:
         return
@@ -304,6 +305,8 @@ def find_imbalance(record: StepRecord, site: Site) -> Iterator[str]:
             f"runoff is {excess:.3g} mm more than the rain and pumped water that caused it: are "
             "the units and a2 right?"
         )
+    if not isinstance(site, Site):
+        return
     kept = float(np.max(came - gone, initial=0.0))
     if kept > 1000 * site.z_soil + _EXTRA_STORAGE:
         yield (
@@ -325,7 +328,7 @@ _EARLY_STEPS, _EARLY_S = {"runoff": 1, "level": 2}, 2 * HOUR_S
 _CLEAR, _EARLY_BETTER, _LATE_BETTER = 0.1, 1.1, 1.5
 
 
-def find_shifted_clock(record: StepRecord, _site: Site) -> Iterator[str]:
+def find_shifted_clock(record: StepRecord, _site: Place) -> Iterator[str]:
     """Find a roof that responds before the rain, or many hours after it.
 
     Only the rises of runoff or level are used, since the duration of runoff after rain contains no
@@ -386,7 +389,7 @@ _FULL_RATE = 1.3
 _UNEXPLAINED, _DRY_S = 5.0, 3 * DAY_S
 
 
-def find_stuck_sensor(record: StepRecord, site: Site) -> Iterator[str]:
+def find_stuck_sensor(record: StepRecord, site: Place) -> Iterator[str]:
     """Find sensors that report a constant value, apart from gaps, when the value must change.
 
     The runoff must change from 0 if more water arrives in any period than the soil can hold. For a
@@ -395,7 +398,7 @@ def find_stuck_sensor(record: StepRecord, site: Site) -> Iterator[str]:
     """
     rate = max(_FULL_RATE, site.crop_coefficient) * bool(np.nansum(record.pumped) > 0)
     gained = record.water - rate * record.reference
-    holds = max(_LEAVES_SOME, 1000 * site.z_soil)
+    holds = max(_LEAVES_SOME, 1000 * site.z_soil if isinstance(site, Site) else 0.0)
     for column, values in {**record.measured, "rain": record.rain}.items():
         known = np.flatnonzero(~np.isnan(values))
         for low, high in find_gaps(np.diff(values[known]) == 0):
@@ -419,7 +422,7 @@ def find_stuck_sensor(record: StepRecord, site: Site) -> Iterator[str]:
                 break
 
 
-def find_blocked_gauge(record: StepRecord, _site: Site) -> Iterator[str]:
+def find_blocked_gauge(record: StepRecord, _site: Place) -> Iterator[str]:
     """Find runoff without rain or pumped water."""
     if record.runoff is None:
         return
@@ -444,7 +447,7 @@ _DAYS, _MIN_WET = 14, 20
 _YEAR = 366
 
 
-def find_outlying_rain(record: StepRecord, _site: Site) -> Iterator[str]:
+def find_outlying_rain(record: StepRecord, _site: Place) -> Iterator[str]:
     """Find hours with more rain than is plausible according to the station's own records.
 
     The limit is 9 times the 95th percentile (below 0 degC, 5 times) of the wet hours in all years

@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter as RosParameter
 
 from greenroof_ros.common.errors import rename_keys
 from greenroof_ros.common.parameter import Parameter, replace_infinity
-from greenroof_ros.controllers.failure import locate_error
+from greenroof_ros.controllers.decide import locate_error
 from greenroof_ros.controllers.outlet import OutletPolicy
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.graph.parameters import declare, find_given
@@ -68,9 +68,13 @@ class ControllerParameters:
         self.controller = self._choice.make(self._site, self._values)
         return self.controller
 
-    def make_outlet(self) -> OutletPolicy | None:
-        """Create the policy, if any, that commands the outlet valve alongside the controller."""
-        return self._choice.make_outlet(self._site, self._values, self.controller)
+    def make_outlet(self, without_rain: float) -> OutletPolicy | None:
+        """Create the policy, if any, that commands the outlet valve alongside the controller.
+
+        Args:
+            without_rain: time without rain before the first tick (s).
+        """
+        return self._choice.make_outlet(self._site, self._values, self.controller, without_rain)
 
     def count_own_steps(self) -> int | None:
         """Return the number of forecast steps that the controller itself uses; None for all."""

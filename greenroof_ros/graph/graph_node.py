@@ -27,7 +27,8 @@ from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.messages import encoder, message_class, qos_profile
 from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.graph.rclpy_internals import raw_publish
-from greenroof_ros.site.site import Site, read_site
+from greenroof_ros.site.file import read_site
+from greenroof_ros.site.site import Site
 
 # The longest time for which an ending node waits for its readers (s): a killed reader stays
 # matched.

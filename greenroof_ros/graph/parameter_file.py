@@ -18,7 +18,7 @@ from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.parameter import find_closest, suggest_parameter
 from greenroof_ros.common.parameter_sections import read_sections
 from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
-from greenroof_ros.site.site import read_site
+from greenroof_ros.site.file import read_site
 
 # Parameters that only bringup sets, by node, each with the option of bringup that sets it.
 _OF_BRINGUP = {

@@ -26,8 +26,9 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.parameter import Parameter, suggest_parameter
 from greenroof_ros.common.parameter_sections import read_sections
+from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import MAX_HORIZON
-from greenroof_ros.site.site import Site, read_site
+from greenroof_ros.site.site import Site
 
 USE_SIM_TIME = "use_sim_time"  # rclpy's name
 # The name of every Python type in ROS 2.

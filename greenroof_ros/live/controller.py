@@ -24,12 +24,13 @@ from greenroof_ros.common.processes import time_limit
 from greenroof_ros.common.states import ENDED
 from greenroof_ros.common.times import from_epoch_ns, to_people
 from greenroof_ros.controllers.decide import (
+    ControllerError,
     decide,
+    find_place,
     is_finite_number,
+    locate_error,
     may_decide,
-    shape_rain,
 )
-from greenroof_ros.controllers.failure import ControllerError, find_place, locate_error
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
 from greenroof_ros.controllers.protocol import ControllerClass, set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
@@ -39,7 +40,8 @@ from greenroof_ros.live.engine import RECOVERY, Levels, live_parameters
 from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.live.supervisor_socket import supervisor_socket
-from greenroof_ros.physics.plant import pump_flow
+from greenroof_ros.physics.parameters import plant_parameters
+from greenroof_ros.physics.pump import pump_flow
 from greenroof_ros.site.site import Site
 
 # The inputs; without the forecasts, the flow or the gauge, the node still commands.
@@ -246,7 +248,7 @@ class LiveControllerNode(LiveNode):
         usable = decides and self._rain.good and self._evapotranspiration.good
         return decide(
             controller, decides, self._cistern.value, self._roof.value,
-            shape_rain(self._choice, self._rain.value, self._rain.name) if usable else (),
+            self._choice.shape_rain(self._rain.value, self._rain.name) if usable else (),
             self._evapotranspiration.value if usable else (), self._quiet,
         )
 
@@ -311,7 +313,7 @@ class LiveControllerNode(LiveNode):
         if not self._flow.received:
             cistern, roof = self._cistern.value, self._roof.value
             volumes = site.cistern_volume(cistern), site.roof_volume(roof)
-            flow = pump_flow(site, *volumes, min(command, 1.0))
+            flow = pump_flow(plant_parameters(site), *volumes, min(command, 1.0))
         self._levels.expect(flow, 0.0 if self._frost.value else self._measured_rain())
 
     def _measured_rain(self) -> float:

@@ -11,7 +11,7 @@ from pathlib import Path
 from greenroof_ros.common.command_line import Parser, add_site, make_number_type, refuse
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.states import PUMP, RECORDER
-from greenroof_ros.controllers.failure import find_place
+from greenroof_ros.controllers.decide import find_place
 from greenroof_ros.controllers.registry import EXTERNAL, FOR_A_SITE, ControllerChoice
 from greenroof_ros.forecast.service import ENSEMBLE, FORECAST, OPEN_METEO
 from greenroof_ros.graph.arguments import add_graph_arguments
@@ -26,7 +26,7 @@ from greenroof_ros.simulation.options import (
     add_controller_arguments,
     read_controller,
 )
-from greenroof_ros.site.site import read_site
+from greenroof_ros.site.file import read_site
 
 # Minimum size of a bag (MB).
 MIN_BAG_MB = 2.0

@@ -43,7 +43,7 @@ from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart
 from greenroof_ros.simulation import summary
 from greenroof_ros.simulation.directory import writable, write_parameters
 from greenroof_ros.simulation.summary import versions
-from greenroof_ros.site.site import format_site, read_site
+from greenroof_ros.site.file import format_site, read_site
 
 # Interval at which systemd is notified (s), and how far each notice extends the start timeout (us).
 _NOTIFY_S = 1.0

@@ -1,4 +1,4 @@
-"""Rejection of sites with an outlet valve, which a live site cannot command yet."""
+"""Rejection of sites that a live site cannot serve: with an outlet valve, or without a pump."""
 
 from __future__ import annotations
 
@@ -9,15 +9,20 @@ from greenroof_ros.site.site import Site
 
 
 def refuse_valve(site: Site, file: Path | None) -> None:
-    """Reject a site with a valve at its low outlet.
+    """Reject a site with a valve at its low outlet, or without a pump.
 
     Args:
         site: the site.
         file: the site file; None if the site was not read from a file.
 
     Raises:
-        ConfigurationError: if the site has a valve at its low outlet.
+        ConfigurationError: if the site has a valve at its low outlet, or is not irrigated.
     """
+    if not site.irrigated:
+        raise ConfigurationError(
+            "must be left out: a live site runs a pump, and this site has none", file=file,
+            key="irrigation", value=site.irrigation,
+        )
     if site.low_outlet_valve:
         raise ConfigurationError(
             "must be false: a live site cannot command the valve yet, so the valve would not "

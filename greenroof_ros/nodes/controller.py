@@ -10,26 +10,20 @@ from typing import Any
 
 from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.decide import (
-    cut_forecast,
-    decide,
-    decide_outlet,
-    may_decide,
-    read_statistics,
-    shape_rain,
-)
+from greenroof_ros.controllers.decide import decide, may_decide, read_statistics
 from greenroof_ros.controllers.protocol import set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.graph.controller_parameters import ControllerParameters, of_reference
 from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.node import SimulationNode
-from greenroof_ros.graph.parameters import site_file
+from greenroof_ros.graph.parameters import declare, site_file
+from greenroof_ros.physics.storm_water import WITHOUT_RAIN
 
 
 def parameters(choice: ControllerChoice | None) -> list[Parameter]:
     """Return the parameters of a controller's node; None for the parameters of every controller."""
-    return [site_file(), *([] if choice is None else choice.parameters.values())]
+    return [site_file(), WITHOUT_RAIN, *([] if choice is None else choice.parameters.values())]
 
 
 class ControllerNode(SimulationNode):
@@ -54,7 +48,9 @@ class ControllerNode(SimulationNode):
         self._site = site = self.declare_site()
         self._settings = ControllerParameters(self, choice, site, lambda: self.lockstep.tick)
         self._controller = self._settings.make()
-        self._outlet = self._settings.make_outlet()
+        self._outlet = self._settings.make_outlet(
+            declare(self, [WITHOUT_RAIN])[WITHOUT_RAIN.name]
+        )
         self._own_steps = self._settings.count_own_steps()
         self._optional = optional_topics(choice.outputs)
         if self._outlet is not None:
@@ -74,7 +70,7 @@ class ControllerNode(SimulationNode):
     def on_inputs(self) -> None:
         """Publish the command and the controller's optional outputs."""
         controller = self._controller
-        allowed, quiet = self.good and not self._frost.value, False
+        allowed, quiet = self.good and self._site.irrigated and not self._frost.value, False
         if self._site.quiet is not None:
             time_ns = self._time.value
             self.set_time(time_ns)
@@ -85,19 +81,19 @@ class ControllerNode(SimulationNode):
         rain, evapotranspiration = self._rain.value, self._evapotranspiration.value
         own_rain, own_evapotranspiration = rain, evapotranspiration
         if self._own_steps is not None:
-            own_rain, own_evapotranspiration = cut_forecast(
-                self._choice, self._own_steps, rain, evapotranspiration
+            own_rain, own_evapotranspiration = self._choice.cut_forecast(
+                self._own_steps, rain, evapotranspiration
             )
         self.publish("/pump/command", decide(
-            controller, allowed, *levels, shape_rain(self._choice, own_rain, self._rain.name),
+            controller, allowed, *levels, self._choice.shape_rain(own_rain, self._rain.name),
             own_evapotranspiration, quiet,
         ))
         if self._outlet is not None:
-            closed = self._site.valve_closed_in_frost and self._frost.value != 0
-            # Its policy must not learn from a rejected input: it would be a 0.
-            self.publish("/outlet/command", decide_outlet(
-                self._outlet, closed, *levels, rain, evapotranspiration
-            ) if self.good else 0.0)
+            share = 0.0
+            if self.good:  # the policy must not learn from a rejected input: it would be a 0
+                share = self._outlet.command(*levels, rain, evapotranspiration)
+            closed = self._site.valve_closed_in_frost and self._frost.value
+            self.publish("/outlet/command", 0.0 if closed else share)
         for topic, attribute in self._optional:
             value = getattr(controller, attribute) if allowed else topic.undecided
             self.publish(topic.name, value)

@@ -24,10 +24,13 @@ from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare, site_file
-from greenroof_ros.physics.plant import Flows
+from greenroof_ros.physics.parameters import Flows
 from greenroof_ros.physics.sensor_and_pump import PARAMETERS, SensorAndPump
 from greenroof_ros.physics.start import check_volumes, initial_states
-from greenroof_ros.results.virtual_site import VirtualSite
+from greenroof_ros.physics.storm_water import WITHOUT_RAIN
+from greenroof_ros.physics.tick import OWN_PUMPS
+from greenroof_ros.physics.virtual_site import VirtualSite
+from greenroof_ros.results.metrics import Metrics
 from greenroof_ros.site.site import Site
 
 # How far the plant may be ahead of the ticks that the recorder has flushed (ticks).
@@ -67,6 +70,7 @@ def parameters(site: Site) -> list[Parameter]:
             among=("internal", "external"),
         ),
         *PARAMETERS.values(),
+        WITHOUT_RAIN,
         Parameter(
             "record", False,
             meaning="whether to wait for the recorder at the start and during the run",
@@ -102,8 +106,12 @@ class PlantNode(SimulationNode):
         self._limit = values["peer_limit"]
         self._start_limit = values["start_limit"]
         self._tau = site.tau
+        start_ns = epoch_ns(read_start(values["start"]))
         self._site = VirtualSite(
-            site, x1, x2, epoch_ns(read_start(values["start"])), sensor_and_pump
+            site, x1, x2, start_ns, sensor_and_pump, self._run_length + 1
+        )
+        self._metrics = Metrics(
+            site, self._run_length, start_ns / 1e9, values[WITHOUT_RAIN.name]
         )
         # The tick that was published last, and its levels.
         self._published = 0, *self._site.observe()
@@ -182,21 +190,24 @@ class PlantNode(SimulationNode):
             self._began = time.monotonic()  # before this, the other nodes were still joining
         if self._frost is not None:
             site.frost = self._frost.value if self._frost.good else math.nan
+        rain, evapotranspiration = self._rain.value, self._evapotranspiration.value
+        command = self._command.value
         flows = site.act(
-            self._rain.value, self._evapotranspiration.value, self._command.value,
-            self._flow.value if self._external else None,
+            rain, evapotranspiration, command,
+            self._flow.value if self._external else OWN_PUMPS,
             1.0 if self._outlet is None else self._outlet.value,
         )
         if site.tick == self._run_length:
             self._publish_flows(flows)
             self._wall_s = time.monotonic() - self._began
             self.finish()
-            deviation = site.metrics["total_deviation_m3"]
+            deviation = self._metrics.results(site.state)["total_deviation_m3"]
             self.get_logger().info(
                 f"finished {self._run_length} ticks in {self._wall_s:.1f} s; total deviation "
                 f"{deviation:.2f} m3"
             )
             return
+        self._metrics.add(site.state, command, rain, evapotranspiration, flows)
         site.step()
         # Publish the next tick first, if allowed: the other nodes begin it while this node still
         # publishes the flows of the last tick. The order within a topic does not change.
@@ -282,9 +293,9 @@ class PlantNode(SimulationNode):
     def summary(self) -> dict[str, Any]:
         """Return the metrics, weeks, events and duration (s of wall time) of the run."""
         return {
-            "metrics": self._site.metrics.results(),
-            "weeks": self._site.metrics.weekly_deviations(),
-            "events": self._site.metrics.events(),
+            "metrics": self._metrics.results(self._site.state),
+            "weeks": self._metrics.weekly_deviations(self._site.state),
+            "events": self._metrics.events(self._site.state),
             "wall_s": self._wall_s,
         }
 

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import entry, parameters_of
@@ -74,64 +76,68 @@ PARAMETERS = {parameter.name: parameter for parameter in parameters_of(SensorAnd
 """parameters of :class:`SensorAndPump`, by name"""
 
 
-class RoofSensor:
-    """The level sensor of the roof; its noise in a tick depends only on the seed and the tick."""
+def read_errors(sensor: SensorAndPump, ticks: int) -> NDArray[np.float64]:
+    """Return the error of the roof's sensor in the first ticks (m), shape (ticks,); (0,) if exact.
 
-    def __init__(self, sensor: SensorAndPump) -> None:
-        """Set the sensor's noise and offset."""
-        self._model = sensor
-        self._block = -1
-        self._errors = [sensor.roof_offset] * _BLOCK
-
-    def reading(self, tick: int, level: float) -> float:
-        """Return the reading (m, at least 0) in a tick for a true level (m)."""
-        block, index = divmod(tick, _BLOCK)
-        if block != self._block and self._model.roof_noise:
-            drawn = np.random.default_rng([self._model.noise_seed, block]).standard_normal(_BLOCK)
-            self._errors = (self._model.roof_offset + self._model.roof_noise * drawn).tolist()
-            self._block = block
-        return max(0.0, level + self._errors[index])
+    The noise of a tick depends only on the seed and the tick.
+    """
+    if sensor.exact_sensor:
+        return np.empty(0)
+    errors = np.full(-(-ticks // _BLOCK) * _BLOCK, sensor.roof_offset)
+    if sensor.roof_noise:
+        for first in range(0, ticks, _BLOCK):
+            errors[first : first + _BLOCK] += sensor.roof_noise * _noise(sensor, first // _BLOCK)
+    return errors[:ticks]
 
 
-class Pump:
-    """The pumps, and the switch that protects them.
+def _noise(sensor: SensorAndPump, block: int) -> NDArray[np.float64]:
+    return np.random.default_rng([sensor.noise_seed, block]).standard_normal(_BLOCK)
 
-    After a start, the pumps stay on for at least ``pump_min_on``; if the command becomes 0 earlier,
-    they continue to run at the last positive command. After a stop, the pumps stay off for at least
-    ``pump_min_off``, regardless of the command. At the start of a run, the pumps are assumed to
-    have been off for long enough. The switch monitors the delivered flow instead of the command. If
+
+# A pump switch: whether the pumps are on, the ticks since they were switched, and the command that
+# last passed.
+ON, SINCE, PASSED = range(3)
+
+
+def min_ticks(seconds: float, tau: float) -> int:
+    """Return a minimum time (s), rounded up to whole ticks of tau (s)."""
+    return math.ceil(seconds / tau - _ROUNDING)
+
+
+def switch_pump(
+    switch: Any, min_on: float, min_off: float, command: float, may_run: bool
+) -> float:
+    """Return the command that reaches the pumps in a tick, through the switch that protects them.
+
+    After a start, the pumps stay on for at least ``min_on``; if the command becomes 0 earlier, they
+    continue to run at the last positive command. After a stop, the pumps stay off for at least
+    ``min_off``, regardless of the command. At the start of a run, the pumps have been off for long
+    enough. The switch monitors the delivered flow (:func:`observe_pump`) instead of the command. If
     Eq. (3a) stops the flow because of the true levels, the on-time ends even if it is too short,
     and an off-time begins, as with a float switch. Otherwise, the pumps would restart whenever a
     drop evaporated from a full roof. Frost switches the pumps off immediately, because a burst pipe
     is worse than an on-time that is too short. Quiet hours also switch the pumps off immediately,
     as at a real site.
+
+    Args:
+        switch: state of the switch, :data:`ON`, :data:`SINCE` and :data:`PASSED`.
+        min_on: minimum time for which the pumps stay on (ticks).
+        min_off: minimum time for which they stay off (ticks).
+        command: command of the controller (share of the maximum flow).
+        may_run: whether pumping is allowed; frost and quiet hours forbid it.
     """
+    if not may_run or (switch[ON] == 0 and switch[SINCE] < min_off):
+        return 0.0
+    if switch[ON] > 0 and command == 0 and switch[SINCE] < min_on:
+        passed: float = switch[PASSED]
+        return passed
+    switch[PASSED] = command
+    return command
 
-    def __init__(self, pump: SensorAndPump, tau: float) -> None:
-        """Set the minimum times, rounded up to whole ticks, and the duration of a tick (s)."""
-        self._min_on = math.ceil(pump.pump_min_on / tau - _ROUNDING)
-        self._min_off = math.ceil(pump.pump_min_off / tau - _ROUNDING)
-        self._on = False
-        self._ticks = self._min_off  # ticks since they were switched
-        self._passed = 0.0
 
-    def switch(self, command: float, may_run: bool) -> float:
-        """Return the command that reaches the pumps in the current tick.
-
-        Args:
-            command: command of the controller (share of the maximum flow).
-            may_run: whether pumping is allowed; frost and quiet hours forbid it.
-        """
-        if not may_run or (not self._on and self._ticks < self._min_off):
-            return 0.0
-        if self._on and command == 0 and self._ticks < self._min_on:
-            return self._passed
-        self._passed = command
-        return command
-
-    def observe(self, flow: float) -> None:
-        """Record the flow (m3/s) that the pumps deliver in the current tick."""
-        if (flow > 0) != self._on:
-            self._on = flow > 0
-            self._ticks = 0
-        self._ticks += 1
+def observe_pump(switch: Any, flow: float) -> None:
+    """Record the flow (m3/s) that the pumps deliver in a tick."""
+    on = 1.0 if flow > 0 else 0.0
+    if on != switch[ON]:
+        switch[ON], switch[SINCE] = on, 0.0
+    switch[SINCE] += 1

@@ -12,18 +12,53 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from greenroof_ros.physics.plant import mains_flow
-from greenroof_ros.physics.soil import SoilSlopes, soil_of
+from greenroof_ros.physics.cistern import mains_inflow
+from greenroof_ros.physics.parameters import PlantParameters
+from greenroof_ros.physics.soil import filled_share, retained_share, water_stress
 from greenroof_ros.site.site import Site
 
 
+class SoilSlopes(NamedTuple):
+    """The response of the soil to water at a volume x2, and its derivatives in x2 (per m3)."""
+
+    retained: float
+    """share of the arriving water that stays in the soil (1)"""
+    retained_2: float
+    stress: float
+    """share of the potential evapotranspiration that the soil yields (1)"""
+    stress_2: float
+    drained: float
+    """drainage in addition to the arriving water that does not stay (m3/s)"""
+    drained_2: float
+
+
+def linearise_soil(site: Site, p: PlantParameters, x2: float) -> SoilSlopes:
+    """Return the response of the soil at x2 (m3); :func:`q_drain` replaces Eq. (4).
+
+    A field-capacity soil is not smoothed. At the wilting point, the onset of stress and field
+    capacity, its slopes are one-sided.
+    """
+    if not p.has_field_capacity:
+        return SoilSlopes(1.0, 0.0, 1.0, 0.0, *q_drain(site, x2))
+    filled, stress, exponent = filled_share(p, x2), water_stress(p, x2), p.percolation_exponent
+    filled_2 = 1 / p.available_volume if p.wilting_volume <= x2 < p.z_cap else 0.0
+    excess = max(0.0, x2 - p.z_cap)
+    return SoilSlopes(
+        retained_share(p, x2), -exponent * filled ** (exponent - 1) * filled_2,
+        stress, filled_2 / p.stress_onset if stress < 1 else 0.0,
+        excess / p.tau, 1 / p.tau if excess else 0.0,
+    )
+
+
 def f(
-    site: Site, x1: float, w_r: float, w_e: float, out: float, pumped: float, soil: SoilSlopes
+    site: Site, p: PlantParameters, x1: float, w_r: float, w_e: float, out: float, pumped: float,
+    soil: SoilSlopes,
 ) -> tuple[float, float]:
     """Return f^epsilon: the rates of change of the two volumes (m3/s), Eq. (5).
 
     Args:
         site: parameters of the site (Table I).
+        p: numbers of the site.
         x1: water volume in the cistern (m3).
         w_r: precipitation (m/s).
         w_e: evapotranspiration (m3/s).
@@ -31,7 +66,7 @@ def f(
         pumped: q_pump, Eq. (8) (m3/s).
         soil: slopes of the soil, including q_drain, Eq. (9).
     """
-    f1 = w_r * site.effective_catchment + mains_flow(site, x1, 0.0, site.tau) - out - pumped
+    f1 = w_r * site.effective_catchment + mains_inflow(p, x1, 0.0, site.tau) - out - pumped
     return f1, (w_r * site.a2 + pumped) * soil.retained - w_e * soil.stress - soil.drained
 
 
@@ -112,22 +147,23 @@ class Linearisation(NamedTuple):
 
 
 def linearise(
-    site: Site, x1: float, x2: float, u: float, w_r: float, w_e: float
+    site: Site, p: PlantParameters, x1: float, x2: float, u: float, w_r: float, w_e: float
 ) -> Linearisation:
     """Linearise the smooth plant about p = (x, u, w), Eq. (10).
 
     Args:
         site: parameters of the site (Table I).
+        p: numbers of the site.
         x1: water volume in the cistern (m3).
         x2: water volume on the roof (m3).
         u: command, share of the maximum flow (1).
         w_r: precipitation (m/s).
         w_e: evapotranspiration (m3/s).
     """
-    tau, soil = site.tau, soil_of(site).linearise(x2, q_drain)
+    tau, soil = site.tau, linearise_soil(site, p, x2)
     out, out_1 = q_out(site, x1)
     pumped, pumped_1, pumped_2, pumped_u = q_pump(site, x1, x2, u)
-    f1, f2 = f(site, x1, w_r, w_e, out, pumped, soil)
+    f1, f2 = f(site, p, x1, w_r, w_e, out, pumped, soil)
     into_roof = w_r * site.a2 + pumped
     f2_2 = (
         pumped_2 * soil.retained + into_roof * soil.retained_2

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.physics.soil import soil_of
-from greenroof_ros.site.site import Site, find_unheld
+from greenroof_ros.site.file import find_unheld
+from greenroof_ros.site.site import Site
 
 # Table II: factors of the volumes at the outlet's level and at the target.
 _TABLE_II = {
@@ -94,8 +94,9 @@ def note_full_roof(site: Site, roof: float) -> list[str]:
     if roof <= site.z_cap:
         return []
     full = site.roof_level(site.z_cap)
+    excess = "stay on its surface" if site.field_capacity is None else "drain immediately"
     return [
         f"the run starts with {roof:g} m3 on the roof, more than the {site.z_cap:g} m3 (a level of "
         f"{full:g} m) that the soil holds: {site.roof_level(roof) - full:.3g} m "
-        f"{soil_of(site).excess}. The value must be a volume in m3"
+        f"{excess}. The value must be a volume in m3"
     ]

@@ -1,22 +1,10 @@
-"""Storm water that reaches the sewer during and after rain, and the rain events of a run.
+"""Wet weather, and the rain events of a run.
 
-All results are computed from sums over intervals of one minute, rounded up to a whole number of
-ticks. Within an interval, rain and discharge are assumed to be constant. Flows before and after a
-run are unknown, and are assumed to be 0.
-
-**Peaks** are maxima of a moving mean, whose window may begin at any time. Fixed intervals of five
-minutes would underestimate the peak of a storm by an eighth on average (Weiss 1964, Ratio of true
-to fixed-interval maximum rainfall, Journal of the Hydraulics Division 90(1), 77-82: 1.14).
-
-**Wet weather** is any time with rain that is part of an hour with at least 0.1 mm of rain, and also
-the period ``wet_after`` after this rain, during which the sewer still carries storm water. Water
-that is released later reaches a sewer with free capacity.
-
-**The reference** is the same area without a green roof and a cistern, from which all rain runs off
-immediately: the whole area of the roof, and the area of the catchment times its runoff coefficient,
-which corresponds to A_u in DWA-A 117 and DWA-A 138. Therefore the runoff of the reference in mm/h
-equals the rain, as in Johannessen, Muthanna and Braskerud (2018, Water 10, 671), who compare the
-five-minute peaks of rain and runoff.
+**Rain** counts if it falls at 0.1 mm/h or more, or within an hour after rain that counted. Unknown
+rain counts, too. **Wet weather** is the time while rain counts, and the period ``wet_after``
+afterwards, during which the sewer still carries storm water. Water that is released later reaches a
+sewer with free capacity. A valve and the metrics of a run use this same rule, which looks only
+back: a rain gauge cannot know whether light rain will become stronger.
 
 **Events** are separated by a period ``event_separation`` without rain. The default is six hours,
 which is usual in studies of green roofs, and for the separation time in SWMM's statistics (Rossman
@@ -24,6 +12,12 @@ which is usual in studies of green roofs, and for the separation time in SWMM's 
 sewer before the end of this dry period belongs to the event. Only the volume and the peak in wet
 weather are compared with the reference, because the purpose of a valve is to release water some
 hours after rain.
+
+**The reference** is the same area without a green roof and a cistern, from which all rain runs off
+immediately: the whole area of the roof, and the area of the catchment times its runoff coefficient,
+which corresponds to A_u in DWA-A 117 and DWA-A 138. Therefore the runoff of the reference in mm/h
+equals the rain, as in Johannessen, Muthanna and Braskerud (2018, Water 10, 671), who compare the
+five-minute peaks of rain and runoff.
 """
 
 from __future__ import annotations
@@ -31,37 +25,23 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.site.site import Site
-
-Values = NDArray[np.float64]
 
 MIN_DEPTH = 1e-4
 """minimum depth of a rain event or an overflow (m): 0.1 mm, the resolution of a rain gauge"""
-WET_RAIN = MIN_DEPTH / 3600
-"""minimum rate of rain in wet weather (m/s): 0.1 mm in an hour"""
-
-_HOUR_S = 3600.0
+HOUR_S = 3600.0
+# Rates are rounded, and an hour with 0.1 mm must not fall below it (m/s).
+_MIN_RAIN = MIN_DEPTH / HOUR_S * (1 - 1e-9)
 _INTERVAL_S = 60.0
-# Peaks are means over these numbers of minutes.
-_PEAK_MIN = 5.0
-# More than the rounding errors of an interval's sums (m3), but no water that matters.
-_NOTHING = 1e-9
-# Relative difference of sums that are equal but for rounding: the first of them is the peak.
-_ROUNDING = 1 - 1e-9
+ROUNDING = 1 - 1e-9
+"""share of a time that is not less than it, apart from rounding (1)"""
 
-
-class Intervals(NamedTuple):
-    """Sums over the intervals of a run; every array has shape (n,)."""
-
-    seconds: float
-    """duration of an interval (s)"""
-    rain: Values
-    """rain, as a depth (m)"""
-    discharge: Values
-    """discharge to the sewer (m3)"""
+WITHOUT_RAIN = Parameter(
+    "time_without_rain", math.inf, "s", 0.0, math.inf, "time without rain before tick 0, which "
+    "determines whether a run starts in wet weather; by default, in dry weather",
+)
+"""parameter of the nodes that distinguish wet from dry weather"""
 
 
 class Event(NamedTuple):
@@ -84,7 +64,8 @@ class Event(NamedTuple):
         peak_reduction: relative reduction of the peak compared with the reference (1).
         peak_delay_min: delay of the peak relative to the reference's peak; None if there was no
             discharge in wet weather.
-        complete: whether the run covers the whole event, including the dry hours after it.
+        complete: whether the run covers the whole event, and a dry period as long as
+            ``event_separation`` before and after it.
     """
 
     start_h: float
@@ -102,87 +83,49 @@ class Event(NamedTuple):
     complete: bool
 
 
+def time_without_rain(before: float, rain: float, tau: float) -> float:
+    """Return the time without rain until the end of a tick (s); 0 if rain counts in the tick.
+
+    Args:
+        before: time without rain until the end of the tick before (s); ``math.inf`` if none is
+            known to have fallen.
+        rain: rain in the tick (m/s), NaN if unknown.
+        tau: duration of the tick (s).
+    """
+    if not rain < _MIN_RAIN or (rain > 0 and before < HOUR_S * ROUNDING):
+        return 0.0
+    return before + tau
+
+
+def is_wet(without_rain: float, tau: float, wet_after: float) -> bool:
+    """Return whether the weather is wet in a tick.
+
+    Args:
+        without_rain: time without rain until the end of the tick (s).
+        tau: duration of the tick (s).
+        wet_after: time after rain that counts as wet weather (s).
+    """
+    return without_rain - tau < wet_after * ROUNDING
+
+
+def wet_time_left(without_rain: float, wet_after: float) -> float:
+    """Return the time for which the weather will remain wet if no more rain falls (s).
+
+    Args:
+        without_rain: time without rain until now (s).
+        wet_after: time after rain that counts as wet weather (s).
+    """
+    return max(0.0, wet_after - without_rain)
+
+
 def interval_seconds(site: Site) -> float:
-    """Return the duration of an interval (s): a minute, rounded up to a whole number of ticks."""
+    """Return the duration of an interval (s): a minute, rounded up to a whole number of ticks.
+
+    Peaks and events are computed from sums over these intervals.
+    """
     return site.tau * math.ceil(_INTERVAL_S / site.tau - 1e-9)
 
 
 def connected_area(site: Site) -> float:
     """Return the area whose rain would reach the sewer without a green roof and a cistern (m2)."""
     return site.effective_catchment + site.a2
-
-
-def find_wet_weather(wet_after: float, intervals: Intervals) -> NDArray[np.bool_]:
-    """Return a mask of the intervals in wet weather, shape (n,).
-
-    Args:
-        wet_after: parameter ``wet_after`` of the site (h).
-        intervals: intervals of the run.
-    """
-    seconds, rain = intervals.seconds, intervals.rain
-    size, places = max(1, round(_HOUR_S / seconds)), np.arange(len(rain))
-    # Which hours have enough rain, whenever they begin; and how many of these contain an interval.
-    fallen = np.append(0.0, np.cumsum(np.pad(rain, size - 1)))
-    enough = fallen[size:] - fallen[:-size] >= size * seconds * WET_RAIN * _ROUNDING
-    hours = np.append(0, np.cumsum(enough))
-    rains = (rain > 0) & (hours[size:] > hours[:-size])
-    after = round(wet_after * _HOUR_S / seconds)
-    last = np.maximum.accumulate(np.where(rains, places, -after - 1))
-    return np.asarray(places - last <= after)
-
-
-def find_peak(intervals: Intervals, minutes: float) -> float:
-    """Return the maximum mean discharge over a number of minutes (m3/s)."""
-    return _find_maximum(intervals.discharge, intervals.seconds, minutes)[0]
-
-
-def _find_maximum(values: Values, seconds: float, minutes: float) -> tuple[float, float]:
-    """Return the maximum of the moving mean (per second), and the start of its first window (s).
-
-    Args:
-        values: sums over intervals.
-        seconds: duration of an interval (s).
-        minutes: width of the window (min).
-    """
-    window, edges = 60 * minutes, seconds * np.arange(len(values) + 1.0)
-    total = np.append(0.0, np.cumsum(values))
-    # The mean of constant pieces is largest where the window begins or ends with one of them.
-    starts = np.concatenate((edges - window, edges))
-    sums = np.interp(starts + window, edges, total) - np.interp(starts, edges, total)
-    maximum = float(sums.max())
-    return maximum / window, float(starts[sums >= maximum * _ROUNDING].min())
-
-
-def find_events(site: Site, intervals: Intervals) -> list[Event]:
-    """Return the rain events of a run in chronological order, excluding traces below 0.1 mm."""
-    seconds, rain, area = intervals.seconds, intervals.rain, connected_area(site)
-    dry = max(1, round(site.event_separation * _HOUR_S / seconds))
-    rains = np.flatnonzero(rain > 0)
-    firsts = rains[np.diff(rains, prepend=-np.inf) > dry]
-    lasts = rains[np.diff(rains, append=np.inf) > dry]
-    wet = np.where(find_wet_weather(site.wet_after, intervals), intervals.discharge, 0.0)
-    events = []
-    for first, last in zip(firsts.tolist(), lasts.tolist(), strict=True):
-        until = last + 1 + dry  # no rain falls after the event
-        fallen, discharge = rain[first:until], wet[first:until]
-        depth, volume = float(fallen.sum()), float(discharge.sum())
-        if depth < MIN_DEPTH * _ROUNDING:
-            continue
-        heaviest, at = _find_maximum(fallen, seconds, _PEAK_MIN)
-        peak, later = _find_maximum(discharge, seconds, _PEAK_MIN)
-        events.append(Event(
-            start_h=first * seconds / _HOUR_S,
-            hours=(last + 1 - first) * seconds / _HOUR_S,
-            rain_mm=1000 * depth,
-            max_rain_5min_mm_h=1000 * _HOUR_S * heaviest,
-            max_rain_60min_mm_h=1000 * _HOUR_S * _find_maximum(fallen, seconds, 60.0)[0],
-            discharge_m3=float(intervals.discharge[first:until].sum()),
-            wet_discharge_m3=volume,
-            peak_l_s=1000 * peak,
-            peak_mm_h=1000 * _HOUR_S * peak / area,
-            volume_reduction=1 - volume / (depth * area),
-            peak_reduction=1 - peak / (heaviest * area),
-            peak_delay_min=(later - at) / 60 if volume > _NOTHING else None,
-            complete=first > 0 and until <= len(rain),
-        ))
-    return events

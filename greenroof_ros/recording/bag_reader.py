@@ -17,7 +17,7 @@ from greenroof_ros.common.files import read_yaml
 from greenroof_ros.common.interface import Topic, find_namespace, read_topics
 from greenroof_ros.common.times import from_epoch_ns
 from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
-from greenroof_ros.physics.plant import maximum_pump_flow
+from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.recording.bag_writer import METADATA
 from greenroof_ros.recording.trajectory import COLUMNS, Trajectory, recorded_columns
 from greenroof_ros.site.site import Site

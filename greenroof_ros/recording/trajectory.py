@@ -107,6 +107,7 @@ class Trajectory:
         outlet: command to the outlet valve, as a share of its full opening (1); None without a
             valve.
         low_outlet: the part of the outflow through the low outlet (m3/s); None without a valve.
+        layer: water in the drainage layer (m3), 0 without one; None if it is from a file.
     """
 
     start: datetime
@@ -122,6 +123,7 @@ class Trajectory:
     frost: Samples
     outlet: Samples | None = None
     low_outlet: Samples | None = None
+    layer: Samples | None = None
 
     def to_frame(self) -> polars.DataFrame:
         """Return a table with the time in its zone, in microseconds, and all arrays.

@@ -1,12 +1,25 @@
-"""A lower bound on the total deviation of any controller, computed with a linear program."""
+"""The minimum total deviation of any controller, between two bounds.
+
+A linear program yields a lower bound. The simulation of the plan that ``lookahead`` makes with
+perfect knowledge of the weather yields an upper bound.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.physics.plant import has_short_ticks, maximum_pump_flow
-from greenroof_ros.simulation.plan import find_pumping_ticks
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.order_up_to import BELOW_M3, OrderUpTo
+from greenroof_ros.forecast.resampling import PerfectForecast
+from greenroof_ros.physics.parameters import plant_parameters
+from greenroof_ros.physics.pump import maximum_pump_flow
+from greenroof_ros.physics.tick import command_to
+from greenroof_ros.simulation.loop import Simulation
 from greenroof_ros.simulation.roof_range import ROUNDING, RoofRange, roof_range
 from greenroof_ros.simulation.run import Run
 
@@ -14,6 +27,11 @@ Values = NDArray[np.float64]
 
 # The tightest that HiGHS accepts: a tick's evapotranspiration is usually only 1e-7 of x2*.
 _TOLERANCES = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
+
+# Length of a step of the plan (s); maximum number of steps, because their levels need memory;
+# numbers of nodes below and above the target.
+_STEP_S, _MAX_STEPS = 300.0, 10_000
+_NODES = 3000, 1000
 
 BLOCK_S = 60.0
 """time that usually shares a variable (s)"""
@@ -52,8 +70,7 @@ def clairvoyant_bound(run: Run, block_s: float, max_command: float = 1.0) -> flo
     The program neglects four facts, so there can be a gap between the bound and the best run. The
     cistern can overflow, and the pump flow falls with the cistern's level. Pumping stops at z_veg,
     even if the range of the roof's volume also extends below it. Drainage and dryness follow from
-    the roof's actual volume. A simulated plan (:func:`greenroof_ros.simulation.plan.simulate_plan`)
-    shows the gap.
+    the roof's actual volume. A simulated plan (:func:`simulate_plan`) shows the gap.
 
     For each block of n ticks, the program has a single volume, the mean. The sum of \|x - x*\| over
     the block is at least n \|mean - x*\| (Jensen). If G_k is the sum of the largest changes before
@@ -80,6 +97,19 @@ def clairvoyant_bound(run: Run, block_s: float, max_command: float = 1.0) -> flo
     return _solve(run, _limits(run, max_command), np.arange(0, run.steps + 1, block))
 
 
+def _conditions(run: Run) -> tuple[Values, Values, NDArray[np.bool_]]:
+    """Return rain, evapotranspiration and whether pumping is allowed in the ticks 0..N-1."""
+    site, series = run.site, run.series
+    rain, evapotranspiration, frost = (
+        np.frombuffer(values[: run.steps])
+        for values in (series.precipitation, series.evapotranspiration, series.frost)
+    )
+    may_pump = np.asarray(frost == 0)
+    if site.quiet is not None:
+        may_pump &= ~site.quiet.quiet_ticks(run.time_ns(0), round(site.tau * 1e9), run.steps)
+    return rain, evapotranspiration, may_pump
+
+
 def _sums(first: float, changes: Values) -> Values:
     return np.concatenate([[first], first + np.cumsum(changes)])
 
@@ -87,19 +117,17 @@ def _sums(first: float, changes: Values) -> Values:
 def _limits(run: Run, max_command: float) -> RoofRange:
     """Return the limits of every run; :func:`clairvoyant_bound` derives them."""
     site, tau = run.site, run.site.tau
-    rain, evapotranspiration = (
-        np.frombuffer(series[: run.steps])
-        for series in (run.series.precipitation, run.series.evapotranspiration)
-    )
+    rain, evapotranspiration, may_pump = _conditions(run)
     # This assumes that the mains' valve is always open.
     received = _sums(run.x1, tau * (site.effective_catchment * rain + (site.mains_flow or 0.0)))
     # In a short tick the pumps lift water that was there before it.
-    held = received[:-1] if has_short_ticks(site) else received[1:]
-    flow = np.fromiter((maximum_pump_flow(site, x1) for x1 in held), float, run.steps)
+    p = plant_parameters(site)
+    held = received[:-1] if p.has_short_ticks else received[1:]
+    flow = np.fromiter((maximum_pump_flow(p, x1) for x1 in held), float, run.steps)
     usable = held - site.a1 * site.suction_level
     full = np.where(usable < -ROUNDING * held, 0, tau * max_command * flow)
     mains = np.where(full > 0, np.minimum(usable + full, received[1:]), 0)
-    pumped = np.where(find_pumping_ticks(run), full, 0)
+    pumped = np.where(may_pump, full, 0)
 
     roof = roof_range(site, run.x2, rain, evapotranspiration, pumped)
     supplied = _sums(run.x2, roof.unpumped) + np.concatenate([[0], mains])
@@ -220,3 +248,79 @@ def _compose(
         low = following * low[:-1] + minimum[done:]
         high = following * high[:-1] + maximum[done:]
     return factor, low, high
+
+
+def simulate_plan(run: Run, max_command: float = 1.0) -> dict[str, float]:
+    """Carry out a plan for a whole run, with an exact sensor and a perfect forecast.
+
+    :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` plans the run in steps of five
+    minutes, or of a ten-thousandth of a long run. The time after the run is not considered, and the
+    soil is not simplified. For every site, the total deviation of the plan is an upper bound on the
+    minimum possible total deviation.
+
+    Args:
+        run: weather, site, pumps, initial state and length; its controller, its forecast and the
+            errors of its sensor have no effect.
+        max_command: maximum command (share of the maximum flow).
+
+    Returns:
+        The metrics of the run, by name.
+    """
+    known = replace(
+        run, forecast=PerfectForecast(run.series, 1),
+        sensor_and_pump=replace(run.sensor_and_pump, roof_noise=0.0, roof_offset=0.0),
+    )
+    simulation = Simulation(known, _PlanController(run, max_command))
+    for _ in simulation.ticks():
+        pass
+    return simulation.metrics.results(simulation.site.state)
+
+
+class _PlanController:
+    """Controller that fills the roof to the levels of a plan for the whole run."""
+
+    parameters: ClassVar[tuple[Parameter, ...]] = ()
+
+    def __init__(self, run: Run, max_command: float) -> None:
+        """Make the plan; see :func:`simulate_plan`."""
+        site, n = run.site, run.steps
+        self._site, self._p, self._steps = site, plant_parameters(site), n
+        self._max_command = max_command
+        self._tick = -1
+        self._block = max(1, round(_STEP_S / site.tau), -(-n // _MAX_STEPS))
+        starts = np.arange(0, n, self._block)
+        rain, evaporated, pumping = (
+            np.add.reduceat(values.astype(float), starts) / np.diff(starts, append=n)
+            for values in _conditions(run)
+        )
+        flow = max_command * maximum_pump_flow(self._p, run.x1) * pumping
+        self._program, edges = OrderUpTo(site, fine=_NODES), site.tau * np.append(starts, n)
+        together = np.zeros((1, len(starts)), dtype=np.intp)
+        self._policy = self._program.solve(
+            edges, run.x1, run.x2, rain[None], evaporated, flow, together
+        )
+
+    def command(
+        self, cistern_level: float, roof_level: float, precipitation: Sequence[float],
+        evapotranspiration: Sequence[float],
+    ) -> float:
+        """Return the command for the current tick, which is 0 in the last tick of the run."""
+        self._tick += 1
+        if self._tick == self._steps:
+            return 0.0
+        site, program = self._site, self._program
+        x1, x2 = site.cistern_volume(cistern_level), site.roof_volume(roof_level)
+        step = self._tick // self._block
+        level = float(program.levels(self._policy, step, 0, program.cistern.usable(x1), x2))
+        if level < x2:
+            return 0.0
+        now = precipitation[0], evapotranspiration[0]
+        command = command_to(self._p, x1, x2, level - BELOW_M3, *now)
+        return min(command, self._max_command)
+
+    def skip(self) -> None:
+        """Count a tick in which the pumps must not run."""
+        self._tick += 1
+
+    def statistics(self) -> None:
+        """Return None, because there is no solver."""

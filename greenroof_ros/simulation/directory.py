@@ -15,9 +15,10 @@ import yaml
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import unique_name
 from greenroof_ros.formats.own_csv import write_records
+from greenroof_ros.physics.storm_water import WITHOUT_RAIN
 from greenroof_ros.simulation.inputs import find_needs
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.site.site import format_site
+from greenroof_ros.site.file import format_site
 
 # Parent of the runs' directories, unless a user chooses one.
 _RUNS = Path("runs")
@@ -69,9 +70,7 @@ def _make_dated_directory(controller: str) -> Path:
     return directory
 
 
-def write_configuration(
-    directory: Path, run: Run, nodes: dict[str, object]
-) -> Path:
+def write_configuration(directory: Path, run: Run, nodes: dict[str, object]) -> Path:
     """Copy a run's input files, and write the parameters of its nodes.
 
     Args:
@@ -90,16 +89,16 @@ def write_configuration(
     with writable(directory):
         site_file = configuration / "site.yaml"
         site_file.write_text(format_site(run.site), encoding="utf-8")
+        weather = configuration / "weather"
+        weather.mkdir(exist_ok=True)
         weather_files: list[str] = []
         for file in run.weather.files:
             named = file if file.suffix else Path("weather.csv")  # of a data frame
-            name = unique_name(named, [Path(copy).name for copy in weather_files])
-            copy = configuration / "weather" / name
-            copy.parent.mkdir(exist_ok=True)
+            copy = weather / unique_name(named, [Path(each).name for each in weather_files])
             if run.records is None:
                 shutil.copyfile(file, copy)
             else:
-                copy.write_text(write_records(run.records, name), encoding="utf-8")
+                copy.write_text(write_records(run.records, copy.name), encoding="utf-8")
             weather_files.append(str(copy))
         choice = run.forecast_choice
         if choice.file is not None:
@@ -109,24 +108,22 @@ def write_configuration(
             skill = _copy(choice.skill_file, configuration / "skill.yaml")
             choice = replace(choice, skill=str(skill))
         common = {"site_file": str(site_file)}
+        before = {**common, WITHOUT_RAIN.name: run.without_rain_s}
         all_members, outlet_horizon = find_needs(run.controller, run.parameters)
         span = {"start": run.start.isoformat(), "run_length": run.steps}
         parameters = {
             "plant": {
-                **common, **span, "initial_cistern_volume": run.x1, "initial_roof_volume": run.x2,
+                **before, **span, "initial_cistern_volume": run.x1, "initial_roof_volume": run.x2,
                 **run.sensor_and_pump.values(), **nodes,
             },
             "weather": {
                 **common, **span, "weather_files": weather_files,
-                "evapotranspiration": run.weather.method,
-                "gaps": run.weather.gaps,
-                "horizon": run.parameters.get("horizon", 0.0),
-                "outlet_horizon": outlet_horizon,
-                "all_members": all_members,
-                "forecast": str(choice),
+                "evapotranspiration": run.weather.method, "gaps": run.weather.gaps,
+                "horizon": run.parameters.get("horizon", 0.0), "outlet_horizon": outlet_horizon,
+                "all_members": all_members, "forecast": str(choice),
                 **{f"forecast_{name}": value for name, value in choice.options().items()},
             },
-            run.controller.name: {**common, **run.parameters},
+            run.controller.name: {**before, **run.parameters},
             "recorder": {
                 **common,
                 **({"peer_limit": nodes["peer_limit"]} if nodes else {}),

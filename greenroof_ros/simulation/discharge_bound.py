@@ -10,17 +10,25 @@ weather. The proof is in doc/explanation/bound.md.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.physics.plant import Plant, low_outlet_flow
-from greenroof_ros.physics.storm_water import Intervals, find_wet_weather, interval_seconds
+from greenroof_ros.physics.cistern import low_outlet_flow
+from greenroof_ros.physics.parameters import State, plant_parameters
+from greenroof_ros.physics.storm_water import (
+    HOUR_S,
+    interval_seconds,
+    is_wet,
+    time_without_rain,
+)
+from greenroof_ros.physics.tick import step
+from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.simulation.bound import NoBoundError
-from greenroof_ros.simulation.loop import Simulation, Tick
+from greenroof_ros.simulation.loop import simulate
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.site import Site
 
@@ -29,7 +37,6 @@ Values = NDArray[np.float64]
 WEIGHTS = (0.001, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """Costs of a m3 of mains water, in m3 of discharge in wet weather, one per point."""
 
-_HOUR_S = 3600.0
 # In a short tick an outlet can take what stands this far above the water (m).
 _OVERDRAWN = 1e-4
 # Points that differ by less are one (m3).
@@ -57,13 +64,6 @@ class Frontier(NamedTuple):
     mains_m3: float
     """mains water used in the run (m3)"""
 
-    def at(self, weight: float) -> FrontierPoint:
-        """Return the point for a weight of mains water, one of :data:`WEIGHTS`."""
-        return max(
-            (point for point in self.points if point.weight <= weight),
-            key=lambda point: point.weight,
-        )
-
 
 class Steps(NamedTuple):
     """Steps of up to an hour, each in either wet or dry weather; arrays have shape (n,)."""
@@ -82,79 +82,77 @@ class Steps(NamedTuple):
     """volume that the pumps leave in the cistern (m3)"""
 
 
-def simulate_frontier(run: Run, watch: Callable[[Tick], object] | None = None) -> Frontier:
+def simulate_frontier(
+    run: Run, weights: Sequence[float] = WEIGHTS,
+    progress: Callable[[float], None] | None = None,
+) -> Frontier:
     """Simulate a run, and return the frontier for the irrigation of the run.
 
     Args:
         run: run at a site with a valve.
-        watch: callback that receives every tick.
+        weights: weights of mains water, in ascending order.
+        progress: as for :func:`.loop.simulate`.
 
     Raises:
         ConfigurationError: if the site has no valve.
         NoBoundError: if the solver finds no optimum.
     """
-    simulation = Simulation(run)
-
-    def flows() -> Iterator[tuple[float, float, float, float]]:
-        for tick in simulation.ticks():
-            if watch is not None:
-                watch(tick)
-            yield (
-                tick.precipitation, tick.evapotranspiration, tick.flows.pump, tick.flows.drainage
-            )
-
-    points = bound_discharge(run, flows())
-    results = simulation.metrics.results()
-    return Frontier(points, results["wet_discharge_m3"], results.get("mains_m3", 0.0))
+    if not run.site.low_outlet_valve:
+        raise ConfigurationError(
+            "must have a valve that releases storm water (low_outlet_valve: true)", key="site"
+        )
+    summary, trajectory = simulate(run, every=1, progress=progress)
+    assert trajectory is not None
+    points = bound_discharge(run, trajectory, weights)
+    return Frontier(points, summary["wet_discharge_m3"], summary.get("mains_m3", 0.0))
 
 
 def bound_discharge(
-    run: Run, flows: Iterable[tuple[float, float, float, float]],
-    weights: Sequence[float] = WEIGHTS,
+    run: Run, trajectory: Trajectory, weights: Sequence[float]
 ) -> list[FrontierPoint]:
     """Return the frontier for the irrigation of a run.
 
     Args:
         run: run at a site with a valve.
-        flows: rain (m/s), evapotranspiration, pumped water and drainage of the roof (m3/s) in the
-            ticks 0..N.
+        trajectory: every tick of the run.
         weights: weights of mains water, in ascending order.
 
     Raises:
-        ConfigurationError: if the site has no valve.
         NoBoundError: if the solver finds no optimum.
     """
-    site, tau = run.site, run.site.tau
-    if not site.low_outlet_valve:
-        raise ConfigurationError(
-            "must have a valve that releases storm water (low_outlet_valve: true)", key="site"
+    site, tau, seconds = run.site, run.site.tau, interval_seconds(run.site)
+    rain, potential, pumped, drained = (
+        values[: run.steps] for values in (
+            trajectory.precipitation, trajectory.evapotranspiration, trajectory.pump_flow,
+            trajectory.drainage,
         )
-    seconds = interval_seconds(site)
-    ticks = round(seconds / tau)  # of an interval
-    closed, rows = Plant(site, run.x1, run.x2), array("d")
-    rain = pumped = drainage = most_pumped = 0.0
-    for k, (rains, evaporates, pumps, drains) in enumerate(flows):
-        if k % ticks == 0 or k == run.steps:
-            rows.extend((k * tau, closed.x1, tau * rain, tau * pumped, tau * drainage))
-            rain = pumped = drainage = 0.0
-        rain, pumped, drainage = rain + rains, pumped + pumps, drainage + drains
-        most_pumped = max(most_pumped, tau * pumps)
-        closed.step(rains, closed.flows(rains, evaporates, 0.0, pumps, outlet=0.0))
-    times, highest, *sums = np.frombuffer(rows).reshape(-1, 5).T
-    depths = sums[0][1:]
-    wet = find_wet_weather(site.wet_after, Intervals(seconds, depths, depths))
-    begins = np.arange(len(wet)) % max(1, round(_HOUR_S / seconds)) == 0
-    begins |= np.diff(wet, prepend=wet[0])
-    firsts = np.flatnonzero(begins)
-    fallen, to_roof, drained = (np.add.reduceat(values[1:], firsts) for values in sums)
-    kept, ends = site.drainage_to_cistern * drained, [*firsts, len(wet)]
-    # The last tick in which the pumps run begins at the suction level or above.
-    lowest = min(run.x1, site.cistern_volume(site.suction_level)) - most_pumped
-    steps = Steps(
-        np.diff(times[ends]), wet[firsts], fallen * site.effective_catchment + kept, to_roof,
-        highest[ends], lowest,
     )
-    of_roof = float((drained - kept)[steps.wet].sum())
+    p, closed = plant_parameters(site), State(run.x1, run.x2, site.initial_layer)
+    highest, wet, without_rain = array("d", [run.x1]), array("b"), run.without_rain_s
+    for fell, evaporates, pumps in zip(
+        rain.tolist(), potential.tolist(), pumped.tolist(), strict=True
+    ):
+        without_rain = time_without_rain(without_rain, fell, tau)
+        wet.append(is_wet(without_rain, tau, site.wet_after * HOUR_S))
+        closed = step(p, closed, fell, evaporates, 0.0, 0.0, pumps)[0]
+        highest.append(closed.cistern)
+    # An interval is in wet weather if all its ticks are, which can only lower the bound.
+    starts = np.arange(0, run.steps, round(seconds / tau))
+    is_wet_interval = np.logical_and.reduceat(wet, starts)
+    begins = np.arange(len(starts)) % max(1, round(HOUR_S / seconds)) == 0
+    begins |= np.diff(is_wet_interval, prepend=is_wet_interval[0])
+    edges = np.append(starts[begins], run.steps)
+    fallen, to_roof, from_roof = (
+        tau * np.add.reduceat(values, edges[:-1]) for values in (rain, pumped, drained)
+    )
+    kept = site.drainage_to_cistern * from_roof
+    # The last tick in which the pumps run begins at the suction level or above.
+    lowest = min(run.x1, site.cistern_volume(site.suction_level)) - tau * pumped.max()
+    steps = Steps(
+        tau * np.diff(edges), is_wet_interval[begins], fallen * site.effective_catchment + kept,
+        to_roof, np.array(highest)[edges], lowest,
+    )
+    of_roof = float((from_roof - kept)[steps.wet].sum())
     return [
         point._replace(wet_discharge_m3=of_roof + point.wet_discharge_m3)
         for point in find_frontier(site, run.x1, steps, weights)
@@ -195,7 +193,8 @@ def find_frontier(
     n, (seconds, wet, inflow, pumped, highest, lowest) = len(steps.wet), steps
     full, overdrawn = site.cistern_volume(site.z_o), site.cistern_volume(_OVERDRAWN)
     peaks = np.maximum(highest[:-1], full) + inflow
-    released = seconds * [low_outlet_flow(site, volume + overdrawn) for volume in peaks.tolist()]
+    p = plant_parameters(site)
+    released = seconds * [low_outlet_flow(p, volume + overdrawn) for volume in peaks.tolist()]
     step = diags([np.ones(n), -np.ones(n - 1)], [0, -1])
     balance = hstack([step, identity(n), identity(n), -identity(n)], format="csc")
     change = inflow - pumped

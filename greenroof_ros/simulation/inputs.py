@@ -7,14 +7,11 @@ The command line, Python and the grid of a study set the same inputs under the s
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from datetime import date, tzinfo
 from functools import partial
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError, suggest_names
 from greenroof_ros.common.files import default_site_file
@@ -31,7 +28,8 @@ from greenroof_ros.physics import sensor_and_pump
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.physics.start import INITIAL_STATES, find_state
 from greenroof_ros.simulation.run import Run, count_ticks
-from greenroof_ros.site.site import Site, check_site, read_site
+from greenroof_ros.site.file import check_site, read_site
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.data_frame import find_zone, is_frame, read_frame
 from greenroof_ros.weather.reading import (
     complete_records,
@@ -69,22 +67,20 @@ class RunInputs:
         default=DEFAULT_START,
     )
     hours: float | None = entry(
-        "length of the run; by default, N of the site", 1e-9, 1e9, unit="h", default=None
+        "length of the run; by default, N of the site", 1e-9, 1e9, unit="h", default=None,
     )
     initial: str | None = entry(
         "initial levels in the cistern and on the roof: the name of a state from Table II of the "
         "paper, or 'site' for the levels in the site file (default: site, or low-low if the file "
-        "contains no levels)",
-        default=None,
+        "contains no levels)", default=None,
     )
     cistern: float | None = entry(
-        "initial volume in the cistern, instead of a named state; roof must also be set",
-        0.0, 1e9,
+        "initial volume in the cistern, instead of a named state; roof must also be set", 0.0, 1e9,
         unit="m3", default=None,
     )
     roof: float | None = entry(
-        "initial volume on the roof, instead of a named state; cistern must also be set",
-        0.0, 1e9, unit="m3", default=None,
+        "initial volume on the roof, instead of a named state; cistern must also be set", 0.0, 1e9,
+        unit="m3", default=None,
     )
     evapotranspiration: str | None = entry(
         "source of evapotranspiration. fao56: FAO-56 Penman-Monteith; hargreaves: FAO-56 Eq. 52, "
@@ -95,10 +91,8 @@ class RunInputs:
     )
     gaps: str = entry(
         "treatment of missing hours in the weather, except in short gaps. refuse: stop and list "
-        "the hours; fill: treat missing rain as no rain, and replace other values with the "
-        "mean for that time of day over the three days before and after",
-        choices=GAPS,
-        default=REFUSE,
+        "the hours; fill: treat missing rain as no rain, and replace other values with the mean "
+        "for that time of day over the three days before and after", choices=GAPS, default=REFUSE,
     )
 
     def read_site(self) -> Site:
@@ -109,50 +103,28 @@ class RunInputs:
         """
         return check_site(self.site) if isinstance(self.site, Site) else read_site(self.site)
 
-    def read_records(
-        self, site: Site,
-        read: Callable[[tuple[Path, ...], Site, str | None, str], Weather] = read_weather,
-    ) -> tuple[Weather, Records | None]:
+    def read_records(self, site: Site) -> tuple[Weather, Records | None]:
         """Read the weather; also return the records, or None if the weather is from files.
-
-        Args:
-            site: the site.
-            read: function that reads weather files; see :meth:`build`.
 
         Raises:
             ConfigurationError: if the weather is invalid.
         """
-        records = self.weather if isinstance(self.weather, Records) else None
-        if is_frame(self.weather):
-            records = read_frame(self.weather, site)
-        what = site.of_weather(), self.evapotranspiration, self.gaps
+        what = site.place, self.evapotranspiration, self.gaps
+        records = read_frame(self.weather, site) if is_frame(self.weather) else self.weather
         if isinstance(records, Weather):
             return records, records
-        if records is None:
-            return read(self.weather, *what), None
-        return complete_records(records, *what), records
+        if isinstance(records, Records):
+            return complete_records(records, *what), records
+        return read_weather(records, *what), None
 
-    def _find_zone(self, site: Site) -> tzinfo | None:
-        """Return the time zone for times without an offset, if the site or the data has one."""
-        if site.time_zone is not None:
-            return site.zone
-        return find_zone(self.weather) if is_frame(self.weather) else None
-
-    def build(
-        self, read: Callable[[tuple[Path, ...], Site, str | None, str], Weather] = read_weather
-    ) -> Run:
+    def build(self) -> Run:
         """Read the files, and build and check the run.
-
-        Args:
-            read: function that reads weather files; it can cache files for runs that are built
-                together.
 
         Raises:
             ConfigurationError: if an input or a file is invalid, if weather or forecasts do not
                 cover the run, or if the nodes would reject a value. The error's key is the name of
                 the input, as for :func:`make_inputs`.
         """
-        file = self.site if isinstance(self.site, Path) else None
         site = self.read_site()
         given = None
         if self.cistern is not None and self.roof is not None:
@@ -161,8 +133,11 @@ class RunInputs:
             lacking = "cistern" if self.cistern is None else "roof"
             raise ConfigurationError("is missing; set both cistern and roof", key=lacking)
         initial, (x1, x2) = find_state(site, self.initial, given)
-        weather, records = self.read_records(site, read)
-        start = read_start(self.start, self._find_zone(site) or weather.first.tzinfo)
+        weather, records = self.read_records(site)
+        zone = find_zone(self.weather) if is_frame(self.weather) else None
+        if site.time_zone is not None:
+            zone = site.zone
+        start = read_start(self.start, zone or weather.first.tzinfo)
         steps = count_ticks(site, self.hours, "hours")
         series = WeatherSeries(weather, site, start, steps)
         _refuse_what_nodes_refuse(site, series, x1, x2)
@@ -175,8 +150,9 @@ class RunInputs:
             *find_needs(self.controller, parameters),
         )
         return Run(
-            file, site, weather, series, forecast, start, steps, self.controller, parameters,
-            initial, x1, x2, self.forecast, self.sensor_and_pump, records,
+            self.site if isinstance(self.site, Path) else None, site, weather, series, forecast,
+            start, steps, self.controller, parameters, initial, x1, x2, self.forecast,
+            self.sensor_and_pump, records,
         )
 
 
@@ -234,71 +210,45 @@ def make_inputs(controller: ControllerChoice, given: Mapping[str, Any]) -> RunIn
                 f"is neither an input nor a parameter of {controller.name}; "
                 f"{suggest_names(name, known)}", key=name, value=value,
             )
-    if isinstance(values.get("start"), np.datetime64):
-        values["start"] = values["start"].astype("datetime64[us]").item()
-    if isinstance(values.get("start"), date):
-        values["start"] = values["start"].isoformat()
+    if "start" in values:
+        values["start"] = str(values["start"])
     if not isinstance(values.get("initial", ""), str):
-        values |= _read_volumes(values.pop("initial"))
-    text = values.get("forecast", PERFECT)
-    if not isinstance(text, (str, os.PathLike)):
-        raise ConfigurationError(
-            "must be the name of a forecast model, or a path",
-            key="forecast", value=text,
-        )
-    further: dict[str, Any] = {}
-    if "site" in values:
-        further["site"] = _find_site(values["site"])
+        initial = values.pop("initial")
+        try:
+            values["cistern"], values["roof"] = initial
+        except (TypeError, ValueError) as error:
+            raise ConfigurationError(
+                f"must be one of {', '.join(INITIAL_STATES)}, or the volumes in the cistern and on "
+                "the roof (m3)", key="initial", value=initial,
+            ) from error
+    if "site" in values and not isinstance(values["site"], Site):
+        values["site"] = Path(str(values["site"]))
     if "weather" in values:
-        further["weather"] = _find_weather(values["weather"])
+        values["weather"] = _find_weather(values["weather"])
     return replace(
         make_record(RunInputs, {name: values[name] for name in _SCALARS if name in values}),
         controller=controller,
         parameters=controller.check_parameters(own),
-        forecast=choice.choose(os.fspath(text), {
+        forecast=choice.choose(str(values.get("forecast", PERFECT)), {
             name: values[f"forecast_{name}"] for name in choice.OPTIONS
             if f"forecast_{name}" in values
         }),
         sensor_and_pump=make_record(SensorAndPump, {
             name: values[name] for name in sensor_and_pump.PARAMETERS if name in values
         }),
-        **further,
+        **{name: values[name] for name in ("site", "weather") if name in values},
     )
 
 
-def _read_volumes(initial: Any) -> dict[str, Any]:
-    try:
-        cistern, roof = initial
-    except (TypeError, ValueError) as error:
-        raise ConfigurationError(
-            f"must be one of {', '.join(INITIAL_STATES)}, or the volumes in the cistern and on "
-            "the roof (m3)",
-            key="initial", value=initial,
-        ) from error
-    return {"cistern": cistern, "roof": roof}
-
-
-def _find_site(site: Any) -> Path | Site:
-    if isinstance(site, (str, os.PathLike)):
-        return Path(site)
-    if not isinstance(site, Site):
-        raise ConfigurationError(
-            "must be the name of a site file, or a site from gr.read_site", key="site", value=site
-        )
-    return site
-
-
 def _find_weather(weather: Any) -> Any:
+    """Return records or a data frame unchanged, or else the files with the given names."""
     if isinstance(weather, Records) or is_frame(weather):
         return weather
-    names = [weather] if isinstance(weather, (str, os.PathLike)) else weather
-    if not isinstance(names, (list, tuple)) or not all(
-        isinstance(name, (str, os.PathLike)) for name in names
-    ):
-        kind = type(weather)
+    names = weather if isinstance(weather, (list, tuple)) else [weather]
+    if not all(isinstance(name, (str, os.PathLike)) for name in names):
         raise ConfigurationError(
             "must be a file name, a glob pattern or a list of these, or a polars or pandas data "
-            f"frame, not an object of type {kind.__module__}.{kind.__qualname__}", key="weather",
+            "frame", key="weather", value=weather,
         )
     return tuple(find_files(map(os.fspath, names), "weather"))
 

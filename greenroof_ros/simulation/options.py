@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +26,7 @@ from greenroof_ros.simulation.inputs import INPUTS, make_inputs
 from greenroof_ros.simulation.run import Run
 
 
-def add_run_arguments(
-    parser: Parser, arguments: Sequence[str] | None = None
-) -> None:
+def add_run_arguments(parser: Parser, arguments: Sequence[str] | None = None) -> None:
     """Add the options that determine a run's results, for both ``simulate`` and ``run``.
 
     Args:
@@ -105,16 +103,16 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
 
 def add_option(group: argparse._ArgumentGroup, parameter: Parameter, **settings: Any) -> None:
     """Add the option for an input; the value of an omitted option is None."""
-    about = [] if parameter.unit in ("", "1") else [parameter.unit]
-    if isinstance(parameter.default, (int, float)) or math.isfinite(parameter.low):
+    default, about = parameter.default, [] if parameter.unit in ("", "1") else [parameter.unit]
+    if isinstance(default, (int, float)) or math.isfinite(parameter.low):
         kind = int if parameter.whole else float
         settings |= {"metavar": "X", "type": make_number_type(parameter.low, parameter.high, kind)}
     elif parameter.among:
         settings["choices"] = parameter.among
-    if isinstance(parameter.default, float) and not math.isnan(parameter.default):
-        about.append(f"default: {parameter.default:g}")
-    elif parameter.default is not None and not isinstance(parameter.default, float):
-        about.append(f"default: {parameter.default}")
+    if isinstance(default, float):
+        default = None if math.isnan(default) else f"{default:g}"
+    if default is not None:
+        about.append(f"default: {default}")
     end = f" ({', '.join(about)})" if about else ""
     group.add_argument(option_of(parameter.name), help=f"{parameter.meaning}{end}", **settings)
 
@@ -151,15 +149,7 @@ def add_output_arguments(parser: Parser) -> argparse._ArgumentGroup:
     return group
 
 
-def _read_options(arguments: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
-    """Return the values of the options that are given on the command line."""
-    values = {name: getattr(arguments, name, None) for name in names}
-    return {name: value for name, value in values.items() if value is not None}
-
-
-def read_controller(
-    arguments: argparse.Namespace
-) -> tuple[ControllerChoice, dict[str, float]]:
+def read_controller(arguments: argparse.Namespace) -> tuple[ControllerChoice, dict[str, Any]]:
     """Return the controller and the parameters that a command line specifies.
 
     Raises:
@@ -170,7 +160,10 @@ def read_controller(
     if arguments.parameters is not None:
         namespace = getattr(arguments, "namespace", "")  # without a graph there is none
         given = controller.read_parameters(arguments.parameters, namespace)
-    return controller, given | _read_options(arguments, controller.parameters)
+    options = {name: getattr(arguments, name) for name in controller.parameters}
+    return controller, given | {
+        name: value for name, value in options.items() if value is not None
+    }
 
 
 def build_run(arguments: argparse.Namespace) -> Run:
@@ -181,9 +174,9 @@ def build_run(arguments: argparse.Namespace) -> Run:
     Raises:
         ConfigurationError: if an option, or a file named by an option, is invalid.
     """
+    controller, parameters = find_controller(DEFAULT), dict[str, Any]()
     with rename_keys(_OPTIONS):
-        given = _read_options(arguments, INPUTS)
-        if "controller" not in arguments:
-            return make_inputs(find_controller("onoff"), given).build()
-        controller, parameters = read_controller(arguments)
+        if "controller" in arguments:
+            controller, parameters = read_controller(arguments)
+        given = {name: getattr(arguments, name, None) for name in INPUTS}
         return make_inputs(controller, given | parameters).build()

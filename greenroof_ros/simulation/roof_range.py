@@ -9,14 +9,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.physics.plant import has_short_ticks
-from greenroof_ros.physics.soil import Soil, roof_after_tick, soil_of
+from greenroof_ros.physics.parameters import PlantParameters, plant_parameters
+from greenroof_ros.physics.soil import (
+    ALMOST_FULL,
+    fill,
+    percolation,
+    roof_after_tick,
+    water_to_fill,
+)
 from greenroof_ros.site.site import Site
 
 Values = NDArray[np.float64]
 
 # Larger than the rounding errors of a year of ticks, and far too small to show in a bound.
 ROUNDING = 1e-9
+# Accuracy of a filled share at which a limit may have its extreme (1).
+_SHARE_ERROR = 1e-9
 
 
 class RoofRange(NamedTuple):
@@ -48,7 +56,7 @@ def roof_range(
         evapotranspiration: evapotranspiration in each tick (m3/s), shape (N,).
         pumped: maximum volume that the pumps can lift in each tick (m3), shape (N,).
     """
-    soil, short = soil_of(site), has_short_ticks(site)
+    p = plant_parameters(site)
     target = (1 + ROUNDING) * site.a2 * site.z_veg
     low = high = x2
     ticks = array("d")
@@ -57,7 +65,7 @@ def roof_range(
     ):
         # Nothing is pumped if even the roof's minimum volume is above its target.
         limits = _limits_of_tick(
-            site, soil, low, high, fell, potential, max_pumped if low <= target else 0.0, short
+            p, low, high, fell, potential, max_pumped if low <= target else 0.0
         )
         low, high = limits[:2]
         ticks.extend(limits)
@@ -66,13 +74,13 @@ def roof_range(
     )
     return RoofRange(
         np.append(x2, lows), np.append(x2, highs), minimum, maximum, unpumped,
-        slope if soil.has_field_capacity else None,
+        slope if p.has_field_capacity else None,
     )
 
 
 def _limits_of_tick(
-    site: Site, soil: Soil, low: float, high: float, rain: float, potential: float,
-    max_pumped: float, short: bool,
+    p: PlantParameters, low: float, high: float, rain: float, potential: float,
+    max_pumped: float,
 ) -> tuple[float, ...]:
     """Compute the range of the roof's volume after a tick.
 
@@ -84,39 +92,37 @@ def _limits_of_tick(
     together.
 
     Args:
-        site: parameters of the site.
-        soil: soil of the site.
+        p: numbers of the p.
         low: minimum volume before the tick (m3).
         high: maximum volume before the tick (m3).
         rain: rain on the roof (m3/s).
         potential: evapotranspiration of plants without water stress (m3/s).
         max_pumped: maximum volume that the pumps can lift in the tick (m3).
-        short: whether the tick is short, so that the pumps can fill the roof above its target.
 
     Returns:
         The fields of :class:`RoofRange`; the slope is 1 on the paper's soil.
     """
     slope = 1.0
-    if soil.has_field_capacity and high - low > ROUNDING * site.z_cap:
+    if p.has_field_capacity and high - low > ROUNDING * p.z_cap:
         first, last = (
-            roof_after_tick(soil, site.tau, x2, rain, potential) for x2 in (low, high)
+            roof_after_tick(p, x2, rain, potential) for x2 in (low, high)
         )
         slope = min(1.0, max(0.0, (last - first) / (high - low)))
     reached = {}
     for line in (0.0, slope):
-        ends = _ends(site, soil, low, high, rain, potential, line)
+        ends = _ends(p, low, high, rain, potential, line)
         reached[line] = min(ends), max(ends)
         if max_pumped > 0:
-            end = max(low, min(high, site.a2 * site.z_veg))
+            end = max(low, min(high, p.a2 * p.z_veg))
             pumped_to = max(
-                _ends(site, soil, low, end, rain + max_pumped / site.tau, potential, line)
+                _ends(p, low, end, rain + max_pumped / p.tau, potential, line)
             )
-            if not short:  # the pumps stop at the target
-                full = (1 + ROUNDING) * site.a2 * site.z_veg
-                filled = max(full, roof_after_tick(soil, site.tau, full, rain, potential))
+            if not p.has_short_ticks:  # the pumps stop at the target
+                full = (1 + ROUNDING) * p.a2 * p.z_veg
+                filled = max(full, roof_after_tick(p, full, rain, potential))
                 pumped_to = min(pumped_to, filled - line * low)
             reached[line] = reached[line][0], max(reached[line][1], pumped_to)
-    unpumped = max(_ends(site, soil, low, low, rain, potential, 1.0))
+    unpumped = max(_ends(p, low, low, rain, potential, 1.0))
     # A roof that runs dry ends at 0 and not below it: it loses the water it held, at least low.
     return (
         max(0.0, reached[0.0][0]), max(0.0, reached[0.0][1]), reached[slope][0],
@@ -125,7 +131,7 @@ def _limits_of_tick(
 
 
 def _ends(
-    site: Site, soil: Soil, low: float, high: float, arriving: float, potential: float, line: float
+    p: PlantParameters, low: float, high: float, arriving: float, potential: float, line: float
 ) -> list[float]:
     """Return candidates for the minimum and maximum volume after a tick, minus a line (m3).
 
@@ -138,39 +144,60 @@ def _ends(
     of these pieces, and the maximum is at an end or where the slope is 0.
 
     Args:
-        site: parameters of the site.
-        soil: soil of the site.
+        p: numbers of the p.
         low: minimum volume before the tick (m3).
         high: maximum volume before the tick (m3).
         arriving: rain and pumped water (m3/s).
         potential: evapotranspiration of plants without water stress (m3/s).
         line: slope of the line, by which the volume before the tick is multiplied.
     """
-    if not soil.has_field_capacity:
-        full, ends = site.z_cap, []
+    if not p.has_field_capacity:
+        full, ends = p.z_cap, []
         for x2 in (low, min(max(low, full), high), high):
-            after = x2 - line * x2 + site.tau * (arriving - potential)
+            after = x2 - line * x2 + p.tau * (arriving - potential)
             if x2 < (1 + ROUNDING) * full:
                 ends.append(after)
             if x2 >= (1 - ROUNDING) * full:
-                drained = soil.drained(max(x2, full), arriving, site.tau)
-                ends.append(after - site.tau * drained)
+                drained = percolation(p, max(x2, full), arriving, p.tau)
+                ends.append(after - p.tau * drained)
         return ends
-    dry, available = site.wilting_volume, site.available_volume
-    drying = site.stress_onset * available
+    dry, available = p.wilting_volume, p.available_volume
+    drying = p.stress_onset * available
     volumes = [low, high]
-    volumes += [x2 for x2 in (dry, dry + drying, site.z_cap) if low < x2 < high]
-    arrived = site.tau * arriving
-    g = math.tanh(arrived / available)
-    if g > 0:
-        # Below the wilting point the slope is 1 - tanh^2(u) = line, u = (arrived - first) / TAW.
+    volumes += [x2 for x2 in (dry, dry + drying, p.z_cap) if low < x2 < high]
+    arrived, exponent = p.tau * arriving, p.percolation_exponent
+    if arrived > 0:
+        # Below the wilting point the slope is 1 - S'^beta, S' being the share after the tick.
         volumes.append(dry - arrived)
         if 0 < line < 1:
-            volumes.append(dry - arrived + available * math.atanh(math.sqrt(1 - line)))
-        # Above it, (1 - g^2) / (1 + S g)^2 = steep, for the two pieces.
-        for steep in (line, line + site.tau * potential / drying):
+            u = water_to_fill(exponent, 0.0, (1 - line) ** (1 / exponent))
+            volumes.append(dry - arrived + available * u)
+        # Above it, (1 - S'^beta) / (1 - S^beta) = steep, for the two pieces.
+        for steep in (line, line + p.tau * potential / drying):
             if steep > 0:
-                filled = (math.sqrt((1 - g * g) / steep) - 1) / g
-                volumes.append(dry + available * filled)
+                volumes.append(dry + available * _share_of_slope(p, arrived / available, steep))
         volumes = [x2 for x2 in volumes if low <= x2 <= high]
-    return [roof_after_tick(soil, site.tau, x2, arriving, potential) - line * x2 for x2 in volumes]
+    return [roof_after_tick(p, x2, arriving, potential) - line * x2 for x2 in volumes]
+
+
+def _share_of_slope(p: PlantParameters, u: float, slope: float) -> float:
+    """Return the filled share at which the share after a tick has a slope, which falls with it (1).
+
+    Args:
+        p: numbers of the site.
+        u: water that arrives in the tick (as a share of TAW).
+        slope: the slope.
+    """
+    exponent = p.percolation_exponent
+    if exponent == 2:  # (1 - g^2) / (1 + S g)^2
+        g = math.tanh(u)
+        return (math.sqrt((1 - g * g) / slope) - 1) / g
+    low, high = 0.0, ALMOST_FULL
+    while high - low > _SHARE_ERROR:
+        middle = (low + high) / 2
+        after = fill(exponent, middle, u)
+        if (1 - after**exponent) / (1 - middle**exponent) > slope:
+            low = middle
+        else:
+            high = middle
+    return low

@@ -6,8 +6,11 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
+from functools import cached_property
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import duration, epoch_ns, to_minutes
@@ -17,17 +20,26 @@ from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.resampling import Forecast
 from greenroof_ros.formats.hourly import Records
+from greenroof_ros.physics.parameters import plant_parameters
+from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.physics.start import note_full_roof
-from greenroof_ros.simulation.pump_size import note_pumps
+from greenroof_ros.physics.storm_water import HOUR_S, time_without_rain
 from greenroof_ros.site.horizon import look_ahead_ends
-from greenroof_ros.site.place import format_place, measure_distance
-from greenroof_ros.site.site import Site
+from greenroof_ros.site.plain_keys import LITRES_PER_HOUR
+from greenroof_ros.site.site import Site, format_place, measure_distance
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
 # A weather file from this distance or further does not represent the site (km): rain and wind
 # differ even within a city.
 _FAR_KM = 50.0
+# Hours of the record before a run that show whether it starts in wet weather: `wet_after` is less.
+_BEFORE_H = 72
+# What a substrate is assumed to let through (mm/h): 0.6 mm/min is quoted as the minimum in the FLL
+# guidelines (2018) for extensive roofs, but this was not checked in their text.
+_TAKEN_UP = 36.0
+# Maximum share of the target that the pumps should lift in a tick.
+_MAX_SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -80,12 +92,6 @@ class Run:
         """Return the interval between kept ticks (ticks) for a given time (s), rounded."""
         return max(1, round(every_s / self.site.tau))
 
-    @property
-    def look_ahead_s(self) -> float:
-        """Time for which the controller looks ahead (s)."""
-        horizon = self.parameters.get("horizon") or 0.0
-        return float(look_ahead_ends(self.site, horizon, find_horizon(self.parameters))[-1])
-
     def notes(self) -> list[str]:
         """Return notes that a reader should see before the results."""
         return [
@@ -96,14 +102,35 @@ class Run:
 
     def _note_short(self) -> Iterator[str]:
         """Yield a note if the run is shorter than the look-ahead."""
-        length = self.steps * self.site.tau
-        if length < self.look_ahead_s:
+        length, horizon = self.steps * self.site.tau, self.parameters.get("horizon") or 0.0
+        ahead = float(look_ahead_ends(self.site, horizon, find_horizon(self.parameters))[-1])
+        if length < ahead:
             end = self.start + timedelta(seconds=length)
             yield (
                 f"the run of {duration(length)} is shorter than the look-ahead of "
-                f"{duration(self.look_ahead_s)}, so the controller also plans beyond the end of "
-                f"the run at {to_minutes(end)}"
+                f"{duration(ahead)}, so the controller also plans beyond the end of the run at "
+                f"{to_minutes(end)}"
             )
+
+    @cached_property
+    def without_rain_s(self) -> float:
+        """Time without rain at the start, according to the record (s); infinite without a record.
+
+        Before its first tick, a run is dry unless the record shows rain. Missing values are
+        skipped: they are neither rain nor time without rain.
+        """
+        rain, seconds, without_rain = self.weather.precipitation, HOUR_S, math.inf
+        if self.weather.minutes is not None:
+            known = ~np.isnan(self.weather.minutes)
+            rain = np.where(known, self.weather.minutes, rain[:, None]).ravel()
+            seconds = HOUR_S / self.weather.minutes.shape[1]
+        before = (self.start - self.weather.first).total_seconds() / seconds
+        first = max(0, math.floor(before - _BEFORE_H * HOUR_S / seconds))
+        for step, rate in enumerate(rain[first : math.ceil(before)].tolist(), first):
+            if math.isfinite(rate):
+                part = min(1.0, before - step) * seconds
+                without_rain = time_without_rain(without_rain, rate / 1000 / HOUR_S, part)
+        return without_rain
 
     def make_controller(self) -> Controller:
         """Create the run's controller."""
@@ -115,7 +142,9 @@ class Run:
         Args:
             controller: the run's controller.
         """
-        return self.controller.make_outlet(self.site, self.parameters, controller)
+        return self.controller.make_outlet(
+            self.site, self.parameters, controller, self.without_rain_s
+        )
 
 
 def _note_far(weather: Weather, site: Site) -> Iterator[str]:
@@ -130,6 +159,31 @@ def _note_far(weather: Weather, site: Site) -> Iterator[str]:
                 f"{format_place(site.latitude, site.longitude)}; check that this weather applies "
                 "to the site"
             )
+
+
+def note_pumps(site: Site) -> Iterator[str]:
+    """Yield a warning if the pumps are too large for the roof or for the duration of a tick.
+
+    The size relative to the roof is checked only for a field-capacity soil. On the soil of Table I,
+    Eq. (4), water stays on the surface until it drains at 0.28 mm/h, so every pump would fail this
+    check.
+    """
+    flow = maximum_pump_flow(plant_parameters(site), site.a1 * site.z_o)
+    depth = flow / site.a2 / LITRES_PER_HOUR
+    if site.field_capacity is not None and depth > _TAKEN_UP:
+        yield (
+            f"the pumps can deliver {1000 * flow:.3g} l/s, or {depth:.0f} mm/h on {site.a2:g} m2 "
+            f"of roof. A substrate is assumed to absorb {_TAKEN_UP:g} mm/h; the excess runs off "
+            "the surface, which is not simulated. Is the pump curve or the pump flow correct?"
+        )
+    share = site.tau * flow / site.x2_star
+    if share > _MAX_SHARE:
+        yield (
+            f"in a tick of {site.tau:g} s the pumps can deliver {share:.0%} of the target "
+            "volume. Simulated pumps stop at the target within the tick, as with a float switch. "
+            "Real pumps need such a switch, or ticks of at most "
+            f"{_MAX_SHARE * site.x2_star / flow:.3g} s"
+        )
 
 
 def count_ticks(site: Site, length: float | None, key: str, unit_s: float = 3600.0) -> int:

@@ -15,9 +15,8 @@ from greenroof_ros.common.times import hours_minutes, to_minutes
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.results.metrics import METRICS
-from greenroof_ros.site.place import format_place
+from greenroof_ros.site.site import format_place
 
-_PERIOD = ("from", "until")
 # The storm-water metrics that are shown if there is any storm water, and those only in files.
 _STORM_WATER = {
     "discharge_m3", "wet_discharge_m3", "peak_discharge_5min_l_s", "overflow_m3", "overflow_days",
@@ -60,20 +59,6 @@ def _event_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
         )
 
 
-def _limit(value: float | None) -> str:
-    """Return the value of a parameter as text; None means no limit."""
-    return "no limit" if value is None else f"{value:g}"
-
-
-def _initial(initial: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the initial volumes of a run as text (m3), and a description of them."""
-    volumes, tanks = [initial["cistern_m3"], initial["roof_m3"]], "in cistern / on roof"
-    if initial.get("layer_m3"):
-        volumes.append(initial["layer_m3"])
-        tanks += " / in drainage layer"
-    return " / ".join(f"{volume:.3f}" for volume in volumes), f"m3 {tanks} ({initial['name']})"
-
-
 def grid(title: str, lines: Iterable[tuple[str, str, str]]) -> Table:
     """Return a table in which every row is a label, a number and a description."""
     table = Table(title=title, title_justify="left", show_header=False)
@@ -92,32 +77,29 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     yield "controller", summary["controller"], _listed(parameters)
     yield from _metric_rows(summary)
     yield from _event_rows(summary)
-    solver = summary["solver"]
-    if solver is not None:
-        yield (
-            "solver", f"{solver['mean_s'] * 1e6:.0f} us",
+    if solver := summary["solver"]:
+        yield "solver", f"{solver['mean_s'] * 1e6:.0f} us", (
             f"mean; p99 {solver['p99_s'] * 1e6:.0f} us; {solver['solves']} solves, "
-            f"{solver['fallbacks']} fallbacks",
+            f"{solver['fallbacks']} fallbacks"
         )
-    refused = summary["refused"]
-    if refused:
+    if refused := summary["refused"]:
         topics = ", ".join(f"{count} on {topic}" for topic, count in refused.items())
         yield "REFUSED", str(sum(refused.values())), f"values: {topics}"
-    left_out = summary["parameter_change_count"] - len(summary["parameter_changes"])
-    if left_out:
+    if left_out := summary["parameter_change_count"] - len(summary["parameter_changes"]):
         yield "CHANGED", f"{left_out} times", "before the latest changes, which are listed below"
     for change in summary["parameter_changes"]:
         tick = change["tick"]
-        yield (
-            "CHANGED", change["parameter"],
-            f"{_limit(change['before'])} -> {_limit(change['value'])} at "
-            f"{hours_minutes(tick * summary['tau_s'])} (tick {tick})",
+        before, value = (
+            "no limit" if number is None else f"{number:g}"
+            for number in (change["before"], change["value"])
+        )
+        yield "CHANGED", change["parameter"], (
+            f"{before} -> {value} at {hours_minutes(tick * summary['tau_s'])} (tick {tick})"
         )
     if summary["frost_hours"]:
-        yield (
-            "FROST", f"{summary['frost_hours']:.1f} h",
+        yield "FROST", f"{summary['frost_hours']:.1f} h", (
             f"at or below 0 degC, without pumping; {summary['precipitation_in_frost_mm']:.1f} mm "
-            "of precipitation, treated as rain",
+            "of precipitation, treated as rain"
         )
     for quantity, hours in summary["filled"].items():
         yield "FILLED", quantity, ", ".join(hours)
@@ -127,20 +109,17 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     model = forecast.pop("model")
     if model != PERFECT:
         yield "forecast", model, _listed(forecast)
-    repeats_from = summary["forecast_repeats_last_record_from"]
-    if repeats_from:
+    if repeats_from := summary["forecast_repeats_last_record_from"]:
         yield "forecast", "ends", f"at {repeats_from}; later values are assumed"
     max_issue, horizon = summary["max_issue_h"], summary["parameters"].get("horizon") or 0.0
     if max_issue is not None and max_issue < horizon:
-        yield (
-            "FORECAST", f"{max_issue} h",
+        yield "FORECAST", f"{max_issue} h", (
             f"is the longest forecast, but the horizon is {horizon:g} h: no rain is assumed after "
-            "its end",
+            "its end"
         )
     if SensorAndPump(**summary["sensor_and_pump"]) != SensorAndPump():
         yield "sensor and pump", "", _listed(summary["sensor_and_pump"])
-    messages = summary["messages"]
-    if messages:
+    if messages := summary["messages"]:
         yield "messages", str(sum(messages.values())), f"in the bag, on {len(messages)} topics"
     factor = f"{summary['times_real_time']:.0f} times real time"
     yield "wall time", f"{summary['wall_s']:.1f} s", factor
@@ -151,15 +130,20 @@ def setting_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     start = datetime.fromisoformat(summary["start"])
     end = start + timedelta(seconds=summary["steps"] * summary["tau_s"])
     places = [format_place(*place) for place in summary["weather_places"]]
-    records = [to_minutes(datetime.fromisoformat(summary[f"weather_{at}"])) for at in _PERIOD]
+    first, last = (
+        to_minutes(datetime.fromisoformat(summary[f"weather_{at}"])) for at in ("from", "until")
+    )
+    volumes = dict(summary["initial"])
+    name = volumes.pop("name")
     yield "site", Path(summary["site"]).name, format_place(*summary["place"])
     yield "weather", Path(summary["weather"]).name, (
-        f"{' and '.join(places) or format_place(None, None)}; records from {records[0]} to "
-        f"{records[1]}, the run from {to_minutes(start)} to {to_minutes(end)}"
+        f"{' and '.join(places) or format_place(None, None)}; records from {first} to {last}, the "
+        f"run from {to_minutes(start)} to {to_minutes(end)}"
     )
     for note in summary["weather_notes"]:
         yield "weather", "note", note
-    yield "from", *_initial(summary["initial"])
+    stores = " / ".join(volume.removesuffix("_m3") for volume in volumes)
+    yield "from", " / ".join(map("{:.3f}".format, volumes.values())), f"m3 in {stores} ({name})"
     yield (
         "length", f"{summary['steps']} ticks",
         f"of {summary['tau_s']:g} s, {summary['evapotranspiration_method']} evapotranspiration",

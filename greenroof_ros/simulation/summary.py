@@ -110,7 +110,7 @@ def make_unfinished_summary(
         "refused": dict(refused or {}),
         "parameter_changes": list(parameter_changes),
         "parameter_change_count": parameter_change_count,
-        "versions": versions(),
+        "versions": dict(versions()),
     }
 
 
@@ -167,7 +167,8 @@ def find_site_file(run: Path) -> Path:
     return next(iter((configuration / "site").glob("*")), configuration / SITE_FILE)
 
 
-def versions() -> dict[str, str]:
+@functools.cache
+def versions() -> Mapping[str, str]:
     """Return the versions of the software that determines the results of a run.
 
     ``source`` is a hash of this package's source files rather than a commit, because an installed
@@ -192,7 +193,6 @@ def format_versions(by_name: Mapping[str, str]) -> str:
     return ", ".join(f"{names.get(name, name)} {version}" for name, version in by_name.items())
 
 
-@functools.cache
 def _source() -> str:
     """Return twelve digits that identify this package's code (a version covers many commits)."""
     digest = hashlib.sha256()

@@ -5,7 +5,8 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Sequence
-from datetime import datetime, tzinfo
+from datetime import datetime, timedelta, tzinfo
+from zoneinfo import ZoneInfo
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,11 @@ class QuietHours:
         self._by_clock = np.zeros(_DAY_MINUTES, dtype=bool)
         clock = np.arange(_DAY_MINUTES)
         for interval in intervals:
-            begin, end = _minutes(interval)
+            match = _INTERVAL.fullmatch(interval)
+            if match is None:
+                raise ValueError(f"{interval} is not an interval")
+            hour, minute, last_hour, last_minute = map(int, match.groups())
+            begin, end = 60 * hour + minute, 60 * last_hour + last_minute
             quiet = (begin <= clock, clock < end)
             self._by_clock |= np.logical_and(*quiet) if begin < end else np.logical_or(*quiet)
         if self._by_clock.all():
@@ -53,6 +58,20 @@ class QuietHours:
         """Return whether a time (ns since 1970) is within the quiet hours."""
         day, minute = divmod(time_ns // _MINUTE_NS, _DAY_MINUTES)
         return bool(self._by_clock[_clock(day, self._zone)[minute]])
+
+    def quiet_ticks(self, start_ns: int, tick_ns: int, ticks: int) -> NDArray[np.bool_]:
+        """Return whether each tick of a run is within the quiet hours, shape (ticks,).
+
+        Args:
+            start_ns: time of the first tick (ns since 1970).
+            tick_ns: duration of a tick (ns).
+            ticks: number of ticks.
+        """
+        minutes = (start_ns + tick_ns * np.arange(ticks)) // _MINUTE_NS
+        first = int(minutes[0] // _DAY_MINUTES)
+        days = range(first, int(minutes[-1] // _DAY_MINUTES) + 1)
+        quiet = np.concatenate([self._day(day) for day in days])
+        return np.asarray(quiet[minutes - first * _DAY_MINUTES])
 
     def end_after(self, time_ns: int) -> datetime:
         """Return the local end of the quiet hours that contain a time (ns since 1970)."""
@@ -82,6 +101,16 @@ class QuietHours:
         return self._by_clock[_clock(day, self._zone)]
 
 
+@functools.cache
+def standard_offset(zone: str) -> float:
+    """Return the current UTC offset of a time zone's standard time (h).
+
+    In Ireland, summer time is the standard time by law, but winter time counts as standard here.
+    """
+    offsets = (datetime(2026, month, 15, tzinfo=ZoneInfo(zone)).utcoffset() for month in (1, 7))
+    return min(offset or timedelta() for offset in offsets) / timedelta(hours=1)
+
+
 @functools.lru_cache(_MAX_DAYS)
 def _clock(day: int, zone: tzinfo) -> NDArray[np.intp]:
     """Return the local time of every minute of a UTC day, in minutes since midnight."""
@@ -89,16 +118,3 @@ def _clock(day: int, zone: tzinfo) -> NDArray[np.intp]:
         datetime.fromtimestamp(day * _DAY_S + 60 * minute, zone) for minute in range(_DAY_MINUTES)
     )
     return np.array([60 * time.hour + time.minute for time in times])
-
-
-def _minutes(interval: str) -> tuple[int, int]:
-    """Return the start and the end of an interval, in minutes since midnight.
-
-    Raises:
-        ValueError: if the interval is invalid.
-    """
-    match = _INTERVAL.fullmatch(interval)
-    if match is None:
-        raise ValueError("an interval is invalid")
-    hour, minute, last_hour, last_minute = map(int, match.groups())
-    return 60 * hour + minute, 60 * last_hour + last_minute

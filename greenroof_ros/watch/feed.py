@@ -20,7 +20,7 @@ from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.site.site import read_site
+from greenroof_ros.site.file import read_site
 from greenroof_ros.watch import wire
 from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, PumpRequestError
 from greenroof_ros.watch.history import read_histories, write_histories

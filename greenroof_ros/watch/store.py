@@ -21,8 +21,9 @@ from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.states import PUMP, PUMP_STATES, PumpState
 from greenroof_ros.common.text import clean_text
 from greenroof_ros.common.times import duration
+from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import MAX_MEMBERS
-from greenroof_ros.site.site import Site, read_site
+from greenroof_ros.site.site import Site
 from greenroof_ros.watch import wire, words
 from greenroof_ros.watch.history import History, Values
 from greenroof_ros.watch.outlook import Forecast, Plan

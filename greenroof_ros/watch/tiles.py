@@ -13,8 +13,9 @@ from typing import Any
 
 from greenroof_ros.common.alarms import WARN, find_publishers
 from greenroof_ros.common.states import PUMP, PumpState
-from greenroof_ros.physics.plant import pumps_run
-from greenroof_ros.results.metrics import NEAR_TARGET
+from greenroof_ros.physics.parameters import plant_parameters
+from greenroof_ros.physics.pump import running_flow
+from greenroof_ros.results.sums import NEAR_TARGET
 from greenroof_ros.site.site import Site
 from greenroof_ros.watch import words
 from greenroof_ros.watch.outlook import Plan, RainAmount
@@ -250,7 +251,7 @@ def _read_pump_state(store: GraphStore, report: PumpState | None) -> tuple[str, 
     )
     if pumped is None:
         return "unknown", ""
-    if (share and pumped > 0) or pumps_run(store.site, pumped):
+    if (share and pumped > 0) or pumped > running_flow(plant_parameters(store.site)):
         return "running", ""
     return "off", "nothing is commanded" if share == 0 else ""
 

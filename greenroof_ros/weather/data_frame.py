@@ -13,7 +13,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import TextInMemory
 from greenroof_ros.common.processes import refuse_forked_polars
 from greenroof_ros.formats.hourly import Records
-from greenroof_ros.site.site import Site
+from greenroof_ros.site.site import Place
 from greenroof_ros.weather.reading import read_measured
 
 _NAME = "the data frame"
@@ -26,7 +26,7 @@ def is_frame(value: Any) -> bool:
     )
 
 
-def read_frame(frame: Any, site: Site) -> Records:
+def read_frame(frame: Any, site: Place) -> Records:
     """Return the records in a data frame, which is read like a file with the same columns.
 
     Args:

@@ -30,7 +30,7 @@ from greenroof_ros.formats.quantities import (
     TEMPERATURE,
 )
 from greenroof_ros.formats.sun import MM_PER_MJ, extraterrestrial_radiation
-from greenroof_ros.site.site import Site
+from greenroof_ros.site.site import Place
 
 FAO56, HARGREAVES, MONTHLY = "fao56", "hargreaves", "monthly"
 COMPUTED = (FAO56, HARGREAVES, MONTHLY)
@@ -47,7 +47,7 @@ def saturation_vapour_pressure(temperature: NDArray[np.float64]) -> NDArray[np.f
 
 
 def compute_hourly(
-    site: Site, first: datetime, values: dict[str, NDArray[np.float64]]
+    site: Place, first: datetime, values: dict[str, NDArray[np.float64]]
 ) -> NDArray[np.float64]:
     """Return the reference evapotranspiration of consecutive hours, Eq. 53 (mm/h), shape (hours,).
 
@@ -105,7 +105,7 @@ def compute_hourly(
     return result
 
 
-def compute_fao56(records: Records, site: Site) -> NDArray[np.float64]:
+def compute_fao56(records: Records, site: Place) -> NDArray[np.float64]:
     """Return the evapotranspiration of the vegetation in every hour (mm/day), shape (hours,).
 
     The result is the site's crop coefficient times the reference evapotranspiration; it is NaN for
@@ -141,7 +141,7 @@ def compute_fao56(records: Records, site: Site) -> NDArray[np.float64]:
 
 
 def _compute_stretches(
-    site: Site, records: Records, values: dict[str, NDArray[np.float64]]
+    site: Place, records: Records, values: dict[str, NDArray[np.float64]]
 ) -> NDArray[np.float64]:
     """Apply :func:`compute_hourly` to every period without gaps; the result is NaN in gaps.
 
@@ -156,7 +156,7 @@ def _compute_stretches(
     return result
 
 
-def check_place(site: Site, method: str, needed: Sequence[str]) -> None:
+def check_place(site: Place, method: str, needed: Sequence[str]) -> None:
     """Reject a site whose location is incomplete or beyond a polar circle.
 
     Raises:
@@ -176,7 +176,7 @@ def check_place(site: Site, method: str, needed: Sequence[str]) -> None:
         )
 
 
-def _complete_place(site: Site, records: Records) -> Site:
+def _complete_place(site: Place, records: Records) -> Place:
     """Return a site with a UTC offset and an elevation, derived if the site file omits them.
 
     The derived UTC offset is the whole hour closest to solar time, and is used only to determine
@@ -190,12 +190,12 @@ def _complete_place(site: Site, records: Records) -> Site:
     return site
 
 
-def is_polar(site: Site) -> bool:
+def is_polar(site: Place) -> bool:
     """Return whether a site is beyond a polar circle, where some days have no sunrise."""
     return (site.latitude or 0.0) not in _LATITUDES
 
 
-def repeat_monthly(records: Records, site: Site) -> NDArray[np.float64] | None:
+def repeat_monthly(records: Records, site: Place) -> NDArray[np.float64] | None:
     """Return the site's monthly mean evapotranspiration (mm/day) for every hour, if known."""
     if site.monthly_evapotranspiration is None:
         return None
@@ -204,7 +204,7 @@ def repeat_monthly(records: Records, site: Site) -> NDArray[np.float64] | None:
     return site.crop_coefficient * np.array(site.monthly_evapotranspiration)[months]
 
 
-def _find_local_seconds(records: Records, site: Site) -> NDArray[np.int64]:
+def _find_local_seconds(records: Records, site: Place) -> NDArray[np.int64]:
     """Return the start of every hour in local standard time (s since 1970 on this clock)."""
     assert site.utc_offset is not None
     first = round(records.first.timestamp() + 3600 * site.utc_offset)
@@ -351,7 +351,7 @@ class DailyTemperatures(NamedTuple):
         return np.asarray(np.min(apart, axis=1, initial=_FOR_EVER) > _MAX_GAP_DAYS)
 
     def evapotranspiration(
-        self, site: Site, seconds: NDArray[np.int64], step_s: float, offset_s: float
+        self, site: Place, seconds: NDArray[np.int64], step_s: float, offset_s: float
     ) -> Values:
         """Return each step's reference evapotranspiration (mm) by Hargreaves' method.
 
@@ -377,7 +377,7 @@ class DailyTemperatures(NamedTuple):
         return spread_over_day(daily, site.latitude, seconds, day_of_step, step_s, east)
 
 
-def compute_hargreaves(records: Records, site: Site) -> Values:
+def compute_hargreaves(records: Records, site: Place) -> Values:
     """Return the vegetation's hourly evapotranspiration by Hargreaves' method (mm/day).
 
     The result, shape (hours,), is the site's crop coefficient times the reference

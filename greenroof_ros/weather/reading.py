@@ -23,7 +23,7 @@ from greenroof_ros.formats.quantities import (
     TEMPERATURE,
 )
 from greenroof_ros.formats.reading import read_records
-from greenroof_ros.site.site import Site
+from greenroof_ros.site.site import Place
 from greenroof_ros.weather.evapotranspiration import (
     COMPUTED,
     FAO56,
@@ -62,7 +62,7 @@ def default_weather() -> Path:
 
 
 def read_measured(
-    files: Sequence[Path], site: Site, stamped: str | None = None
+    files: Sequence[Path], site: Place, stamped: str | None = None
 ) -> Records:
     """Read weather files, which may have different formats, and join them without filling gaps.
 
@@ -85,7 +85,7 @@ def read_measured(
 
 
 def read_weather(
-    files: Sequence[Path], site: Site, method: str | None = None, gaps: str = REFUSE, *,
+    files: Sequence[Path], site: Place, method: str | None = None, gaps: str = REFUSE, *,
     rain_only: bool = False,
 ) -> Weather:
     """Read weather files as :func:`read_measured` does, and add evapotranspiration.
@@ -112,7 +112,7 @@ def read_weather(
 
 
 def complete_records(
-    measured: Records, site: Site, method: str | None = None, gaps: str = REFUSE, *,
+    measured: Records, site: Place, method: str | None = None, gaps: str = REFUSE, *,
     rain_only: bool = False,
 ) -> Weather:
     """Fill gaps in records and add evapotranspiration, as :func:`read_weather` does."""
@@ -173,7 +173,7 @@ def drop_empty(records: Records) -> Records:
 
 
 def compute_evapotranspiration(
-    records: Records, site: Site, method: str | None = None
+    records: Records, site: Place, method: str | None = None
 ) -> tuple[Array, str, list[str]]:
     """Return the evapotranspiration in every hour (mm/day; NaN if missing), its method, and notes.
 

@@ -90,7 +90,8 @@ class _Clock(NamedTuple):
         return min((self.offset_ns + tick * self.tick_ns) // self.step_ns, self.last)
 
     def steps(self, ticks: range) -> NDArray[np.int64]:
-        elapsed_ns = self.offset_ns + np.asarray(ticks, dtype=np.int64) * self.tick_ns
+        numbers = np.arange(ticks.start, ticks.stop, ticks.step, dtype=np.int64)
+        elapsed_ns = self.offset_ns + numbers * self.tick_ns
         return np.minimum(elapsed_ns // self.step_ns, self.last)
 
     def first_tick(self, step: int) -> int:
@@ -193,7 +194,7 @@ class WeatherSeries:
         first = clock.step(0)
         _check_hours(weather, np.arange(first, clock.step(ticks - 1) + 1))
         frost = np.zeros(last + 1) if weather.frost is None else weather.frost.astype(float)
-        self.precipitation = _rain_per_tick(weather, clock, ticks)
+        self.precipitation = rain_per_tick(weather, clock, ticks)
         self._rain_changes = None if weather.minutes is None else (
             1 + np.flatnonzero(np.diff(self.precipitation.values))
         )
@@ -247,7 +248,7 @@ class WeatherSeries:
         )
 
 
-def _rain_per_tick(weather: Weather, hours: _Clock, ticks: int) -> PerTick:
+def rain_per_tick(weather: Weather, hours: _Clock, ticks: int) -> PerTick:
     """Return the rain in every tick (m/s), at the finest resolution of the records.
 
     Args:

@@ -23,7 +23,7 @@ from greenroof_ros.common.parameter_sections import read_sections
 from greenroof_ros.live.devices.drive_file import read_drive_file
 from greenroof_ros.live.devices.relay_file import read_relay_file
 from greenroof_ros.live.devices.sensor_file import read_sensors
-from greenroof_ros.site.site import read_site
+from greenroof_ros.site.file import read_site
 
 VALUES = (
     "on", "off", "yes", "Y", "n", "True", "tRUE", "010", "-010", "08", "0x1F", "0x1p3", "0o17",

@@ -7,11 +7,10 @@ from datetime import datetime
 
 import numpy as np
 import pytest
-from paper import SLOW, weather_of
+from paper import SLOW, run_in, weather_of
 
 from greenroof_ros.controllers.lookahead import Lookahead
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.loop import Simulation, Tick
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.site import Site
@@ -32,13 +31,11 @@ def run_of(controller: str, rain: dict[int, float], site: Site = EVENING, **chan
         site: of the run.
         changes: parameters of the controller.
     """
-    fallen = np.zeros(60)
-    for hour, depth in rain.items():
-        fallen[hour] = depth
-    return make_inputs(find_controller(controller), {
-        **changes, "site": site, "weather": weather_of(fallen, 4.0, START), "start": START,
-        "hours": HOURS, "cistern": 70.0, "roof": 0.75 * site.x2_star,
-    }).build()
+    weather = weather_of([rain.get(hour, 0.0) for hour in range(60)], 4.0, START)
+    return run_in(
+        weather, site, 70.0, 0.75 * site.x2_star, choice=find_controller(controller),
+        length_h=HOURS, **changes,
+    )
 
 
 def ticks_of(run: Run, site: Site | None = None) -> list[Tick]:

@@ -14,8 +14,12 @@ import pytest
 from paper import PAPER_SITE
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.controllers.decide import decide, read_statistics, shape_rain
-from greenroof_ros.controllers.failure import ControllerError
+from greenroof_ros.controllers.decide import (
+    ControllerError,
+    TickTimes,
+    decide,
+    read_statistics,
+)
 from greenroof_ros.controllers.registry import find_controller
 
 
@@ -101,8 +105,22 @@ def test_an_error_of_a_class_names_file_and_line(
 def test_a_forecast_has_the_shape_that_the_controller_takes() -> None:
     """All members for lookahead, even if there is one; a row for a controller that takes one."""
     row, members = array("d", [1.0, 2.0]), np.ones((3, 2))
-    assert shape_rain(find_controller("onoff"), row, "/rain") is row
-    assert np.array_equal(shape_rain(find_controller("lookahead"), row, "/rain"), [[1.0, 2.0]])
-    assert shape_rain(find_controller("lookahead"), members, "/rain").shape == (3, 2)
+    lookahead = find_controller("lookahead")
+    assert find_controller("onoff").shape_rain(row, "/rain") is row
+    assert np.array_equal(lookahead.shape_rain(row, "/rain"), [[1.0, 2.0]])
+    assert lookahead.shape_rain(members, "/rain").shape == (3, 2)
     with pytest.raises(ConfigurationError, match=r"^/rain: has 3 members, but onoff takes only"):
-        shape_rain(find_controller("onoff"), members, "/rain")
+        find_controller("onoff").shape_rain(members, "/rain")
+
+
+@pytest.mark.parametrize("count", [0, 1, 5000, 100_000])
+def test_times_of_ticks(count: int) -> None:
+    """They equal numpy's; for 100,000 ticks the percentile covers the last 65,536."""
+    times, drawn = TickTimes(), np.random.default_rng(4).exponential(1e-4, count)
+    for seconds in drawn.tolist():
+        times.append(seconds)
+    statistics = times.statistics(7, 2)
+    assert (len(times), statistics["solves"], statistics["fallbacks"]) == (count, 7, 2)
+    assert statistics["max_s"] == drawn.max(initial=0)
+    assert statistics["mean_s"] == pytest.approx(drawn.mean() if count else 0, rel=1e-9)
+    assert statistics["p99_s"] == (np.percentile(drawn[-65_536:], 99) if count else 0)

@@ -12,15 +12,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from paper import PAPER_SITE, lookahead, paper_run, site_with
+from paper import PAPER_SITE, advance, lookahead, paper_run, site_with, virtual_site
 from places import CONFIG
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.lookahead import Lookahead
 from greenroof_ros.controllers.order_up_to import OrderUpTo, Policy, halve_by_rain
-from greenroof_ros.physics.plant import Plant
+from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import growing_steps
-from greenroof_ros.site.site import Site, read_site
+from greenroof_ros.site.site import Site
 
 # --- the recursion, on whole numbers of a unit ----------------------------------------------------
 
@@ -267,15 +267,15 @@ def test_what_it_plans_is_what_happens(max_command: float, x1: float) -> None:
     """The plan's flows lead the plant through its levels: strong, weak pumps, 0.1 m3 of water."""
     rain = rain_in((5, 7), 0.01)
     controller = lookahead(max_command=max_command)
-    plant, levels = Plant(PAPER_SITE, x1, 2.0), []
+    plant, levels = virtual_site(x1, 2.0), []
     controller.command(*plant.levels(), [rain], [3e-6] * STEPS)
     plan = controller.plan
     for falls, (flow, seconds) in zip(
         rain, zip(plan[:, 1], np.diff(growing_steps(12.0)), strict=True), strict=True
     ):
         for _ in range(int(seconds)):
-            plant.step(falls, plant.flows(falls, 3e-6, 0.0, flow))
-        levels.append(plant.x2 / PAPER_SITE.a2)
+            advance(plant, falls, 3e-6, 0.0, flow)
+        levels.append(plant.levels()[1])
     assert plan[:, 2] == pytest.approx(levels, abs=1e-6)
     assert plan[:, 1].max() > 0
 
@@ -299,27 +299,24 @@ def test_what_it_plans_if_no_rain_comes() -> None:
 
 def test_without_a_forecast_it_fills_to_the_target_and_holds_it() -> None:
     """As with a forecast of no rain."""
-    plant, commands = Plant(PAPER_SITE, 57.0, 2.0), []
-    controller = lookahead()
+    plant, commands, controller = virtual_site(57.0, 2.0), [], lookahead()
     for _ in range(900):
         commands.append(controller.command(*plant.levels(), [], []))
-        flows = plant.flows(0.0, 5e-6, commands[-1])
-        plant.step(0.0, flows)
+        advance(plant, 0.0, 5e-6, commands[-1])
     assert commands[0] == 1.0
     assert 0 < commands[-1] < 0.01
-    assert plant.x2 == pytest.approx(PAPER_SITE.x2_star, abs=2e-5)
+    assert plant.state.roof == pytest.approx(PAPER_SITE.x2_star, abs=2e-5)
 
 
 def test_without_a_forecast_it_counts_on_the_rain_of_the_gauge() -> None:
     """At the level it pumps what evaporates, as on the past day, less what the gauge measures."""
-    evaporates, plant, controller = 6e-6, Plant(PAPER_SITE, 57.0, PAPER_SITE.x2_star), lookahead()
+    evaporates, plant, controller = 6e-6, virtual_site(57.0, PAPER_SITE.x2_star), lookahead()
     controller.command(*plant.levels(), [DRY], [evaporates] * STEPS)
     for rain in (0.0, evaporates / 2, evaporates / 3):
         controller.gauge_rain = rain / PAPER_SITE.a2
         for _ in range(10):
             command = controller.command(*plant.levels(), [], [])
-            flows = plant.flows(controller.gauge_rain, evaporates, command)
-            plant.step(controller.gauge_rain, flows)
+            flows = advance(plant, controller.gauge_rain, evaporates, command)
         assert flows.pump == pytest.approx(evaporates - rain, rel=1e-6)
 
 
@@ -405,10 +402,10 @@ def test_from_one_start_to_the_next_it_waits() -> None:
 def test_filling_lasts_as_long_as_the_pumps_must_be_on() -> None:
     """Two minutes instead of one, at one flow, without a break."""
     controller, commands = lookahead(min_on=120.0), []
-    plant = Plant(PAPER_SITE, PAPER_SITE.cistern_volume(2.3), PAPER_SITE.roof_volume(0.04))
+    plant = virtual_site(PAPER_SITE.cistern_volume(2.3), PAPER_SITE.roof_volume(0.04))
     for _ in range(400):
         commands.append(controller.command(*plant.levels(), [DRY], DRY))
-        plant.step(0.0, plant.flows(0.0, 0.0, commands[-1]))
+        advance(plant, 0.0, 0.0, commands[-1])
     on = [command for command in commands if command]
     assert 118 <= len(on) <= 122 and commands[: len(on)] == on
     assert on[:-3] == pytest.approx([on[0]] * (len(on) - 3), rel=0.02)

@@ -11,7 +11,7 @@ from places import CONFIG
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.site.site import read_site
+from greenroof_ros.site.file import read_site
 
 
 def test_without_its_solver(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,15 +8,24 @@ from typing import Any
 
 import pytest
 from adversaries import TOGETHER, with_forecasts
-from paper import PAPER_SITE, deviation_of, lookahead, paper_run, rain_scaled, site_file
+from paper import (
+    PAPER_SITE,
+    advance,
+    deviation_of,
+    lookahead,
+    paper_run,
+    rain_scaled,
+    site_file,
+    virtual_site,
+)
 from places import CONFIG, DATA
 
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.controllers.regret_budget import RegretBudget
-from greenroof_ros.physics.plant import Plant, maximum_pump_flow
+from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.simulation.run import Run
+from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import growing_steps
-from greenroof_ros.site.site import read_site
 
 EMPTY_HOUR = 3600 * PAPER_SITE.x2_star  # m3 s
 STEPS = len(growing_steps(12)) - 1
@@ -49,7 +58,7 @@ def test_an_adversary_costs_at_most_the_budget(
     """On/off plus its share, plus the budget, plus at most the loss until the pumps may start."""
     plain = deviation_of(a_week(tmp_path, "--controller", "onoff", "--fraction", "0.05"))
     run = a_week(tmp_path, "--controller", controller, strength, "0.05", "--horizon", "48")
-    false = with_forecasts(run, kind, 48)
+    false = with_forecasts(run, kind)
 
     def reached(budget: float) -> float:
         parameters = {**run.parameters, "waiting_budget": budget, "waiting_share": SHARE}
@@ -126,15 +135,15 @@ def test_the_count_on_a_field_capacity_soil_is_what_onoff_has() -> None:
     seconds at a tenth of the full flow.
     """
     site = replace(read_site(CONFIG / "site_neubrandenburg.yaml"), tau=10.0)
-    watered, dry = Plant(site, 80.0, 1.0), Plant(site, 80.0, 1.0)
+    watered, dry = virtual_site(80.0, 1.0, site), virtual_site(80.0, 1.0, site)
     budget, rain, potential, lacks = RegretBudget(site, 1e6, 0.0), 1e-6, 2e-6, []
     for _ in range(3600):
-        lacks.append(watered.x2 - dry.x2)
+        x1, x2, _ = dry.state
+        lacks.append(watered.state.roof - x2)
         assert budget._more == pytest.approx(lacks[-1], abs=1e-9)
-        assert budget._stored == pytest.approx(watered.x1 - dry.x1, abs=1e-9)
-        x1, x2 = dry.x1, dry.x2
-        watered.step(rain, watered.flows(rain, potential, 0.1))
-        dry.step(rain, dry.flows(rain, potential, 0.0))
+        assert budget._stored == pytest.approx(watered.state.cistern - x1, abs=1e-9)
+        for plant, share in ((watered, 0.1), (dry, 0.0)):
+            advance(plant, rain, potential, share)
         budget.move(x1, x2, 0.1, 0.0, rain, potential)
     assert max(lacks) > 0.7
     assert lacks[-1] < 0.7 * max(lacks)

@@ -14,7 +14,7 @@ from places import CONFIG
 
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
 from greenroof_ros.controllers.roof_observer import RoofObserver
-from greenroof_ros.physics.plant import maximum_pump_flow
+from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.simulation.loop import Simulation
 from greenroof_ros.site.horizon import growing_steps
 

@@ -35,7 +35,7 @@ from greenroof_ros.formats.open_meteo import VARIABLES
 from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
 from greenroof_ros.formats.quantities import PRECIPITATION, TEMPERATURE
 from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.site.site import read_site
+from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.reading import default_weather, read_weather
 from greenroof_ros.weather.series import FILL
 

@@ -16,7 +16,7 @@ from twins import TWIN
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.formats.reading import read_archive, read_records
-from greenroof_ros.site.site import read_site
+from greenroof_ros.site.file import read_site
 
 TORONTO = read_site(CONFIG / "site.yaml")
 OWN = "time,precipitation [mm/h],temperature [degC]\n2021-07-07T03:00-05:00,0.1,20\n"

@@ -21,7 +21,7 @@ from refusals import refusal
 
 from greenroof_ros.common.times import parse_time
 from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.site.site import read_site
+from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.reading import read_weather
 
 TORONTO = read_site(CONFIG / "site.yaml")

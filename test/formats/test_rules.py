@@ -19,7 +19,7 @@ from greenroof_ros.analysis.calibration.simulation import simulate
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.formats.rules import check_hours, check_steps, find_outlying_rain
 from greenroof_ros.formats.step_record import StepRecord
-from greenroof_ros.site.site import read_site
+from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.reading import read_weather
 from greenroof_ros.weather.series import FILL, WeatherSeries
 

@@ -17,7 +17,7 @@ from refusals import refusal
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.formats.hourly import Records
 from greenroof_ros.formats.rules import check_hours
-from greenroof_ros.site.site import read_site
+from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.reading import read_measured
 
 SITE = read_site(CONFIG / "site.yaml")

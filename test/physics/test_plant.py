@@ -6,19 +6,16 @@ import math
 from dataclasses import replace
 
 import pytest
-from paper import PAPER_SITE, site_with
+from paper import PAPER_SITE, site_with, tick_of
 from places import CONFIG
 
-from greenroof_ros.physics.plant import (
-    Flows,
-    Plant,
-    command_to,
-    maximum_pump_flow,
-    outlet_flow,
-    pump_flow,
-)
-from greenroof_ros.physics.soil import soil_of
-from greenroof_ros.site.site import Site, read_site
+from greenroof_ros.physics.cistern import low_outlet_flow, overflow
+from greenroof_ros.physics.parameters import plant_parameters
+from greenroof_ros.physics.pump import maximum_pump_flow, pump_flow
+from greenroof_ros.physics.soil import percolation
+from greenroof_ros.physics.tick import command_to
+from greenroof_ros.site.file import read_site
+from greenroof_ros.site.site import Site
 
 FIELD_CAPACITY = read_site(CONFIG / "site_neubrandenburg.yaml")
 # Its thresholds are binary fractions, so tests can hit them exactly: the target at x2 = 4 m3, the
@@ -44,9 +41,10 @@ OUT = 0.1326322799584
 )
 def test_outlet_flow_by_hand(site: Site, x1: float, flow: float) -> None:
     """Eq. (2): > z_o. The smallest step above 75 m3, or 25 m3, already gives about 3e-9 m3/s."""
-    assert outlet_flow(site, x1) == pytest.approx(flow, rel=1e-12)
+    p, above = plant_parameters(site), math.nextafter(x1, math.inf)
+    assert overflow(p, x1) + low_outlet_flow(p, x1) == pytest.approx(flow, rel=1e-12)
     if not flow and x1:
-        assert 0 < outlet_flow(site, math.nextafter(x1, math.inf)) < 1e-8
+        assert 0 < overflow(p, above) + low_outlet_flow(p, above) < 1e-8
 
 
 WEAK = replace(PAPER_SITE, c_hat=15.0)
@@ -77,22 +75,20 @@ def test_maximum_pump_flow_by_hand(site: Site, x1: float, flow: float) -> None:
 def test_pumps_run_between_the_thresholds_only(x1: float, x2: float, runs: bool) -> None:
     """Eq. (3a): none at x2/a2 >= z_veg, none at x1/a1 < z_pump + z_H."""
     expected = 0.5 * maximum_pump_flow(ROUND_SITE, x1) if runs else 0.0
-    assert pump_flow(ROUND_SITE, x1, x2, 0.5) == expected
-    assert Plant(ROUND_SITE, x1, x2).flows(0.0, 0.0, 0.5).pump == expected
+    assert pump_flow(plant_parameters(ROUND_SITE), x1, x2, 0.5) == expected
+    assert tick_of(ROUND_SITE, x1, x2, command=0.5)[1].pump == expected
 
 
 @pytest.mark.parametrize("site", [PAPER_SITE, FIELD_CAPACITY])
 def test_the_command_to_a_volume_leads_there(site: Site) -> None:
     """A litre more in a tick, in rain and sun; 0 if it rains enough or pumps are too weak."""
-    plant, weather = Plant(site, 75.0, 0.5 * site.x2_star), (1e-6, 2e-6)
-    state = site, soil_of(site), plant.x1, plant.x2
-    target = plant.x2 + 1e-3
-    command = command_to(*state, target, *weather)
-    plant.step(weather[0], plant.flows(*weather, command))
-    assert plant.x2 == pytest.approx(target, rel=1e-12)
-    assert command_to(*state, target - 1e-3, *weather) == 0
-    weak = replace(site, c_hat=15.0)
-    assert command_to(weak, soil_of(weak), 24.0, 1.0, 2.0, *weather) == 0
+    start, weather = (75.0, 0.5 * site.x2_star), (1e-6, 2e-6)
+    target = start[1] + 1e-3
+    command = command_to(plant_parameters(site), *start, target, *weather)
+    assert tick_of(site, *start, *weather, command)[0].roof == pytest.approx(target, rel=1e-12)
+    assert command_to(plant_parameters(site), *start, start[1], *weather) == 0
+    weak = plant_parameters(replace(site, c_hat=15.0))
+    assert command_to(weak, 24.0, 1.0, 2.0, *weather) == 0
 
 
 def test_drainage_by_hand() -> None:
@@ -101,7 +97,8 @@ def test_drainage_by_hand() -> None:
         (PAPER_SITE, PAPER_SITE.z_cap, 1.077408e-5), (PAPER_SITE, 41.28, 1.1851488e-5),
         (ROUND_SITE, math.nextafter(32.0, 0.0), 0.0), (ROUND_SITE, 32.0, 2 * 7.83e-8 * 64),
     ):
-        assert soil_of(site).drained(x2, 0.01, site.tau) == pytest.approx(flow, rel=1e-12)
+        drained = percolation(plant_parameters(site), x2, 0.01, site.tau)
+        assert drained == pytest.approx(flow, rel=1e-12)
 
 
 DRAINS = 1.077408e-5
@@ -112,29 +109,20 @@ DRAINS = 1.077408e-5
     ("x1", "x2", "inputs", "expected"),
     [
         # 1 m3 and 0.1 m3/s of rain, with a demand of 2.2 m3/s: half of it flows.
-        (1.0, 0.0, (0.1 / PAPER_SITE.a_in, 0.0, 2.2), (0.0, 1.1, 0.0, 0.0)),
+        (1.0, 0.0, (0.1 / PAPER_SITE.a_in, 0.0, 2.2), (0.0, 1.1, 0.0, 0.0, True)),
         # OUT m3/s to the sewer and 200 - OUT m3/s pumped make 200 from 100 m3: half of each.
-        (100.0, 0.0, (0.0, 0.0, 200 - OUT), (OUT / 2, 100 - OUT / 2, 0.0, 0.0)),
+        (100.0, 0.0, (0.0, 0.0, 200 - OUT), (OUT / 2, 100 - OUT / 2, 0.0, 0.0, True)),
         # 2e-6 m3 cannot lose 3e-6 m3 in a second; drainage and evapotranspiration share alike.
-        (10.0, 2e-6, (0.0, 3e-6, 0.0), (0.0, 0.0, 0.0, 2e-6)),
-        (10.0, 34.4, (0.0, 68.8 - DRAINS, 0.0), (0.0, 0.0, DRAINS / 2, 34.4 - DRAINS / 2)),
+        (10.0, 2e-6, (0.0, 3e-6, 0.0), (0.0, 0.0, 0.0, 2e-6, True)),
+        (10.0, 34.4, (0.0, 68.8 - DRAINS, 0.0), (0.0, 0.0, DRAINS / 2, 34.4 - DRAINS / 2, True)),
+        # Exactly what is there is no limit: 1 m3 pumped, and evaporated from what was pumped.
+        (1.0, 0.0, (0.0, 1.0, 1.0), (0.0, 1.0, 0.0, 1.0, False)),
     ],
 )
 def test_a_tank_that_holds_too_little_shares_it_out(
     x1: float, x2: float, inputs: tuple[float, float, float], expected: tuple[float, ...]
 ) -> None:
     """And nothing is left in it."""
-    plant = Plant(PAPER_SITE, x1, x2)
-    flows = plant.flows(*inputs[:2], 0.0, inputs[2])
-    assert flows == pytest.approx((*expected, True, 0.0, 0.0), rel=1e-12)
-    plant.step(inputs[0], flows)
-    assert 0.0 in (plant.x1, plant.x2)
-
-
-def test_exactly_what_a_tank_holds_is_no_limit() -> None:
-    """2 m3 pumped from 2 m3 in 2 s, and evaporated from what was pumped, leave nothing."""
-    plant = Plant(replace(PAPER_SITE, tau=2.0), 2.0, 0.0)
-    flows = plant.flows(0.0, 1.0, 0.0, 1.0)
-    assert flows == Flows(0.0, 1.0, 0.0, 1.0, False, 0.0)
-    plant.step(0.0, flows)
-    assert (plant.x1, plant.x2) == (0.0, 0.0)
+    after, flows = tick_of(PAPER_SITE, x1, x2, *inputs[:2], pumped=inputs[2])
+    assert flows == pytest.approx((*expected, 0.0, 0.0), rel=1e-12)
+    assert 0.0 in after[:2]

@@ -9,8 +9,7 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from paper import PAPER_SITE, sites
 
-from greenroof_ros.physics.plant import maximum_pump_flow
-from greenroof_ros.physics.pump import flow_at, speed_for
+from greenroof_ros.physics.pump import flow_at, maximum_pump_flow, speed_for
 from greenroof_ros.site.site import Site
 
 # 15 m of head against 16 m of height less half a metre of water.

@@ -9,26 +9,26 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from paper import PAPER_SITE, paper_run
+from paper import PAPER_SITE, exact_flows, paper_run, tick_of
 
-from greenroof_ros.physics.plant import Plant
-from greenroof_ros.physics.sensor_and_pump import Pump, RoofSensor, SensorAndPump
+from greenroof_ros.physics.sensor_and_pump import (
+    SensorAndPump,
+    min_ticks,
+    observe_pump,
+    read_errors,
+    switch_pump,
+)
+from greenroof_ros.physics.virtual_site import VirtualSite
 from greenroof_ros.simulation.loop import Simulation
 
 EMPTY, FULL = 0.0, PAPER_SITE.a2 * PAPER_SITE.z_veg
-
-
-def readings(errors: SensorAndPump, ticks: Sequence[int], level: float) -> list[float]:
-    """Return the readings of a new sensor at these ticks."""
-    sensor = RoofSensor(errors)
-    return [sensor.reading(tick, level) for tick in ticks]
 
 
 def test_noise_is_normal_and_independent() -> None:
     """Mean, spread, shape and correlation of 200,000 readings, each within five standard errors."""
     count, noise = 200_000, 0.001
     imperfect = SensorAndPump(roof_noise=noise, roof_offset=0.002, noise_seed=7)
-    errors = (np.array(readings(imperfect, range(count), 0.045)) - 0.047) / noise
+    errors = (read_errors(imperfect, count) - 0.002) / noise
     assert errors.mean() == pytest.approx(0, abs=5 / math.sqrt(count))
     assert errors.std() == pytest.approx(1, abs=5 / math.sqrt(2 * count))
     for width, share in ((1, 0.682689), (2, 0.954500), (3, 0.997300)):
@@ -40,43 +40,42 @@ def test_noise_is_normal_and_independent() -> None:
 
 
 def test_noise_follows_from_seed_and_tick_alone() -> None:
-    """In any order, read twice, or by another sensor; no two seeds have the same noise."""
-    imperfect = SensorAndPump(roof_noise=0.001, noise_seed=3)
-    ticks = [0, 1, 4095, 4096, 5, 100_000, 4096, 0]
-    expected = {tick: readings(imperfect, [tick], 0.045)[0] for tick in ticks}
-    assert readings(imperfect, ticks, 0.045) == [expected[tick] for tick in ticks]
-    assert readings(imperfect, ticks[::-1], 0.045) == [expected[tick] for tick in ticks[::-1]]
-    assert len(set(expected.values())) == 6
-    pairs = [
-        readings(replace(imperfect, noise_seed=seed), [0, 4096], 0.045) for seed in range(100)
-    ]
-    assert len({value for pair in pairs for value in pair}) == 200
+    """However many ticks a run has; no two seeds have the same noise."""
+    noise = [read_errors(SensorAndPump(roof_noise=0.1, noise_seed=k), 5000) for k in range(100)]
+    for ticks in (1, 4095, 4096, 4097):
+        few = read_errors(SensorAndPump(roof_noise=0.1, noise_seed=3), ticks)
+        assert few.tolist() == noise[3][:ticks].tolist()
+    assert len(np.unique(noise)) == 100 * 5000
 
 
-def test_offset_by_hand() -> None:
-    """0.5 m read as 0.75 m, or as 0.25 m; 0.125 m less 0.25 m is 0, the sensor's end."""
-    assert readings(SensorAndPump(roof_offset=0.25), [0, 5000], 0.5) == [0.75, 0.75]
-    assert readings(SensorAndPump(roof_offset=-0.25), [0, 5000], 0.5) == [0.25, 0.25]
-    assert readings(SensorAndPump(roof_offset=-0.25), [0], 0.125) == [0.0]
-    noisy = readings(SensorAndPump(roof_noise=1.0), range(1000), 0.0)
-    assert min(noisy) == 0 and 400 < noisy.count(0.0) < 600
+@pytest.mark.parametrize(
+    ("sensor", "roof", "reading"),
+    [
+        ({}, 0.5, 0.5), ({"roof_offset": 0.25}, 0.5, 0.75), ({"roof_offset": -0.25}, 0.5, 0.25),
+        ({"roof_offset": -0.25}, 0.125, 0.0),  # the sensor's end
+    ],
+)
+def test_offset_by_hand(sensor: dict[str, float], roof: float, reading: float) -> None:
+    site = VirtualSite(PAPER_SITE, 75.0, roof * PAPER_SITE.a2, 0, SensorAndPump(**sensor), 1)
+    assert site.observe() == (3.0, reading)
+    assert site.levels() == (3.0, roof)
 
 
 def commands_let_through(
-    pump_with: SensorAndPump,
+    errors: SensorAndPump,
     commands: Sequence[float],
     frost: Sequence[bool] = (),
     roofs: Sequence[float] = (),
-    tau: float = 1.0,
 ) -> list[float]:
     """Return the share of the maximum flow delivered in each tick, from 75 m3 in the cistern."""
-    pump = Pump(pump_with, tau)
-    most = Plant(PAPER_SITE, 75.0, EMPTY).flows(0.0, 0.0, 1.0).pump
-    shares = []
+    times = min_ticks(errors.pump_min_on, 1.0), min_ticks(errors.pump_min_off, 1.0)
+    switch, shares = [0.0, float(times[1]), 0.0], []
+    most = tick_of(PAPER_SITE, 75.0, EMPTY, command=1.0)[1].pump
     for command, cold, roof in itertools.zip_longest(commands, frost, roofs, fillvalue=0.0):
-        flows = Plant(PAPER_SITE, 75.0, roof).flows(0.0, 0.0, pump.switch(command, not cold))
-        pump.observe(flows.pump)
-        shares.append(flows.pump / most)
+        passed = switch_pump(switch, *times, command, not cold)
+        flow = tick_of(PAPER_SITE, 75.0, roof, command=passed)[1].pump
+        observe_pump(switch, flow)
+        shares.append(flow / most)
     return shares
 
 
@@ -106,31 +105,46 @@ def test_minimum_times_by_hand(
 )
 def test_minimum_times_last_whole_ticks(seconds: float, tau: float, ticks: int) -> None:
     """The first whole number of ticks that is not shorter, for any binary digits of tau."""
-    commands = commands_let_through(SensorAndPump(pump_min_on=seconds), [1] + [0] * 20, tau=tau)
-    assert commands == [1] * ticks + [0] * (21 - ticks)
+    assert min_ticks(seconds, tau) == ticks
 
 
-def test_a_full_roof_stops_them_and_begins_a_time_off() -> None:
-    """Eq. (3a) uses the true level; a flow that stops because of it is treated as switched off."""
+def test_what_stops_them_at_once() -> None:
+    """A full roof, since Eq. (3a) uses the true level, and frost; then a time off begins."""
     times = SensorAndPump(pump_min_on=10, pump_min_off=3)
     roofs = [EMPTY, EMPTY, FULL, EMPTY, EMPTY, EMPTY, FULL]
     assert commands_let_through(times, [1] * 7, roofs=roofs) == [1, 1, 0, 0, 0, 1, 0]
-
-
-def test_frost_switches_off_at_once() -> None:
-    """Long before the end of the minimum time on; then the minimum time off is kept."""
-    times = SensorAndPump(pump_min_on=100, pump_min_off=3)
     frost = [False, False, True, True, False, False, False]
-    commands = [1, 1, 0, 0, 1, 1, 1]
-    assert commands_let_through(times, commands, frost) == [1, 1, 0, 0, 0, 1, 1]
+    assert commands_let_through(times, [1, 1, 0, 0, 1, 1, 1], frost) == [1, 1, 0, 0, 0, 1, 1]
     assert commands_let_through(times, [1, 1, 0], [False, False, True]) == [1, 1, 0]
+
+
+@pytest.mark.parametrize(
+    ("frost", "seconds", "runs"),
+    [
+        (0.0, 12 * 3600, True), (1.0, 12 * 3600, False), (math.nan, 12 * 3600, False),
+        # Quiet from 22:00 to 06:00, to the second; the clock is at UTC.
+        (0.0, 22 * 3600 - 1, True), (0.0, 22 * 3600, False), (0.0, 24 * 3600, False),
+        (0.0, 6 * 3600 - 1, False), (0.0, 6 * 3600, True),
+    ],
+)
+def test_when_the_pumps_may_run(frost: float, seconds: int, runs: bool) -> None:
+    """Not in frost, also if that is unknown, nor in quiet hours; a driver has rules of its own."""
+    quiet = replace(PAPER_SITE, quiet_hours=("22:00-06:00",))
+    site = VirtualSite(quiet, 75.0, 1.0, (seconds - 1) * 10**9, SensorAndPump())
+    site.act(0.0, 0.0, 0.0)
+    site.step()
+    site.frost = frost
+    flow = exact_flows(PAPER_SITE, 75.0, 1.0, 0.5)[1] if runs else 0.0
+    assert site.act(0.0, 0.0, 0.5).pump == pytest.approx(flow, rel=1e-12)
+    assert site.act(0.0, 0.0, 0.5, pumped=0.003).pump == 0.003
 
 
 def test_the_controller_sees_the_reading_and_the_sums_the_truth() -> None:
     """If the sensor reads 4 mm too high, on/off stops 4 mm too early, 0.2752 m3."""
     run = paper_run("--controller", "onoff", "--hours", "0.2", "--roof-offset", "0.004")
     site, simulation = run.site, Simulation(run)
-    ticks, metrics = list(simulation.ticks()), simulation.metrics
+    ticks = list(simulation.ticks())
+    metrics = simulation.metrics.results(simulation.site.state)
     highest = max(tick.x2 for tick in ticks)
     assert site.x2_star - highest == pytest.approx(0.2752, abs=0.009)
     assert ticks[5].roof_level == ticks[5].x2 / site.a2 + 0.004

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from paper import PAPER_SITE, field_capacity_sites, linear_model, sites, smooth_rates
+from paper import ANY_SITE, linear_model, smooth_rates
 
+from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.smooth import linearise
 from greenroof_ros.site.site import Site
 
@@ -35,7 +36,7 @@ def states(draw: st.DrawFn, site: Site) -> tuple[float, float]:
 @settings(max_examples=60)
 @given(
     data=st.data(),
-    site=st.just(PAPER_SITE) | sites() | field_capacity_sites(),
+    site=ANY_SITE,
     command=st.floats(0, 3),
     rain=st.floats(0, 1e-3),
     evaporated=st.floats(0, 1),
@@ -50,14 +51,14 @@ def test_linear_model_equals_complex_steps(
         missing = abs(site.a1 * site.mains_level - point[0])
         rate = abs(smooth_rates(site, *point)[0])
         assume(missing > site.tau * (rate + site.mains_flow))
-    model = linearise(site, *point)
+    model = linearise(site, plant_parameters(site), *point)
     slope, B, C, b = linear_model(site, *point)
     computed = np.array(model.A) - np.eye(2)
     # The identity costs A's entries up to two units in the last place of 1.
     np.testing.assert_allclose(computed, slope, rtol=0, atol=1e-9 * np.abs(slope).max() + 5e-16)
     # Complex steps lose digits if a derivative is near the smallest float.
     np.testing.assert_allclose(model.B, B, rtol=0, atol=1e-9 * np.abs(B).max() + 1e-250)
-    # On a field-capacity soil 1 - S^2 cancels.
+    # On a field-capacity soil 1 - S^beta cancels.
     cancels = 0.0 if site.field_capacity is None else 1e-15 * site.tau * site.a2 + 1e-250
     np.testing.assert_allclose(model.C, C, rtol=1e-12, atol=cancels)
     # The terms of f cancel; the rest is right to 1e-9 of the terms.

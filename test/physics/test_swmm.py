@@ -15,7 +15,8 @@ import pytest
 from numpy.typing import NDArray
 from paper import site_with
 
-from greenroof_ros.physics.plant import Plant
+from greenroof_ros.physics.parameters import State, plant_parameters
+from greenroof_ros.physics.tick import OWN_PUMPS, step
 from greenroof_ros.site.site import Site
 
 solver = pytest.importorskip("swmm.toolkit.solver")  # of the extra test
@@ -63,31 +64,24 @@ def site_of(volume: float, tau: float) -> Site:
     )
 
 
-def share_at(valve: dict[int, float], minute: int) -> float:
-    """Return the share to which the valve is open."""
-    return valve[max(start for start in valve if start <= minute)]
-
-
 def stepped(site: Site, x1: float, valve: dict[int, float]) -> Hydrograph:
     """Return the plant's hydrograph; in ticks longer than a minute each minute has its mean."""
-    plant, sums = Plant(site, x1, 1.0), np.zeros((2, MINUTES))
-    levels = np.zeros(MINUTES)
+    p, state = plant_parameters(site), State(x1, 1.0, 0.0)
+    sums, levels = np.zeros((2, MINUTES)), np.zeros(MINUTES)
     for tick in range(round(60 * MINUTES / site.tau)):
         time = tick * site.tau
         minute, to = int(time // 60), max(int((time + site.tau) // 60), int(time // 60) + 1)
         rain = STORM[int(time // FIVE_MINUTES)] / 1000 / FIVE_MINUTES
-        flows = plant.flows(rain, 0.0, 0.0, outlet=share_at(valve, minute))
-        plant.step(rain, flows)
-        part = min(1.0, site.tau / 60)
-        sums[:, minute:to] += [
-            [part * (flows.outflow - flows.low_outlet)], [part * flows.low_outlet]
-        ]
-        levels[minute:to] = plant.x1 / site.a1
+        share = valve[max(start for start in valve if start <= minute)]
+        state, flows = step(p, state, rain, 0.0, 0.0, share, OWN_PUMPS)
+        moved = np.array([[flows.outflow - flows.low_outlet], [flows.low_outlet]])
+        sums[:, minute:to] += min(1.0, site.tau / 60) * moved
+        levels[minute:to] = state.cistern / site.a1
     return Hydrograph(sums[0], sums[1], levels)
 
 
 def routed(
-    site: Site, x1: float, valve: dict[int, float], directory: Path, orifices: bool = False
+    site: Site, x1: float, valve: dict[int, float], directory: Path, orifices: bool
 ) -> Hydrograph:
     """Return SWMM's hydrograph, with outlet links by Eq. (2), or orifices of the same diameter."""
     model = directory / "cistern.inp"
@@ -166,81 +160,55 @@ CISTERN FLOW RAIN FLOW 1.0 1.0
 {series}"""
 
 
-class Agreement(NamedTuple):
-    """How well the plant's hydrograph agrees with SWMM's."""
+def compare(found: Hydrograph, expected: Hydrograph, tau: float) -> tuple[float, ...]:
+    """Compare two hydrographs, the first in ticks of tau (s).
 
-    efficiency: float
-    """Nash and Sutcliffe's, of the mean outflow of each tick or minute (1)"""
-    volume: float
-    """relative error of the outflow (1)"""
-    peak: float
-    """relative error of the highest mean of five minutes (1)"""
-    delay_min: float
-    """of these five minutes (min)"""
-    level: float
-    """maximum difference at the end of a tick or minute (m)"""
-
-
-def compare(found: Hydrograph, expected: Hydrograph, tau: float) -> Agreement:
-    """Compare two hydrographs, the first in ticks of tau (s)."""
+    Returns:
+        Nash and Sutcliffe's efficiency of the mean outflow of each tick or minute (1); the relative
+        errors of the outflow's volume and of the highest mean of five minutes (1); the delay of
+        these five minutes (min); and the maximum difference of the level at the end of a tick or
+        minute (m).
+    """
     size = max(1, round(tau / 60))
     q, reference = (graph.outflow.reshape(-1, size).mean(axis=1) for graph in (found, expected))
     fives, references = (
         graph.outflow.reshape(-1, 5).mean(axis=1) for graph in (found, expected)
     )
     differences = (found.level - expected.level)[size - 1 :: size]
-    return Agreement(
+    return (
         1 - float(((q - reference) ** 2).sum() / ((reference - reference.mean()) ** 2).sum()),
         float(q.sum() / reference.sum() - 1), float(fives.max() / references.max() - 1),
         5.0 * (fives.argmax() - references.argmax()), float(np.abs(differences).max()),
     )
 
 
-@pytest.mark.parametrize("valve", VALVES)
-@pytest.mark.parametrize("volume", [5.0, 10.0])
-def test_hydrograph_with_the_same_outlets(volume: float, valve: str, tmp_path: Path) -> None:
-    """The cistern is full to 30 %, and gets 13 m3 within an hour: it overflows.
-
-    In ticks of 300 s the low outlet's flow is the mean of a tick.
-    """
-    expected = routed(site_of(volume, 1.0), 0.3 * volume, VALVES[valve], tmp_path)
-    assert expected.overflow.max() > 1e-3
-    for tau, efficiency in (1.0, 0.99999), (60.0, 0.9997), (300.0, 0.9999):
-        found = stepped(site_of(volume, tau), 0.3 * volume, VALVES[valve])
-        agreement = compare(found, expected, tau)
-        assert agreement.efficiency > efficiency
-        assert agreement.volume == pytest.approx(0, abs=0.0003)
-        assert agreement.peak == pytest.approx(0, abs=0.0003)
-        assert agreement.delay_min == 0
-        assert agreement.level < 0.008
+# Eq. (2) as a rating curve: the ticks (s) with the least efficiency, the largest error of volume
+# and peak (1), delay (min) and difference of levels (m). In ticks of 300 s the low outlet's flow is
+# the mean of a tick.
+SAME = {1.0: 0.99999, 60.0: 0.9997, 300.0: 0.9999}, 0.0003, 0, 0.008
 
 
-@pytest.mark.parametrize("valve", VALVES)
-@pytest.mark.parametrize(("volume", "efficiency", "error"), [(5.0, 0.98, 0.04), (10.0, 0.94, 0.13)])
-def test_hydrograph_with_holes_in_the_wall(
-    volume: float, efficiency: float, error: float, valve: str, tmp_path: Path
+@pytest.mark.parametrize(("volume", "valve", "orifices", "efficiency", "error", "delay", "level"), [
+    *((volume, valve, False, *SAME) for volume in (5.0, 10.0) for valve in VALVES),
+    *((5.0, valve, True, {60.0: 0.98}, 0.04, 5, 0.126) for valve in VALVES),
+    # The 10 m3 overflow for some minutes only.
+    *((10.0, valve, True, {60.0: 0.94}, 0.13, 5, 0.126) for valve in VALVES),
+    # Without overflow, only the last 12.5 mm above the low outlet flow in another way.
+    (20.0, "open", True, {60.0: 0.9999}, 0.002, 0, 0.001),
+])
+def test_hydrographs(
+    volume: float, valve: str, orifices: bool, efficiency: dict[float, float], error: float,
+    delay: float, level: float, tmp_path: Path,
 ) -> None:
-    """Eq. (2) has its head above the middle of an outlet; a hole also flows below it, as a weir.
+    """The cistern is full to 30 % or 4 m3, and gets 13 m3 within an hour: all but 20 m3 overflow.
 
-    So SWMM's cistern stands up to the upper outlet's radius, 125 mm, lower while it overflows. The
-    10 m3 overflow for some minutes only.
+    Eq. (2) has its head above the middle of an outlet; a hole also flows below it, as a weir. So
+    SWMM's cistern stands up to the upper outlet's radius, 125 mm, lower while it overflows.
     """
-    expected = routed(site_of(volume, 1.0), 0.3 * volume, VALVES[valve], tmp_path, orifices=True)
-    agreement = compare(
-        stepped(site_of(volume, 60.0), 0.3 * volume, VALVES[valve]), expected, 60.0
-    )
-    assert agreement.efficiency > efficiency
-    assert agreement.volume == pytest.approx(0, abs=error)
-    assert agreement.peak == pytest.approx(0, abs=error)
-    assert abs(agreement.delay_min) <= 5
-    assert 0.08 < agreement.level < 0.126
-
-
-def test_hydrograph_of_a_low_hole(tmp_path: Path) -> None:
-    """Without overflow: only the last 12.5 mm above the low outlet flow in another way."""
-    expected = routed(site_of(20.0, 1.0), 4.0, VALVES["open"], tmp_path, orifices=True)
-    assert expected.overflow.max() == 0
-    agreement = compare(stepped(site_of(20.0, 60.0), 4.0, VALVES["open"]), expected, 60.0)
-    assert agreement.efficiency > 0.9999
-    assert agreement.volume == pytest.approx(0, abs=0.002)
-    assert agreement.peak == pytest.approx(0, abs=0.002)
+    x1, shares = min(0.3 * volume, 4.0), VALVES[valve]
+    expected = routed(site_of(volume, 1.0), x1, shares, tmp_path, orifices)
+    assert (expected.overflow.max() > 1e-3) == (volume < 20)
+    for tau, least in efficiency.items():
+        found = compare(stepped(site_of(volume, tau), x1, shares), expected, tau)
+        assert found[0] > least and abs(found[3]) <= delay and found[4] < level
+        assert found[1:3] == pytest.approx((0, 0), abs=error)

@@ -1,4 +1,4 @@
-"""Metrics: by hand, and with the same bits regardless of the blocks in which they are summed."""
+"""Metrics of a run by hand."""
 
 from __future__ import annotations
 
@@ -6,59 +6,39 @@ import random
 from dataclasses import replace
 
 import pytest
-from paper import PAPER_SITE, site_with
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from paper import PAPER_SITE, metrics_of, run_of_hours, site_with
+from summed import STILL, Tick, summed
 
-from greenroof_ros.physics.plant import Flows, Plant
-from greenroof_ros.physics.soil import soil_of
-from greenroof_ros.results import metrics as metrics_module
-from greenroof_ros.results.metrics import Metrics
+from greenroof_ros.physics.parameters import Flows, State
 from greenroof_ros.site.site import Site
 
+TARGET, FULL = PAPER_SITE.x2_star, 0.00842205211502804
+"""of Table I: the roof's target (m3), and the pumps' maximum flow from a level of 3 m (m3/s)"""
 KEPT = {"rain_kept_share", "rain_kept_share_hour", "rain_kept_share_day"}
-Ticks = list[tuple[float, float, float, float, Flows]]
 
 
-def drawn(count: int, seed: int) -> Ticks:
-    """Draw ticks of cistern, roof, command, rain and flows; pumps start, run and stop."""
-    chance = random.Random(seed)
-    return [
-        (
-            chance.uniform(0, 100), chance.uniform(0, 4), chance.uniform(0, 1.5),
-            chance.choice([0.0, chance.uniform(0, 1e-5)]),
-            Flows(
-                chance.uniform(0, 0.1), chance.choice([0.0, chance.uniform(0, 0.01)]),
-                chance.uniform(0, 1e-4), chance.uniform(0, 1e-5), chance.random() < 0.1,
-                chance.uniform(0, 1e-4),
-            ),
-        )
-        for _ in range(count)
-    ]
+def at(roof: float, cistern: float = 50.0) -> State:
+    """Return a state without a drainage layer."""
+    return State(cistern, roof, 0.0)
 
 
-STILL = Flows(0.0, 0.0, 0.0, 0.0, False, 0.0)
-
-
-def metrics_of(site: Site, ticks: Ticks) -> Metrics:
-    """Return the metrics of ticks; the last tick is the end of the run."""
-    plant = Plant(site, 0.0, 0.0)
-    metrics = Metrics(site, plant)
-    for plant.x1, plant.x2, command, rain, flows in ticks[:-1]:
-        metrics.step(command, rain, rain + flows.evapotranspiration, flows)
-    plant.x1, plant.x2 = ticks[-1][:2]
-    return metrics
-
-
-@pytest.mark.parametrize(("days", "weeks"), [(14, 2), (34, 5)])
-def test_weeks(days: int, weeks: int) -> None:
-    """Each week's deviation by hand, across blocks; the last tick counts in the last week."""
-    site = replace(PAPER_SITE, tau=600.0)
-    ticks = drawn(days * 144 + 1, seed=days)
+@pytest.mark.parametrize(
+    ("tau", "ticks", "weeks"),
+    # The middle of the last tick of 1792 s is the beginning of the second week.
+    [(600.0, 14 * 144, 2), (600.0, 34 * 144, 5), (1792.0, 338, 2), (1792.0, 337, 1)],
+)
+def test_weeks(tau: float, ticks: int, weeks: int) -> None:
+    """Each week's deviation by hand; the final state counts in the last week."""
+    chance, site = random.Random(ticks), replace(PAPER_SITE, tau=tau)
+    roofs = [chance.uniform(0, 4) for _ in range(ticks + 1)]
     expected = [0.0] * weeks
-    for k, tick in enumerate(ticks):
-        expected[min(k // 1008, weeks - 1)] += abs(tick[1] - site.x2_star)
-    metrics = metrics_of(site, ticks)
-    assert metrics.weekly_deviations() == expected
-    assert sum(expected) == pytest.approx(metrics["total_deviation_m3"], rel=1e-12)
+    for k, roof in enumerate(roofs):
+        expected[min(int((k + 0.5) * tau / 604_800), weeks - 1)] += abs(roof - TARGET)
+    found = summed(site, [Tick(state=at(roof)) for roof in roofs[:-1]], at(roofs[-1]))
+    assert found.weeks == expected
+    assert sum(expected) == pytest.approx(found.results["total_deviation_m3"], rel=1e-12)
 
 
 def test_sums_by_hand() -> None:
@@ -66,13 +46,12 @@ def test_sums_by_hand() -> None:
 
     The cistern's inlet has 0.305^2 pi = 0.2922467 m2, the bed 68.8 m2.
     """
-    results = metrics_of(site_with(tau=2.0), [
-        (60.0, 3.0, 0.5, 1e-6, Flows(0.1, 0.004, 0.001, 2e-4, False, 0.0)),
-        (50.0, 3.5, 1.25, 0.0, Flows(0.0, 0.0, 0.002, 1e-4, True, 0.0)),
-        (40.0, 3.2, 0.0, 0.0, STILL),
-    ]).results()
+    results = summed(site_with(tau=2.0), [
+        Tick(Flows(0.1, 0.004, 0.001, 2e-4, False, 0.0, 0.0), 1e-6, 0.5, at(3.0, 60.0)),
+        Tick(Flows(0.0, 0.0, 0.002, 1e-4, True, 0.0, 0.0), 0.0, 1.25, at(3.5)),
+    ], at(3.2, 40.0)).results
     expected = {
-        "total_deviation_m3": 0.14416 + 0.35584 + 0.05584, "near_target_hours": 4 / 3600,
+        "total_deviation_m3": 0.14416 + 0.35584 + 0.05584, "near_target_hours": 2 / 3600,
         "pumped_m3": 0.008, "outflow_m3": 0.2, "drainage_m3": 0.006,
         "evapotranspiration_m3": 6e-4, "rain_roof_m3": 1.376e-4, "rain_cistern_m3": 5.844933e-7,
         "rain_m3": 1.3818449e-4, "max_command": 1.25, "beyond_hours": 2 / 3600,
@@ -87,97 +66,129 @@ def test_sums_by_hand() -> None:
     assert not {"mains_m3", "demand_met_share", "final_layer_m3"} & results.keys()
 
 
+@pytest.mark.parametrize("tau", [3600.0, 7.2])
+def test_no_time_exceeds_the_run(tau: float) -> None:
+    """A day at the target is 24 h near it, and a day without water 24 h of stress."""
+    for roof, name in ((TARGET, "near_target_hours"), (0.0, "stress_hours")):
+        ticks = [Tick(state=at(roof))] * round(86_400 / tau)
+        assert summed(replace(PAPER_SITE, tau=tau), ticks, at(roof)).results[name] == (
+            pytest.approx(24.0, rel=1e-12)
+        )
+
+
 @pytest.mark.parametrize(
     ("gap", "busiest"), [(1800, 20), (1799, 21)]
 )
 def test_an_hour_holds_its_first_start_no_more(gap: int, busiest: int) -> None:
     """Twenty starts 180 s apart fill it; the next comes as the first leaves. Ticks of 0.1 s."""
-    site = site_with(tau=0.1)
-    metrics = Metrics(site, Plant(site, 75.0, 1.0))
-    for tick in range(30 * gap):
-        metrics.step(1.0, 0.0, 0.0, STILL._replace(pump=0.004 * (tick % gap == 0)))
-    assert metrics["pump_starts"] == 30
-    assert metrics["busiest_hour_starts"] == busiest
-    assert metrics["excess_starts"] == (10 if busiest > 20 else 0)
+    runs = Tick(STILL._replace(pump=0.004), command=1.0, state=at(1.0, 75.0))
+    results = summed(site_with(tau=0.1), [runs, *[Tick()] * (gap - 1)] * 30).results
+    assert results["pump_starts"] == 30
+    assert results["busiest_hour_starts"] == busiest
+    assert results["excess_starts"] == (10 if busiest > 20 else 0)
 
 
-# The pumps deliver 0.00842205 m3/s at most (3 m): they run above 8.422e-5 m3/s.
-@pytest.mark.parametrize(("flows", "starts", "ticks"), [
-    ([0.008 * 0.5**k for k in range(1100)], 1, 7),  # a lag, down to 0: 0.008 / 2^6 is 1.25e-4
-    ([0.004, 2.5e-323, 0.004, 2.5e-323], 2, 2),
-    ([1e-6 * (k % 2) for k in range(100)], 0, 0),  # the noise of a flow meter
-    ([8.42e-5, 8.43e-5, 8.42e-5], 1, 1),
+# The pumps deliver 0.00842205 m3/s at most (3 m): they run above 8.422e-5 m3/s, or above 1 % of the
+# commanded flow.
+@pytest.mark.parametrize(("command", "flows", "starts", "ticks"), [
+    (1, [0.008 * 0.5**k for k in range(1100)], 1, 7),  # a lag, to 0: 0.008 / 2^6 is 1.25e-4
+    (1, [0.004, 2.5e-323, 0.004, 2.5e-323], 2, 2),
+    (1, [1e-6 * (k % 2) for k in range(100)], 0, 0),  # the noise of a flow meter
+    (1, [8.42e-5, 8.43e-5, 8.42e-5], 1, 1),
+    (1e-3, [1e-3 * FULL, 1e-3 * FULL, 0.0, 1e-3 * FULL, 1e-6 * FULL], 2, 3),
 ])
-def test_what_is_treated_as_running(flows: list[float], starts: int, ticks: int) -> None:
-    metrics = metrics_of(site_with(tau=1.0), [
-        *((75.0, 1.0, 1.0, 0.0, STILL._replace(pump=flow)) for flow in flows),
-        (75.0, 1.0, 0.0, 0.0, STILL),
-    ])
-    assert metrics["pump_starts"] == starts
-    assert metrics["pump_hours"] == pytest.approx(ticks / 3600)
-    assert metrics["pumped_m3"] == pytest.approx(sum(flows))
+def test_what_is_treated_as_running(
+    command: float, flows: list[float], starts: int, ticks: int
+) -> None:
+    results = summed(site_with(tau=1.0), [
+        Tick(STILL._replace(pump=flow), 0.0, command, at(1.0, 75.0)) for flow in flows
+    ]).results
+    assert results["pump_starts"] == starts
+    assert results["pump_hours"] == pytest.approx(ticks / 3600)
+    assert results["pumped_m3"] == pytest.approx(sum(flows))
+
+
+HEAD = 55.2 - 5.78e5 * FULL**2
+"""At 3 m the pumps deliver their maximum flow at L = phi = 14.2 m."""
 
 
 def test_energy_and_starts_by_hand() -> None:
-    """At 3 m the pumps deliver 0.00842205 m3/s at L = phi = 55.2 - 5.78e5 0.00842205^2 = 14.2 m.
+    """Half the flow needs 13 m plus a quarter of the 1.2 m of friction, with 9810 N/m3.
 
-    Half the flow needs 13 m plus a quarter of the 1.2 m of friction, with 9810 N/m3. A quarter of
-    the electric energy becomes hydraulic.
+    A quarter of the electric energy becomes hydraulic.
     """
-    full = 0.00842205211502804
-    head = 55.2 - 5.78e5 * full**2
-    flows = (full, full, 0.0, full / 2, 0.0, 0.0, full, 0.0)
-    results = metrics_of(
-        site_with(pump_efficiency=0.25),
-        [(75.0, 1.0, 1.0, 0.0, STILL._replace(pump=flow)) for flow in flows],
-    )
-    joules = 9810 * (3 * full * head + full / 2 * (13 + (head - 13) / 4))
+    results = summed(site_with(pump_efficiency=0.25), [
+        Tick(STILL._replace(pump=flow), 0.0, 1.0, at(1.0, 75.0))
+        for flow in (FULL, FULL, 0.0, FULL / 2, 0.0, 0.0, FULL)
+    ]).results
+    joules = 9810 * (3 * FULL * HEAD + FULL / 2 * (13 + (HEAD - 13) / 4))
     assert results["hydraulic_energy_kwh"] == pytest.approx(joules / 3.6e6, rel=1e-9)
-    assert results["electric_energy_kwh"] == 4 * results["hydraulic_energy_kwh"]
+    assert results["electric_energy_kwh"] == pytest.approx(4 * joules / 3.6e6, rel=1e-9)
     assert results["pump_starts"] == 3
 
 
-def test_mains_water_by_hand() -> None:
-    """Three ticks of 2 s, with 0.001 m3/s from the mains in two, and 0.004 m3/s pumped in one.
+def test_pumps_that_stop_within_a_tick() -> None:
+    """In ticks of a minute, half of the commanded flow is half a minute if the pumps stop in it.
 
-    6 of 8 litres did not come from the mains. Who only refills a cistern has no such share, nor has
-    who pumps nothing; a cistern that is refilled for later does not make it negative.
+    The first two cannot reach the target, 3.14416 m3: a meter that reads less is no shorter run.
+    While they run they have the head of the full flow.
     """
-    site = site_with(tau=2.0, mains_level=1.0, mains_flow=0.001)
-    refilled, pumped = STILL._replace(mains=5e-4), STILL._replace(mains=5e-4, pump=0.004)
-    for flows, mains, share in (
-        ((refilled, pumped, STILL), 0.002, 0.75), ((refilled, STILL), 0.001, None),
-        ((STILL._replace(mains=1e-3), STILL._replace(pump=5e-4)), 0.002, 0.0),
-        ((STILL._replace(pump=0.004),), 0.0, 1.0),
-    ):
-        results = metrics_of(
-            site, [(60.0, 1.0, 0.0, 0.0, moved) for moved in (*flows, STILL)]
-        ).results()
-        assert results["mains_m3"] == pytest.approx(mains, rel=1e-12)
-        assert results.get("demand_met_share") == (share and pytest.approx(share, rel=1e-12))
-
-
-def test_low_commands_make_pumps_run() -> None:
-    """0.1 % of the full flow, 8.4e-6 m3/s, for two of three seconds: the noise of a meter does not.
-
-    In ticks of a minute, half of the commanded flow is half a minute if the pumps stop in the tick.
-    """
-    full = 0.00842205211502804
-    flows = [1e-3 * full, 1e-3 * full, 0.0, 1e-3 * full, 1e-6 * full]
-    run = [(75.0, 1.0, 1e-3, 0.0, STILL._replace(pump=flow)) for flow in flows]
-    metrics = metrics_of(PAPER_SITE, [*run, (75.0, 1.0, 0.0, 0.0, STILL)])
-    assert (metrics["pump_hours"], metrics["pump_starts"]) == (pytest.approx(3 / 3600), 2)
-    long = replace(PAPER_SITE, tau=60.0)
-    # The first two cannot reach the target, 3.14416 m3: a meter that reads less is no shorter run.
-    run = [(75.0, x2, 1.0, 0.0, STILL._replace(pump=full / 2)) for x2 in (1.0, 2.0, 2.7)]
-    results = metrics_of(long, [*run, (75.0, long.x2_star, 0.0, 0.0, STILL)]).results()
-    assert results["pump_hours"] == pytest.approx(150 / 3600)
-    assert results["pump_starts"] == 1
-    # While they run they have the head of the full flow, as in test_energy_and_starts_by_hand.
-    head = 55.2 - 5.78e5 * full**2
-    half = 13 + (head - 13) / 4
-    joules = 9810 * 60 * full / 2 * (2 * half + head)
+    results = summed(replace(PAPER_SITE, tau=60.0), [
+        Tick(STILL._replace(pump=FULL / 2), 0.0, 1.0, at(x2, 75.0)) for x2 in (1.0, 2.0, 2.7)
+    ]).results
+    assert (results["pump_hours"], results["pump_starts"]) == (pytest.approx(150 / 3600), 1)
+    joules = 9810 * 60 * FULL / 2 * (2 * (13 + (HEAD - 13) / 4) + HEAD)
     assert results["hydraulic_energy_kwh"] == pytest.approx(joules / 3.6e6, rel=1e-9)
+
+
+# 25 m2 of cistern with the mains' valve at 1 m, in ticks of 2 s.
+MAINS = site_with(tau=2.0, mains_level=1.0, mains_flow=0.001)
+
+
+@pytest.mark.parametrize(("first", "last", "mains", "pumped", "outflow", "share"), [
+    # 6 of 8 litres did not come from the mains, and fell as rain; a cistern that pumps nothing has
+    # no such share.
+    (60.0, 60.0, 2e-3, 8e-3, 0.0, 0.75), (60.0, 60.0, 2e-3, 0.0, 0.0, None),
+    # What the mains filled into the cistern for later was not pumped; nor was rain that filled it.
+    (24.0, 24.5, 0.5, 8e-3, 0.0, 1.0), (24.0, 24.002, 4e-3, 4e-3, 0.0, 0.5),
+    (20.0, 25.0, 1e-3, 8e-3, 0.0, 1.0),
+    # Water that was there at the start is no rain of the run: 2 of 8 litres, above or below 1 m.
+    (60.002, 60.0, 0.0, 8e-3, 0.0, 0.75), (20.002, 20.0, 0.0, 8e-3, 0.0, 0.75),
+    # It may have flowed to the sewer.
+    (60.002, 60.0, 0.0, 8e-3, 2e-3, 1.0), (60.002, 60.0, 0.0, 8e-3, 1e-3, 0.875),
+])
+def test_mains_water_by_hand(
+    first: float, last: float, mains: float, pumped: float, outflow: float, share: float | None
+) -> None:
+    flows = STILL._replace(mains=mains / 2, pump=pumped / 2, outflow=outflow / 2)
+    results = summed(MAINS, [Tick(flows, state=at(1.0, first))], at(1.0, last)).results
+    assert results["mains_m3"] == pytest.approx(mains, rel=1e-12)
+    assert results.get("demand_met_share") == (share and pytest.approx(share, abs=1e-9))
+
+
+# A cistern of 14 m3 up to 3 m, with the mains' valve at 1 m.
+FILLED = replace(PAPER_SITE, a1=14 / 3, a_in=300.0, tau=3600.0, mains_level=1.0, mains_flow=2e-4)
+
+
+@settings(max_examples=25)
+@given(
+    cistern=st.floats(0.0, 18.0),
+    rain=st.lists(st.just(0.0) | st.floats(0.0, 20.0), min_size=1, max_size=10),
+    dry_days=st.integers(1, 8),
+)
+@example(14.0, [0.0], 30)
+@example(0.0, [4.0], 8)
+def test_what_is_in_the_cistern_at_the_start_is_no_rain(
+    cistern: float, rain: list[float], dry_days: int
+) -> None:
+    """In thirty dry days no demand is met with rain, and never less than none or more than all."""
+    hours = [*((depth, 4.0, False) for depth in rain), *[(0.0, 4.0, False)] * (24 * dry_days)]
+    results = metrics_of(run_of_hours(hours, cistern, 2.0, FILLED))
+    share = results.get("demand_met_share")
+    assert (share is None) == (results["pumped_m3"] == 0)
+    if share is not None:
+        assert -1e-9 <= share <= 1
+        assert sum(rain) > 0 or share == pytest.approx(0.0, abs=1e-9)
 
 
 def test_an_owners_metrics_by_hand() -> None:
@@ -185,13 +196,10 @@ def test_an_owners_metrics_by_hand() -> None:
 
     The mean of 0.1, 0.3, 3.14416, 3.14416 and 0.2 m3 is 1.377664 m3, 20.0242 mm on 68.8 m2.
     """
-    site, target = site_with(tau=2.0), PAPER_SITE.x2_star
-    plant = Plant(site, 50.0, target + 0.1)
-    metrics = Metrics(site, plant)
-    for after, actual in ((target - 0.3, 4e-6), (0.0, 2e-6), (0.0, 1e-6), (target + 0.2, 0.0)):
-        metrics.step(0.0, 0.0, 4e-6, STILL._replace(evapotranspiration=actual))
-        plant.x2 = after
-    results = metrics.results()
+    results = summed(site_with(tau=2.0), [
+        Tick(STILL._replace(evapotranspiration=actual), state=at(roof), potential=4e-6)
+        for roof, actual in ((TARGET + 0.1, 4e-6), (TARGET - 0.3, 2e-6), (0.0, 1e-6), (0.0, 0.0))
+    ], at(TARGET + 0.2)).results
     assert results["mean_deviation_mm"] == pytest.approx(1377.664 / 68.8, rel=1e-12)
     assert results["stress_hours"] == pytest.approx(4 / 3600, rel=1e-12)
     assert results["evapotranspiration_ratio"] == pytest.approx(7 / 16, rel=1e-12)
@@ -204,24 +212,24 @@ def test_stress_is_the_soils() -> None:
         PAPER_SITE, tau=3600.0, z_cap=10.32, field_capacity=0.3, wilting_point=0.1,
         depletion_fraction=0.5,
     )
-    volumes = (12.0, 6.8801, 6.8799, 3.0, 0.0)
-    metrics = metrics_of(site, [(50.0, x2, 0.0, 0.0, STILL) for x2 in (*volumes, 12.0)])
-    assert metrics["stress_hours"] == sum(soil_of(site).water_stress(x2) < 1 for x2 in volumes) == 3
-    assert "evapotranspiration_ratio" not in metrics.results()  # there was no demand
+    ticks = [Tick(state=at(x2)) for x2 in (12.0, 6.8801, 6.8799, 3.0, 0.0)]
+    results = summed(site, ticks, at(12.0)).results
+    assert results["stress_hours"] == 3
+    assert "evapotranspiration_ratio" not in results  # there was no demand
 
 
-def hourly(site: Site, hours: int, **amounts: dict[int, float]) -> Ticks:
+def hourly(site: Site, hours: int, **amounts: dict[int, float]) -> list[Tick]:
     """Return ticks of hours with these amounts of rain, pumping and drainage (m3)."""
     def rate(name: str, hour: int) -> float:
         return amounts.get(name, {}).get(hour, 0.0) / 3600
 
-    ticks_per_hour = round(3600 / site.tau)
-    return [
-        (50.0, 1.0, 0.0, rate("rain", hour) / site.a2, STILL._replace(
-            pump=rate("pumped", hour), drainage=rate("drained", hour)
-        ))
-        for hour in (k // ticks_per_hour for k in range(hours * ticks_per_hour + 1))
+    ticks = [
+        Tick(
+            STILL._replace(pump=rate("pumped", hour), drainage=rate("drained", hour)),
+            rate("rain", hour) / site.a2,
+        ) for hour in range(hours)
     ]
+    return [tick for tick in ticks for _ in range(round(3600 / site.tau))]
 
 
 def test_rain_kept_by_hand() -> None:
@@ -238,51 +246,18 @@ def test_rain_kept_by_hand() -> None:
     4.1 m3 in these 1.8 drain.
     """
     site = site_with(a2=100.0, tau=600.0)
-    results = metrics_of(site, hourly(
+    results = summed(site, hourly(
         site, 72, rain={10: 3.0, 36: 0.4, 60: 0.6, 61: 0.5}, pumped={41: 0.6, 55: 0.6},
         drained={10: 0.6, 11: 0.9, 35: 0.3, 36: 0.1, 41: 0.5, 60: 0.2},
-    ))
+    )).results
     assert results["rain_kept_share"] == pytest.approx(1 - 1.9 / 4.5, rel=1e-9)
     assert results["rain_kept_share_hour"] == pytest.approx(0.8, rel=1e-9)
     assert results["rain_kept_share_day"] == pytest.approx(1 - 1.8 / 4.1, rel=1e-9)
 
 
-@pytest.mark.parametrize(("depth", "expected"), [(20.0, False), (20.1, True)])
-def test_a_storm_has_more(depth: float, expected: bool) -> None:
-    """An hour with 20 mm is not a storm; with more it is, and if more drains, nothing is kept."""
+@pytest.mark.parametrize(("depth", "kept"), [(20.0, None), (20.1, 1 - 5.0 / 2.01)])
+def test_a_storm_has_more(depth: float, kept: float | None) -> None:
+    """An hour with 20 mm is not a storm; with more it is. The share can be below 0."""
     site = site_with(a2=100.0, tau=0.1)
-    results = metrics_of(site, hourly(site, 2, rain={1: depth / 10}, drained={1: 5.0})).results()
-    assert results.get("rain_kept_share_hour") == (0.0 if expected else None)
-
-
-def test_every_bit_regardless_of_the_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Four days of 5 min with storms of ten hours; in blocks of 1, 7 and 1000 ticks."""
-    site, results = site_with(tau=300.0, starts_per_hour=3.0), []
-    ticks = [
-        (x1, x2, command, 3 * rain * (k // 120 % 3 == 0), flows)
-        for k, (x1, x2, command, rain, flows) in enumerate(drawn(4 * 288 + 1, seed=1))
-    ]
-    for size in (1, 7, 1000):
-        monkeypatch.setattr(metrics_module, "_BLOCK_BYTES", size * 8 * len(metrics_module.TICK))
-        metrics = metrics_of(site, ticks)
-        results.append((metrics.results(), metrics.weekly_deviations()))
-        assert results[-1] == (metrics.results(), metrics.weekly_deviations())
-    assert results[0] == results[1] == results[2]
-    assert all(0 < results[0][0][name] < 1 for name in KEPT)
-
-
-def test_a_long_run_is_not_copied(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is set aside counts: the same bits of every metric and event, however little is kept."""
-    site = site_with(tau=60.0)
-    ticks = [
-        (x1, x2, command, rain * (k % 700 < 90), flows)
-        for k, (x1, x2, command, rain, flows) in enumerate(drawn(2001, seed=3))
-    ]
-    results = []
-    for many, ticks_each in ((4096, 4096), (1, 1), (5, 7), (100, 64)):
-        monkeypatch.setattr(metrics_module, "_MANY", many)
-        size = ticks_each * 8 * len(metrics_module.TICK)
-        monkeypatch.setattr(metrics_module, "_BLOCK_BYTES", size)
-        metrics = metrics_of(site, ticks)
-        results.append((metrics.results(), metrics.events(), metrics.weekly_deviations()))
-    assert results[0][1] and all(result == results[0] for result in results)
+    results = summed(site, hourly(site, 2, rain={1: depth / 10}, drained={1: 5.0})).results
+    assert results.get("rain_kept_share_hour") == (kept and pytest.approx(kept, rel=1e-6))

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
@@ -27,9 +26,8 @@ from paper import (
 from greenroof_ros.commands import bound as module
 from greenroof_ros.commands.bound import main
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
-from greenroof_ros.simulation.bound import BLOCK_S, clairvoyant_bound
+from greenroof_ros.simulation.bound import BLOCK_S, clairvoyant_bound, simulate_plan
 from greenroof_ros.simulation.loop import Simulation
-from greenroof_ros.simulation.plan import simulate_plan
 from greenroof_ros.site.site import Site
 
 Hours = Sequence[tuple[float, float, bool]]
@@ -95,7 +93,7 @@ def test_no_run_is_below(
     if run.steps >= 7:
         assert coarse <= fine + slack
     for cost in (
-        simulate_plan(run, max_command).total_m3,
+        simulate_plan(run, max_command)["total_deviation_m3"],
         metrics_of(run, Commands([max_command * share for share in shares]))["total_deviation_m3"],
         metrics_of(run, Commands([max_command]))["total_deviation_m3"],
         metrics_of(run, Commands([0.0]))["total_deviation_m3"],
@@ -126,8 +124,9 @@ def test_without_pumping_the_bound_is_the_run(
     roofs = [tick.x2 for tick in simulation.ticks()]
     if site.field_capacity is None:
         assume(min(abs(x2 / site.z_cap - 1) for x2 in roofs) > 1e-8)
-    only = simulation.metrics["total_deviation_m3"]
-    assert simulate_plan(run) == (only, 0)
+    only = simulation.metrics.results(simulation.site.state)["total_deviation_m3"]
+    plan = simulate_plan(run)
+    assert (plan["total_deviation_m3"], plan["pumped_m3"]) == (only, 0)
     assert bound == pytest.approx(only, rel=1e-6, abs=1e-6 * site.x2_star)
 
 
@@ -149,9 +148,9 @@ def test_bound_and_plan_are_close(
         "--start", start, "--hours", "12",
     )
     bound, plan = clairvoyant_bound(run, BLOCK_S), simulate_plan(run)
-    assert bound <= plan.total_m3 < (1 + gap) * bound
-    assert plan.pumped_m3 > 0
-    assert bound <= metrics_of(run)["total_deviation_m3"] < 1.001 * plan.total_m3
+    assert bound <= plan["total_deviation_m3"] < (1 + gap) * bound
+    assert plan["pumped_m3"] > 0
+    assert bound <= metrics_of(run)["total_deviation_m3"] < 1.001 * plan["total_deviation_m3"]
 
 
 # One tick of 20 s at full flow from 75 m3, Table I: b sqrt(3 + 55.2 - 16).
@@ -183,11 +182,11 @@ def test_eight_ticks_without_weather(
     real flow falls slightly with the cistern's level.
     """
     site = replace(SLOW, tau=20.0, quiet_hours=(quiet,), time_zone=TORONTO)
-    run = run_of_hours(DRY_HOUR, x1, site.x2_star - x2 * FULL, site, steps=8)
+    run = run_of_hours(DRY_HOUR, x1, site.x2_star - x2 * FULL, site, length_h=8 * 20 / 3600)
     run = replace(run, sensor_and_pump=SensorAndPump(pump_min_off=min_off, roof_offset=0.1))
     found = clairvoyant_bound(run, site.tau, max_command)
     assert found == pytest.approx(bound * FULL, rel=1e-6)
-    total = simulate_plan(run, max_command).total_m3
+    total = simulate_plan(run, max_command)["total_deviation_m3"]
     assert plan * FULL * (1 - 1e-6) <= total < plan * FULL * (1 + 1e-3)
 
 
@@ -231,22 +230,3 @@ def test_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
     totals = [f"{result[name]:.2f}" for name in ("bound_m3", "plan_m3")]
     for words in (*totals, f"{100 * result['gap']:.4f} %", "published"):
         assert words in shown
-
-
-def test_quiet_hours_that_cover_the_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Only one total can be reached in the paper's first two hours, computed from its weather.
-
-    2.775 and 3.448 mm/day evaporate, and 0.2 mm of rain fall in the second hour.
-    """
-    file = site_file(tmp_path)
-    file.write_text(f"{file.read_text()}quiet_hours: ['02:00-06:00']\ntime_zone: {TORONTO}\n")
-    assert call(monkeypatch, "--hours", "2", "--site", str(file), "--json") == 0
-    result = json.loads(capsys.readouterr().out)
-    rates = np.array([-2.77537901 / 24, 0.2 - 3.44779366 / 24]) * 68.8 / 1000 / 3600
-    changes = np.concatenate(([0.0], np.cumsum(np.repeat(rates, 3600))))
-    only = float(np.abs(68.8 * 0.0457 * (1 / 1.3 - 1) + changes).sum())
-    assert only == pytest.approx(5260.9, abs=0.05)
-    for name in ("bound_m3", "plan_m3"):
-        assert result[name] == pytest.approx(only, rel=1e-6), name

@@ -12,13 +12,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from paper import run_of_hours, site_file, site_with
+from paper import run_in, site_file, site_with, weather_of
 
 from greenroof_ros.commands import bound as module
 from greenroof_ros.commands.bound import main
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.registry import choose_class
-from greenroof_ros.forecast.resampling import PerfectForecast
 from greenroof_ros.simulation.discharge_bound import (
     WEIGHTS,
     Steps,
@@ -26,7 +25,6 @@ from greenroof_ros.simulation.discharge_bound import (
     simulate_frontier,
 )
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.weather.series import WeatherSeries
 
 # 10 m3 below the upper outlet; the pumps leave 0.25 m3.
 SITE = site_with(
@@ -81,16 +79,11 @@ def random_run(seed: int) -> Run:
     for _ in range(random.integers(1, 5)):
         first, count = random.integers(minutes.size), random.integers(1, 90)
         minutes.ravel()[first : first + count] += 10 ** random.uniform(-1.5, 2)
-    hours = [(float(rain), float(random.choice([0, 3])), False) for rain in minutes.mean(axis=1)]
-    steps = max(1, int(len(hours) * HOUR / site.tau) - 1)
+    rain = minutes if random.random() < 0.7 else minutes.mean(axis=1)
     x1, x2 = random.uniform(0, 1.25) * a1 * z_o, site.x2_star * random.uniform(0.5, 1.6)
-    run = run_of_hours(hours, x1, x2, site, steps)
-    weather = replace(run.weather, minutes=minutes) if random.random() < 0.7 else run.weather
-    series = WeatherSeries(weather, site, run.start, steps)
-    kind: Any = type("Own", (AnyCommands,), {"seed": seed})
-    return replace(
-        run, weather=weather, series=series, forecast=PerfectForecast(series, site.M),
-        controller=choose_class(kind), parameters={},
+    return run_in(
+        weather_of(rain, random.choice([0.0, 3.0], len(minutes))), site, x1, x2,
+        choice=choose_class(type("Own", (AnyCommands,), {"seed": seed})),
     )
 
 
@@ -147,14 +140,8 @@ def test_a_dry_part_of_an_hour_costs_nothing() -> None:
     """Rain in five minutes, and none before: what is let out 55 minutes earlier is not wet."""
     minutes = np.zeros((4, 60))
     minutes[2, 55:] = 120.0  # 10 mm, 2.7 m3, in five minutes
-    run = run_of_hours([(0, 0, False), (0, 0, False), (10.0, 0, False), (0, 0, False)], 9.0, 3.142,
-                       replace(SITE, z_veg=0.01, x2_star=0.6875), steps=239)
-    weather = replace(run.weather, minutes=minutes)
-    series = WeatherSeries(weather, run.site, run.start, 239)
-    run = replace(
-        run, weather=weather, series=series, forecast=PerfectForecast(series, 10),
-        parameters=run.controller.defaults(run.site),
-    )
+    site = replace(SITE, z_veg=0.01, x2_star=0.6875)
+    run = run_in(weather_of(minutes, 0.0), site, 9.0, 3.142)
     assert simulate_frontier(run).points[0].wet_discharge_m3 == pytest.approx(0, abs=1e-6)
 
 

@@ -1,16 +1,21 @@
-"""A command's output: a separate directory, and streams that can be full or closed."""
+"""A command's output: directories, streams that can be full or closed, and runs that stop."""
 
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from threading import Barrier
 
 import pytest
+from commands import run_command
+from graphs import environment
 
+import greenroof_ros as gr
 from greenroof_ros.simulation.directory import make_run_directory
 
 
@@ -32,7 +37,7 @@ def test_a_summary_that_cannot_be_printed(tmp_path: Path) -> None:
 
 def test_file_that_has_no_room(tmp_path: Path) -> None:
     """A limit on the size of files stands for a full disk: the message names the file."""
-    command = "$SIMULATE --hours 1 --controller onoff --trajectory"
+    command = "$SIMULATE --hours 1 --controller mpc --trajectory"
     done = run_in_shell(f"ulimit -f 100; {command}", tmp_path)
     file = tmp_path / "run" / "trajectory.csv"
     assert (done.returncode, done.stderr) == (1, f"error: {file}: File too large\n")
@@ -61,3 +66,46 @@ def test_runs_of_one_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert sorted(directories) == sorted((tmp_path / "runs").iterdir())
     assert len(set(directories)) == count
     assert all((directory / "configuration").is_dir() for directory in directories)
+
+
+STARTED = ("simulate", "--controller", "onoff", "--hours", "2", "--speed", "20", "--trajectory",
+           "--output", "out")
+
+
+@pytest.mark.parametrize(("number", "status", "code"), [
+    (signal.SIGINT, "interrupted", 130), (signal.SIGKILL, "running", -signal.SIGKILL),
+])
+def test_an_interrupted_run_says_so(
+    tmp_path: Path, number: signal.Signals, status: str, code: int
+) -> None:
+    """Its summary has no results; its trajectory is read as far as it goes."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "greenroof_ros", *STARTED], cwd=tmp_path, env=environment(0),
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )
+    file = tmp_path / "out" / "trajectory.csv"
+    while not (file.exists() and file.stat().st_size):  # the first rows have left the buffer
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.send_signal(number)
+    assert process.wait(300) == code
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["status"] == status and "total_deviation_m3" not in summary
+    if number == signal.SIGINT:
+        rows = gr.read_bag(tmp_path / "out")
+        assert summary["last_tick"] == rows["time_s"][-1] == len(rows) - 1
+        assert summary["reason"] == "interrupted by SIGINT"
+
+
+def test_a_run_whose_controller_fails_says_so(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        "from greenroof_ros.controllers.onoff import OnOff\n\n\n"
+        "class Tired(OnOff):\n"
+        "    def command(self, *given):\n"
+        "        return -1.0\n"
+    )
+    done = run_command(*STARTED[:1], "--controller", "mine:Tired", *STARTED[3:], cwd=tmp_path,
+                       env=environment(0))
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert done.returncode == 2
+    assert summary["status"] == "failed" and "Tired" in summary["reason"]

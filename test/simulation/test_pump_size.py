@@ -8,8 +8,9 @@ import pytest
 from studies import CONFIG, WEATHER
 
 import greenroof_ros as gr
-from greenroof_ros.simulation.pump_size import note_pumps
-from greenroof_ros.site.site import Site, read_site
+from greenroof_ros.simulation.run import note_pumps
+from greenroof_ros.site.file import read_site
+from greenroof_ros.site.site import Site
 
 
 def of(name: str, **changes: object) -> Site:

@@ -9,8 +9,8 @@ import pytest
 from paper import paper_run
 from rich.console import Console
 
-from greenroof_ros.simulation import screen, summary
-from greenroof_ros.simulation.loop import Simulation
+from greenroof_ros.simulation import screen
+from greenroof_ros.simulation.loop import simulate
 
 
 @pytest.mark.parametrize(("changed", "shown"), [
@@ -23,10 +23,8 @@ def test_storm_water_is_shown_where_it_is_collected(
     changed: dict[str, Any], shown: bool
 ) -> None:
     """By a catchment, or a valve; not in the paper's twelve hours. One peak is enough."""
-    simulation = Simulation(paper_run("--controller", "onoff", "--hours", "2"))
-    for _ in simulation.ticks():
-        pass
-    rows = list(screen.rows({**simulation.summary(), **changed}))
+    whole, _ = simulate(paper_run("--controller", "onoff", "--hours", "2"))
+    rows = list(screen.rows({**whole, **changed}))
     words = {word for word, *_ in rows}
     assert {"outflow", "pumped", "rain kept"} <= words
     storm = {
@@ -43,22 +41,15 @@ def test_no_raw_data() -> None:
         "--hours", "0.1", "--forecast", "ensemble", "--roof-noise", "0.001", "--pump-min-on", "60",
         "--weight", "0.01",
     )
-    simulation = Simulation(run)
-    for _ in simulation.ticks():
-        pass
-    metrics = simulation.metrics
-    result = summary.make_summary(
-        run, metrics.results(), metrics.weekly_deviations(), metrics.events(), wall_s=1.0,
-        solver={"mean_s": 1e-5, "p99_s": 1e-5, "max_s": 1e-5, "solves": 9, "fallbacks": 1},
-        messages={"/pump/flow": 361, "/clock": 361},
-        refused={"/pump/flow": 37, "/roof/level": 2},
-        parameter_changes=[
+    result = simulate(run)[0] | {
+        "solver": {"mean_s": 1e-5, "p99_s": 1e-5, "max_s": 1e-5, "solves": 9, "fallbacks": 1},
+        "messages": {"/pump/flow": 361, "/clock": 361},
+        "refused": {"/pump/flow": 37, "/roof/level": 2},
+        "parameter_changes": [
             {"tick": 300, "parameter": "weight", "before": 0.001, "value": 0.01},
             {"tick": 301, "parameter": "most", "before": None, "value": 2.0},
         ],
-        parameter_change_count=5,
-    )
-    result |= {
+        "parameter_change_count": 5,
         "excess_starts": 2, "limited_steps": 0, "frost_hours": 2.0,
         "weather_notes": ["rain was moved an hour back"],
         "filled": {"dew point": ["2021-07-20T13:00-05:00", "2021-07-20T14:00-05:00"]},

@@ -19,7 +19,7 @@ from greenroof_ros.commands import simulate
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.simulation.loop import Simulation
 from greenroof_ros.simulation.options import build_run
-from greenroof_ros.site.place import format_place, measure_distance
+from greenroof_ros.site.site import format_place, measure_distance
 
 BERLIN = (52.52, 13.41)
 HEADER = "time,precipitation [mm/h],published evapotranspiration [mm/day]\n"

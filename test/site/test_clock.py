@@ -16,8 +16,8 @@ from places import CONFIG
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import epoch_ns
-from greenroof_ros.site.clock import QuietHours
-from greenroof_ros.site.site import read_site
+from greenroof_ros.site.clock import QuietHours, standard_offset
+from greenroof_ros.site.file import read_site
 
 TORONTO = ZoneInfo("America/Toronto")
 
@@ -139,7 +139,7 @@ def test_wrong_ones_are_refused_with_line_and_value(
 ])
 def test_a_zone_of_the_sites_standard_time(tmp_path: Path, zone: str, utc_offset: float) -> None:
     site = read_site(written(tmp_path, f"time_zone: {zone}", f"utc_offset: {utc_offset}"))
-    assert site.zone == ZoneInfo(zone)
+    assert site.zone == ZoneInfo(zone) and standard_offset(zone) == utc_offset
     wrong = written(tmp_path, f"time_zone: {zone}", f"utc_offset: {utc_offset + 1.25}")
-    with pytest.raises(ConfigurationError, match="the standard offset of"):
+    with pytest.raises(ConfigurationError, match="standard UTC offset"):
         read_site(wrong)

@@ -31,8 +31,8 @@ from page_server import served
 from peers import repeating
 from places import CONFIG
 
+from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import growing_steps
-from greenroof_ros.site.site import read_site
 from greenroof_ros.watch import feed
 from greenroof_ros.watch.document import make_document as read_document
 from greenroof_ros.watch.document import make_series as read_series

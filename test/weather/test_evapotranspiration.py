@@ -16,7 +16,8 @@ from greenroof_ros.analysis.calibration.csv_record import read_csv_record
 from greenroof_ros.common.times import parse_time
 from greenroof_ros.formats.reading import read_records
 from greenroof_ros.formats.sun import extraterrestrial_radiation
-from greenroof_ros.site.site import Site, read_site
+from greenroof_ros.site.file import read_site
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import (
     compute_fao56,
     compute_hargreaves,

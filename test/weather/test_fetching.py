@@ -27,7 +27,7 @@ from greenroof_ros.common import http_client
 from greenroof_ros.common.http_client import ServiceError
 from greenroof_ros.common.progress import ProgressBar
 from greenroof_ros.formats.quantities import PRECIPITATION, TEMPERATURE
-from greenroof_ros.site.site import read_site
+from greenroof_ros.site.file import read_site
 from greenroof_ros.weather import fetching
 from greenroof_ros.weather.fetching import (
     Source,

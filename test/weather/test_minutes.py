@@ -22,7 +22,8 @@ from greenroof_ros.forecast.choice import choose
 from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.formats.hourly import Records
 from greenroof_ros.formats.own_csv import write_records
-from greenroof_ros.site.site import Site, read_site
+from greenroof_ros.site.file import read_site
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.reading import complete_records, read_measured
 from greenroof_ros.weather.series import FILL, REFUSE, WeatherSeries
 

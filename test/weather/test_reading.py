@@ -16,7 +16,7 @@ from refusals import refusal
 
 from greenroof_ros.common.times import parse_time
 from greenroof_ros.simulation.directory import write_configuration
-from greenroof_ros.site.site import read_site
+from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.reading import (
     default_weather,
     fill_long_gaps,

@@ -17,7 +17,7 @@ from refusals import refusal
 
 from greenroof_ros.common.times import parse_time
 from greenroof_ros.forecast.resampling import PerfectForecast
-from greenroof_ros.site.site import read_site
+from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.reading import read_weather
 from greenroof_ros.weather.series import FILL, REFUSE, Weather, WeatherSeries
 

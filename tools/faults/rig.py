@@ -33,7 +33,8 @@ from greenroof_ros.common.alarm_log import read_alarms
 from greenroof_ros.common.alarms import Alarm
 from greenroof_ros.live.devices.modbus_line import Address, parse_address
 from greenroof_ros.physics.pump import flow_at
-from greenroof_ros.site.site import Site, read_site
+from greenroof_ros.site.file import read_site
+from greenroof_ros.site.site import Site
 
 START_S = 60.0
 # Time after its power-up for which an ABB's own timeout is not effective (s).

@@ -14,7 +14,7 @@ from greenroof_ros.common.files import default_site_file
 from greenroof_ros.controllers.registry import ControllerChoice, choose_class
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.site import site as site_file
+from greenroof_ros.site import file as site_file
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.series import Weather
 

@@ -6,8 +6,7 @@ import os
 from pathlib import Path
 
 from greenroof_ros.analysis.district.result import DistrictResult
-from greenroof_ros.analysis.district.run import PRELOADED, read_run, simulate_district
-from greenroof_ros.analysis.workers.processes import processes, this_process
+from greenroof_ros.analysis.district.run import read_run, simulate_district
 
 
 def district(
@@ -18,8 +17,7 @@ def district(
     Args:
         file: path of the district file.
         weather: directory to search for weather files that are not next to the district file.
-        jobs: number of processes. If it is greater than 1, a script must guard its main code with
-            ``if __name__ == "__main__":``.
+        jobs: number of threads.
 
     Returns:
         The results: ``.sentence``, ``.table``, ``.buildings``, ``.hydrographs`` and
@@ -35,6 +33,4 @@ def district(
         >>> result.table["outlet", "adoption", "wet_discharge_m3"]  # doctest: +SKIP
     """
     run = read_run(Path(file), [] if weather is None else [Path(weather)])
-    those = this_process(run.files) if jobs == 1 else processes(jobs, run.files, PRELOADED)
-    with those as workers:
-        return DistrictResult(run, simulate_district(run, workers))
+    return DistrictResult(run, simulate_district(run, jobs))

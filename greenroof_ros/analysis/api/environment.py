@@ -7,11 +7,12 @@ import math
 from dataclasses import replace
 from datetime import timedelta
 from numbers import Integral
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from greenroof_ros.analysis.api.arguments import build_run
+from greenroof_ros.analysis.api.commanded import CommandedSites, Surroundings
 from greenroof_ros.analysis.api.control import (
     ForecastSteps,
     FunctionController,
@@ -19,31 +20,12 @@ from greenroof_ros.analysis.api.control import (
     read_number,
 )
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.decide import cut_forecast
-from greenroof_ros.controllers.outlet import SHARE, OutletPolicy
+from greenroof_ros.controllers.outlet import SHARE
 from greenroof_ros.controllers.registry import choose_class
-from greenroof_ros.forecast.resampling import PerfectForecast, make_forecast
+from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.simulation.inputs import find_needs
-from greenroof_ros.simulation.loop import Simulation, Tick
+from greenroof_ros.simulation.loop import Tick
 from greenroof_ros.site.horizon import look_ahead_ends
-
-
-class _Commanded:
-    """A controller that returns the command set by a program, and ignores its inputs."""
-
-    parameters: ClassVar[tuple[Parameter, ...]] = ()
-    share = 0.0
-
-    def command(self, *inputs: Any) -> float:
-        """Return the command that the program has set."""
-        return self.share
-
-    def skip(self) -> None:
-        """Do nothing, since the pumps must not run."""
-
-    def statistics(self) -> None:
-        """Return None, since the controller has no solver."""
 
 
 def _read_share(outlet: Any) -> float:
@@ -54,20 +36,6 @@ def _read_share(outlet: Any) -> float:
     """
     share = read_number(outlet)
     return float(SHARE.read(outlet if share is None else share, key="outlet"))
-
-
-class _Valve:
-    """Control of the outlet valve by a program, or by a policy if the program sets no command."""
-
-    share: float | None = None
-
-    def __init__(self, policy: OutletPolicy) -> None:
-        self._policy = policy
-
-    def command(self, *inputs: Any) -> float:
-        """Return the share. The policy is called at every tick, since it counts dry hours."""
-        share = self._policy.command(*inputs)
-        return share if self.share is None else self.share
 
 
 class Environment:
@@ -88,12 +56,8 @@ class Environment:
 
     Attributes:
         site: parameters of the site.
-        state: current time and levels.
-        done: whether the run has ended; :meth:`reset` restarts it.
     """
 
-    state: SiteState
-    done: bool
     __copy__ = copy.deepcopy  # otherwise both would go on with one state
 
     def __init__(self, **inputs: Any) -> None:
@@ -108,9 +72,13 @@ class Environment:
         Raises:
             ConfigurationError: if an input is invalid.
         """
-        self._run = build_run(choose_class(FunctionController), inputs, set())
-        self.site = self._run.site
-        self._ends = look_ahead_ends(self.site, self._run.parameters["horizon"])
+        self._run = run = build_run(choose_class(FunctionController), inputs, set())
+        self.site = run.site
+        self._ends = look_ahead_ends(self.site, run.parameters["horizon"])
+        clock = run.series.evapotranspiration.clock
+        self._surroundings = Surroundings.of_run(
+            run, run.series.precipitation, range(clock.step(0), clock.step(run.steps) + 1)
+        )
         self.reset()
 
     def reset(self, seed: int | None = None) -> SiteState:
@@ -139,24 +107,12 @@ class Environment:
                 run.weather, run.series, self.site, run.start, run.parameters["horizon"], choice,
                 *find_needs(run.controller, run.parameters),
             ))
-        self._controller = _Commanded()
-        policy, known = self._run.make_outlet(self._controller), self._run
-        self._valve = None if policy is None else _Valve(policy)
-        if policy is None:  # otherwise nothing in the simulation needs a forecast
-            known = replace(known, forecast=PerfectForecast(known.series, 1))
-        self._simulation = Simulation(known, self._controller, self._valve)
-        self._ticks = self._simulation.ticks()
-        self._observe()
+        run = self._run
+        self._sites = CommandedSites(
+            self._surroundings, [run.start], np.array([run.x1]), np.array([run.x2])
+        )
+        self._policy = run.make_outlet(run.make_controller())
         return self.state
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return the state from which a copy continues at the current tick."""
-        return {name: value for name, value in self.__dict__.items() if name != "_ticks"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Continue from the tick of the original."""
-        self.__dict__.update(state)
-        self._ticks = self._simulation.ticks()
 
     def step(self, command: float, outlet: float | None = None) -> Tick:
         """Run one tick with the given command, and return the results of the tick.
@@ -183,24 +139,68 @@ class Environment:
             raise ConfigurationError(
                 "must be a finite, non-negative number", key="command", value=command
             )
-        if self._valve is not None:
-            self._valve.share = None if outlet is None else _read_share(outlet)
+        opening = 1.0
+        if self._policy is not None:
+            given = None if outlet is None else _read_share(outlet)
+            forecast, tick = self._run.forecast, self._sites.tick
+            cistern, roof = map(float, self._sites.levels[0])
+            # The policy is called in every tick, because it counts the time without rain.
+            opening = self._policy.command(
+                cistern, roof, forecast.precipitation(tick), forecast.evapotranspiration(tick)
+            )
+            opening = opening if given is None else given
         elif outlet is not None:
             raise ConfigurationError(
                 "commands the valve on the low outlet, which this site does not have "
                 "(low_outlet_valve: true)", key="outlet", value=outlet,
             )
-        self._controller.share = share
-        tick = next(self._ticks)
-        self._observe()
-        return tick
+        self._follow(share, 1, opening)
+        return self._sites.find_last_tick(0)
 
-    def _observe(self) -> None:
-        """Set the state at the beginning of the current tick, or the final state of the run."""
-        site = self._simulation.site
-        time = self._run.start + timedelta(seconds=site.tick * self.site.tau)
-        self.state = SiteState(time, *site.observe(), self.site)
-        self.done = site.tick == self._run.steps
+    def _follow(self, command: float, ticks: int, outlet: float = 1.0) -> float:
+        """Run some ticks with the same commands, or fewer up to the end of the run.
+
+        Args:
+            command: as for :meth:`step`.
+            ticks: number of ticks.
+            outlet: opening of the valve (1); 1 without a valve. Its policy is not called.
+
+        Returns:
+            The negative deviation of the roof's reading from its target, summed over the states
+            after the ticks (m3).
+        """
+        sites = self._sites
+        sites.commands[0][0], sites.commands[0][1] = command, outlet
+        last = min(sites.tick + ticks, self._run.steps)
+        sites.follow(last, 0, 1)
+        sites.tick = last
+        return float(sites.rewards[0])
+
+    @property
+    def state(self) -> SiteState:
+        """The time and the levels at the current tick, or at the end of the run.
+
+        Example:
+            >>> import greenroof_ros as gr
+            >>> roof = gr.Environment(hours=1)
+            >>> roof.state.time.isoformat(), round(roof.state.cistern_level, 3)
+            ('2021-07-07T02:00:00-05:00', 2.308)
+        """
+        sites = self._sites
+        time = self._run.start + timedelta(seconds=sites.tick * self.site.tau)
+        cistern, roof = map(float, sites.levels[0])
+        return SiteState(time, cistern, roof, self.site)
+
+    @property
+    def done(self) -> bool:
+        """Whether the run has ended; :meth:`reset` restarts it.
+
+        Example:
+            >>> import greenroof_ros as gr
+            >>> gr.Environment(hours=1).done
+            False
+        """
+        return self._sites.tick == self._run.steps
 
     @property
     def forecast(self) -> ForecastSteps:
@@ -213,11 +213,11 @@ class Environment:
             >>> print(f"{1000 * forecast.rain @ lengths:.1f} mm of rain in 3 h")
             3.2 mm of rain in 3 h
         """
-        run, tick = self._run, self._simulation.site.tick
+        run, tick = self._run, self._sites.tick
         rain, evaporated = run.forecast.precipitation(tick), run.forecast.evapotranspiration(tick)
         own_steps = run.controller.count_own_steps(self.site, run.parameters)
         if own_steps is not None:
-            rain, evaporated = cut_forecast(run.controller, own_steps, rain, evaporated)
+            rain, evaporated = run.controller.cut_forecast(own_steps, rain, evaporated)
         return ForecastSteps(np.asarray(rain), np.asarray(evaporated), self._ends)
 
     @property
@@ -231,4 +231,4 @@ class Environment:
             >>> roof.metrics["pump_starts"]
             1
         """
-        return self._simulation.metrics.results()
+        return self._sites.compute_metrics()[0]

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from datetime import datetime, timedelta
+from functools import cached_property
 from operator import attrgetter
 from typing import Any
 
@@ -22,10 +22,11 @@ from numpy.typing import NDArray
 from greenroof_ros.analysis.api.arguments import read_weather
 from greenroof_ros.analysis.api.control import FunctionController, SiteState
 from greenroof_ros.analysis.api.environment import Environment
+from greenroof_ros.analysis.api.starts import Starts
 from greenroof_ros.common.errors import ConfigurationError, require_extra, suggest_names
 from greenroof_ros.common.ranges import Range
-from greenroof_ros.controllers.outlet import Drain
 from greenroof_ros.controllers.registry import choose_class
+from greenroof_ros.physics.storm_water import HOUR_S, wet_time_left
 from greenroof_ros.simulation.loop import Tick
 
 with require_extra("gym"):
@@ -38,7 +39,6 @@ _TO_MM_PER_H = 3.6e6
 # What becomes 1 in an observation: rain (mm/h) and evapotranspiration (mm/day), both rarely
 # exceeded; higher values are 1, too.
 _MAX_RAIN, _MAX_EVAPOTRANSPIRATION = 50.0, 12.0
-_MAX_DRAWS = 100
 _TICKS = Range(1, 1e9, whole=True)
 RANDOM = "random"
 """a start or an initial state that every episode draws"""
@@ -47,6 +47,29 @@ RANDOM = "random"
 def minus_deviation(tick: Tick, state: SiteState) -> float:
     """Return the default reward: the negative deviation of the state after a tick (m3)."""
     return -abs(state.roof - state.site.x2_star)
+
+
+def read_actions(actions: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return actions as numbers.
+
+    Args:
+        actions: one or two numbers from 0 to 1, of one environment or of many.
+        shape: shape that they must have.
+
+    Raises:
+        ConfigurationError: if the shape or a number is invalid.
+    """
+    commands = np.asarray(actions)
+    if not (
+        commands.shape == shape and np.issubdtype(commands.dtype, np.number)
+        and not np.iscomplexobj(commands) and ((commands >= 0) & (commands <= 1)).all()
+    ):
+        numbers = "two numbers" if shape[-1] == 2 else "one number"
+        each = " for each environment" if len(shape) > 1 else ""
+        raise ConfigurationError(
+            f"must be {numbers} from 0 to 1{each}, of shape {shape}", key="action", value=actions
+        )
+    return commands.astype(np.float64)
 
 
 class GreenRoofEnv(gymnasium.Env[Values, Values]):
@@ -129,8 +152,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
             self._inputs["weather"] = read_weather(self._inputs)
             self._inputs["start"] = self._inputs["weather"].first
         self._roof = self._make_roof({})
-        self._weather, self._steps = self._roof._run.weather, self._roof._run.steps
-        self._inputs["weather"] = self._weather
+        self._inputs["weather"] = self._roof._run.weather
         self.site = self._roof.site
         self.ends: NDArray[np.float64] = self._roof.forecast.ends
         steps = len(self.ends) - 1
@@ -138,7 +160,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
             1.5 * self.site.z_o, 2.0 * self.site.z_veg, *[_MAX_RAIN / _TO_MM_PER_H] * steps,
             *[_MAX_EVAPOTRANSPIRATION / 1000 / 86400 * self.site.a2] * steps,
         ])
-        self._has_valve, self._drain = self.site.low_outlet_valve, Drain(self.site, 0.0)
+        self._has_valve = self.site.low_outlet_valve
         entries = len(self._scale) + self._has_valve
         self.observation_space = Box(0.0, 1.0, (entries,), np.float32)
         self.action_space = Box(0.0, 1.0, (1 + self._has_valve,), np.float32)
@@ -160,23 +182,10 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
             ConfigurationError: if an option is unknown, or its value is invalid.
         """
         super().reset(seed=seed)
-        for key in options or {}:
-            if key not in self._places:
-                raise ConfigurationError(
-                    f"is not an option of reset; {suggest_names(key, self._places)}", key=key
-                )
-        places = {**self._places, **(options or {})}
-        begin = {key: value for key, value in places.items() if value is not None}
-        if places["start"] == RANDOM:
-            begin["start"] = self._draw_start()
-        if places["initial"] == RANDOM:
-            site = self.site
-            high = site.cistern_volume(site.z_o), min(site.z_cap, 2.0 * site.x2_star)
-            begin["initial"] = tuple(float(self.np_random.uniform(0.0, top)) for top in high)
+        begin, seed_of_forecasts = self._draw(self.np_random, self._read_options(options))
         if begin != self._begun:
             self._roof, self._begun = self._make_roof(begin), begin
-        self._roof.reset(int(self.np_random.integers(2**31)))
-        self._drain = Drain(self.site, 0.0)
+        self._roof.reset(seed_of_forecasts)
         return self._observe(), {
             "start": self._roof.state.time.isoformat(), "cistern_m3": self._roof.state.cistern,
             "roof_m3": self._roof.state.roof,
@@ -189,23 +198,16 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
             ConfigurationError: if the action is not one number from 0 to 1 (two numbers at a site
                 with a valve), or if the episode has ended.
         """
-        commands, shape = np.asarray(action), self.action_space.shape
-        if not (
-            commands.shape == shape and np.issubdtype(commands.dtype, np.number)
-            and not np.iscomplexobj(commands) and ((commands >= 0) & (commands <= 1)).all()
-        ):
-            numbers = "two numbers" if self._has_valve else "one number"
-            raise ConfigurationError(
-                f"must be {numbers} from 0 to 1, of shape {shape}", key="action", value=action
-            )
-        roof, reward = self._roof, 0.0
-        for number in range(self._decision_ticks):
-            if number and roof.done:
-                break
-            tick = roof.step(*map(float, commands))
-            if self._has_valve:
-                self._drain.observe(tick.precipitation)
-            reward += self._reward(tick, roof.state)
+        commands = read_actions(action, (1 + self._has_valve,))
+        (command, *outlet), roof, reward = commands.tolist(), self._roof, 0.0
+        if roof.done or self._reward is not minus_deviation:
+            for number in range(self._decision_ticks):
+                if number and roof.done:
+                    break
+                tick = roof.step(command, *outlet)
+                reward += self._reward(tick, roof.state)
+        else:
+            reward = roof._follow(command, self._decision_ticks, *outlet)
         info = {"metrics": roof.metrics} if roof.done else {}
         return self._observe(), reward, False, roof.done, info
 
@@ -216,28 +218,42 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         ))
         values /= self._scale
         if self._has_valve:
-            wet_hours = self._drain.wet_hours
-            values = np.append(values, wet_hours / self.site.wet_after if wet_hours else 0.0)
+            wet_after = self.site.wet_after * HOUR_S
+            left = wet_time_left(float(self._roof._sites.without_rain[0]), wet_after)
+            values = np.append(values, left / wet_after if left > 0 else 0.0)
         return np.asarray(np.clip(values, 0.0, 1.0), np.float32)
+
+    @cached_property
+    def _starts(self) -> Starts:
+        """The starts of random episodes."""
+        return Starts(self._roof._run)
+
+    def _read_options(self, options: Mapping[str, Any] | None) -> dict[str, Any]:
+        """Return the start and the initial state of an episode, or how they are drawn.
+
+        Raises:
+            ConfigurationError: if an option is unknown.
+        """
+        for key in options or {}:
+            if key not in self._places:
+                raise ConfigurationError(
+                    f"is not an option of reset; {suggest_names(key, self._places)}", key=key
+                )
+        return {**self._places, **(options or {})}
+
+    def _draw(
+        self, random: np.random.Generator, places: Mapping[str, Any]
+    ) -> tuple[dict[str, Any], int]:
+        """Draw an episode: the inputs that differ from other episodes, and the forecasts' seed."""
+        begin = {key: value for key, value in places.items() if value is not None}
+        if places["start"] == RANDOM:
+            begin["start"] = self._starts.draw(random)
+        if places["initial"] == RANDOM:
+            site = self.site
+            high = site.cistern_volume(site.z_o), min(site.z_cap, 2.0 * site.x2_star)
+            begin["initial"] = tuple(float(random.uniform(0.0, top)) for top in high)
+        return begin, int(random.integers(2**31))
 
     def _make_roof(self, begin: Mapping[str, Any]) -> Environment:
         """Return an environment; all environments share the weather that the first of them read."""
         return Environment(**{**self._inputs, **begin})
-
-    def _draw_start(self) -> datetime:
-        """Draw a random full hour, covered by the weather, at which an episode can start."""
-        length = timedelta(seconds=(self._steps + self.site.M) * self.site.tau)
-        hours = (self._weather.end - self._weather.first - length) // timedelta(hours=1) + 1
-        if hours < 1:
-            raise ConfigurationError("is shorter than an episode", key="weather")
-        for _ in range(_MAX_DRAWS):
-            start = self._weather.first + timedelta(hours=int(self.np_random.integers(hours)))
-            try:
-                self._make_roof({"start": start})
-            except ConfigurationError:  # hours are missing
-                continue
-            return start
-        raise ConfigurationError(
-            f"{_MAX_DRAWS} randomly drawn episodes all contained missing hours; gaps='fill' "
-            "fills missing hours", key="weather"
-        )

@@ -109,13 +109,8 @@ class Scenario:
         """
         run, metrics = result.run, result.metrics
         if _MAINS in self.weights:
-            ticks, price = result.ticks, self.weights[_MAINS]
-            flows = zip(
-                *(series.tolist() for series in (
-                    ticks.precipitation, ticks.evapotranspiration, ticks.pump_flow, ticks.drainage,
-                )), strict=True,
-            )
-            (point,) = bound_discharge(run, flows, [price])
+            price = self.weights[_MAINS]
+            (point,) = bound_discharge(run, result.ticks, [price])
             return point.wet_discharge_m3 + price * point.mains_m3
         block_s = max(BLOCK_S, run.steps * run.site.tau / _BLOCKS)
         total = clairvoyant_bound(run, block_s, max(1.0, metrics["max_command"]))

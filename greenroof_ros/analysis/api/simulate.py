@@ -10,6 +10,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from greenroof_ros.analysis.api.arguments import PathText, build_run
 from greenroof_ros.analysis.api.control import (
     Function,
@@ -22,18 +24,20 @@ from greenroof_ros.common.processes import refuse_forked_polars
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.common.times import duration, to_minutes
 from greenroof_ros.controllers.protocol import Controller, set_optional
+from greenroof_ros.physics.parameters import plant_parameters
+from greenroof_ros.physics.soil import layer_outflow, percolation
 from greenroof_ros.physics.storm_water import Event
 from greenroof_ros.recording.trajectory import (
     COLUMNS,
     LAYER,
     TRAJECTORY,
+    Samples,
     Trajectory,
     zone_name,
 )
 from greenroof_ros.results.metrics import METRICS
-from greenroof_ros.simulation import summary
+from greenroof_ros.simulation import loop, summary
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration
-from greenroof_ros.simulation.loop import Simulation, record
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
@@ -304,9 +308,9 @@ def _simulate(
         set_optional(instance, forecast_ends=ends)
     if isinstance(instance, FunctionController):
         instance.start = run.start
-    simulation = Simulation(run, instance)
-    ticks = record(run, simulation.ticks(), run.count_ticks_between(every_s))
-    return Result(run, simulation.summary(), ticks)
+    made, ticks = loop.simulate(run, instance, run.count_ticks_between(every_s))
+    assert ticks is not None
+    return Result(run, made, ticks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -403,17 +407,27 @@ def make_table(site: Site, ticks: Trajectory) -> polars.DataFrame:
     frame = ticks.to_frame()
     with require_extra("study"):
         import polars
-
-        from greenroof_ros.analysis.report.bags import make_samples
     # Not divided by polars, which multiplies by the reciprocal and gets other bits than the plant.
     computed = {"cistern_level_m": ticks.cistern / site.a1, "roof_level_m": ticks.roof / site.a2}
     if site.drainage_storage is not None:
-        computed[LAYER.name] = make_samples(site, ticks).layer
+        computed[LAYER.name] = _find_layer(site, ticks) if ticks.layer is None else ticks.layer
     if site.time_zone is not None:
         frame = frame.with_columns(polars.col("time").dt.convert_time_zone(site.time_zone))
     frame = frame.with_columns(polars.Series(name, computed[name]) for name in computed)
     order = (column.name for column in COLUMNS if column.name in frame.columns)
     return frame.select("time", "time_s", *order)
+
+
+def _find_layer(site: Site, ticks: Trajectory) -> Samples:
+    """Return the water in the drainage layer (m3), which is not recorded, from percolation."""
+    p, layer, layers = plant_parameters(site), site.initial_layer, [site.initial_layer]
+    columns = ticks.roof[:-1], ticks.precipitation[:-1], ticks.pump_flow[:-1], np.diff(ticks.time)
+    for x2, rain, pump, seconds in zip(*map(np.ndarray.tolist, columns), strict=True):
+        percolated = percolation(p, x2, rain * p.a2 + pump, seconds)
+        drained = layer_outflow(p, layer, percolated, seconds)
+        layer = max(0.0, layer + seconds * (percolated - drained))
+        layers.append(layer)
+    return np.array(layers)
 
 
 def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.DataFrame:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from greenroof_ros.analysis.sizing.run import OPTIONS, Progress, size_site
+from greenroof_ros.analysis.sizing.run import OPTIONS, size_site
 from greenroof_ros.analysis.sizing.sizes import Sizes
 from greenroof_ros.common.errors import ConfigurationError, suggest_names
 
@@ -31,8 +31,7 @@ def size(**options: Any) -> Sizes:
             - ``mains_price``, ``storm_water_price``, ``cistern_price`` (each per m3), and
               ``cistern_years``, the number of years over which the price of the cistern is spread:
               give all four, or none.
-            - ``jobs``: number of processes, by default 1. If it is greater than 1, a script must
-              guard its main code with ``if __name__ == "__main__":``.
+            - ``jobs``: number of threads, by default 1.
 
     Returns:
         The results: ``.sentence``, ``.table``, ``.table_of_seasons``, ``.plot()`` and
@@ -56,4 +55,4 @@ def size(**options: Any) -> Sizes:
             raise ConfigurationError(
                 f"is not an option; {suggest_names(name, OPTIONS)}", key=name, value=options[name]
             )
-    return size_site(options, Progress())
+    return size_site(options)

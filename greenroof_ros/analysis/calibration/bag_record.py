@@ -11,9 +11,11 @@ from greenroof_ros.analysis.report.bags import run_directory
 from greenroof_ros.analysis.report.run import read_about
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.formats.step_record import StepRecord, Values
-from greenroof_ros.physics.plant import pumps_run
+from greenroof_ros.physics.parameters import plant_parameters
+from greenroof_ros.physics.pump import running_flow
 from greenroof_ros.recording.bag_reader import load_bag
-from greenroof_ros.site.site import Site, read_site
+from greenroof_ros.site.file import read_site
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import COMPUTED
 
 # Duration of the steps (s): short relative to storms, long relative to a sensor's noise.
@@ -77,7 +79,7 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
             "fitted", file=bag, key="/weather/evapotranspiration",
         )
     beyond = summed((trajectory.command > 1).astype(np.float64)) > 0
-    running = pumps_run(site, trajectory.pump_flow)
+    running = trajectory.pump_flow > running_flow(plant_parameters(site))
     command = summed(np.where(running, trajectory.command, 0.0)) / _STEP_S
     return StepRecord(
         source=bag, start=trajectory.start, step_s=_STEP_S,

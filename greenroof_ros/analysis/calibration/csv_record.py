@@ -16,7 +16,7 @@ from greenroof_ros.formats.hourly import find_gaps
 from greenroof_ros.formats.own_csv import read_rows
 from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, ROOF, TEMPERATURE
 from greenroof_ros.formats.step_record import DAY_S, HOUR_S, StepRecord, Steps, Values, name_time
-from greenroof_ros.physics.plant import maximum_pump_flow
+from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import (
     HARGREAVES,

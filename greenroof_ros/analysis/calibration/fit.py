@@ -183,7 +183,7 @@ class Fit(NamedTuple):
 
 def fit(
     site: Site, record: StepRecord, steps: Steps,
-    update_progress: UpdateProgress = lambda text, share: None,
+    update_progress: UpdateProgress = lambda text, share: None, start: Fit | None = None,
 ) -> Fit:
     """Fit field-capacity soil to selected steps of a record.
 
@@ -192,7 +192,8 @@ def fit(
     days) if these are longer, because a simulated step spreads its rain evenly. Beyond ten standard
     deviations of the measurements, the loss grows only linearly ("soft_l1"), so that a broken
     sensor does not dominate. For the comparison, the simulated values are converted to what the
-    record's meter would show. The search begins at the best point of a coarse grid.
+    record's meter would show. The search begins at the best point of a coarse grid, or at another
+    fit if this is better.
 
     Parameters that the record does not identify keep the site's values: the drainage time if steps
     are longer than an hour, and any parameter whose column of the Jacobian, scaled by the
@@ -206,6 +207,7 @@ def fit(
         record: the measurements.
         steps: steps that are compared; the roof is simulated over all steps.
         update_progress: callback that receives the progress before every simulation.
+        start: a fit of a similar site to the same record.
     """
     site = complete_roof(site)
     every = list_ranges(site, record)
@@ -267,8 +269,12 @@ def fit(
         _GRID.get(span.name, (share,)) if is_free else (share,)
         for span, share, is_free in zip(every, at, free, strict=True)
     ))
+    starts = [at, *map(np.array, grid)]
+    if start is not None:
+        found = {parameter.name: parameter.value for parameter in start.parameters}
+        starts.append(np.array([span.share(found[span.name]) for span in every]))
     stage = 1
-    at = min([at, *map(np.array, grid)], key=lambda shares: _compute_cost(differences(shares)))
+    at = min(starts, key=lambda shares: _compute_cost(differences(shares)))
     stage = 2
     solve()
     # Again at the solution: it may identify parameters other than those at the start of the search.

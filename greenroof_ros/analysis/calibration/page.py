@@ -20,7 +20,7 @@ from greenroof_ros.analysis.report.drawing import (
 )
 from greenroof_ros.analysis.report.page import make_page
 from greenroof_ros.formats.step_record import DAY_S, StepRecord, Steps, Values, name_time
-from greenroof_ros.site.site import site_parameters
+from greenroof_ros.site.file import SITE_KEYS
 
 MEASURED, SIMULATED = "measured", "simulated"
 
@@ -41,7 +41,7 @@ def render(
         warnings: warnings about the record and the fit.
         notes: other findings, and changes made to the record.
     """
-    known = {parameter.name: (parameter.unit, parameter.meaning) for parameter in site_parameters()}
+    known = {name: (each.unit, each.meaning) for name, each in SITE_KEYS.items()}
     known[FILLED] = (
         "1", "share of the available water capacity that is filled when the record begins"
     )

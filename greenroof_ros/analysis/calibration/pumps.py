@@ -12,7 +12,7 @@ from greenroof_ros.analysis.calibration.fit import FittedParameter, compute_half
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.formats.hourly import find_gaps
 from greenroof_ros.formats.step_record import StepRecord, Steps, Values, prolong_steps
-from greenroof_ros.physics.plant import maximum_pump_flow
+from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.site.site import Site
 
 # For this long after rain, the catchment still feeds the cistern (s). At this distance from the

@@ -8,12 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from greenroof_ros.formats.step_record import StepRecord, Values
-from greenroof_ros.physics.soil import FieldCapacitySoil
+from greenroof_ros.physics.compiled import compiled
+from greenroof_ros.physics.parameters import PlantParameters, plant_parameters
+from greenroof_ros.physics.soil import layer_outflow, percolation, water_stress
 from greenroof_ros.site.site import Site
 
-# Less water than this in the drainage layer does not count: outflow falls with its square (m3 per
-# m2).
-_EMPTY = 1e-9
 # Longest parts of steps (s): with water, within which the drainage layer's inflow hardly changes;
 # and in dry weather, within which the soil's water stress hardly changes.
 _WET_S, _DRY_S = 600.0, 3600.0
@@ -33,11 +32,10 @@ class Simulated(NamedTuple):
 def simulate(site: Site, record: StepRecord, filled: float, minimum: float = 0.0) -> Simulated:
     """Simulate field-capacity soil over a record's steps.
 
-    The result matches :class:`greenroof_ros.physics.plant.Plant` with short ticks, because
-    percolation is solved for a whole step. Runoff is solved for a constant inflow. Therefore, steps
-    longer than ten minutes are subdivided while water arrives, and steps longer than an hour are
-    always subdivided. Water arrives evenly within a step. Unknown rain is treated as 0. The soil is
-    computed only in steps in which water moves, which are few in a dry week.
+    The result matches :func:`greenroof_ros.physics.tick.step` with short ticks, because percolation
+    is solved for a whole step. Runoff is solved for a constant inflow. Therefore, steps longer than
+    ten minutes are subdivided while water arrives, and steps longer than an hour are always
+    subdivided. Water arrives evenly within a step. Unknown rain is treated as 0.
 
     Args:
         site: site with a ``field_capacity``.
@@ -53,29 +51,41 @@ def simulate(site: Site, record: StepRecord, filled: float, minimum: float = 0.0
     durations = np.repeat(record.step_s / parts, parts)
     arriving = np.repeat(water * volume_flow, parts)
     potential = np.repeat(record.reference * site.crop_coefficient * volume_flow, parts)
-    soil, capacity, empty = FieldCapacitySoil(site), site.z_cap, _EMPTY * site.a2
-    x2, layer = site.wilting_volume + filled * site.available_volume, 0.0
-    volumes = np.empty(len(durations))
-    flows = np.zeros(len(durations))
-    for part, (inflow, demand, seconds) in enumerate(
-        zip(arriving.tolist(), potential.tolist(), durations.tolist(), strict=True)
-    ):
-        volumes[part] = x2
-        percolated = 0.0
-        if inflow > 0 or x2 > capacity:
-            percolated = soil.drained(x2, inflow, seconds)
-        evaporated = 0.0
-        if demand > 0:
-            available = x2 / seconds + inflow - percolated
-            evaporated = max(0.0, min(demand * soil.water_stress(x2), available))
-        if percolated > 0 or layer > empty:
-            drained = soil.layer_outflow(layer, percolated, seconds)
-            flows[part] = drained
-            layer = max(0.0, layer + seconds * (percolated - drained))
-        x2 = max(0.0, x2 + seconds * (inflow - percolated - evaporated))
+    volumes, flows = np.empty_like(durations), np.empty_like(durations)
+    compiled(run_parts)(
+        plant_parameters(site), arriving, potential, durations,
+        site.wilting_volume + filled * site.available_volume, volumes, flows,
+    )
     runoff = np.add.reduceat(flows * durations, starts) * 1000 / site.a2
     runoff = np.where(runoff < minimum, 0.0, runoff)
     return Simulated(runoff, volumes[starts] / site.a2)
+
+
+def run_parts(
+    p: PlantParameters, arriving: Values, potential: Values, durations: Values, x2: float,
+    volumes: Values, flows: Values,
+) -> None:
+    """Simulate the parts of steps; all arrays have shape (parts,).
+
+    Args:
+        p: parameters of the plant.
+        arriving: rain and pumped water (m3/s).
+        potential: potential evapotranspiration from the whole bed (m3/s).
+        durations: durations of the parts (s).
+        x2: volume in the soil at the beginning (m3).
+        volumes: array for the volume in the soil at the start of each part (m3).
+        flows: array for the runoff (m3/s).
+    """
+    layer = 0.0
+    for part in range(len(durations)):
+        inflow, seconds = arriving[part], durations[part]
+        volumes[part] = x2
+        percolated = percolation(p, x2, inflow, seconds)
+        available = x2 / seconds + inflow - percolated
+        evaporated = max(0.0, min(potential[part] * water_stress(p, x2), available))
+        flows[part] = layer_outflow(p, layer, percolated, seconds)
+        layer = max(0.0, layer + seconds * (percolated - flows[part]))
+        x2 = max(0.0, x2 + seconds * (inflow - percolated - evaporated))
 
 
 def find_min_reading(record: StepRecord) -> float:

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from greenroof_ros.analysis.calibration.fit import FILLED, Fit
+from greenroof_ros.analysis.calibration.percolation import EXPONENT
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.site.site import format_site, read_site
+from greenroof_ros.site.file import format_site, read_site
 
 CROP_NOTE = (
     "applies only if evapotranspiration is computed (fao56; hargreaves in calibrate), not if a "
@@ -42,7 +43,9 @@ def list_fit_entries(fit: Fit, target: float) -> Entries:
     for parameter in fit.parameters:
         reason = f"unchanged: {parameter.reason}"
         if parameter.interval:
-            interval = f"fitted, {parameter.interval} (95 %)"
+            interval = f"fitted, {parameter.interval}"
+            if parameter.name != EXPONENT:
+                interval += " (95 %)"
             reason = f"{interval}; {parameter.reason}" if parameter.reason else interval
         if parameter.name == "crop_coefficient":
             reason += f"; {CROP_NOTE}"

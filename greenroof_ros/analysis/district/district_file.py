@@ -14,8 +14,8 @@ from greenroof_ros.common.parameter import Parameter, entry, find, read_record
 from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.onoff import LEVEL
 from greenroof_ros.forecast.choice import PERFECT
-from greenroof_ros.site.plain_keys import PLAIN
-from greenroof_ros.site.site import Site, read_site, site_parameters
+from greenroof_ros.site.file import SITE_KEYS, read_site
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.series import GAPS, REFUSE
 
 NONE, ORIFICE, DRAIN, PLAN = OUTLETS = ("none", "orifice", outlet.DRAIN, outlet.PLAN)
@@ -38,11 +38,8 @@ _OF_POLICY = {
 
 def building_keys() -> dict[str, Parameter]:
     """Return the keys of a site and of policies that can differ between buildings, by name."""
-    of_site = {
-        parameter.name: parameter for parameter in site_parameters()
-        if parameter.name not in _COMMON
-    }
-    return of_site | PLAIN | _OF_POLICY
+    of_site = {name: each for name, each in SITE_KEYS.items() if name not in _COMMON}
+    return of_site | _OF_POLICY
 
 
 def is_of_policy(name: str) -> bool:

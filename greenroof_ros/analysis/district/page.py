@@ -211,7 +211,8 @@ def draw_figures(
         ("wet_discharge_m3", "Discharge in wet weather", "m³", None),
         *((("sewer_overflow_m3", "Sewer overflow", "m³", None),) if capacity else ()),
         ("peak_60min_mm_h", "Peak over 60 minutes", "mm/h", capacity),
-        ("mains_m3", "Mains water for irrigation", "m³", None),
+        *((("mains_m3", "Mains water for irrigation", "m³", None),) if "mains_m3" in rows[0]
+          else ()),
     ]
     yield _draw_over_adoption(
         "adoption", "Discharge to the sewer, by adoption",

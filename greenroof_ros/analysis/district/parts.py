@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -19,21 +19,21 @@ from greenroof_ros.analysis.district.district_file import (
     District,
     is_of_policy,
 )
-from greenroof_ros.analysis.workers.progress import ShareFile
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.onoff import LEVEL
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.experiment.batch import Batch, BatchWeather, simulate_batch
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.physics.start import find_state
 from greenroof_ros.physics.storm_water import connected_area
-from greenroof_ros.site.site import Site, SiteFile, check_site
+from greenroof_ros.simulation.season import Batch, SeasonWeather, find_bed, simulate_season
+from greenroof_ros.site.file import SiteFile, check_site
+from greenroof_ros.site.site import Site
 
 SITE_FILE = "site.yaml"
 """name of the input file with the site that all buildings have in common"""
 METRICS = (
     "discharge_m3", "wet_discharge_m3", "overflow_m3", "overflow_days", "pumped_m3", "mains_m3",
-    "stress_hours",
+    "demand_met_share", "stress_hours",
 )
 """metrics that are kept for every building"""
 # Number of cells whose weather a worker keeps in memory.
@@ -57,7 +57,6 @@ class Part:
         groups: adoption groups to which the buildings belong.
         group_count: number of groups; buildings that are in no group stay as they are.
         valves: whether each building has a valve, or an orifice in its place.
-        progress: file to which the completed share is written.
     """
 
     places: slice
@@ -67,7 +66,6 @@ class Part:
     groups: NDArray[np.intp]
     group_count: int
     valves: NDArray[np.bool_]
-    progress: ShareFile
 
 
 @dataclass(frozen=True)
@@ -76,33 +74,36 @@ class PartResult:
 
     Attributes:
         areas: connected area of each building (m2), shape (n,).
-        hydrographs: discharge of each group to the sewer in each interval (m3), by outlet, shape
-            (groups, intervals). For the outlet ``none``, the groups of buildings with a valve come
-            first, and then the groups of buildings without a valve.
-        low_outlets: part of the discharge that leaves through low outlets (m3), in the same form as
-            ``hydrographs``.
+        hydrographs: discharge of each group to the sewer in each interval, and its part that leaves
+            through low outlets (m3), by outlet, shape (groups, 2, intervals). For the outlet
+            ``none``, the groups of buildings with a valve come first, and then the groups of
+            buildings without a valve. The last groups are left out if they have no buildings.
         metrics: metrics of each building, by outlet and name, shape (n,); NaN if the building has a
-            different outlet.
+            different outlet, or if the metric is undefined.
     """
 
     areas: Values
     hydrographs: dict[str, Values]
-    low_outlets: dict[str, Values]
     metrics: dict[str, dict[str, Values]]
 
 
 @lru_cache(_CELLS_KEPT)
-def _read_weather(file: Path) -> BatchWeather:
-    weather: BatchWeather = pickle.loads(file.read_bytes())  # noqa: S301 - of this command
+def _read_weather(file: Path) -> SeasonWeather:
+    weather: SeasonWeather = pickle.loads(file.read_bytes())  # noqa: S301 - of this command
     return weather
 
 
-def simulate_part(directory: Path, part: Part) -> PartResult:
+def simulate_part(
+    directory: Path, part: Part, threads: int = 1,
+    progress: Callable[[float], None] | None = None,
+) -> PartResult:
     """Simulate a part.
 
     Args:
         directory: directory of the input files.
         part: the part to simulate.
+        threads: number of threads that share the buildings.
+        progress: as for :func:`.season.simulate_season`.
 
     Raises:
         ConfigurationError: if a building's site is invalid.
@@ -124,37 +125,33 @@ def simulate_part(directory: Path, part: Part) -> PartResult:
         ]
         rows[outlet] = slice(first, first := first + count * (1 + everyone))
     if not variants:
-        return PartResult(_areas(sites), {}, {}, {})
+        return PartResult(_areas(sites), {}, {})
     places = np.concatenate([*simulated.values()])
     cells, weather_of = np.unique(buildings.cells[places], return_inverse=True)
-    result = simulate_batch(
+    weather = [_read_weather(directory / weather_file(cell)) for cell in cells.tolist()]
+    result = simulate_season(
         Batch(
-            [variant.site for variant in variants],
-            [_read_weather(directory / weather_file(cell)) for cell in cells.tolist()],
-            weather_of, [variant.parameters for variant in variants],
+            [variant.site for variant in variants], weather, weather_of,
+            [variant.parameters for variant in variants],
             np.array([variant.state[0] for variant in variants]),
             np.array([variant.state[1] for variant in variants]),
-            part.district.forecast == PERFECT,
+            np.array([
+                find_bed(weather[cell].run.weather.method, variant.site)
+                for cell, variant in zip(weather_of.tolist(), variants, strict=True)
+            ]),
+            part.district.forecast == PERFECT, np.concatenate(groups),
         ),
-        np.concatenate(groups), part.progress.write,
+        progress=progress, threads=threads,
     )
-    metrics = {
-        outlet: {name: np.full(len(buildings), np.nan) for name in METRICS} for outlet in rows
-    }
-    begin = 0
+    made, metrics = iter(result.metrics), {}
     for outlet, places in simulated.items():
-        end = begin + len(places)
-        for name in METRICS:
-            metrics[outlet][name][places] = result.metrics[name][begin:end]
-        begin = end
-    assert result.hydrograph is not None
-    assert result.low_outlet is not None
-    flows = np.zeros((2, first, result.hydrograph.shape[1]))
-    flows[:, : len(result.hydrograph)] = result.hydrograph, result.low_outlet  # the last are empty
-    hydrographs, low_outlets = (
-        {outlet: each[own] for outlet, own in rows.items()} for each in flows
-    )
-    return PartResult(_areas(sites), hydrographs, low_outlets, metrics)
+        values = np.full((len(METRICS), len(buildings)), np.nan)
+        for place in places.tolist():
+            of_site = next(made)
+            values[:, place] = [of_site.get(name, np.nan) for name in METRICS]
+        metrics[outlet] = dict(zip(METRICS, values, strict=True))
+    hydrographs = {outlet: result.hydrograph[own] for outlet, own in rows.items()}
+    return PartResult(_areas(sites), hydrographs, metrics)
 
 
 def _areas(sites: Sequence[Site]) -> Values:

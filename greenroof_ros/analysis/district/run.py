@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import pickle
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -14,11 +13,10 @@ from typing import Any
 import numpy as np
 
 from greenroof_ros.analysis.district.adoption import Adoption
-from greenroof_ros.analysis.district.buildings import Buildings, Values, make_buildings
+from greenroof_ros.analysis.district.buildings import Buildings, make_buildings
 from greenroof_ros.analysis.district.district_file import (
     NONE,
     OUTLETS,
-    PLAN,
     District,
     read_district,
 )
@@ -29,24 +27,26 @@ from greenroof_ros.analysis.district.parts import (
     weather_file,
 )
 from greenroof_ros.analysis.district.totals import Totals
+from greenroof_ros.analysis.workers.input_files import write_inputs
 from greenroof_ros.analysis.workers.processes import Workers
-from greenroof_ros.analysis.workers.progress import ShareFile
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping
 from greenroof_ros.common.processes import scratch_directory
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.experiment.batch import BatchWeather
-from greenroof_ros.physics.storm_water import interval_seconds
+from greenroof_ros.physics.storm_water import HOUR_S, interval_seconds, is_wet
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.site.site import Site, merge_site_file
+from greenroof_ros.simulation.season import SeasonWeather, find_bed
+from greenroof_ros.site.file import merge_site_file
+from greenroof_ros.site.site import Site
 
-# A building takes less time in a larger part, but other processors need parts, too. Parts do not
-# depend on the number of workers, so neither does the last bit of their sums.
-_MIN_PART, _MAX_PART, _PARTS = 650, 2500, 8
+# Buildings of a part. A part needs memory for all its buildings at once.
+_PART = 500
 _REFRESH_S = 0.5
-PRELOADED = ["greenroof_ros.analysis.district.parts"]
-"""modules that every worker imports"""
+
+Progress = Callable[[str, float], None]
+"""receives a text about the completed work, and its share of all work; an error that it raises ends
+the run"""
 
 
 @dataclass(frozen=True)
@@ -70,9 +70,11 @@ class DistrictRun:
     notes: Sequence[str]
 
     @cached_property
-    def weather(self) -> list[BatchWeather]:
+    def weather(self) -> list[SeasonWeather]:
         """The weather of each cell."""
-        return [BatchWeather.of_run(run) for run in self.runs]
+        return [
+            SeasonWeather.of_run(run, find_bed(run.weather.method, run.site)) for run in self.runs
+        ]
 
     @property
     def adoption(self) -> Adoption:
@@ -85,12 +87,24 @@ class DistrictRun:
         """Kinds of outlet; ``none`` is always included, since some cisterns have no valve."""
         return tuple(name for name in OUTLETS if name in (NONE, *self.district.outlets))
 
-    @property
-    def rain(self) -> Values:
-        """Depth of rain in each cell and interval (m), shape (cells, intervals)."""
-        size = round(interval_seconds(self.site) / self.site.tau)
-        ticks = self.site.tau * np.array([weather.rain[:-1] for weather in self.weather])
-        return np.asarray(np.add.reduceat(ticks, np.arange(0, ticks.shape[1], size), axis=1))
+    def make_totals(self) -> Totals:
+        """Return the sums of the district before its first part."""
+        tau, after, seconds = (
+            self.site.tau, HOUR_S * self.site.wet_after, interval_seconds(self.site)
+        )
+        firsts = np.arange(0, self.runs[0].steps, round(seconds / tau))
+        rain = tau * np.array([weather.rain[:-1] for weather in self.weather])
+        wet = [
+            any(is_wet(without_rain, tau, after) for without_rain in of_cells)
+            for of_cells in zip(
+                *(weather.without_rain[:-1].tolist() for weather in self.weather), strict=True
+            )
+        ]
+        return Totals(
+            self.buildings, self.adoption, self.outlets, seconds,
+            np.add.reduceat(rain, firsts, axis=1), np.logical_or.reduceat(wet, firsts),
+            self.district.sewer_capacity,
+        )
 
     @property
     def files(self) -> dict[str, bytes]:
@@ -100,30 +114,17 @@ class DistrictRun:
             **{weather_file(n): pickle.dumps(cell) for n, cell in enumerate(self.weather)},
         }
 
-    def parts(self, scratch: Path) -> Iterator[Part]:
-        """Yield the parts.
-
-        The simulation of the outlet ``plan`` takes as long as that of all other outlets together,
-        so ``plan`` has parts of its own.
-
-        Args:
-            scratch: directory where workers on this machine write their progress.
-        """
+    def parts(self) -> Iterator[Part]:
+        """Yield the parts, which do not depend on the number of workers."""
         adoption = self.adoption
-        together = tuple(name for name in self.outlets if name != PLAN)
-        count = len(self.buildings)
-        most = min(max(count / _PARTS, _MIN_PART), _MAX_PART)
-        size = math.ceil(count / math.ceil(count / most))
-        for outlets in ((PLAN,) * (PLAN in self.outlets), together):  # the longest first
-            for first in range(0, count * bool(outlets), size):
-                places = slice(first, first + size)
-                buildings = self.buildings.part(places)
-                yield Part(
-                    places, replace(self.district, content=YamlMapping()), outlets, buildings,
-                    adoption.groups(buildings.ranks), len(adoption.shares),
-                    adoption.have_valve(buildings.ranks),
-                    ShareFile(scratch / f"{outlets[0]}-{first}"),
-                )
+        for first in range(0, len(self.buildings), _PART):
+            places = slice(first, first + _PART)
+            buildings = self.buildings.part(places)
+            yield Part(
+                places, replace(self.district, content=YamlMapping()), self.outlets, buildings,
+                adoption.groups(buildings.ranks), len(adoption.shares),
+                adoption.have_valve(buildings.ranks),
+            )
 
 
 def read_run(path: Path, places: Sequence[Path] = ()) -> DistrictRun:
@@ -167,37 +168,53 @@ def read_run(path: Path, places: Sequence[Path] = ()) -> DistrictRun:
 
 
 def simulate_district(
-    run: DistrictRun, workers: Workers,
-    progress: Callable[[str, float], None] = lambda text, share: None,
-    check: Callable[[], None] = lambda: None,
+    run: DistrictRun, threads: int = 1, progress: Progress = lambda text, share: None
 ) -> Totals:
-    """Simulate all parts and add up their results.
+    """Simulate a district in this process.
+
+    Args:
+        run: the district.
+        threads: number of threads that share the buildings.
+        progress: see :data:`Progress`.
+
+    Raises:
+        ConfigurationError: if a building's site is invalid.
+    """
+    totals, parts = run.make_totals(), [*run.parts()]
+    with scratch_directory() as directory:
+        write_inputs(run.files, directory)
+        for number, part in enumerate(parts):
+            def report(share: float, before: int = number) -> None:
+                progress(f"{before} of {len(parts)} parts", (before + share) / len(parts))
+
+            totals.add(part.places, simulate_part(directory, part, threads, report))
+    return totals
+
+
+def distribute_district(
+    run: DistrictRun, workers: Workers, progress: Progress = lambda text, share: None
+) -> Totals:
+    """Simulate a district with workers; the results equal those of :func:`simulate_district`.
 
     Args:
         run: the district.
         workers: workers that have the input files.
-        progress: callback that receives a text about the completed work, and its share of all work.
-        check: callback that is called often; an error that it raises stops the run.
+        progress: see :data:`Progress`.
 
     Raises:
         ConfigurationError: if a building's site is invalid.
         WorkersLostError: if no worker is left.
     """
-    totals = Totals(
-        run.site, run.buildings, run.adoption, run.outlets, run.rain, run.district.sewer_capacity
-    )
-    with scratch_directory() as scratch:
-        parts = [*run.parts(scratch)]
-        pending: dict[Future[Any], Part] = {
-            workers.submit(simulate_part, part): part for part in parts
-        }
-        while pending:
-            workers.check()
-            done, _ = wait(pending, timeout=_REFRESH_S, return_when=FIRST_COMPLETED)
-            for future in done:
-                totals.add(pending.pop(future).places, workers.result(future))
-            begun = sum(part.progress.read() for part in pending.values())
-            ready = len(parts) - len(pending)
-            progress(f"{ready} of {len(parts)} parts", (ready + begun) / len(parts))
-            check()
+    totals = run.make_totals()
+    pending: dict[Future[Any], Part] = {
+        workers.submit(simulate_part, part): part for part in run.parts()
+    }
+    count = len(pending)
+    while pending:
+        workers.check()
+        done, _ = wait(pending, timeout=_REFRESH_S, return_when=FIRST_COMPLETED)
+        for future in done:
+            totals.add(pending.pop(future).places, workers.result(future))
+        ready = count - len(pending)
+        progress(f"{ready} of {count} parts", ready / count)
     return totals

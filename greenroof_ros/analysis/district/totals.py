@@ -16,13 +16,6 @@ from greenroof_ros.analysis.district.adoption import Adoption
 from greenroof_ros.analysis.district.buildings import Buildings, Values
 from greenroof_ros.analysis.district.district_file import NONE
 from greenroof_ros.analysis.district.parts import METRICS, PartResult
-from greenroof_ros.physics.storm_water import (
-    Intervals,
-    find_peak,
-    find_wet_weather,
-    interval_seconds,
-)
-from greenroof_ros.site.site import Site
 
 PEAK_MIN = (5, 15, 60)
 """times over which the flow is averaged for a peak (min)"""
@@ -37,6 +30,8 @@ _REDUCED = {
     **{f"peak_{minutes}min": f"peak_{minutes}min_l_s" for minutes in PEAK_MIN},
     "sewer_overflow": "sewer_overflow_m3",
 }
+# Metrics of the buildings whose sums are results, in addition to the mains water.
+_ADDED = ("overflow_m3", "overflow_days", "pumped_m3", "stress_hours")
 
 
 class Flow(NamedTuple):
@@ -58,41 +53,37 @@ class Totals:
     """
 
     def __init__(
-        self, site: Site, buildings: Buildings, adoption: Adoption, outlets: Sequence[str],
-        rain: Values, capacity: float | None,
+        self, buildings: Buildings, adoption: Adoption, outlets: Sequence[str], seconds: float,
+        rain: Values, wet: NDArray[np.bool_], capacity: float | None,
     ) -> None:
         """Initialize all sums to zero.
 
         Args:
-            site: the site that all buildings have in common.
             buildings: all buildings.
             adoption: groups of the buildings.
             outlets: kinds of outlet, including ``none``.
+            seconds: duration of an interval (s).
             rain: depth of rain in each cell and interval (m), shape (cells, intervals).
+            wet: whether the weather is wet in any cell in each interval, shape (intervals,).
             capacity: capacity of the sewer per unit of connected area (mm/h); None if unknown.
         """
-        self.outlets, self.adoption, self.rain = outlets, adoption, rain
-        self.seconds = interval_seconds(site)
-        """duration of an interval (s)"""
+        self.outlets, self.adoption = outlets, adoption
+        self.seconds, self.rain, self.wet = seconds, rain, wet
         self._capacity, self._buildings = capacity, buildings
         self._groups = adoption.groups(buildings.ranks)
         self._valves = adoption.have_valve(buildings.ranks)
         count = len(adoption.shares)
         self.areas = np.zeros(len(buildings))
         """connected area of each building (m2)"""
-        self._volumes, self._let_out = ({
-            outlet: np.zeros((count * (1 + (outlet == NONE)), rain.shape[1]), np.int64)
+        self._volumes = {
+            outlet: np.zeros((count * (1 + (outlet == NONE)), 2, rain.shape[1]), np.int64)
             for outlet in outlets
-        } for _ in range(2))
+        }
         self.metrics = {
             outlet: {name: np.full(len(buildings), np.nan) for name in METRICS}
             for outlet in outlets
         }
         """metrics of each building, by outlet and name"""
-        self.wet = np.any([
-            find_wet_weather(site.wet_after, Intervals(self.seconds, cell, cell)) for cell in rain
-        ], axis=0)
-        """whether the weather is wet in each interval, shape (intervals,)"""
 
     def add(self, places: slice, result: PartResult) -> None:
         """Add the result of a part; no building may be added twice with the same outlet.
@@ -102,11 +93,9 @@ class Totals:
             result: result of the part.
         """
         self.areas[places] = result.areas
-        for outlet, volumes in result.hydrographs.items():
-            for sums, added in (
-                (self._volumes, volumes), (self._let_out, result.low_outlets[outlet]),
-            ):
-                sums[outlet] += np.rint(added * _PER_M3).astype(np.int64)
+        for outlet, hydrographs in result.hydrographs.items():
+            for sums, volumes in zip(self._volumes[outlet], hydrographs, strict=False):
+                sums += np.rint(volumes * _PER_M3).astype(np.int64)
             for name, values in result.metrics[outlet].items():
                 self.metrics[outlet][name][places] = values
 
@@ -130,34 +119,34 @@ class Totals:
         """
         others = np.where(self._groups < self._adopted(flow), 0.0, self.areas)
         areas = np.bincount(self._buildings.cells, others, len(self.rain))
-        return np.asarray(self._add_groups(self._volumes, flow) + areas @ self.rain)
+        return np.asarray(self._add_groups(flow, 0) + areas @ self.rain)
 
     def let_out(self, flow: Flow) -> Values:
         """Return the water from low outlets in each interval (m3), shape (intervals,)."""
-        return self._add_groups(self._let_out, flow)
+        return self._add_groups(flow, 1)
 
-    def _add_groups(self, sums: Mapping[str, NDArray[np.int64]], flow: Flow) -> Values:
+    def _add_groups(self, flow: Flow, quantity: int) -> Values:
+        count, adopted = len(self.adoption.shares), self._adopted(flow)
         total = np.zeros(self.rain.shape[1], np.int64)
-        for outlet, groups in self._parts(flow):
-            total += sums[outlet][groups].sum(axis=0)
+        # Of the buildings that adopted, those with and those without a valve.
+        for outlet, first in ((flow.outlet, 0), (NONE, count)):
+            total += self._volumes[outlet][first : first + adopted, quantity].sum(axis=0)
         return np.asarray(total / _PER_M3)
 
-    def sum(self, flow: Flow, name: str) -> float:
-        """Return the sum of a metric over the buildings with a green roof."""
+    def values(self, flow: Flow, name: str) -> Values:
+        """Return a metric of the buildings with a green roof, shape (buildings,)."""
+        own, without = (self.metrics[outlet][name] for outlet in (flow.outlet, NONE))
         adopts = self._groups < self._adopted(flow)
-        return sum(
-            float(self.metrics[outlet][name][adopts & (self._valves == has_valve)].sum())
-            for outlet, has_valve in ((flow.outlet, True), (NONE, False))
-        )
+        return np.asarray(np.where(self._valves, own, without)[adopts])
 
     def _adopted(self, flow: Flow) -> int:
         """Return the number of groups that have a green roof."""
         return sum(share <= flow.adoption for share in self.adoption.shares)
 
-    def _parts(self, flow: Flow) -> list[tuple[str, slice]]:
-        """Return the outlet and groups of the buildings that adopted, with and without a valve."""
-        count, adopted = len(self.adoption.shares), self._adopted(flow)
-        return [(flow.outlet, slice(adopted)), (NONE, slice(count, count + adopted))]
+    @property
+    def _has_mains(self) -> bool:
+        """Whether the cisterns have mains water."""
+        return not np.isnan(self.metrics[NONE]["mains_m3"]).all()
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the results, one row per entry of :attr:`flows`; the names include the units."""
@@ -176,15 +165,15 @@ class Totals:
         }
         for weather, where in (("", volumes), ("dry_", np.where(self.wet, 0.0, volumes))):
             for minutes in PEAK_MIN:
-                peak = find_peak(Intervals(self.seconds, self.rain[0], where), minutes)
+                peak = find_peak(where, self.seconds, minutes)
                 row[f"{weather}peak_{minutes}min_l_s"] = 1000 * peak
                 row[f"{weather}peak_{minutes}min_mm_h"] = 1000 * _HOUR_S * peak / area
         let_out = self.let_out(flow)
         row |= {
             "low_outlet_m3": float(let_out.sum()),
             "wet_low_outlet_m3": float(let_out[self.wet].sum()),
-            "low_outlet_peak_5min_mm_h": 1000 * _HOUR_S / area * find_peak(
-                Intervals(self.seconds, self.rain[0], let_out), 5
+            "low_outlet_peak_5min_mm_h": (
+                1000 * _HOUR_S / area * find_peak(let_out, self.seconds, 5)
             ),
         }
         if self._capacity is not None:
@@ -195,12 +184,34 @@ class Totals:
                 "sewer_overflow_hours": hours * int((beyond > _NOTHING).sum()),
                 "dry_sewer_overflow_m3": float(beyond[(beyond > _NOTHING) & ~self.wet].sum()),
             }
-        for name in METRICS:
-            row.setdefault(name, self.sum(flow, name))
-        row["demand_met_share"] = (
-            1 - row["mains_m3"] / row["pumped_m3"] if row["pumped_m3"] else None
-        )
+        for name in _ADDED:
+            row[name] = float(self.values(flow, name).sum())
+        if self._has_mains:
+            pumped, met = (self.values(flow, name) for name in ("pumped_m3", "demand_met_share"))
+            row["mains_m3"] = float(self.values(flow, "mains_m3").sum())
+            # A building that pumps nothing has no share, and no part in that of all.
+            row["demand_met_share"] = (
+                float(np.nansum(pumped * met)) / row["pumped_m3"] if row["pumped_m3"] else None
+            )
         return row | {
             f"{what}_reduction": 1 - row[name] / reference[name]
             for what, name in _REDUCED.items() if reference.get(name)
         }
+
+
+def find_peak(volumes: Values, seconds: float, minutes: float) -> float:
+    """Return the highest mean of a flow over a number of minutes (m3/s).
+
+    The window may begin at any time, as for the peaks in :mod:`.results.sums`.
+
+    Args:
+        volumes: volume in each interval (m3), shape (intervals,).
+        seconds: duration of an interval (s).
+        minutes: width of the window (min).
+    """
+    window, edges = 60 * minutes, seconds * np.arange(len(volumes) + 1.0)
+    total = np.append(0.0, np.cumsum(volumes))
+    # The mean of constant pieces is largest where the window begins or ends with one of them.
+    starts = np.concatenate((edges - window, edges))
+    sums = np.interp(starts + window, edges, total) - np.interp(starts, edges, total)
+    return float(sums.max()) / window

@@ -6,29 +6,25 @@ instead, or only the results.
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from datetime import datetime, timezone, tzinfo
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from greenroof_ros.analysis.report.recorded import compute_results
 from greenroof_ros.analysis.report.run import About, ReportedRun, Row, load_trajectory, read_about
 from greenroof_ros.common.alarm_log import read_alarms
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.times import to_people
-from greenroof_ros.physics.plant import mains_flow
-from greenroof_ros.physics.soil import soil_of
 from greenroof_ros.recording.bag_reader import load_bag
 from greenroof_ros.recording.bag_writer import METADATA, name_recovered_bag
 from greenroof_ros.recording.events_table import event_rows
 from greenroof_ros.recording.results_table import format_exactly
-from greenroof_ros.recording.trajectory import CSV, TRAJECTORY, Trajectory
-from greenroof_ros.results.metrics import Samples, events_of, totals_of
+from greenroof_ros.recording.trajectory import CSV, TRAJECTORY
 from greenroof_ros.simulation.summary import find_site_file
-from greenroof_ros.site.site import Site, read_site
+from greenroof_ros.site.file import read_site
+from greenroof_ros.site.site import Site
 
 # Columns without which results alone do not make a run of a report.
 _NEEDED = {"start", "hours", "cistern_m3", "total_deviation_m3"}
@@ -131,10 +127,16 @@ def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRu
             "file", file=path,
         )
     if trajectory is not None:
-        samples = make_samples(site, trajectory, unknown)
-        row = complete_row(row, site, trajectory, samples)
-        if events is None:
-            events = event_rows(trajectory.start, events_of(site, samples))
+        if events is None or "total_deviation_m3" not in row:
+            results, found = compute_results(site, trajectory, unknown, about.without_rain)
+            row = {**results, **row}
+            events = event_rows(trajectory.start, found) if events is None else events
+        pumped = trajectory.pump_flow[:-1] * np.diff(trajectory.time)
+        row = {
+            "cistern_m3": float(trajectory.cistern[0]), "roof_m3": float(trajectory.roof[0]), **row,
+            "start": trajectory.start.isoformat(), "hours": float(trajectory.time[-1]) / 3600,
+            "frost_pumped_m3": float(pumped[trajectory.frost[:-1] > 0].sum()),
+        }
         zone = trajectory.start.tzinfo
     row["window"] = ", ".join([
         row["site"], row["weather"] if about.own else name,
@@ -172,65 +174,3 @@ def _zone(row: Row, site: Site | None) -> tzinfo | None:
 
 def _moment(seconds: float, zone: tzinfo | None) -> str:
     return to_people(datetime.fromtimestamp(seconds, zone or timezone.utc).replace(microsecond=0))
-
-
-def complete_row(known: Row, site: Site, trajectory: Trajectory, samples: Samples) -> Row:
-    """Return a run's row: the known results, and all others computed from its trajectory.
-
-    Sums are Euler sums, in which each value is constant until the next sample. The sums do not
-    include the flows of the last sample, because the run ends in the state of this sample.
-    """
-    frost = trajectory.frost[:-1] > 0
-    pumped = trajectory.pump_flow[:-1] * np.diff(trajectory.time)
-    return {
-        "cistern_m3": float(trajectory.cistern[0]), "roof_m3": float(trajectory.roof[0]),
-        **totals_of(site, samples), **known,
-        "start": trajectory.start.isoformat(),
-        "hours": float(trajectory.time[-1] - trajectory.time[0]) / 3600,
-        "frost_pumped_m3": float(pumped[frost].sum()),
-    }
-
-
-def make_samples(
-    site: Site, trajectory: Trajectory, unknown: Collection[str] = ()
-) -> Samples:
-    """Return a whole run as samples, which do not show whether a tank's flows were limited.
-
-    The drainage layer of field-capacity soil is computed from percolation; it begins with the
-    site's ``initial_layer``.
-
-    Args:
-        site: parameters of the site.
-        trajectory: trajectory of the run.
-        unknown: attributes of the trajectory that are 0 because they were not recorded.
-    """
-    dt = np.append(np.diff(trajectory.time), site.tau)
-    # The run ends in the state of the last sample, which begins no new minute, hour or day.
-    time = np.append(trajectory.time[:-1], max(0.0, trajectory.time[-1] - site.tau))
-    values = {
-        "pump": trajectory.pump_flow, "potential": trajectory.evapotranspiration,
-        **{
-            name: getattr(trajectory, name)
-            for name in ("command", "precipitation", "outflow", "drainage")
-        },
-    }
-    drawn = values["pump"] + values["outflow"] - values["precipitation"] * site.effective_catchment
-    values["mains"] = np.fromiter(
-        map(partial(mains_flow, site), trajectory.cistern, drawn, dt), float
-    )
-    if trajectory.low_outlet is not None and "low_outlet" not in unknown:
-        values["low_outlet"] = trajectory.low_outlet
-    elif site.low_outlet_level is None:
-        values["low_outlet"] = np.zeros_like(dt)
-    # The run ends at the last sample: nothing flows after it.
-    flows: dict[str, Any] = {name: np.append(flow[:-1], 0.0) for name, flow in values.items()}
-    evaporated, layer = soil_of(site).reconstruct_losses(
-        site.initial_layer, trajectory.roof, flows["precipitation"], flows["pump"],
-        flows["potential"], flows["drainage"], dt,
-    )
-    return Samples(
-        **flows, duration=dt, cistern=trajectory.cistern, roof=trajectory.roof,
-        evapotranspiration=evaporated, layer=layer, time=time,
-        start=trajectory.start.timestamp(),
-        discharge_known=not {"outflow", "drainage"} & {*unknown},
-    )

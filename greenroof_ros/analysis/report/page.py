@@ -13,8 +13,9 @@ from markupsafe import Markup
 from greenroof_ros.analysis.report.drawing import CONFIG, Figure, Rows
 from greenroof_ros.analysis.report.groups import Report
 from greenroof_ros.analysis.report.tables import Table, make_notes, make_tables
+from greenroof_ros.common.parameter import parameters_of
 from greenroof_ros.simulation.summary import format_versions, versions
-from greenroof_ros.site.site import Site, site_parameters
+from greenroof_ros.site.site import Site
 
 
 def make_page(package: str, figures: Sequence[Figure], **values: object) -> str:
@@ -66,7 +67,7 @@ def _parameters(site: Site) -> Table:
     """Return the parameters of a site as a table."""
     return [
         {"symbol": known.name, "value": str(value), "unit": known.unit, "meaning": known.meaning}
-        for known in site_parameters() if (value := getattr(site, known.name)) is not None
+        for known in parameters_of(Site) if (value := getattr(site, known.name)) is not None
     ]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -15,6 +16,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text, read_yaml
 from greenroof_ros.common.times import hours_minutes_seconds
 from greenroof_ros.forecast.choice import OPTIONS
+from greenroof_ros.physics.storm_water import WITHOUT_RAIN
 from greenroof_ros.recording.events_table import EventRow, check_event, read_events
 from greenroof_ros.recording.results_table import parameter_columns, summary_columns
 from greenroof_ros.recording.trajectory import Trajectory, read_trajectory
@@ -95,6 +97,7 @@ class About:
         row: settings of the run and, if it is finished, its results.
         own: whether the run is a simulation by this package.
         external_pump: whether a pump driver reported the pump flow.
+        without_rain: time without rain at the start of the run (s).
         ending: how an unfinished run ended, as a sentence without its subject and full stop.
         notes: notes about the run for the reader.
         events: rain events of the run; None if it has no results.
@@ -106,6 +109,7 @@ class About:
     })
     own: bool = False
     external_pump: bool = False
+    without_rain: float = math.inf
     ending: str = ""
     notes: tuple[str, ...] = ()
     events: Sequence[EventRow] | None = None
@@ -132,6 +136,7 @@ def _understood(content: Mapping[str, Any], run: Path) -> About:
         Exception: if the content is not a summary; the exception can be of any type.
     """
     controller, live = content["controller"], "drive_at" in content
+    plant = {} if live else _read_plant_parameters(run)
     if not isinstance(controller, str):
         raise TypeError
     status = content.get("status", summary.DONE)
@@ -164,20 +169,21 @@ def _understood(content: Mapping[str, Any], run: Path) -> About:
     return About(
         row=About().row | {name: value for name, value in row.items() if value not in (None, "")},
         own=not live,  # live sensors can report anything
-        external_pump=not live and _external_pump(run),
+        external_pump=plant.get("pump") == "external",
+        without_rain=float(plant.get(WITHOUT_RAIN.name, math.inf)),
         ending="" if status == summary.DONE else _ending(content),
         notes=tuple(_changes(content)),
         events=list(map(check_event, content["events"])) if "events" in content else None,
     )
 
 
-def _external_pump(run: Path) -> bool:
-    """Return whether a run's node parameters state that a pump driver provided the pump flow."""
+def _read_plant_parameters(run: Path) -> dict[str, Any]:
+    """Return the parameters of a run's plant node; empty without a file that contains them."""
     try:
         nodes = read_yaml(run / "configuration" / "parameters.yaml")
-        return bool(nodes["/**/plant"]["ros__parameters"]["pump"] == "external")
+        return {**nodes["/**/plant"]["ros__parameters"]}
     except Exception:  # no such file, or a foreign one, which can be wrong in any way
-        return False
+        return {}
 
 
 def _changes(content: Mapping[str, Any]) -> list[str]:

@@ -25,7 +25,7 @@ from greenroof_ros.recording.results_table import (
 )
 from greenroof_ros.recording.trajectory import TRAJECTORY
 from greenroof_ros.results.metrics import METRICS
-from greenroof_ros.site.site import read_site
+from greenroof_ros.site.file import read_site
 
 _NEEDED = {
     "run", "site", "start", "hours", "evapotranspiration", "controller", "initial", "cistern_m3",

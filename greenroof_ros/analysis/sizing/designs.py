@@ -12,9 +12,10 @@ from greenroof_ros.common.errors import ConfigurationError, describe_choices
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.controllers.outlet import DRAIN, PLAN
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.physics.plant import EMPTIED_H, find_outlet_radius
+from greenroof_ros.physics.cistern import EMPTIED_H, find_outlet_radius
 from greenroof_ros.physics.storm_water import connected_area
-from greenroof_ros.site.site import Site, check_site
+from greenroof_ros.site.file import check_site
+from greenroof_ros.site.site import Site
 
 NONE = "none"
 OUTLETS = (NONE, DRAIN, PLAN)

@@ -2,40 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import altair as alt
 
 from greenroof_ros.analysis.report.drawing import (
     Figure,
     Panel,
+    Rows,
     distinguish_series,
     make_tooltips,
     round_value,
 )
 from greenroof_ros.analysis.report.page import make_page
 from greenroof_ros.analysis.sizing.columns import (
-    COLUMNS,
     ENDS,
     Column,
     format_per_roof,
     format_share,
     format_spread,
 )
-from greenroof_ros.analysis.sizing.designs import Design
 from greenroof_ros.common.text import number_of
 
-if TYPE_CHECKING:
-    from greenroof_ros.analysis.sizing.sizes import Sizes
 
+def render(figures: Sequence[Figure], sizes: object, columns: Mapping[str, Column]) -> str:
+    """Return the page as HTML.
 
-def render(sizes: Sizes, figures: Sequence[Figure]) -> str:
-    """Return the page as HTML."""
+    Args:
+        figures: figures from :func:`draw`.
+        sizes: the :class:`.sizes.Sizes`.
+        columns: the results, by name.
+    """
     return make_page(
-        __package__, figures, sizes=sizes, columns=sizes.columns,
-        number_of=number_of, spread=format_spread, per_roof=format_per_roof, warnings=(),
-        percent=format_share,
+        __package__, figures, sizes=sizes, columns=columns, number_of=number_of,
+        spread=format_spread, per_roof=format_per_roof, warnings=(), percent=format_share,
     )
 
 
@@ -44,48 +45,52 @@ def render(sizes: Sizes, figures: Sequence[Figure]) -> str:
 _VOLUME = "cistern (m³)"
 
 
-def draw(sizes: Sizes, target: float) -> Figure:
-    """Return a figure of the results at a target (mm) against the volume of the cistern.
+def draw(
+    rows: Sequence[Mapping[str, Any]], columns: Mapping[str, Column], target: float,
+    seasons: Sequence[str],
+) -> Figure:
+    """Return a figure of the results at a target against the volume of the cistern.
 
     Each result has its own panel.
+
+    Args:
+        rows: the rows of the designs at the target, as in :attr:`.sizes.Sizes.table`.
+        columns: the results to draw, by name.
+        target: the target (mm).
+        seasons: names of the seasons.
     """
     name = f"sizes-{target:g}mm"
-    panels = [_draw_panel(sizes, key, column, name) for key, column in sizes.columns.items()]
-    rows = [
-        {
-            "outlet": design.outlet, "volume": design.volume,
-            **{key: value for column in sizes.columns
-               for key, value in _cells(sizes, column, design).items()},
-        }
-        for outlet in sizes.outlets for design in sizes.select(target, outlet)
+    data = [
+        {"outlet": row["outlet"], "volume": row["volume_m3"], **_cells(row, columns)}
+        for row in rows
     ]
-    many = len(sizes.seasons)
+    panels = [_draw_panel(data, key, column, name) for key, column in columns.items()]
     caption = (
-        f"Lines show the means of {many} seasons. Bands extend from the lowest to the highest "
-        "season."
-        if many > 1 else f"The lines show the season {sizes.seasons[0]}."
+        f"Lines show the means of {len(seasons)} seasons. Bands extend from the lowest to the "
+        "highest season."
+        if len(seasons) > 1 else f"The lines show the season {seasons[0]}."
     )
-    return Figure(name, f"Target {target:g} mm", caption, tuple(panels), 2, {name: rows})
+    return Figure(name, f"Target {target:g} mm", caption, tuple(panels), 2, {name: data})
 
 
-def _cells(sizes: Sizes, column: str, design: Design) -> dict[str, Any]:
-    factor = 100.0 if COLUMNS[column].unit == "%" else 1.0
+def _cells(row: Mapping[str, Any], columns: Mapping[str, Column]) -> dict[str, Any]:
     return {
-        f"{column}{end}": round_value(factor * value)
-        for end, value in zip(ENDS, sizes.spread(column, design), strict=True)
+        f"{key}{end}": round_value((100.0 if column.unit == "%" else 1.0) * row[f"{key}{end}"])
+        for key, column in columns.items() for end in ENDS
     }
 
 
-def _draw_panel(sizes: Sizes, key: str, column: Column, dataset: str) -> Panel:
+def _draw_panel(data: Rows, key: str, column: Column, dataset: str) -> Panel:
     axis = f"{column.label} ({column.unit})"
-    scale = alt.Scale(type="log", nice=False, domain=[sizes.volumes[0], sizes.volumes[-1]])
-    series = distinguish_series("outlet", sizes.outlets)
+    volumes = sorted({row["volume"] for row in data})
+    scale = alt.Scale(type="log", nice=False, domain=[volumes[0], volumes[-1]])
+    series = distinguish_series("outlet", list(dict.fromkeys(row["outlet"] for row in data)))
     for channel in series.values():
         channel.legend = alt.Legend(symbolType="stroke", symbolSize=400, columns=3)
     base = alt.Chart(alt.NamedData(dataset)).encode(
         x=alt.X(
             "volume:Q", title=_VOLUME, scale=scale,
-            axis=alt.Axis(values=sizes.volumes, format="~g", labelOverlap=True),
+            axis=alt.Axis(values=volumes, format="~g", labelOverlap=True),
         ),
         tooltip=make_tooltips(
             "outlet:N", ("volume:Q", _VOLUME), (f"{key}:Q", axis), (f"{key}_min:Q", "lowest"),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,6 @@ from greenroof_ros.common.parameter import make_record, parameters_of
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.common.text import number_of
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.experiment.batch import BatchWeather
 from greenroof_ros.simulation.inputs import make_inputs
 
 PRICES = {parameter.name: parameter for parameter in parameters_of(Prices)}
@@ -33,30 +31,20 @@ OPTIONS = (*_OF_RUN, *_OWN)
 """names of the options that a user can pass"""
 
 
-@dataclass(frozen=True)
-class Progress:
-    """The display of the progress, and a check that can stop the runs.
-
-    Attributes:
-        show: callback that receives the current task and the share of all work done, 0 to 1.
-        check: callback that raises an error if the runs must stop.
-    """
-
-    show: Callable[[str, float], None] = lambda text, share: None
-    check: Callable[[], None] = lambda: None
-
-
-def size_site(given: Mapping[str, Any], progress: Progress) -> Sizes:
+def size_site(
+    given: Mapping[str, Any],
+    progress: Callable[[str, float], None] = lambda text, share: None,
+) -> Sizes:
     """Compare the designs of a site over the seasons of its weather.
 
     Args:
         given: values of :data:`OPTIONS`, by name; an option that is None or left out gets its
             default.
-        progress: display of the progress, which can stop the runs.
+        progress: callback that receives the current task and the share of all work done, 0 to 1;
+            an error that it raises ends the runs.
 
     Raises:
         ConfigurationError: if an input is invalid; the key of the error is the option's name.
-        WorkersLostError: if a process ended unexpectedly.
     """
     values = {name: value for name, value in given.items() if value is not None}
     volumes = plans.read_numbers(values.get("volumes"), "volumes", plans.VOLUMES)
@@ -80,25 +68,21 @@ def size_site(given: Mapping[str, Any], progress: Progress) -> Sizes:
     designs, notes = plans.make_designs(
         site, volumes or plans.choose_volumes(site), targets, outlets
     )
-    progress.show("reading weather", 0.0)
+    progress("reading weather", 0.0)
     weather, _ = inputs.read_records(site)
-    progress.check()
     runs, incomplete = find_seasons(inputs, designs[0].site, weather, window)
-    seasons = [BatchWeather.of_run(run) for run in runs.values()]
 
-    shape = len(designs), len(seasons)
-    text = f"{number_of(len(designs), 'design')} in {number_of(len(seasons), 'season')}"
+    shape = len(designs), len(runs)
+    text = f"{number_of(len(designs), 'design')} in {number_of(len(runs), 'season')}"
     # Every second cistern of one target and outlet is also run from other initial states.
     outlet = plans.choose_outlet(site, outlets)
     tried = [one for one in designs if (one.target, one.outlet) == (middle, outlet)][::-2]
     cases = [
         Case(design, season, filled)
         for group, filled in ((designs, HALF), (tried, 0.0), (tried, 1.0))
-        for design in group for season in range(len(seasons))
+        for design in group for season in range(len(runs))
     ]
-    results = simulate_cases(
-        cases, seasons, jobs, lambda share: progress.show(text, share), progress.check
-    )
+    results = simulate_cases(cases, [*runs.values()], jobs, lambda share: progress(text, share))
     metrics = {name: series[: math.prod(shape)].reshape(shape) for name, series in results.items()}
     starts = {
         name: np.ma.masked_invalid(

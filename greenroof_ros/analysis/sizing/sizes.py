@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     import altair
     import polars
 
+    from greenroof_ros.analysis.report.drawing import Figure
+
 Values = NDArray[np.float64]
 
 PAGE, TABLE = "sizes.html", "sizes.csv"
@@ -291,15 +293,16 @@ class Sizes:
         Raises:
             ConfigurationError: if polars is not installed.
         """
-        return _frame([
-            {
-                **_name(design),
-                **{
-                    f"{name}{end}": value for name in self._names
-                    for end, value in zip(ENDS, self.spread(name, design), strict=True)
-                },
-            } for design in self.designs
-        ])
+        return _frame([self._row(design) for design in self.designs])
+
+    def _row(self, design: Design) -> dict[str, Any]:
+        return {
+            **_name(design),
+            **{
+                f"{name}{end}": value for name in self._names
+                for end, value in zip(ENDS, self.spread(name, design), strict=True)
+            },
+        }
 
     @property
     def table_of_seasons(self) -> polars.DataFrame:
@@ -333,10 +336,14 @@ class Sizes:
         Raises:
             ConfigurationError: if altair is not installed.
         """
+        chart: altair.ConcatChart = self._draw(target or self.recommended.target).chart()
+        return chart
+
+    def _draw(self, target: float) -> Figure:
         with require_extra("study"):
             from greenroof_ros.analysis.sizing.page import draw
-        chart: altair.ConcatChart = draw(self, target or self.recommended.target).chart()
-        return chart
+        rows = [self._row(design) for design in self.designs if design.target == target]
+        return draw(rows, self.columns, target, self.seasons)
 
     def save(self, directory: str | os.PathLike[str]) -> Path:
         """Write the page ``sizes.html``, the table ``sizes.csv``, and the figures; return the page.
@@ -350,7 +357,7 @@ class Sizes:
                 needs are not installed.
         """
         with require_extra("study"):
-            from greenroof_ros.analysis.sizing.page import draw, render
+            from greenroof_ros.analysis.sizing.page import render
         made = Path(directory)
         with writable(made):
             made.mkdir(parents=True, exist_ok=True)
@@ -358,12 +365,12 @@ class Sizes:
                 if _FIGURE.fullmatch(file.name):
                     file.unlink()
             (made / TABLE).write_text(self.to_csv(), encoding="utf-8")
-        figures = [draw(self, target) for target in self.by_interest]
+        figures = [self._draw(target) for target in self.by_interest]
         for figure in figures:
             figure.save(made)
         page = made / PAGE
         with add_path_to_errors(page):
-            page.write_text(render(self, figures), encoding="utf-8")
+            page.write_text(render(figures, self, self.columns), encoding="utf-8")
         return page
 
     def to_csv(self) -> str:

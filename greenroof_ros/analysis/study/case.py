@@ -54,8 +54,6 @@ class Case:
             the path.
         bound_block: length of the time blocks that have one variable each when the minimum possible
             deviation is computed (s); 0 to compute no bound.
-        together: duration of a tick (s) and N, if the case can run together with other cases that
-            have the same values; None if the case must run alone.
     """
 
     inputs: RunInputs
@@ -64,7 +62,6 @@ class Case:
     weather_name: str
     forecast_files: Mapping[str, InputFile]
     bound_block: float
-    together: tuple[float, int] | None
 
     @property
     def controller(self) -> str:

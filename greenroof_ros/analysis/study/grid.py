@@ -23,7 +23,6 @@ from greenroof_ros.common.files import (
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.controllers.outlet import find_horizon
 from greenroof_ros.controllers.registry import BUILT_IN, ControllerChoice, find_controller
-from greenroof_ros.experiment.batch_runs import is_covered
 from greenroof_ros.forecast.choice import MODELS, OPTIONS, PERFECT, ForecastChoice
 from greenroof_ros.forecast.skill import SKILLS, read_skill
 from greenroof_ros.formats.hourly import name_files
@@ -35,7 +34,8 @@ from greenroof_ros.recording.results_table import format_exactly
 from greenroof_ros.simulation.bound import BLOCK_S
 from greenroof_ros.simulation.inputs import RunInputs, make_inputs
 from greenroof_ros.simulation.run import Run, count_ticks
-from greenroof_ros.site.site import SITE_KEYS, Site, format_site, read_site
+from greenroof_ros.site.file import SITE_KEYS, format_site, read_site
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.reading import read_weather
 
 # What each block must be.
@@ -160,24 +160,24 @@ class _Grid:
         horizons = parameters.get("horizon"), find_horizon(parameters)
         key = horizons, inputs.controller.ensemble, repr(others)
         if key not in runs:
-            runs[key] = alike.build(self._read_weather)
+            weather = self._read_weather(
+                alike.weather, site.place, alike.evapotranspiration, alike.gaps
+            )
+            runs[key] = replace(alike, weather=weather).build()
         run = runs[key]
-        weather = tuple(map(self._input, run.weather.files))
-        name = name_files([Path(each.name) for each in weather])
+        files = tuple(map(self._input, run.weather.files))
+        name = name_files([Path(each.name) for each in files])
         forecast, forecast_files = self._carry(inputs.forecast, site)
         return Case(
             replace(
-                inputs, site=Path(file.name), weather=tuple(Path(each.name) for each in weather),
+                inputs, site=Path(file.name), weather=tuple(Path(each.name) for each in files),
                 parameters=parameters, forecast=forecast, start=run.start.isoformat(),
                 hours=run.steps * site.tau / 3600, evapotranspiration=run.weather.method,
                 initial=run.initial, cistern=run.x1, roof=run.x2,
             ),
-            file, weather,
-            self._weathers.setdefault(weather, unique_name(Path(name), self._weathers.values())),
+            file, files,
+            self._weathers.setdefault(files, unique_name(Path(name), self._weathers.values())),
             forecast_files, self._bound_block(site),
-            (site.tau, run.steps) if is_covered(
-                site, inputs.controller.kind, inputs.sensor_and_pump, run.steps
-            ) else None,
         )
 
     def _expand_sites(self) -> Iterator[tuple[Site, InputFile]]:

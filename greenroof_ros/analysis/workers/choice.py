@@ -17,21 +17,22 @@ from greenroof_ros.common.command_line import (
 from greenroof_ros.common.processes import Signals, count_cores
 
 
-def add_worker_arguments(parser: argparse.ArgumentParser, what: str) -> None:
+def add_worker_arguments(parser: argparse.ArgumentParser, what: str, jobs: str) -> None:
     """Add the options that select the workers.
 
     Args:
         parser: the command's parser.
         what: name of the work that is handed to the workers, such as ``runs``.
+        jobs: clause that describes the option ``--jobs``.
     """
     parser.add_argument(
         "--jobs", type=make_number_type(1, 1024, int), metavar="N",
-        help=f"run N {what} at a time (default: one per core)",
+        help=f"{jobs} (default: one per core)",
     )
     parser.add_argument(
         "--scheduler", metavar="ADDRESS",
-        help=f"run the {what} on a Dask cluster, such as tcp://10.0.0.1:8786, instead of in "
-            "processes on this machine; its workers need greenroof_ros[dask,study]",
+        help=f"run the {what} on a Dask cluster, such as tcp://10.0.0.1:8786, instead of on this "
+            "machine; its workers need greenroof_ros[dask,study]",
     )
 
 

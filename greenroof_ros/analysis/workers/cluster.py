@@ -121,8 +121,7 @@ def cluster(address: str, files: Mapping[str, bytes]) -> Iterator[Workers]:
         try:
             task = partial(_on_worker, plugin)
             yield Workers(
-                partial(executor.submit, task), lambda future: future.result(), check,
-                sum(client.nthreads().values()),
+                partial(executor.submit, task), lambda future: future.result(), check
             )
         except CancelledError as error:  # this process did not cancel: the scheduler is gone
             raise lost from error

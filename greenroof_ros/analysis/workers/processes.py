@@ -1,4 +1,4 @@
-"""Workers that are processes on this machine, or this process itself.
+"""Workers that are processes on this machine.
 
 The workers of a Dask cluster are in :mod:`greenroof_ros.analysis.workers.cluster`.
 """
@@ -39,26 +39,6 @@ class Workers(NamedTuple):
     """returns the result of the function of a future, or raises the error that it raised"""
     check: Callable[[], None]
     """raises :class:`WorkersLostError` if no worker is left"""
-    slots: int
-    """number of tasks that run at the same time"""
-
-
-@contextmanager
-def this_process(files: Mapping[str, bytes]) -> Iterator[Workers]:
-    """Provide this process as the only worker, which runs every task when it is submitted.
-
-    Args:
-        files: contents of the input files, by name.
-    """
-    with scratch_directory() as inputs:
-        write_inputs(files, inputs)
-
-        def submit(function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-            future: Future[Any] = Future()
-            future.set_result(function(inputs, *arguments))
-            return future
-
-        yield Workers(submit, lambda future: future.result(), lambda: None, 1)
 
 
 @contextmanager
@@ -84,7 +64,7 @@ def processes(
         executor = ProcessPoolExecutor(jobs, context, _prepare, (str(scratch),))
         try:
             task = partial(_to_file, inputs)
-            yield Workers(partial(executor.submit, task), _from_file, lambda: None, jobs)
+            yield Workers(partial(executor.submit, task), _from_file, lambda: None)
         # The other errors occur if a worker is killed while it starts.
         except (BrokenProcessPool, EOFError, ConnectionError) as error:
             raise WorkersLostError(

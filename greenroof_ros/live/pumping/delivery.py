@@ -64,8 +64,9 @@ from typing import NamedTuple
 
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.live.pumping.limits import PumpSettings
-from greenroof_ros.physics.plant import low_outlet_flow
-from greenroof_ros.physics.soil import soil_of
+from greenroof_ros.physics.cistern import low_outlet_flow
+from greenroof_ros.physics.parameters import plant_parameters
+from greenroof_ros.physics.soil import retained_share
 from greenroof_ros.site.site import Site
 
 _M_PER_S = 1e-3 / 3600
@@ -127,10 +128,10 @@ class DeliveryCheck:
     """Delivery check, which updates the three balances at every step."""
 
     def __init__(self, site: Site, settings: PumpSettings) -> None:
-        self._site, self._soil = site, soil_of(site)
+        self._site, self._p = site, plant_parameters(site)
         self._settings = settings
         self._loss = settings.max_loss * _M_PER_S
-        self._share_at_target = self._soil.retained_share(site.x2_star)
+        self._share_at_target = retained_share(self._p, site.x2_star)
         self._share_on_roof = settings.min_delivery * self._share_at_target
         self._retained_share = self._share_at_target  # share retained at the last known wetness
         self._sums = _Sums()
@@ -172,7 +173,7 @@ class DeliveryCheck:
         """
         site, settings = self._site, self._settings
         if roof_level is not None:
-            self._retained_share = self._soil.retained_share(site.roof_volume(roof_level))
+            self._retained_share = retained_share(self._p, site.roof_volume(roof_level))
         mains = drained = 0.0
         if site.mains_level is not None and site.mains_flow is not None and (
             cistern_level is None or cistern_level < site.mains_level + settings.level_offset
@@ -180,7 +181,7 @@ class DeliveryCheck:
             mains = site.mains_flow * dt
         if site.low_outlet_level is not None:
             high = site.z_o if cistern_level is None else cistern_level + settings.level_offset
-            drained = low_outlet_flow(site, site.cistern_volume(high)) * dt
+            drained = low_outlet_flow(self._p, site.cistern_volume(high)) * dt
         self._sums = self._sums.add(_Sums(
             dt, min_pumped, max_pumped, retained=self._retained_share * min_pumped,
             mains=mains, drained=drained,

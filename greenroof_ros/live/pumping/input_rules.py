@@ -12,12 +12,10 @@ from typing import NamedTuple
 
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
-from greenroof_ros.physics.plant import (
-    low_outlet_flow,
-    maximum_pump_flow,
-    outlet_flow,
-)
-from greenroof_ros.physics.soil import soil_of
+from greenroof_ros.physics.cistern import low_outlet_flow, overflow
+from greenroof_ros.physics.parameters import plant_parameters
+from greenroof_ros.physics.pump import maximum_pump_flow
+from greenroof_ros.physics.soil import max_fall_rate, retained_share
 from greenroof_ros.site.site import Site
 
 # An input that has not arrived since the start is treated as silent after this time (s).
@@ -60,10 +58,12 @@ def cistern_bounds(site: Site) -> LevelBounds:
 
     All the rain on the catchment counts, since a storm's runoff coefficient may be above the mean.
     """
+    p = plant_parameters(site)
 
     def fall(level: float) -> float:
         volume = site.cistern_volume(level)
-        return _MARGIN * (maximum_pump_flow(site, volume) + outlet_flow(site, volume)) / site.a1
+        let_out = overflow(p, volume) + low_outlet_flow(p, volume)
+        return _MARGIN * (maximum_pump_flow(p, volume) + let_out) / site.a1
 
     rise = _MARGIN * (_MAX_RAIN * site.a_in + (site.mains_flow or 0.0)) / site.a1
     return LevelBounds(lambda level: rise, fall, site.max_cistern_level)
@@ -71,10 +71,11 @@ def cistern_bounds(site: Site) -> LevelBounds:
 
 def roof_bounds(site: Site) -> LevelBounds:
     """Return the bounds of the roof, given by rain, pumps, evapotranspiration and drainage."""
-    pump, soil = maximum_pump_flow(site, site.cistern_volume(site.z_o)) / site.a2, soil_of(site)
+    p = plant_parameters(site)
+    pump = maximum_pump_flow(p, site.cistern_volume(site.z_o)) / site.a2
 
     def fall(level: float) -> float:
-        return _MARGIN * (_MAX_EVAPOTRANSPIRATION + soil.max_fall_rate(level))
+        return _MARGIN * (_MAX_EVAPOTRANSPIRATION + max_fall_rate(p, level))
 
     return LevelBounds(lambda level: _MARGIN * (_MAX_RAIN + pump), fall, site.max_roof_level)
 
@@ -136,12 +137,12 @@ def expected_movement(
         roof_level: level of the roof (m).
         frozen_movement: movement as in `LevelRule` (m); 0 if the levels are exact.
     """
-    off = frozen_movement / 2
+    p, off = plant_parameters(site), frozen_movement / 2
     high = site.cistern_volume(cistern_level + off)
     low = site.cistern_volume(max(0.0, cistern_level - off))
     minimum = maximum = -flow / site.a1
     minimum += (
-        running_off * site.effective_catchment - _MARGIN * low_outlet_flow(site, high)
+        running_off * site.effective_catchment - _MARGIN * low_outlet_flow(p, high)
     ) / site.a1
     mains = (site.mains_flow or 0.0) * (low / site.a1 < (site.mains_level or 0.0))
     maximum += (rain * site.a_in + mains) / site.a1
@@ -150,7 +151,7 @@ def expected_movement(
     if cistern_level >= site.z_o:
         maximum = 0.0
     roof = running_off + flow / site.a2 if roof_level + off < site.z_soil else 0.0
-    roof *= soil_of(site).retained_share(site.roof_volume(roof_level + off))
+    roof *= retained_share(p, site.roof_volume(roof_level + off))
     return Movement(minimum - _DRIFT, maximum + _DRIFT), Movement(roof - _LOSS, math.inf)
 
 

@@ -14,9 +14,9 @@ from greenroof_ros.common.parameter import Parameter, entry, parameters_of
 from greenroof_ros.common.times import to_people
 from greenroof_ros.live.pumping.ledger import DAY_S, Ledger
 from greenroof_ros.live.pumping.pump_inputs import Observation
-from greenroof_ros.physics.plant import maximum_pump_flow
-from greenroof_ros.physics.pump import flow_at, speed_for
-from greenroof_ros.physics.soil import soil_of
+from greenroof_ros.physics.parameters import plant_parameters
+from greenroof_ros.physics.pump import flow_at, maximum_pump_flow, speed_for
+from greenroof_ros.physics.soil import retained_share, water_to_raise
 from greenroof_ros.site.site import Site
 
 _HOUR_S = 3600.0
@@ -40,13 +40,13 @@ def _volume_per_day(site: Site) -> float:
     it retains only a share of the pumped water.
     """
     evapotranspiration = _MAX_EVAPOTRANSPIRATION * site.crop_coefficient * site.a2
-    replaced = evapotranspiration / soil_of(site).retained_share(site.x2_star)
+    replaced = evapotranspiration / retained_share(plant_parameters(site), site.x2_star)
     return round(_MARGIN * (_filling(site) + replaced), 3)
 
 
 def _filling(site: Site) -> float:
     """Return the volume (m3) needed to fill an empty roof to its target."""
-    return float(soil_of(site).water_to_fill(site.x2_star))
+    return water_to_raise(plant_parameters(site), 0.0, site.x2_star)
 
 
 def _time_for(site: Site, volume: float) -> float:

@@ -17,7 +17,7 @@ from greenroof_ros.live.devices.sensor_file import ModbusSensor, MqttSensor, Sen
 from greenroof_ros.live.simulators.server import Device, Server
 from greenroof_ros.physics.pump import flow_at
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
-from greenroof_ros.results.virtual_site import VirtualSite
+from greenroof_ros.physics.virtual_site import VirtualSite
 from greenroof_ros.site.site import Site
 
 # Number of readings of the drive's speed per tick, if there is time for as many.
@@ -32,7 +32,7 @@ class SimulatedSite:
     """Simulation of a cistern and a roof in ticks, with the sensors that measure them.
 
     Attributes:
-        plant: cistern and roof.
+        virtual_site: cistern and roof.
         servers: Modbus servers of the sensors.
         pumped: volume pumped out of the cistern so far (m3).
     """
@@ -63,8 +63,7 @@ class SimulatedSite:
         """
         self._site, self._speed = site, speed
         self._weather = precipitation, evapotranspiration
-        self._virtual_site = VirtualSite(site, *volumes, 0, SensorAndPump())
-        self.plant = self._virtual_site.plant
+        self.virtual_site = VirtualSite(site, *volumes, 0, SensorAndPump())
         self.pumped, self._rained, self._flowing = 0.0, 0.0, 0.0
         self._sensors = sensors.by_section
         self.servers: list[Server] = []
@@ -88,7 +87,7 @@ class SimulatedSite:
     @property
     def tick(self) -> int:
         """The number of ticks simulated so far."""
-        return self._virtual_site.tick
+        return self.virtual_site.tick
 
     def device(self, sensors: Mapping[str, ModbusSensor]) -> Device:
         """Return the Modbus device that serves these sensors."""
@@ -128,7 +127,7 @@ class SimulatedSite:
     def true(self, section: str) -> float:
         """Return the true current value of the quantity that a sensor measures."""
         sensor = self._sensors[section]
-        cistern, roof = self.plant.levels()
+        cistern, roof = self.virtual_site.levels()
         return {
             "cistern": cistern, "roof": roof, "thermometer": _TEMPERATURE,
             "flow_meter": self.pumped if sensor.counts else self._flowing,
@@ -172,7 +171,7 @@ class SimulatedSite:
 
     def flow(self, speed: float) -> float:
         """Return the pump's flow from the cistern at a speed (m3/s); 0 if it runs dry."""
-        level = self.plant.levels()[0]
+        level = self.virtual_site.levels()[0]
         return 0.0 if level < self._site.suction_level else flow_at(self._site, speed, level)
 
     def _present_weather(self) -> tuple[float, float]:
@@ -191,8 +190,8 @@ class SimulatedSite:
         """
         rain, evapotranspiration = self._present_weather()
         tau = self._site.tau
-        flows = self._virtual_site.act(rain, evapotranspiration, 0.0, pumped=flow)
-        self._virtual_site.step()
+        flows = self.virtual_site.act(rain, evapotranspiration, 0.0, pumped=flow)
+        self.virtual_site.step()
         self.pumped += tau * flows.pump
         self._rained += tau * rain
         self._flowing = flows.pump

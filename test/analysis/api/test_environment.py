@@ -84,7 +84,9 @@ def test_a_program_commands_the_valve() -> None:
         tick = roof.step(0.0, share)
         assert tick.outlet == share
         assert tick.flows.low_outlet == pytest.approx(share * full, rel=1e-3)
-    assert roof.step(0.0, outlet=None).outlet == 0.0  # drain, less than two hours after rain
+    # Drain, two hours after rain, of which the record has the last at 10:00, or earlier.
+    for start, opening in {"2021-07-07T12:00": 1.0, "2021-07-07T11:59": 0.0}.items():
+        assert gr.Environment(**{**inputs, "start": start}).step(0.0).outlet == opening
 
 
 @pytest.mark.parametrize("outlet", [-0.1, 1.0000001, 1.2, math.nan, math.inf, "open", [0.5], 1j,

@@ -166,14 +166,16 @@ def test_a_decision_of_several_ticks_keeps_the_pumps_limits() -> None:
 def test_the_second_entry_commands_the_valve() -> None:
     """As Environment.step does; the observation ends with how long the weather remains wet.
 
-    Rain of 07 July ends at 10:00; two hours later it is dry. A run begins as if it had just rained.
+    Rain of 07 July ends at 05:00 and at 10:00; two hours later it is dry. The run begins between.
     """
     inputs = {"site": VALVE_SITE, "start": "2021-07-07T08:00", "hours": 5}
     roof, same = gymnasium.make(ID, decision_ticks=1800, **inputs), gr.Environment(**inputs)
     assert roof.action_space.shape == (2,)
     assert gymnasium.make(ID, hours=1).action_space.shape == (1,)
     observation, _ = roof.reset()
-    assert observation[-1] == 1.0
+    assert observation[-1] == 0.0
+    assert roof.reset(options={"start": "2021-07-07T06:00"})[0][-1] == 0.5
+    assert roof.reset()[0][-1] == 0.0
     ended, wet = False, []
     while not ended:
         action = roof.action_space.sample()

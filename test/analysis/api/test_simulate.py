@@ -249,7 +249,7 @@ def test_an_instance_goes_on_with_what_it_has_learned(
     for each, metrics in zip((first, second), results, strict=True):
         run = make_inputs(find_controller(name), {**each, "horizon": 24}).build()
         other.forecast_ends = look_ahead_ends(site, 24.0)
-        assert metrics_of(run, other).results() == metrics
+        assert metrics_of(run, other) == metrics
     assert one.learned == other.learned != made().learned
     assert gr.simulate(made(), **second).metrics != results[1]
 
@@ -362,12 +362,12 @@ def test_sites(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("inputs", "reason"), [
     ({"hour": 3}, "hour = 3: is neither an input nor a parameter of onoff; did you mean hours"),
-    ({"start": 5}, "start = 5: must be text"),
+    ({"start": 5}, "start = '5': must be a time such as"),
     ({"hours": "2"}, "hours = '2': must be a number greater than 0"),
     ({"hours": np.bool_(True)}, "hours = .*: must be a number"),
-    ({"site": 3}, "site = 3: must be the name of a site file, or a site from gr.read_site"),
-    ({"weather": 3}, "weather: must be a file name, .*, not an object of type builtins.int"),
-    ({"forecast": 3}, "forecast = 3: must be the name of a forecast model, or a path"),
+    ({"site": 3}, "3: cannot be read: No such file"),
+    ({"weather": 3}, "weather = 3: must be a file name, .*, or a polars or pandas data frame"),
+    ({"forecast": 3}, "forecast = '3': must be one of perfect, errors, ensemble, or forecasts: a"),
     ({"gaps": "drop"}, "gaps = 'drop': must be one of refuse, fill"),
     ({"initial": (60.0,)}, "initial = .*: must be one of low-low.* or the volumes in the cistern"),
     ({"initial": (math.nan, 2.0)}, "cistern = nan: must be a number from 0"),

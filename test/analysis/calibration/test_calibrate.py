@@ -17,7 +17,7 @@ from twins import TWIN, record_rows, summed, write
 
 from greenroof_ros.analysis.calibration.site_file import format_fitted_site
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.site.site import format_site, read_site
+from greenroof_ros.site.file import format_site, read_site
 
 PUMPED = replace(TWIN, a_in=300.0, a_hat=-1e6, c_hat=45.0)
 PAPER = shared_directory() / "config" / "site.yaml"
@@ -67,6 +67,10 @@ def test_the_command_writes_a_site_that_can_be_used(fitted: Path) -> None:
     assert site.z_veg == pytest.approx(0.1 * middle, rel=1e-4)
     assert site.a_hat == pytest.approx(-1e6, rel=1e-5)
     lines = {line.split(":")[0]: line for line in text.splitlines()}
+    assert "percolation_exponent: the NSE in the validation is" in top
+    exponents = re.search(r"fitted, (\S+) to (\S+); not a 95", lines["percolation_exponent"])
+    low, high = map(float, exponents.groups())
+    assert low <= site.percolation_exponent == TWIN.percolation_exponent <= high
     assert lines["a_hat"].endswith(
         "unchanged: the data cannot distinguish this parameter from c_hat"
     )
@@ -146,5 +150,7 @@ def test_the_page_draws_everything_and_asks_for_nothing(fitted: Path) -> None:
         assert "field_capacity" in words
         assert "Measured and simulated" not in words  # titles are drawn
         notes = page.locator("#notes li").all_inner_texts()
-        assert [note.split(":")[0] for note in notes] == ["compared", "target", "pumps"]
+        assert [note.split(":")[0] for note in notes] == [
+            "compared", "target", "pumps", "percolation_exponent"
+        ]
         assert "The crop_coefficient applies only if evapotranspiration is computed" in words

@@ -12,7 +12,9 @@ from twins import DAY, NOISE_M, STEP_S, TWIN, a_record, storms
 
 from greenroof_ros.analysis.calibration.pumps import PumpFit, fit_pumps
 from greenroof_ros.formats.step_record import StepRecord
-from greenroof_ros.physics.plant import Plant, maximum_pump_flow
+from greenroof_ros.physics.parameters import State, plant_parameters
+from greenroof_ros.physics.pump import maximum_pump_flow
+from greenroof_ros.physics.tick import step
 from greenroof_ros.site.site import Site
 
 TICK_S = 60.0
@@ -31,25 +33,25 @@ def twin(
     """
     random = np.random.default_rng(seed)
     rain = storms(days, random)
-    step = np.arange(days * DAY)
-    command = np.where(step % DAY // 2 == 36, 1.0, np.where(step % DAY // 4 == 54, 0.5, 0.0))
+    number = np.arange(days * DAY)
+    command = np.where(number % DAY // 2 == 36, 1.0, np.where(number % DAY // 4 == 54, 0.5, 0.0))
     delivered = np.zeros(len(rain))
     for week in range(0, len(rain) if refills else 0, 7 * DAY):
         begins = week + np.flatnonzero(np.diff(command[week:week + 7 * DAY]) > 0) + 1
         at = random.choice(begins) + random.integers(-1, 4)
         lasts = random.integers(1, 4)
         delivered[at:at + lasts] = random.uniform(1.0, 5.0) / lasts
-    plant = Plant(replace(site, tau=TICK_S), 2.5 * site.a1, 0.0)
+    p, state = plant_parameters(replace(site, tau=TICK_S)), State(2.5 * site.a1, 0.0, 0.0)
     level = []
     for now, fell in enumerate(rain.tolist()):
-        level.append(plant.levels()[0])
+        level.append(state.cistern / site.a1)
         if level[-1] < site.suction_level + 0.3:
             command[now] = 0.0
-        precipitation = fell / 1000 / STEP_S
+        came = float(delivered[now]) * TICK_S / STEP_S
         for _ in range(round(STEP_S / TICK_S)):
-            pumped = float(command[now]) * maximum_pump_flow(site, plant.x1)
-            plant.step(precipitation, plant.flows(precipitation, 0.0, 0.0, pumped))
-            plant.x1 += float(delivered[now]) * TICK_S / STEP_S
+            pumped = float(command[now]) * maximum_pump_flow(site, state.cistern)
+            state, _ = step(p, state, fell / 1000 / STEP_S, 0.0, 0.0, 1.0, pumped)
+            state = state._replace(cistern=state.cistern + came)
     cistern = np.array(level) + random.normal(0, NOISE_M, len(level))
     return a_record(rain, float(STEP_S), cistern=cistern, command=command)
 

@@ -26,7 +26,8 @@ from greenroof_ros.analysis.workers.input_files import write_inputs
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.loop import Simulation
-from greenroof_ros.site.site import Site, read_site
+from greenroof_ros.site.file import read_site
+from greenroof_ros.site.site import Site
 
 
 @pytest.fixture(scope="module")

@@ -35,7 +35,8 @@ from greenroof_ros.simulation.run import Run
 
 START = datetime.fromisoformat("2021-07-07T02:00-05:00")
 START_NS = 1_625_641_200 * 10**9  # date -d 2021-07-07T02:00-05:00 +%s
-NAMES = [field.name for field in dataclasses.fields(Trajectory)][1:]
+# The drainage layer is not in files.
+NAMES = [field.name for field in dataclasses.fields(Trajectory)[1:] if field.name != "layer"]
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 TOPICS = {
     "/cistern/level": "cistern", "/roof/level": "roof", "/pump/command": "command",
@@ -76,9 +77,10 @@ def simulate(controller: str, option: str, initial: str, hours: str = "0.2") -> 
         "site": "site.yaml", "weather": "toronto_2021-07.csv", "start": run.start.isoformat(),
         "hours": hours, "evapotranspiration": "published", "forecast": "perfect",
         "controller": controller, "initial": initial, "cistern_m3": run.x1, "roof_m3": run.x2,
-        f"parameter:{key}": option, "status": "done", "error": "", **simulation.metrics.results(),
+        f"parameter:{key}": option, "status": "done", "error": "",
+        **simulation.metrics.results(simulation.site.state),
         "frost_hours": 0.0,
-    }, run, simulation.metrics.events())
+    }, run, simulation.metrics.events(simulation.site.state))
 
 
 def write_study(

@@ -44,7 +44,7 @@ from greenroof_ros.commands.recover import recover
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.recording.events_table import event_rows
 from greenroof_ros.recording.trajectory import Trajectory, read_trajectory
-from greenroof_ros.site.site import format_site, read_site
+from greenroof_ros.site.file import format_site, read_site
 
 TOTAL = "total_deviation_m3"
 
@@ -254,17 +254,20 @@ def test_the_limits_are_the_sites(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("recorded", "known"), [
-    ((), False), (("cistern_outflow",), False), (("roof_drainage",), False),
-    (("cistern_outflow", "roof_drainage"), True),
+    ((), 0), (("cistern_outflow",), 2), (("roof_drainage",), 0),
+    (("cistern_outflow", "roof_drainage"), 10),
 ])
 def test_discharge_that_nobody_recorded(
-    tmp_path: Path, recorded: tuple[str, ...], known: bool
+    tmp_path: Path, recorded: tuple[str, ...], known: int
 ) -> None:
-    """A live site has no flow meter in its outlet: then nothing is known, not that nothing came."""
+    """A live site has no flow meter in its outlet: then nothing is known, not that nothing came.
+
+    The outflow alone tells the overflow, which has two results.
+    """
     run = read_run(small_bag(tmp_path / "bag", **{name: [1e-3] * 3 for name in recorded}))
     found = {name for name in run.row if "discharge" in name or "overflow" in name}
-    assert len(found) == (10 if known else 0)
-    if known:
+    assert len(found) == known
+    if len(recorded) == 2:
         assert run.row["discharge_m3"] == pytest.approx(4e-3)
     assert not run.events()
 
@@ -290,6 +293,21 @@ def test_events_of_a_run_directory(tmp_path: Path) -> None:
         file.write_text(json.dumps({**content, "events": wrong}))
         notes = read_run(tmp_path / "done").notes
         assert any("damaged or was written by another" in note for note in notes)
+
+
+@pytest.mark.parametrize(("without_rain", "wet"), [(".inf", 0.0), ("0.0", 2e-3)])
+def test_the_weather_before_a_run_that_did_not_end(
+    tmp_path: Path, without_rain: str, wet: float
+) -> None:
+    """Its plant knows the rain before it: 2 L of outflow and no rain, in wet weather after rain."""
+    path = ended_run(tmp_path / "run", "interrupted")
+    shutil.rmtree(path / "bag")
+    small_bag(path / "bag", cistern_outflow=[1e-3] * 3, roof_drainage=[0.0] * 3)
+    (path / "configuration" / "parameters.yaml").write_text(
+        f"/**/plant: {{ros__parameters: {{time_without_rain: {without_rain}}}}}"
+    )
+    row = read_run(path).row
+    assert (row["discharge_m3"], row["wet_discharge_m3"]) == pytest.approx((2e-3, wet))
 
 
 def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
+from greenroof_ros.physics.plant import low_outlet_flow
 from places import CONFIG
 
 from greenroof_ros.analysis.sizing.designs import (
@@ -13,8 +14,7 @@ from greenroof_ros.analysis.sizing.designs import (
     choose_volumes,
     make_designs,
 )
-from greenroof_ros.physics.plant import low_outlet_flow
-from greenroof_ros.site.site import read_site
+from greenroof_ros.site.file import read_site
 
 VALVE = CONFIG / "site_valve.yaml"
 

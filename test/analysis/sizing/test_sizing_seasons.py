@@ -15,7 +15,8 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.site.site import Site, read_site
+from greenroof_ros.site.file import read_site
+from greenroof_ros.site.site import Site
 
 SITE = read_site(CONFIG / "site_valve.yaml", {"tau": 60.0, "M": 1})
 

@@ -29,7 +29,7 @@ from greenroof_ros.common.parameter import parameters_of
 from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.physics.sensor_and_pump import PARAMETERS
 from greenroof_ros.simulation.inputs import RunInputs
-from greenroof_ros.site.site import format_site, read_site
+from greenroof_ros.site.file import format_site, read_site
 
 SITE = f"site: {CONFIG / 'site.yaml'}"
 HOURS = "    hours: 0.25\n"

@@ -14,8 +14,9 @@ from pump_rig import Rig, settings_for
 
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.live.pumping.delivery import DeliveryCheck
-from greenroof_ros.physics.plant import Plant
-from greenroof_ros.site.site import Site, read_site
+from greenroof_ros.physics.parameters import plant_parameters
+from greenroof_ros.site.file import read_site
+from greenroof_ros.site.site import Site
 
 NOISE = 0.005
 """standard deviation of a reading (m)"""
@@ -102,7 +103,7 @@ WIDE = replace(LOW_OUTLET, low_outlet_radius=0.025 * math.sqrt(1.4))
 WELL: list[Any] = [
     # Down from 2.8 m by a low outlet (a wide one, and a clogged one), while the pump fills the roof
     # to its 3.14 m3.
-    *(({"x2": 0.2, "site": LOW_OUTLET}, {"plant": Plant(real, 70.0, 0.2)}, [(1800, 1.0)],
+    *(({"x2": 0.2, "site": LOW_OUTLET}, {"plant": plant_parameters(real)}, [(1800, 1.0)],
        {"delivered": 2.9})
       for real in (WIDE, PAPER_SITE)),
     # The mains give more than the pump takes, until the roof is filled: 2.1 m3 in 250 s.
@@ -152,7 +153,7 @@ def test_what_goes_well_is_no_alarm(
         for _ in range(int(seconds / rig.tau)):
             decision = rig.step(command, rain / 3.6e6, loss / 3.6e6 * rig.site.a2)
             assert decision.state != "fault", f"{rig.now:.0f} s: {decision.why}"
-    reached = {"x1": rig.plant.x1, "x2": rig.plant.x2, "delivered": rig.delivered}
+    reached = {"x1": rig.x1, "x2": rig.x2, "delivered": rig.delivered}
     assert all(reached[name] > value for name, value in minimum.items()), reached
 
 
@@ -164,7 +165,7 @@ def test_a_level_that_is_held_is_no_alarm() -> None:
     """
     rig = Rig(x2=0.5, tau=10.0)
     for _ in range(8640):
-        cistern, roof = (round(level, 3) for level in rig.plant.levels())
+        cistern, roof = (round(level, 3) for level in rig.levels())
         rig.change = {"cistern_level": cistern, "roof_level": roof}
         assert rig.step(0.00182, evapotranspiration=0.8e-3 / 3600 * 68.8).state != "fault"
     assert rig.delivered > 2 * 0.006 * 68.8
@@ -268,7 +269,7 @@ def test_a_suspend_hides_no_leak(
     rig.run(200, 0.0)
     rig.leak = leak
     rig.suspend(8 * 3600)
-    assert rig.plant.x1 == pytest.approx(level, abs=0.1)
+    assert rig.x1 == pytest.approx(level, abs=0.1)
     rig.leak = after
     assert (time_to_fault(rig, 1800, 0.0) < math.inf) == detected
     assert not detected or "perhaps a leak" in rig.decisions[-1].why
@@ -287,7 +288,7 @@ def test_jumps_of_a_sensor_are_no_water() -> None:
     rig = Rig(x2=0.5)  # the same for the roof's sensor, while the roof is filled
     rig.run(100, 1.0)
     for _ in range(150):
-        roof = rig.plant.levels()[1] - 0.05
+        roof = rig.levels()[1] - 0.05
         rig.change = {"roof_level": roof, "displacements": (0.0, -0.05)}
         assert rig.step(1.0).state == "running"
 
@@ -335,13 +336,13 @@ def test_a_cisterns_sensor_that_is_stuck_or_drifts_up_latches_before_the_pump_ru
 ) -> None:
     """60 mm above the suction level: stuck apart from noise, or with a drift (m per minute)."""
     rig = Rig(x1=site.a1 * (site.suction_level + 0.06), x2=x2, noise=0.0002, site=site)
-    stuck_at, dry = rig.plant.x1, 0
+    stuck_at, dry = rig.x1, 0
     for second in range(3600):
-        fell = (stuck_at - rig.plant.x1) / site.a1
+        fell = (stuck_at - rig.x1) / site.a1
         rig.cistern_offset = drift * second / 60 if drift else fell
         if rig.step(command).state == "fault":
             break
-        empty = rig.plant.x1 / site.a1 < site.suction_level
+        empty = rig.x1 / site.a1 < site.suction_level
         rig.arriving = rig.leaving = 0.0 if empty else 1.0
         dry += empty and rig.speed > 0
     assert rig.decisions[-1].state == "fault"

@@ -39,7 +39,7 @@ def end(rig: Rig) -> tuple[str, str]:
 @pytest.mark.parametrize("volume", [0.05, 0.2, 0.5])
 def test_a_dose_is_delivered_once(rig: Rig, volume: float) -> None:
     """By the plant's balance, within 3 % and what flows in a tick at the minimum flow."""
-    before = rig.plant.x2
+    before = rig.x2
     assert ask(rig, volume) == ""
     decision = rig.run(600, 0.0, until=lambda decision: decision.state == "running")
     assert decision.why.startswith(f"a dose of {volume:g} m3: ")
@@ -47,8 +47,8 @@ def test_a_dose_is_delivered_once(rig: Rig, volume: float) -> None:
     assert end(rig) == ("done", "")
     rig.run(100, 0.0)
     min_flow = 0.2 * rig.plant_flow(1.0)
-    assert rig.plant.x2 - before == pytest.approx(volume, rel=0.03, abs=min_flow)
-    assert rig.plant.x2 - before >= volume - 1e-6
+    assert rig.x2 - before == pytest.approx(volume, rel=0.03, abs=min_flow)
+    assert rig.x2 - before >= volume - 1e-6
     assert rig.decisions[-1].state == "off"
 
 
@@ -157,7 +157,7 @@ def test_it_ends_at_the_roofs_target() -> None:
     assert ask(rig, 0.5) == ""
     rig.run(200, 0.0, until=lambda decision: "dose" not in decision.why)
     assert end(rig)[0] == "full"
-    assert rig.plant.x2 < SITE.x2_star + 0.06  # what the pump still delivers until it stands
+    assert rig.x2 < SITE.x2_star + 0.06  # what the pump still delivers until it stands
     assert "the roof is at its target" in rig.control.dose_refusal
     assert "the roof is at its target" in ask(rig, 0.1)
 

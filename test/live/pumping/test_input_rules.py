@@ -24,7 +24,8 @@ from greenroof_ros.live.pumping.input_rules import (
     expected_movement,
     roof_bounds,
 )
-from greenroof_ros.site.site import Site, read_site
+from greenroof_ros.site.file import read_site
+from greenroof_ros.site.site import Site
 
 # A tank with water that rises by at most 1 mm/s and falls by at most 2 mm/s.
 TANK = LevelBounds(lambda level: 0.001, lambda level: 0.002, math.inf)

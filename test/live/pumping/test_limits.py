@@ -15,7 +15,7 @@ from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.live.devices.drive_file import MAX_RAMP_S
 from greenroof_ros.live.pumping.ledger import Ledger
 from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings
-from greenroof_ros.physics.plant import maximum_pump_flow, pump_flow
+from greenroof_ros.physics.pump import maximum_pump_flow, pump_flow
 
 # A fifth of the maximum flow at 3 m, 0.00842205 m3/s, for 10 s.
 MIN_PULSE = 0.0168441
@@ -85,14 +85,14 @@ def test_dry_run_with_hysteresis() -> None:
     rig = Rig(x1=19.5)
     rig.run(20, 1.0)
     assert rig.decisions[-1].state == "running"
-    rig.plant.x1 = 19.24
+    rig.x1 = 19.24
     decision = rig.step(1.0)
     assert (decision.speed, decision.state) == (None, "held")
     assert decision.why.startswith("the cistern's level is 0.770 m, but must be above 0.77 m")
-    rig.plant.x1 = 19.7
+    rig.x1 = 19.7
     rig.run(60, 1.0)
     assert rig.decisions[-1].why == "the cistern's level is 0.788 m, but must be above 0.79 m"
-    rig.plant.x1 = 19.8
+    rig.x1 = 19.8
     assert rig.run(60, 1.0).state == "running"
     rig.change = {"cistern_level": 0.77}
     assert rig.step(1.0).why.startswith("the cistern's level is 0.770 m, but must be above 0.77 m")
@@ -171,7 +171,7 @@ def test_never_runs_while_anything_speaks_against_it(
         rig.change = change
         for _ in range(seconds):
             against = (
-                bool(change) or rig.plant.levels()[0] <= 0.77 or command is None
+                bool(change) or rig.levels()[0] <= 0.77 or command is None
                 or not 0 <= command < math.inf
             )
             decision = rig.step(command)
@@ -261,7 +261,7 @@ def test_volume_within_a_minimum_pulse(drive_ramp: float) -> None:
             rig.step(command)
             # What is commanded in this tick is delivered in the next.
             assert -0.1 * MIN_PULSE <= commanded - rig.delivered <= MIN_PULSE
-            commanded += rig.tau * pump_flow(rig.site, rig.plant.x1, rig.plant.x2, command)
+            commanded += rig.tau * pump_flow(rig.plant, rig.x1, rig.x2, command)
     assert not any(decision.warnings for decision in rig.decisions)
     assert max(decision.flow for decision in rig.decisions) <= maximum_pump_flow(rig.site, 75.0)
 

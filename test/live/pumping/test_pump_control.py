@@ -13,7 +13,7 @@ from pump_rig import Rig, settings_for
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.live.pumping.ledger import Ledger
 from greenroof_ros.live.pumping.pump_control import Decision, Observation, PumpControl
-from greenroof_ros.physics.plant import maximum_pump_flow
+from greenroof_ros.physics.pump import maximum_pump_flow
 
 
 def warning(decision: Decision) -> str:
@@ -255,7 +255,7 @@ def test_flow_and_how_it_is_known(change: dict[str, object], flow: float, source
     """At 80 % of the speed from 2.8 m: b sqrt(0.64 55.2 - 13.2) = 1.29646769e-3 sqrt(22.128)."""
     rig = Rig(x1=70.0)
     rig.run(15, 0.5)
-    rig.plant.x1 = 70.0
+    rig.x1 = 70.0
     rig.change = change
     decision = rig.step(0.5)
     assert decision.flow == pytest.approx(flow, abs=5e-9)
@@ -320,10 +320,10 @@ def test_what_may_be_pumped_in_a_suspend_counts_at_worst(seconds: float, counted
     """As from a full cistern, until the drive must have stopped: 15 s; then it is seen again."""
     rig = Rig(x1=70.0, settings=settings_for(PAPER_SITE, max_run=3600.0))
     rig.run(60, 0.5)
-    before, volume = rig.ledger.record, rig.plant.x1
-    rig.plant.x1 = rig.site.a1 * rig.site.z_o
+    before, volume = rig.ledger.record, rig.x1
+    rig.x1 = rig.site.a1 * rig.site.z_o
     most = counted * rig.plant_flow(rig.speed)
-    rig.plant.x1 = volume
+    rig.x1 = volume
     rig.suspend(seconds, runs_on=10.0)
     after = rig.ledger.record
     assert after.elapsed - before.elapsed == seconds

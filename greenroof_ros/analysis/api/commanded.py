@@ -1,0 +1,296 @@
+"""Sites that a program commands: one or many, with equal parameters, over ticks of one record.
+
+The ticks are compiled, and one call simulates all ticks during which the commands stay the same.
+The results equal those of :class:`greenroof_ros.simulation.loop.Simulation` bit for bit, because
+the same functions of numbers step the plant and add up the sums.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from datetime import datetime, timedelta
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.physics.compiled import can_compile, compiled, records
+from greenroof_ros.physics.parameters import Flows, State, plant_parameters
+from greenroof_ros.physics.sensor_and_pump import (
+    min_ticks,
+    observe_pump,
+    read_errors,
+    switch_pump,
+)
+from greenroof_ros.physics.storm_water import HOUR_S, is_wet, time_without_rain
+from greenroof_ros.physics.tick import OWN_PUMPS, step
+from greenroof_ros.results.metrics import compute_metrics, find_new_days
+from greenroof_ros.results.sums import (
+    EVENT_COLUMNS,
+    add,
+    count_places,
+    count_weeks,
+    finish,
+    sum_parameters,
+)
+from greenroof_ros.simulation.loop import Tick
+from greenroof_ros.simulation.run import Run
+from greenroof_ros.weather.series import PerTick
+
+Values = NDArray[np.float64]
+
+_HOUR_NS, _MINUTE_NS = 3_600_000_000_000, 60_000_000_000
+# Places of the times: a tick, a step of the rain (ns); the last steps of rain and hours in the
+# record; the first minute of the quiet hours' mask.
+_TICK, _STEP, _LAST_STEP, _LAST_HOUR, _FIRST_MINUTE = range(5)
+
+
+class Rules(NamedTuple):
+    """The numbers that limit what a program can command."""
+
+    min_on: float
+    min_off: float
+    """minimum times of the pumps (ticks)"""
+    closed_in_frost: bool
+    """whether the valve stays closed during frost"""
+    wet_after: float
+    """time after rain that counts as wet weather (s)"""
+
+
+def follow(
+    parameters: Any, numbers: Any, rules: Any, times: Any, rain: Any, potential: Any, frost: Any,
+    quiet: Any, errors: Any, begins: Any, new_days: Any, commands: Any, state: Any, levels: Any,
+    switches: Any, without_rain: Any, days: Any, sums: Any, weeks: Any, events: Any, ticks: Any,
+    rewards: Any, first_row: int, last_row: int, first: int, last: int,
+) -> None:
+    """Simulate sites with constant commands from a tick to another (exclusive).
+
+    Args:
+        parameters: :class:`.PlantParameters` of all sites, shape (1,).
+        numbers: :class:`.SumParameters` of all sites, shape (1,).
+        rules: :class:`Rules` of all sites, shape (1,).
+        times: numbers that find a tick in the record, shape (5,).
+        rain: rain rate in each step of the record (m/s).
+        potential: evapotranspiration in each hour of the record (m3/s).
+        frost: 1 in each hour of the record with frost, otherwise 0.
+        quiet: whether each minute is in the quiet hours, or (0,) without them.
+        errors: error of the roof's sensor (m), shape (steps + 1,), or (0,) without errors.
+        begins: time of tick 0 since the start of the first hour and of the first step of rain (ns),
+            shape (n, 2).
+        new_days: first ticks of the days of the site's clock, shape (n, days), ended by -1.
+        commands: command to the pumps (share of the maximum flow) and opening of the valve, 1
+            without a valve, shape (n, 2).
+        state: water in cistern, roof and layer (m3), shape (n, 3).
+        levels: readings of the sensors in the cistern and on the roof (m), shape (n, 2).
+        switches: switches of the pumps, see :mod:`.sensor_and_pump`, shape (n, 3).
+        without_rain: time without rain until now (s), shape (n,).
+        days: number of days that have begun, shape (n,).
+        sums: sums of the runs, shape (n, places).
+        weeks: deviation in each week (m3), shape (n, weeks).
+        events: an empty table of events.
+        ticks: values of the last tick in the order of :class:`.Tick`, without its number, shape
+            (n, 17).
+        rewards: negative deviation of the roof's reading from its target, summed over the states
+            after the ticks (m3), shape (n,).
+        first_row: first site.
+        last_row: end of the sites.
+        first: first tick.
+        last: end of the ticks.
+    """
+    p, q, c = parameters[0], numbers[0], rules[0]
+    tick_ns, step_ns, minute = times[_TICK], times[_STEP], times[_FIRST_MINUTE]
+    for row in range(first_row, last_row):
+        switch, own, own_weeks, begin = switches[row], sums[row], weeks[row], begins[row]
+        now = State(state[row][0], state[row][1], state[row][2])
+        dry, day, reward = without_rain[row], days[row], 0.0
+        asked, opening, roof = commands[row][0], commands[row][1], levels[row][1]
+        hour_ends, step_ends, falls, demand, frozen = 0, 0, 0.0, 0.0, False
+        for k in range(first, last):
+            since, since_step = begin[0] + k * tick_ns, begin[1] + k * tick_ns
+            if since >= hour_ends:
+                hour = min(since // _HOUR_NS, times[_LAST_HOUR])
+                demand, frozen = potential[hour], frost[hour] != 0
+                hour_ends = (since // _HOUR_NS + 1) * _HOUR_NS
+            if since_step >= step_ends:
+                falls = rain[min(since_step // step_ns, times[_LAST_STEP])]
+                step_ends = (since_step // step_ns + 1) * step_ns
+            may_run = not (frozen or (len(quiet) > 0 and quiet[since // _MINUTE_NS - minute]))
+            command = asked if may_run else 0.0
+            outlet = 0.0 if frozen and c.closed_in_frost else opening
+            dry = time_without_rain(dry, falls, p.tau)
+            wet = is_wet(dry, p.tau, c.wet_after)
+            switched = switch_pump(switch, c.min_on, c.min_off, command, may_run)
+            after, flows = step(p, now, falls, demand, switched, outlet, OWN_PUMPS)
+            observe_pump(switch, flows.pump)
+            new_day = new_days[row][day] == k
+            if new_day:
+                day += 1
+            add(q, own, own_weeks, events, now, command, falls, demand, flows, wet, new_day)
+            if k == last - 1:
+                place = ticks[row]
+                place[0], place[1], place[2] = now.cistern, now.roof, now.layer
+                place[3], place[4], place[5], place[6] = now.cistern / p.a1, roof, falls, demand
+                place[7], place[8] = 1.0 if frozen else 0.0, command
+                place[9], place[10], place[11] = flows.outflow, flows.pump, flows.drainage
+                place[12], place[13] = flows.evapotranspiration, 1.0 if flows.limited else 0.0
+                place[14], place[15], place[16] = flows.mains, flows.low_outlet, outlet
+            now, roof = after, after.roof / p.a2
+            if len(errors) > 0:
+                roof = max(0.0, roof + errors[k + 1])
+            reward -= abs(roof * p.a2 - p.x2_star)
+        state[row][0], state[row][1], state[row][2] = now.cistern, now.roof, now.layer
+        levels[row][0], levels[row][1] = now.cistern / p.a1, roof
+        without_rain[row], days[row], rewards[row] = dry, day, reward
+
+
+def finish_all(numbers: Any, sums: Any, weeks: Any, events: Any, state: Any) -> None:
+    """End the runs of all sites; see :func:`.sums.finish` and :func:`follow`."""
+    for row in range(len(sums)):
+        last = State(state[row][0], state[row][1], state[row][2])
+        finish(numbers[0], sums[row], weeks[row], events, last)
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What the sites have in common, and commands do not change.
+
+    Attributes:
+        run: a run with the site and the weather.
+        rain_offset_ns: time of tick 0 of this run since the first step of the rain.
+        fixed: the first arguments of :func:`follow`.
+        befores: what is known of the starts so far; see :meth:`find_before`.
+    """
+
+    run: Run
+    rain_offset_ns: int
+    fixed: tuple[Any, ...]
+    befores: dict[datetime, tuple[float, list[int]]] = field(default_factory=dict)
+
+    @classmethod
+    def of_run(cls, run: Run, rain: PerTick, hours: range) -> Surroundings:
+        """Make the surroundings of a run, and of others at other times of its record.
+
+        Args:
+            run: the run.
+            rain: rain of all these runs, with the clock of this one.
+            hours: hours of the record that the runs may reach.
+        """
+        site, series, sensor = run.site, run.series, run.sensor_and_pump
+        clock, quiet = series.evapotranspiration.clock, np.empty(0, np.bool_)
+        if site.quiet is not None:
+            first = run.time_ns(0) - clock.offset_ns + hours.start * _HOUR_NS
+            quiet = site.quiet.quiet_ticks(first, _MINUTE_NS, 60 * len(hours))
+        times = [clock.tick_ns, rain.clock.step_ns, rain.clock.last, clock.last, 60 * hours.start]
+        rules = Rules(
+            min_ticks(sensor.pump_min_on, site.tau), min_ticks(sensor.pump_min_off, site.tau),
+            site.valve_closed_in_frost, site.wet_after * HOUR_S,
+        )
+        parts = (plant_parameters(site), sum_parameters(site), rules)
+        arrays = (
+            np.array(times), rain.values, series.evapotranspiration.values, series.frost.values,
+            quiet, read_errors(sensor, run.steps + 1),
+        )
+        return cls(run, rain.clock.offset_ns, (
+            *(records([part]) for part in parts), *map(_as_taken, arrays)
+        ))
+
+    def find_before(self, start: datetime) -> tuple[float, list[int]]:
+        """Return the time without rain before a run (s), and the first ticks of its days."""
+        if start not in self.befores:
+            run = replace(self.run, start=start)
+            days = find_new_days(run.site, run.time_ns(0) / 1e9, run.steps)
+            self.befores[start] = run.without_rain_s, days
+        return self.befores[start]
+
+    def __deepcopy__(self, _: object) -> Surroundings:
+        """Return the surroundings themselves, because they never change."""
+        return self
+
+
+class CommandedSites:
+    """Sites in common surroundings, which begin at different times and with different water.
+
+    Attributes:
+        tick: number of the current tick, which is set by the caller after :meth:`follow`.
+        commands: command to the pumps and opening of the valve of each site, shape (n, 2).
+        levels: readings of the sensors in the cistern and on the roof (m), shape (n, 2).
+        without_rain: time without rain until now (s), shape (n,).
+        rewards: rewards of the last ticks, see :func:`follow`, shape (n,).
+    """
+
+    def __init__(
+        self, surroundings: Surroundings, starts: Sequence[datetime], x1: Values, x2: Values
+    ) -> None:
+        """Begin with tick 0.
+
+        Args:
+            surroundings: surroundings of all sites.
+            starts: times of tick 0, in the surroundings' hours.
+            x1: initial volume in each cistern (m3).
+            x2: initial volume on each roof (m3).
+        """
+        self._surroundings, run, self.tick = surroundings, surroundings.run, 0
+        site, numbers, count = run.site, sum_parameters(run.site), len(starts)
+        befores = [surroundings.find_before(start) for start in starts]
+        later = np.array([
+            1000 * round((start - run.start) / timedelta(microseconds=1)) for start in starts
+        ])
+        hours = run.series.evapotranspiration.clock.offset_ns + later
+        new_days = np.full((count, 1 + max(len(days) for _, days in befores)), -1)
+        for row, (_, days) in enumerate(befores):
+            new_days[row, : len(days)] = days
+        self._begins = _as_taken(np.column_stack((hours, surroundings.rain_offset_ns + later)))
+        self._new_days, self._events = _as_taken(new_days), np.zeros((0, EVENT_COLUMNS))
+        layers, roof = np.full(count, site.initial_layer), x2 / site.a2
+        if len(surroundings.fixed[-1]):
+            roof = np.maximum(0.0, roof + surroundings.fixed[-1][0])
+        switch = 0.0, min_ticks(run.sensor_and_pump.pump_min_off, site.tau), 0.0
+        self.commands, self._state, self.levels, self._switches = map(_as_taken, (
+            np.zeros((count, 2)), np.column_stack((x1, x2, layers)),
+            np.column_stack((x1 / site.a1, roof)), np.tile(switch, (count, 1)),
+        ))
+        self.without_rain, self._days, self.rewards = map(_as_taken, (
+            np.array([before for before, _ in befores]), np.zeros(count, np.int64),
+            np.zeros(count),
+        ))
+        self._sums, self._weeks, self._ticks = map(_as_taken, (
+            np.zeros((count, count_places(numbers))),
+            np.zeros((count, count_weeks(numbers, run.steps))), np.zeros((count, 17)),
+        ))
+
+    def follow(self, last: int, first_row: int, last_row: int) -> None:
+        """Simulate some sites from the current tick to another (exclusive); see :func:`follow`."""
+        compiled(follow)(
+            *self._surroundings.fixed, self._begins, self._new_days, self.commands, self._state,
+            self.levels, self._switches, self.without_rain, self._days, self._sums, self._weeks,
+            self._events, self._ticks, self.rewards, first_row, last_row, self.tick, last,
+        )
+
+    def find_weather(self, tick: int) -> Values:
+        """Return the rain (m/s) and evapotranspiration (m3/s) of a tick, shape (2, n)."""
+        times, rain, potential = map(np.asarray, self._surroundings.fixed[3:6])
+        hours, steps = np.asarray(self._begins).T + tick * times[_TICK]
+        return np.array([
+            rain[np.minimum(steps // times[_STEP], times[_LAST_STEP])],
+            potential[np.minimum(hours // _HOUR_NS, times[_LAST_HOUR])],
+        ])
+
+    def find_last_tick(self, row: int) -> Tick:
+        """Return the last tick that was simulated."""
+        values = [*map(float, self._ticks[row])]
+        flows = Flows._make((*values[9:13], values[13] > 0, *values[14:16]))
+        return Tick._make((self.tick - 1, *values[:9], flows, values[16]))
+
+    def compute_metrics(self) -> list[dict[str, float]]:
+        """Return the metrics of every site, as if the runs ended now."""
+        sums, weeks = np.array(self._sums), np.array(self._weeks)
+        numbers, state = self._surroundings.fixed[1], np.asarray(self._state)
+        compiled(finish_all)(numbers, sums, weeks, self._events, state)
+        site = self._surroundings.run.site
+        return [compute_metrics(site, row) for row in sums.tolist()]
+
+
+def _as_taken(array: NDArray[Any]) -> Any:
+    """Return an array as :func:`follow` takes it; plain Python is faster with lists."""
+    return array if can_compile() else array.tolist()

@@ -1,0 +1,143 @@
+"""The results of a recorded run, from the same running sums as those of a simulation.
+
+The samples are held until the next one, and read at the middle of every tick: a simulation has a
+sample at the start of each tick, a live site at irregular times. Evapotranspiration, the drainage
+layer and mains water are not recorded, and are computed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.physics.cistern import mains_inflow
+from greenroof_ros.physics.compiled import can_compile, compiled
+from greenroof_ros.physics.parameters import Flows, PlantParameters, State, plant_parameters
+from greenroof_ros.physics.soil import flows_in_tick, layer_outflow
+from greenroof_ros.physics.storm_water import HOUR_S, Event, is_wet, time_without_rain
+from greenroof_ros.recording.trajectory import Trajectory
+from greenroof_ros.results import sums as s
+from greenroof_ros.results.metrics import (
+    DISCHARGE,
+    LIMITED,
+    LOW_OUTLET,
+    compute_metrics,
+    find_new_days,
+    list_events,
+)
+from greenroof_ros.results.sums import SumParameters, add
+from greenroof_ros.site.site import Site
+
+Values = NDArray[np.float64]
+
+# A shorter run is over before the compiled function is loaded (ticks).
+_MIN_COMPILED = 500_000
+
+
+class Samples(NamedTuple):
+    """The recorded values that the sums need, in the units of a trajectory, each of shape (n,)."""
+
+    time: Values
+    cistern: Values
+    roof: Values
+    precipitation: Values
+    evapotranspiration: Values
+    command: Values
+    pump_flow: Values
+    outflow: Values
+    drainage: Values
+    low_outlet: Values
+
+
+def add_samples(
+    p: PlantParameters, q: SumParameters, sums: Any, weeks: Any, events: Any, samples: Samples,
+    new_day: Any, layer: float, without_rain: float, wet_after: float,
+) -> float:
+    """Add the ticks of a record to the sums of :func:`.sums.add`.
+
+    Args:
+        p: parameters of the plant.
+        q: numbers of the site.
+        sums: as for :func:`.sums.add`.
+        weeks: as for :func:`.sums.add`.
+        events: as for :func:`.sums.add`.
+        samples: at least two samples; the run ends with the last one.
+        new_day: whether each tick is the first of a day of the site's clock, shape (ticks,).
+        layer: water in the drainage layer at the start (m3).
+        without_rain: time without rain at the start (s).
+        wet_after: time after rain that counts as wet weather (s).
+
+    Returns:
+        The water in the drainage layer at the end (m3).
+    """
+    i = 0
+    for k in range(len(new_day)):
+        while i + 2 < len(samples.time) and samples.time[i + 1] < (k + 0.5) * p.tau:
+            i += 1
+        x1, x2, rain = samples.cistern[i], samples.roof[i], samples.precipitation[i]
+        potential, pump, outflow = (
+            samples.evapotranspiration[i], samples.pump_flow[i], samples.outflow[i]
+        )
+        percolated, evaporated, _ = flows_in_tick(p, x2, rain * p.a2 + pump, potential)
+        mains = mains_inflow(p, x1, outflow + pump - rain * p.effective_catchment, p.tau)
+        without_rain = time_without_rain(without_rain, rain, p.tau)
+        add(
+            q, sums, weeks, events, State(x1, x2, layer), samples.command[i], rain, potential,
+            Flows(
+                outflow, pump, samples.drainage[i], evaporated, False, mains,
+                samples.low_outlet[i],
+            ),
+            is_wet(without_rain, p.tau, wet_after), new_day[k],
+        )
+        if p.has_layer:
+            drained = layer_outflow(p, layer, percolated, p.tau)
+            layer = max(0.0, layer + p.tau * (percolated - drained))
+    return layer
+
+
+def compute_results(
+    site: Site, trajectory: Trajectory, not_recorded: Collection[str] = (),
+    without_rain: float = math.inf,
+) -> tuple[dict[str, float], list[Event]]:
+    """Return the metrics and the rain events of a recorded run.
+
+    The metrics that need more than was recorded are left out. Without the discharge, there are no
+    events.
+
+    Args:
+        site: site of the run.
+        trajectory: at least two samples of the run.
+        not_recorded: attributes of the trajectory that are 0 because they were not recorded.
+        without_rain: time without rain at the start (s).
+    """
+    unknown, nothing = {LIMITED}, np.zeros_like(trajectory.time)
+    if {"outflow", "drainage"} & {*not_recorded}:
+        unknown.add(DISCHARGE)
+    if "outflow" in not_recorded or (site.low_outlet_level is not None and (
+        trajectory.low_outlet is None or "low_outlet" in not_recorded
+    )):
+        unknown.add(LOW_OUTLET)
+    columns = (getattr(trajectory, name) for name in Samples._fields)
+    arrays = Samples(*(np.array(nothing if each is None else each) for each in columns))
+    q, steps = s.sum_parameters(site), round(float(trajectory.time[-1]) / site.tau)
+    new_day = np.zeros(steps, np.bool_)
+    new_day[find_new_days(site, trajectory.start.timestamp(), steps)] = True
+    sums: Any = np.zeros(s.count_places(q))
+    weeks: Any = np.zeros(s.count_weeks(q, steps))
+    events = np.zeros((s.count_events(q, steps), s.EVENT_COLUMNS))
+    samples, add_all = arrays, compiled(add_samples)
+    if steps < _MIN_COMPILED or not can_compile():
+        add_all, sums, weeks = add_samples, sums.tolist(), weeks.tolist()
+        samples = Samples(*(column.tolist() for column in arrays))
+    layer = add_all(
+        plant_parameters(site), q, sums, weeks, events, samples, new_day, site.initial_layer,
+        without_rain, site.wet_after * HOUR_S,
+    )
+    last = State(float(samples.cistern[-1]), float(samples.roof[-1]), layer)
+    s.finish(q, sums, weeks, events, last)
+    metrics = compute_metrics(site, [*map(float, sums)], unknown)
+    return metrics, [] if DISCHARGE in unknown else list_events(site, sums, events)

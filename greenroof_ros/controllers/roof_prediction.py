@@ -1,0 +1,171 @@
+"""What controllers predict of a roof: arrays of volumes, over steps of any length."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.physics.parameters import PlantParameters
+from greenroof_ros.physics.soil import ALMOST_FULL, water_to_fill
+
+Array = NDArray[np.float64]
+
+ABOVE_M = 0.15
+"""water above the target of the paper's soil of which plans take account [assumed] (m)"""
+# lasting_share adds at least this share of the water that plants can take (1): smaller differences
+# would be rounding errors.
+_MIN_ADDED = 0.005
+# Minimum result of lasting_share (1): a storm that fills the soil leaves no difference.
+_MIN_LASTING = 1e-3
+# Distance of the nodes in -ln(1 - S) of the table of an exponent that has no closed form.
+_STEP = 0.02
+
+
+class RoofPrediction:
+    """Predicts the water on a roof, with the soil's equations of :mod:`..physics.soil`.
+
+    Percolation through a field-capacity soil follows dS/du = 1 - S^beta. With W(S), the water that
+    fills an empty soil to S, the water u fills it from S to the share whose W is W(S) + u. For beta
+    = 2, W is the inverse of the hyperbolic tangent; for other exponents, W is tabulated.
+
+    Attributes:
+        above_target: volume above the roof's target that plans take into account (m3).
+    """
+
+    def __init__(self, p: PlantParameters) -> None:
+        """Set the numbers of the site."""
+        self._p = p
+        self.above_target = p.z_cap - p.x2_star if p.has_field_capacity else p.a2 * ABOVE_M
+        self._drying = p.stress_onset * p.available_volume
+        if p.has_field_capacity and p.percolation_exponent != 2:
+            self._ends = np.arange(0.0, -np.log1p(-ALMOST_FULL) + _STEP, _STEP)
+            shares = -np.expm1(-self._ends)
+            self._water = np.cumsum([0.0, *(
+                water_to_fill(p.percolation_exponent, float(first), float(last))
+                for first, last in pairwise(shares)
+            )])
+
+    def _filled(self, x2: Any) -> Any:
+        """Return S (1) at volumes x2 (m3)."""
+        return np.clip((x2 - self._p.wilting_volume) / self._p.available_volume, 0.0, 1.0)
+
+    def _water_of(self, filled: Any) -> Any:
+        """Return W (1, as a share of TAW)."""
+        filled = np.minimum(filled, ALMOST_FULL)
+        if self._p.percolation_exponent == 2:
+            return np.arctanh(filled)
+        return np.interp(-np.log1p(-filled), self._ends, self._water)
+
+    def _share_of(self, water: Any) -> Any:
+        """Return the share (1) whose W is given."""
+        if self._p.percolation_exponent == 2:
+            return np.tanh(water)
+        return -np.expm1(-np.interp(water, self._water, self._ends))
+
+    def _fill(self, x2: Any, arriving: Any) -> Any:
+        """Return the volumes (m3) after water (m3) has arrived on a field-capacity soil."""
+        p = self._p
+        first = np.minimum(arriving, np.maximum(p.wilting_volume - x2, 0.0))
+        filled, u = self._filled(x2), (arriving - first) / p.available_volume
+        if p.percolation_exponent == 2:
+            g = np.tanh(u)
+            wet = (filled + g) / (1 + filled * g)
+        else:
+            wet = np.maximum(filled, self._share_of(self._water_of(filled) + u))
+        return np.minimum(x2, p.wilting_volume) + first + p.available_volume * wet
+
+    def predict_volume(
+        self, x2: Any, arriving: Any, potential: Any, seconds: Any
+    ) -> Array:
+        """Return the volume on the roof after a step of any length (m3).
+
+        Rain falls at the start of the step. On the paper's soil, water above the capacity drains at
+        the end of the step. On a field-capacity soil, plants take up water at the potential rate
+        down to the onset of stress, and the rest decays.
+
+        Args:
+            x2: volume on the roof before the step (m3).
+            arriving: rain and pumped water in the step (m3); its shape must be broadcastable with
+                those of x2, potential and seconds.
+            potential: potential evapotranspiration (m3).
+            seconds: length of the step (s).
+        """
+        p = self._p
+        if not p.has_field_capacity:
+            remaining = x2 + (arriving - potential)
+            drained = p.K / p.z_soil * (remaining + p.a2 * p.z_soil) * seconds
+            remaining = np.minimum(remaining, np.maximum(remaining - drained, p.z_cap))
+            return np.asarray(np.maximum(remaining, 0.0))
+        water = self._fill(x2, arriving) if np.any(arriving) else x2
+        easy = np.maximum(water - (p.wilting_volume + self._drying), 0.0)
+        easy = np.minimum(easy, potential)
+        water = water - easy
+        decay = np.expm1((easy - potential) / self._drying)
+        return np.asarray(water + np.maximum(water - p.wilting_volume, 0.0) * decay)
+
+    def water_to_fill(self, x2: Any) -> Any:
+        """Return the water needed to fill an empty roof to a volume x2 (m3, any shape)."""
+        p = self._p
+        if not p.has_field_capacity:
+            return x2
+        water = self._water_of(self._filled(x2))
+        return np.minimum(x2, p.wilting_volume) + p.available_volume * water
+
+    def fill_empty(self, arrived: Array) -> Array:
+        """Return the volume on an initially empty roof after a volume of water has arrived (m3)."""
+        p = self._p
+        if not p.has_field_capacity:
+            return arrived
+        water = np.maximum(arrived - p.wilting_volume, 0.0) / p.available_volume
+        filled = p.available_volume * self._share_of(water)
+        return np.asarray(np.minimum(arrived, p.wilting_volume) + filled)
+
+    def predict_changes(
+        self, x2: float, rain: Array, potential: Array, lengths: Array
+    ) -> Array:
+        """Predict the changes in the volume on the roof in steps without pumping (m3).
+
+        Args:
+            x2: volume on the roof at the beginning (m3).
+            rain: mean rain in every step (m/s), shape (n,).
+            potential: potential evapotranspiration from the whole bed (m3/s), shape (n,).
+            lengths: lengths of the steps (s), shape (n,).
+
+        Returns:
+            The changes, shape (n,).
+        """
+        if not self._p.has_field_capacity:
+            return np.asarray((rain * self._p.a2 - potential) * lengths)
+        volumes = [x2]
+        steps = rain * self._p.a2 * lengths, potential * lengths, lengths
+        for fallen, demand, seconds in zip(*(part.tolist() for part in steps), strict=True):
+            volumes.append(float(self.predict_volume(volumes[-1], fallen, demand, seconds)))
+        return np.diff(volumes)
+
+    def predict_lasting_share(self, x2: float, changes: Array, *weather: Array) -> Array:
+        """Predict the mean share of water added now that remains on the roof in later steps (1).
+
+        On the paper's soil, all of it remains. On a field-capacity soil, two roofs are simulated
+        with :meth:`predict_changes`: a roof without pumping, and a roof that is filled to its
+        target now. The share is the difference between their volumes, divided by its initial value,
+        but at least 0.001. The share decreases, because more rain percolates through the fuller
+        substrate, and because plants that lack water take up more from a fuller substrate. After a
+        storm that fills both roofs, the difference vanishes.
+
+        Args:
+            x2: volume on the roof at the beginning (m3).
+            changes: changes without pumping, as returned by :meth:`predict_changes` (m3).
+            weather: arguments rain, potential and lengths of :meth:`predict_changes`.
+
+        Returns:
+            The share, shape (n,).
+        """
+        if not self._p.has_field_capacity:
+            return np.ones_like(changes)
+        added = max(self._p.x2_star - x2, _MIN_ADDED * self._p.available_volume)
+        fades = self.predict_changes(x2 + added, *weather) - changes
+        ends = 1 + np.cumsum(fades) / added
+        return np.asarray(np.maximum(ends - fades / added / 2, _MIN_LASTING))

@@ -1,1 +1,0 @@
-"""Runs and their options, the closed loop in a single process, lower bounds, and summaries."""

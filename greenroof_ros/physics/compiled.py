@@ -1,0 +1,123 @@
+"""Compilation of the package's functions of numbers with numba, where it is installed.
+
+Each formula stands once, as plain Python: :func:`compiled` compiles a function, and with it every
+function of this package that it calls. Without numba, the functions run as they are, with the same
+results bit for bit. numba is imported only when something is compiled.
+
+numba keeps compiled code in a cache, which does not notice an edit in the file of a function that
+is called. The names under which this package's functions are cached therefore end with a digest of
+all files that take part, which also contain the constants that they use.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from importlib.util import find_spec
+from multiprocessing import parent_process
+from pathlib import Path
+from types import FunctionType
+from typing import Any, NamedTuple, TypeVar, cast
+
+import numpy as np
+
+_PACKAGE = __name__.partition(".")[0]
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+# Number of ticks that take a second or more without numba.
+_MANY_TICKS = 100_000
+
+
+@functools.cache
+def can_compile() -> bool:
+    """Return whether numba is installed."""
+    return find_spec("numba") is not None
+
+
+def note_if_slow(ticks: int) -> None:
+    """Print once what to install, if many ticks are about to be simulated without numba.
+
+    Worker processes print nothing, because the process that starts them does.
+
+    Args:
+        ticks: number of ticks of all sites.
+    """
+    if ticks > _MANY_TICKS and not can_compile() and parent_process() is None:
+        _note_slow()
+
+
+@functools.cache
+def _note_slow() -> None:
+    text = "note: numba would make this about a hundred times faster: pip install "
+    print(f"{text}'greenroof_ros[study]'", file=sys.stderr)
+
+
+@functools.cache
+def compiled(function: _Function) -> _Function:
+    """Return a function compiled, or unchanged if numba is not installed.
+
+    Args:
+        function: function that takes and returns numbers, named tuples and arrays only, and so do
+            all functions that it calls.
+    """
+    if not can_compile():
+        return function
+    import numba
+
+    together = _called_by(function, {})
+    digest = hashlib.sha256()
+    for module in sorted(_modules_of(together)):
+        digest.update(Path(str(sys.modules[module].__file__)).read_bytes())
+    copies = {}
+    for each in together:
+        copy = FunctionType(each.__code__, dict(each.__globals__), each.__name__, each.__defaults__)
+        copy.__module__ = each.__module__
+        copy.__qualname__ = f"{each.__qualname__}_{digest.hexdigest()[:12]}"
+        copies[each] = copy
+    made: dict[Any, Any] = {each: numba.njit(nogil=True)(copy) for each, copy in copies.items()}
+    for copy in copies.values():
+        for name, value in copy.__globals__.items():
+            if isinstance(value, FunctionType) and value in made:
+                copy.__globals__[name] = made[value]
+    result: Any = made[function]  # without a cache, if no directory for one can be written
+    with suppress(RuntimeError):
+        result = numba.njit(nogil=True, cache=True)(copies[function])  # type: ignore[index]
+    return cast(_Function, result)
+
+
+def _called_by(
+    function: Any, found: dict[FunctionType, None]
+) -> dict[FunctionType, None]:
+    """Return a function and the functions of this package that it calls, directly or not."""
+    found[function] = None
+    for name in function.__code__.co_names:
+        value = function.__globals__.get(name)
+        own = isinstance(value, FunctionType) and value.__module__.startswith(_PACKAGE)
+        if own and value not in found:
+            _called_by(value, found)
+    return found
+
+
+def _modules_of(functions: Iterable[FunctionType]) -> set[str]:
+    """Return the modules of this package with functions and the named tuples that they use."""
+    used = (each.__globals__.get(name) for each in functions for name in each.__code__.co_names)
+    modules = {each.__module__ for each in (*functions, *filter(callable, used))}
+    return {module for module in modules if module.startswith(_PACKAGE)}
+
+
+def records(tuples: Sequence[NamedTuple]) -> Any:
+    """Return named tuples of one class in the form in which compiled functions index them.
+
+    Args:
+        tuples: at least one named tuple of numbers.
+
+    Returns:
+        A structured array, whose entries have the same attributes; without numba, the tuples.
+    """
+    if not can_compile():
+        return list(tuples)
+    kind = np.dtype([(name, np.float64) for name in tuples[0]._fields])
+    return np.array([tuple(each) for each in tuples], kind)

@@ -1,0 +1,123 @@
+"""The numbers of the plant: its parameters, made once from a site, its state and its flows.
+
+The functions of this package take and return nothing but numbers and these named tuples, so that
+the same text runs in Python and compiled (:mod:`greenroof_ros.physics.compiled`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from greenroof_ros.site.site import Site
+
+# A short tick: see plant_parameters.
+_SHORT_HEAD = 1e-4
+SHORT_SHARE = 0.01
+"""maximum share of the roof's target that pumps at full flow can deliver in a short tick (1)"""
+# Eq. (4) with Euler's method takes no more than this (m) in a tick from a soil at its capacity.
+_MAX_OVERDRAWN_M = 1e-4
+
+
+class PlantParameters(NamedTuple):
+    """The numbers of a site that determine the plant, under the names of :class:`.site.Site`.
+
+    A part that the site does not have is a number without effect: no mains supply is a flow of 0, a
+    cistern without a low outlet has one of coefficient 0, and a site without pumps has b = 0.
+    """
+
+    tau: float
+    a1: float
+    a2: float
+    effective_catchment: float
+    z_o: float
+    z_veg: float
+    x2_star: float
+    min_outlet_level: float
+    low_outlet_level: float
+    suction_level: float
+    c_out: float
+    c_low: float
+    b: float
+    c_hat: float
+    d: float
+    mains_level: float
+    mains_flow: float
+    z_cap: float
+    z_soil: float
+    K: float
+    wilting_volume: float
+    available_volume: float
+    stress_onset: float
+    percolation_exponent: float
+    layer_storage: float
+    drainage_time: float
+    drainage_to_cistern: float
+    has_field_capacity: bool
+    """whether the soil is a field-capacity soil, rather than that of Table I"""
+    has_layer: bool
+    """whether there is a drainage layer below the soil"""
+    has_short_ticks: bool
+    """whether Euler's method is accurate enough for a tick, as it is in Table I"""
+    overdraws: bool
+    """whether Eq. (4) would drain much more than the water above the capacity in a tick"""
+
+
+class State(NamedTuple):
+    """The water in the plant at the start of a tick (m3)."""
+
+    cistern: float
+    """x1, the water in the cistern"""
+    roof: float
+    """x2, the water on the roof; on a field-capacity soil, the water in its substrate"""
+    layer: float
+    """water in the drainage layer; 0 without one"""
+
+
+class Flows(NamedTuple):
+    """The mean flows during a tick (m3/s), limited to the water in each tank."""
+
+    outflow: float
+    """flow from the cistern to the sewer"""
+    pump: float
+    """flow from the cistern to the roof"""
+    drainage: float
+    """drainage from the roof"""
+    evapotranspiration: float
+    """evapotranspiration from the roof"""
+    limited: bool
+    """whether a tank contained less water than was demanded"""
+    mains: float
+    """flow of mains water into the cistern"""
+    low_outlet: float
+    """part of the outflow that leaves through the low outlet"""
+
+
+def plant_parameters(site: Site) -> PlantParameters:
+    """Return the numbers of a site.
+
+    In a short tick, pumps at full flow deliver at most 1 % of the roof's target. With Euler's
+    method, an outlet drains more than the water above it if the head is below (tau c / a1)^2, with
+    c as in Eq. (2); in a short tick, this limit is at most 0.1 mm.
+    """
+    head = site.z_o + site.c_hat - site.d
+    pumped = site.tau * site.b * math.sqrt(max(head, 0.0))
+    overdrawn = (site.tau * max(site.c_out, site.c_low) / site.a1) ** 2
+    return PlantParameters(
+        tau=site.tau, a1=site.a1, a2=site.a2, effective_catchment=site.effective_catchment,
+        z_o=site.z_o, z_veg=site.z_veg, x2_star=site.x2_star,
+        min_outlet_level=site.min_outlet_level, low_outlet_level=site.min_outlet_level,
+        suction_level=site.suction_level, c_out=site.c_out, c_low=site.c_low, b=site.b,
+        c_hat=site.c_hat, d=site.d, mains_level=site.mains_level or 0.0,
+        mains_flow=site.mains_flow or 0.0, z_cap=site.z_cap, z_soil=site.z_soil, K=site.K,
+        wilting_volume=site.wilting_volume, available_volume=site.available_volume,
+        stress_onset=site.stress_onset, percolation_exponent=site.percolation_exponent,
+        layer_storage=site.layer_storage, drainage_time=site.drainage_time or 0.0,
+        drainage_to_cistern=site.drainage_to_cistern,
+        has_field_capacity=site.field_capacity is not None,
+        has_layer=site.drainage_storage is not None,
+        has_short_ticks=(
+            pumped <= SHORT_SHARE * site.x2_star and overdrawn <= _SHORT_HEAD
+        ),
+        overdraws=2 * site.K * site.tau > _MAX_OVERDRAWN_M,
+    )

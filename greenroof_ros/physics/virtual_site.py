@@ -1,0 +1,114 @@
+"""A site that is simulated tick by tick, whatever decides the commands.
+
+Simulations in a single process, the plans of the bound, the plant node of the ROS graph and the
+simulated devices of a live site use a :class:`VirtualSite`. In every tick, a controller reads the
+levels and decides on a command, and the site executes the command and proceeds to the next tick.
+"""
+
+from __future__ import annotations
+
+from greenroof_ros.physics.compiled import compiled
+from greenroof_ros.physics.parameters import Flows, State, plant_parameters
+from greenroof_ros.physics.sensor_and_pump import (
+    SensorAndPump,
+    min_ticks,
+    observe_pump,
+    read_errors,
+    switch_pump,
+)
+from greenroof_ros.physics.tick import OWN_PUMPS, step
+from greenroof_ros.site.site import Site
+
+
+class VirtualSite:
+    """A cistern and a roof with level sensors and the pumps.
+
+    Attributes:
+        state: the true state of the cistern and the roof.
+        tick: number of the current tick.
+        frost: 0 without frost in the current tick; any other value, including NaN, means frost. The
+            caller sets this attribute.
+        quiet: whether the current tick is within the site's quiet hours.
+    """
+
+    def __init__(
+        self, site: Site, x1: float, x2: float, start_ns: int, sensor_and_pump: SensorAndPump,
+        ticks: int = 0,
+    ) -> None:
+        """Start with tick 0.
+
+        Args:
+            site: parameters of the site.
+            x1: initial volume in the cistern (m3).
+            x2: initial volume on the roof (m3).
+            start_ns: time of tick 0 (ns since 1970).
+            sensor_and_pump: imperfections of the level sensor and the pumps.
+            ticks: number of ticks for which the sensor may have errors.
+        """
+        self.state = State(x1, x2, site.initial_layer)
+        self.tick = 0
+        self.frost = 0.0
+        self._parameters, self._a1, self._a2 = plant_parameters(site), site.a1, site.a2
+        self._start_ns, self._tick_ns = start_ns, round(site.tau * 1e9)
+        self._errors = read_errors(sensor_and_pump, ticks).tolist()
+        self._min_on = min_ticks(sensor_and_pump.pump_min_on, site.tau)
+        self._min_off = min_ticks(sensor_and_pump.pump_min_off, site.tau)
+        self._switch = [0.0, self._min_off, 0.0]
+        self._closed_in_frost = site.valve_closed_in_frost
+        self._quiet_hours = site.quiet
+        self.quiet = site.quiet is not None and site.quiet.quiet_at(start_ns)
+        self._step = step
+
+    def compile(self) -> None:
+        """Compute the following ticks with the compiled plant, which takes a while to load."""
+        self._step = compiled(step)
+
+    @property
+    def time_ns(self) -> int:
+        """The time of the current tick (ns since 1970)."""
+        return self._start_ns + self.tick * self._tick_ns
+
+    def levels(self) -> tuple[float, float]:
+        """Return the true levels of the cistern and the roof (m).
+
+        The level of the roof is that in the substrate, without the water in the drainage layer.
+        """
+        return self.state.cistern / self._a1, self.state.roof / self._a2
+
+    def observe(self) -> tuple[float, float]:
+        """Return the readings of the cistern's and the roof's sensors in the current tick (m)."""
+        cistern, roof = self.levels()
+        if self._errors:
+            roof = max(0.0, roof + self._errors[self.tick])
+        return cistern, roof
+
+    def act(
+        self, precipitation: float, evapotranspiration: float, command: float,
+        pumped: float = OWN_PUMPS, outlet: float = 1.0,
+    ) -> Flows:
+        """Return the flows in the current tick; must be called exactly once per tick.
+
+        Args:
+            precipitation: rain rate (m/s).
+            evapotranspiration: potential evapotranspiration from the whole bed (m3/s).
+            command: command to the pumps (share of the maximum flow).
+            pumped: flow (m3/s) of pumps that another program drives; NaN for the site's own pumps.
+            outlet: command to the valve of the low outlet (opening, 0 to 1).
+        """
+        may_run = self.frost == 0 and not self.quiet
+        switched = switch_pump(self._switch, self._min_on, self._min_off, command, may_run)
+        if self._closed_in_frost and self.frost != 0:
+            outlet = 0.0
+        self._after, flows = self._step(
+            self._parameters, self.state, precipitation, evapotranspiration, switched, outlet,
+            pumped,
+        )
+        observe_pump(self._switch, flows.pump)
+        return flows
+
+    def step(self) -> None:
+        """Proceed to the next tick, after :meth:`act`."""
+        self.state = self._after
+        self.tick += 1
+        if self._quiet_hours is not None:
+            self.quiet = self._quiet_hours.quiet_at(self.time_ns)

@@ -1,0 +1,354 @@
+"""Site files: read, checked, changed and written.
+
+A site file contains parameters of :class:`.site.Site` and plain keys (:mod:`.plain_keys`), and may
+extend another file.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from typing import Any
+
+from greenroof_ros.common.errors import ConfigurationError, suggest_names
+from greenroof_ros.common.files import is_there, read_yaml, shared_directory
+from greenroof_ros.common.interface import read_topics
+from greenroof_ros.common.parameter import Parameter, make_record, parameters_of
+from greenroof_ros.site.clock import standard_offset
+from greenroof_ros.site.plain_keys import PLAIN, Entry, compute, override, translate
+from greenroof_ros.site.site import Site
+
+# Relative error up to which a product rounded by a person, such as x2_star, counts as consistent.
+_ROUNDING = 1e-6
+# According to Eq. (4), water that the soil cannot hold stays on its surface until it drains. No
+# more than this stays there: the most rain that ever fell in a day, Foc-Foc, La Reunion, 1966 [WMO]
+# (m).
+_MAX_PONDED = 1.825
+# A cistern fills up to this multiple of its outlet's level (Table II), which is below the roof.
+_ABOVE_OUTLET = 1.3
+# The pump of a site that is not irrigated: its numbers have no effect.
+_NO_PUMP = {
+    "a_hat": -1.0, "c_hat": 1e6, "a_pump": 1.0, "D": 1.0, "F": 1.0, "k_L": 0.0, "l": 1.0,
+    "z_pump": 0.0, "z_H": 0.0,
+}
+# Products, computed if a file omits them; the paper's roof has no field capacity.
+_PRODUCTS = {"x2_star": ("a2", "z_veg"), "z_cap": ("a2", "z_soil", "field_capacity")}
+# Volumes, and what they are proportional to.
+_FOLLOW = {
+    **_PRODUCTS,
+    "initial_cistern": ("a1", "z_o"),
+    "initial_roof": ("a2",),
+    "initial_layer": ("a2",),
+}
+# Attributes of a site that cannot be made from a wrong value, the value's key, and valid values.
+_CLOCK = {
+    "zone": (
+        "time_zone",
+        "must be the IANA name of a time zone known to this computer (package tzdata), such as "
+        "America/Toronto",
+    ),
+    "quiet": (
+        "quiet_hours",
+        'must be a list of intervals of the day, such as ["22:00-06:00", "12:00-13:30"], and must '
+        "leave some time for pumping",
+    ),
+}
+# Key for the file that contains what a site file omits.
+_EXTENDS = "extends"
+# Optional parameters that belong together: each needs the others in its line. Field-capacity soil
+# can lack a drainage layer.
+_TOGETHER = (
+    (("field_capacity", "wilting_point", "depletion_fraction"), ()),
+    (("drainage_storage", "drainage_time"), ("field_capacity",)),
+    (("mains_level", "mains_flow"), ()),
+    (("low_outlet_level", "low_outlet_radius"), ()),
+    (("low_outlet_valve",), ("low_outlet_level",)),
+    (("valve_closed_in_frost",), ("low_outlet_valve",)),
+    (("initial_cistern", "initial_roof"), ()),
+    (("quiet_hours",), ("time_zone",)),
+)
+
+SITE_KEYS: dict[str, Parameter] = {each.name: each for each in parameters_of(Site)} | PLAIN
+"""keys that a site file may contain, except ``extends``, by name"""
+
+
+def _product(site: Site, names: Collection[str]) -> float:
+    """Return the product of parameters, without those that are None."""
+    factors: list[float | None] = [getattr(site, name) for name in names]
+    return math.prod(factor for factor in factors if factor is not None)
+
+
+def find_unheld(site: Site, x1: float, x2: float) -> Iterator[tuple[str, float, str]]:
+    """Yield each store (``cistern`` or ``roof``) that cannot hold its volume, and a message.
+
+    A volume that exceeds what any rain could produce indicates a wrong unit.
+
+    Args:
+        site: the site.
+        x1: volume in the cistern (m3).
+        x2: volume on the roof (m3).
+    """
+    soil = site.roof_level(site.z_cap)
+    for name, volume, area, level, why in (
+        ("cistern", x1, site.a1, site.d, "the roof is as high"),
+        ("roof", x2, site.a2, soil + _MAX_PONDED, f"the soil holds {soil:g} m of water"),
+    ):
+        if volume > level * area:
+            yield name, volume, (
+                f"must be at most {level * area:g} m3, which is a level of {level:g} m ({why}); is "
+                f"the unit wrong? A level of {volume:g} mm is {volume / 1000 * area:g} m3"
+            )
+
+
+def format_site(site: Site, notes: Mapping[str, str] | None = None) -> str:
+    """Return the text of a complete site file, from which :func:`read_site` reads the same site.
+
+    Args:
+        site: the site.
+        notes: comments on some parameters, by name; the default is the meaning of the parameter.
+    """
+    lines = []
+    for parameter, value in zip(parameters_of(Site), asdict(site).values(), strict=True):
+        if value is not None:
+            entry = f"{parameter.name}: {json.dumps(value)}"
+            note = (notes or {}).get(parameter.name, parameter.meaning)
+            lines.append(f"{entry:<29} # {parameter.unit:<7} {note}\n")
+    return "".join(lines)
+
+
+def _read_entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, Entry]:
+    """Return the entries of a site file by key, including those of the file that it extends.
+
+    The site file's own entries take precedence.
+    """
+    mapping = read_yaml(path)
+    entries = {key: Entry(value, path, mapping.lines[key]) for key, value in mapping.items()}
+    if _EXTENDS not in entries:
+        return override({}, entries)
+    name, _, line, _ = entries.pop(_EXTENDS)
+    chain = (*extended_by, path.resolve())
+    base = _find_base(path, str(name))
+    if not is_there(base) or base.resolve() in chain:
+        raise ConfigurationError(
+            "must be the name of another site file, such as site.yaml, in the same directory or "
+            "in this package, which does not extend this file itself",
+            file=path, line=line, key=_EXTENDS, value=name,
+        )
+    return override(_read_entries(base, chain), entries)
+
+
+def _find_base(path: Path, name: str) -> Path:
+    """Return the file that a site file extends: in its own directory, or from this package."""
+    own, shipped = Path(path).parent / name, shared_directory() / "config" / name
+    return shipped if is_there(shipped) and not is_there(own) else own
+
+
+def read_site(path: Path, changes: Mapping[str, Any] | None = None) -> Site:
+    """Read and check a site file such as ``config/site.yaml``.
+
+    A site file can extend another file (``extends: site.yaml``) in its own directory or from this
+    package, and then contains only the differences.
+
+    Args:
+        path: path of the file.
+        changes: values of parameters or plain keys that replace those in the file. Volumes that
+            depend on the changed parameters are adjusted: the products x2_star and z_cap, and the
+            initial volumes (the filled share of the cistern and the level on the roof stay the
+            same).
+
+    Raises:
+        ConfigurationError: if a parameter is missing, unknown, not a number, outside its range, or
+            inconsistent with another parameter; the message names the file, line, key and value.
+    """
+    file = SiteFile(path)
+    return file.change(changes) if changes else file.site
+
+
+class SiteFile:
+    """A site file that is read once, and from which sites with changed values can be derived.
+
+    Attributes:
+        site: site with the values in the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Read and check the file; see :func:`read_site`."""
+        self._path, self._entries = path, _read_entries(path)
+        self.site = _make_site(self._entries, path)
+
+    def change(self, changes: Mapping[str, Any]) -> Site:
+        """Return the site with some values changed; see :func:`read_site`."""
+        follow = {
+            volume: names for volume, names in _FOLLOW.items()
+            if volume in self._entries and volume not in changes
+        }
+
+        def adjust(changed: Site) -> Site:
+            volumes: dict[str, Any] = {
+                volume: getattr(self.site, volume) * math.prod(
+                    (getattr(changed, name) or 1.0) / (getattr(self.site, name) or 1.0)
+                    for name in names
+                ) for volume, names in follow.items()
+            }
+            return replace(changed, **volumes)
+
+        own = {name: Entry(value) for name, value in changes.items()}
+        return _make_site(override(self._entries, own), self._path, adjust)
+
+
+def merge_site_file(path: Path, changes: Mapping[str, Any]) -> str:
+    """Return the merged text of a site file and of the files that it extends.
+
+    Plain keys are kept, so that the parameters that they determine still depend on other changes.
+    For example, a pump's flow still follows from the irrigation rate and the roof's area.
+
+    Args:
+        path: path of the file.
+        changes: as for :func:`read_site`.
+
+    Raises:
+        ConfigurationError: if a file cannot be read.
+    """
+    own = {name: Entry(value) for name, value in changes.items()}
+    entries = override(_read_entries(path), own)
+    return "".join(f"{name}: {json.dumps(each.value)}\n" for name, each in entries.items())
+
+
+def check_site(site: Site) -> Site:
+    """Check a site that a program created, and return it with its values as Python numbers.
+
+    Raises:
+        ConfigurationError: if a value is invalid, as in :func:`read_site`; the message names the
+            key and the value.
+    """
+    values = {field.name: getattr(site, field.name) for field in fields(site)}
+    return _make_site({name: Entry(value) for name, value in values.items() if value is not None})
+
+
+def _make_site(
+    entries: Mapping[str, Entry], path: Path | None = None,
+    adjust: Callable[[Site], Site] = lambda site: site,
+) -> Site:
+    """Check entries, and return the site that they describe.
+
+    Args:
+        entries: the entries.
+        path: the file; None without a file.
+        adjust: function that changes the site before its parameters are compared.
+    """
+    sources = dict(entries)
+    try:
+        for name, (value, *_) in entries.items():
+            if name not in SITE_KEYS:
+                raise ConfigurationError(
+                    f"is not a valid key; {suggest_names(name, SITE_KEYS)}", key=name, value=value
+                )
+            if value is None:
+                raise ConfigurationError(
+                    "must have a value; leave this line out if there is none", key=name
+                )
+        named, keys = translate(entries)
+        if "irrigation" in named:
+            named = {**{name: Entry(value) for name, value in _NO_PUMP.items()}, **named}
+        sources.update(named)
+        omitted = _PRODUCTS.keys() - named.keys()
+        values = {name: each.value for name, each in named.items()}
+        site = make_record(Site, {**values, **dict.fromkeys(omitted, 1.0)})
+        computed = compute(keys, site)
+        computed |= {name: _product(site, _PRODUCTS[name]) for name in omitted}
+        site = adjust(replace(site, **computed))
+        for name, expected in _find_contradictions(site, named):
+            raise ConfigurationError(expected, key=name, value=getattr(site, name))
+        return site
+    except ConfigurationError as error:
+        name, expected = str(error.key).partition(".")[0], error.expected
+        source = sources.get(name, Entry(None, path))
+        if name not in sources:
+            expected += (
+                "; add it, or begin the file with 'extends: site.yaml' to use the paper's values "
+                "for all missing keys"
+            )
+        raise ConfigurationError(
+            expected, file=source.file, line=source.line, value=error.value,
+            key=f"{source.plain} ({error.key})" if source.plain else error.key,
+        ) from None
+
+
+def _find_contradictions(site: Site, entries: Collection[str]) -> Iterator[tuple[str, str]]:
+    """Yield each parameter that contradicts other parameters, and a description of valid values.
+
+    Args:
+        site: site with all parameters in their ranges.
+        entries: names of the parameters in the site file.
+    """
+    for attribute, (name, expected) in _CLOCK.items():
+        try:
+            getattr(site, attribute)
+        except (OSError, ValueError, KeyError):
+            yield name, expected
+    if site.monthly_evapotranspiration and len(site.monthly_evapotranspiration) != 12:
+        yield "monthly_evapotranspiration", "must be a list of twelve numbers, January to December"
+    high = min(site.d, read_topics()["/cistern/level"].high)
+    if _ABOVE_OUTLET * site.z_o >= high:
+        yield "z_o", (
+            f"must be below {high / _ABOVE_OUTLET:.4g} m, since a cistern can fill to "
+            f"{_ABOVE_OUTLET} z_o, which must be below the roof (d = {site.d:g} m) and below the "
+            "highest accepted level; is a unit wrong?"
+        )
+    for names, further in _TOGETHER:
+        there = {name for name in entries if getattr(site, name) is not False}
+        present = [name for name in names if name in there]
+        missing = [name for name in (*names, *further) if name not in there]
+        if present and missing:
+            yield present[0], f"needs {', '.join(missing)} as well"
+    if site.time_zone is not None and site.utc_offset is not None:
+        offset = standard_offset(site.time_zone)
+        if site.utc_offset != offset:
+            yield "time_zone", (
+                f"must be a time zone whose standard UTC offset is utc_offset = "
+                f"{site.utc_offset:+g} h, but that of {site.time_zone} is {offset:+g} h; in names "
+                "that begin with Etc/ the sign is reversed"
+            )
+    outlet = "z_o" if site.low_outlet_level is None else "low_outlet_level"
+    for name, above in (("low_outlet_level", "z_o"), ("mains_level", outlet)):
+        level, limit = getattr(site, name), getattr(site, above)
+        if level is not None and not site.suction_level < level < limit:
+            yield name, (
+                f"must be above z_pump + z_H = {site.suction_level:g} m, below which the pumps do "
+                f"not work, and below {above} = {limit:g} m, above which water flows to the sewer"
+            )
+    if site.initial_layer > site.layer_storage:
+        yield "initial_layer", (
+            "must be at most the volume of the drainage layer, a2 drainage_storage = "
+            f"{site.layer_storage:g} m3"
+        )
+    if site.initial_cistern is not None and site.initial_roof is not None:
+        for name, _, expected in find_unheld(site, site.initial_cistern, site.initial_roof):
+            yield f"initial_{name}", expected
+    for name, factors in _PRODUCTS.items():
+        product = _product(site, factors)
+        if not math.isclose(getattr(site, name), product, rel_tol=_ROUNDING):
+            formula = " ".join(name for name in factors if getattr(site, name) is not None)
+            yield name, (
+                f"must be {formula} = {product:g} m3; leave this line out to have it computed"
+            )
+    if site.x2_star >= site.z_cap:
+        yield "z_veg", (
+            f"must be below z_cap / a2 = {site.z_cap / site.a2:g} m: water above this level "
+            "drains off"
+        )
+    if site.wilting_volume >= site.x2_star:
+        yield "wilting_point", (
+            f"must be below z_veg / z_soil = {site.z_veg / site.z_soil:g}; otherwise plants take "
+            "up no water at the target"
+        )
+    if site.irrigated and site.c_hat - site.d + site.suction_level <= 0:
+        yield "c_hat", (
+            f"must exceed d - z_pump - z_H = {site.d - site.suction_level:g} m; otherwise the "
+            "pumps cannot lift water to the roof (Eq. 3e)"
+        )
+    if site.tau * 1e9 != round(site.tau * 1e9):
+        yield "tau", "must be a whole number of nanoseconds"

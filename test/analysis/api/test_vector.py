@@ -1,0 +1,149 @@
+"""GreenRoofVector-v1: each of its environments is a GreenRoof-v1, bit for bit."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+from typing import Any
+
+import numpy as np
+import pytest
+from commanded_sites import FIELD_CAPACITY, IMPERFECT, VALVE_SITE, way, weather
+from refusals import refusal
+
+import greenroof_ros as gr
+
+gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed")
+
+__all__ = ["way"]
+
+ID = "greenroof_ros:GreenRoofVector-v1"
+MINUTES = gr.read_site(tau=60.0, M=1)
+RANDOM = {"start": "random", "initial": "random", "hours": 9, "decision_ticks": 47, "horizon": 6}
+SEASON = gr.scenarios["season-forecasts"].inputs
+
+CASES: dict[str, dict[str, Any]] = {
+    "the paper's site": {"hours": 0.02, "decision_ticks": 7, "initial": "random"},
+    "one tick": {"hours": 0.004, "horizon": 0.1},
+    "valve, frost, quiet hours": {"site": VALVE_SITE, "weather": weather(), **RANDOM},
+    "not at a full minute": {
+        "site": VALVE_SITE, "weather": weather(), **RANDOM, "start": "2021-03-13T19:20:30-04:00",
+        "hours": 17,
+    },
+    "sensor and pump": {"site": FIELD_CAPACITY, "weather": weather(), **RANDOM, **IMPERFECT},
+    "end of the record": {
+        "site": MINUTES, "weather": weather(), **RANDOM, "start": "2021-03-15T19:00Z",
+        "horizon": 240,
+    },
+    "rain in five minutes": {"site": MINUTES, "weather": weather(5), **RANDOM},
+    "ticks of four minutes": {
+        "site": gr.read_site(tau=240.0, M=1), "weather": weather(5), **RANDOM,
+    },
+    "ticks of seven seconds": {
+        "site": gr.read_site(tau=7.0, M=3), "weather": weather(), **RANDOM, "hours": 0.7,
+    },
+    "errors": {"site": MINUTES, "weather": weather(), **RANDOM, "forecast": "errors"},
+    "ensemble": {"site": MINUTES, "weather": weather(), **RANDOM, "forecast": "ensemble"},
+    "archive": {**SEASON, **RANDOM, "hours": 30},
+}
+
+
+def flatten(infos: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested infos by their paths, as lists with their types."""
+    flat = {}
+    for name, value in infos.items():
+        if isinstance(value, dict):
+            flat |= flatten(value, f"{prefix}{name}/")
+        else:
+            flat[prefix + name] = value.dtype, value.tolist()
+    return flat
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("case", CASES)
+def test_each_environment_is_a_single_one(case: str, way: None) -> None:
+    """Gymnasium's own vector of single ones, over two ends of episodes; only tests compare so."""
+    inputs, count = CASES[case], 4
+    ours = gymnasium.make_vec(ID, num_envs=count, **inputs)
+    theirs = gymnasium.make_vec(
+        "greenroof_ros:GreenRoof-v1", num_envs=count, vectorization_mode="sync", **inputs
+    )
+    for name in ("observation_space", "single_observation_space", "action_space",
+                 "single_action_space"):
+        assert getattr(ours, name) == getattr(theirs, name)
+    assert ours.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"]
+    results = [each.reset(seed=5) for each in (ours, theirs)]
+    theirs.action_space.seed(6)
+    ends = 0
+    while ends < 2:
+        (seen, *rest, infos), (expected, *others, known) = results
+        assert seen.dtype == expected.dtype and seen.tobytes() == expected.tobytes()
+        for array, other in zip(rest, others, strict=True):
+            assert array.dtype == other.dtype and array.tolist() == other.tolist()
+        assert flatten(infos) == flatten(known)
+        ends += bool(rest) and rest[-1].all()
+        actions = theirs.action_space.sample()
+        results = [each.step(actions) for each in (ours, theirs)]
+
+
+def test_threads_share_many_environments() -> None:
+    """A hundred and fifty, of which those at the ends of the threads' parts are compared."""
+    inputs = {"site": VALVE_SITE, "weather": weather(), **RANDOM}
+    roofs = gymnasium.make_vec(ID, num_envs=150, **inputs)
+    observations, infos = roofs.reset(seed=[*range(150)])
+    actions = np.random.default_rng(1).random((150, 2))
+    for _ in range(12):
+        after, rewards, *_, last = roofs.step(actions)
+    for row in (0, 74, 75, 149):
+        roof = gymnasium.make("greenroof_ros:GreenRoof-v1", **inputs)
+        first, info = roof.reset(seed=row)
+        assert first.tobytes() == observations[row].tobytes()
+        assert info["start"] == infos["start"][row]
+        for _ in range(12):
+            expected, reward, _, _, ended = roof.step(actions[row])
+        assert expected.tobytes() == after[row].tobytes() and reward == rewards[row]
+        assert ended["metrics"]["pumped_m3"] == last["metrics"]["pumped_m3"][row] > 0
+    roofs.close()
+
+
+def test_seeds_and_options() -> None:
+    """As of a single environment: a seed for each, options for all, and then the own start."""
+    inputs = {"site": MINUTES, "weather": weather(), "hours": 2, "start": "2021-03-13T00:00Z"}
+    roofs = gymnasium.make_vec(ID, num_envs=3, **{**inputs, "initial": "random"})
+    _, drawn = roofs.reset(seed=7)
+    assert roofs.reset(seed=[9, 8, 7])[1]["roof_m3"].tolist()[::-1][0] == drawn["roof_m3"][0]
+    assert len({*drawn["roof_m3"]}) == 3
+    _, drawn = roofs.reset(options={"start": "2021-03-14T00:00Z", "initial": "high-high"})
+    assert drawn["cistern_m3"].tolist() == pytest.approx([1.3 * 75] * 3)  # Table II
+    assert {*drawn["start"]} == {"2021-03-14T00:00:00+00:00"}
+    assert {*roofs.reset()[1]["start"]} == {"2021-03-13T00:00:00+00:00"}
+    refusal(lambda: roofs.reset(seed=[1, 2]), match="seed: must be one number, or 3 numbers")
+    refusal(lambda: roofs.reset(options={"beginning": 1}), match="beginning: is not an option.*s")
+
+
+@pytest.mark.parametrize("actions", [
+    np.full((3, 2), 0.5), np.full(3, 0.5), [[0.5], [0.5], [1.1]], [[0.5], [np.nan], [0.0]],
+    [["a"], ["b"], ["c"]],
+])
+def test_refused_actions(actions: Any) -> None:
+    roofs = gymnasium.make_vec(ID, num_envs=3, hours=1)
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        roofs.step(np.zeros((3, 1)))
+    before, _ = roofs.reset(seed=1)
+    refusal(roofs.step, np.array(actions), match=(
+        r"action.*must be one number from 0 to 1 for each environment, of shape \(3, 1\)"
+    ))
+    assert (roofs.step(np.zeros((3, 1)))[0][:, 0] < before[:, 0]).all()  # less than in tick 0
+
+
+def test_refused_inputs() -> None:
+    refusal(lambda: gymnasium.make_vec(ID, reward=min), match="reward: is that of GreenRoof-v1")
+    roofs = gymnasium.make_vec(
+        ID, **{**RANDOM, "hours": 0.7}, weather=weather(5), site=gr.read_site(tau=7.0, M=3)
+    )
+    refusal(roofs.reset, match="tau = 7.0: must divide an hour, because the starts are random")
+
+
+def test_example() -> None:
+    vector = importlib.import_module("greenroof_ros.analysis.api.vector")
+    assert doctest.testmod(vector).failed == 0

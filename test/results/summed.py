@@ -1,0 +1,54 @@
+"""The sums of ticks that a test makes up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from datetime import datetime
+from typing import NamedTuple
+
+from greenroof_ros.physics.parameters import Flows, State
+from greenroof_ros.physics.storm_water import Event
+from greenroof_ros.results.metrics import Metrics
+from greenroof_ros.site.site import Site
+
+STILL, END = Flows(0.0, 0.0, 0.0, 0.0, False, 0.0, 0.0), State(50.0, 1.0, 0.0)
+
+
+class Tick(NamedTuple):
+    """A tick; rain in m/s, potential evapotranspiration in m3/s."""
+
+    flows: Flows = STILL
+    rain: float = 0.0
+    command: float = 0.0
+    state: State = END
+    potential: float = 0.0
+
+
+class Summed(NamedTuple):
+    """What a run leaves."""
+
+    results: dict[str, float]
+    weeks: list[float]
+    events: list[Event]
+
+
+def summed(
+    site: Site, ticks: Iterable[Tick], end: State = END, start: str = "2021-07-07T00:00-05:00",
+    without_rain: float = math.inf,
+) -> Summed:
+    """Add up ticks.
+
+    Args:
+        site: the site.
+        ticks: the ticks.
+        end: state after them.
+        start: time of the first tick.
+        without_rain: time without rain at the start (s).
+    """
+    ticks = list(ticks)
+    time = datetime.fromisoformat(start).timestamp()
+    metrics = Metrics(site, len(ticks), time, without_rain)
+    for flows, rain, command, state, potential in ticks:
+        metrics.add(state, command, rain, potential, flows)
+    return Summed(metrics.results(end), metrics.weekly_deviations(end), metrics.events(end))
