@@ -19,7 +19,7 @@ from greenroof_ros.common.errors import HangError, describe_value
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.controllers.decide import ControllerError, find_place, locate_error
-from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, PlannedLevels, columns
+from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, PlannedLevels
 from greenroof_ros.physics.cistern import low_outlet_flow
 from greenroof_ros.physics.parameters import PlantParameters, plant_parameters
 from greenroof_ros.physics.storm_water import HOUR_S, is_wet, time_without_rain
@@ -186,7 +186,7 @@ class Policy:
         self._wet_after, self._without_rain = site.wet_after * HOUR_S, without_rain
         self._clock = PlanClock(site.tau)
         self.levels = PlannedLevels(
-            columns([self._p]), site.wet_after, ends, np.array([outlet_reserve]),
+            [self._p], site.wet_after, ends, np.array([outlet_reserve]),
             np.array([outlet_price]), np.array([outlet_reach]), np.ones(1),
         ) if outlet == PLAN else None
 

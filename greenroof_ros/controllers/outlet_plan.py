@@ -1,12 +1,9 @@
-"""The plan of :class:`.outlet.Policy`, for one or more sites with the same weather.
-
-All arrays of the dynamic program have shape (sites, members, nodes).
-"""
+"""The plan of :class:`.outlet.Policy`, for one or more sites with the same weather."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,7 +14,6 @@ from greenroof_ros.physics.parameters import PlantParameters
 from greenroof_ros.physics.storm_water import is_wet, time_without_rain
 
 Array = NDArray[np.float64]
-Rows = NDArray[np.intp]
 
 HORIZON_H = 48
 """time for which a plan looks ahead (h)"""
@@ -27,14 +23,6 @@ _HOUR_S, _DAY_S = 3600.0, 86_400.0
 _NODES = 121
 # Levels count as equally expensive if their costs differ by less than this share of the cistern.
 _TIE = 1e-3
-# Number of sites times members that are computed together, which fits in the processor's cache.
-_TOGETHER = 256
-
-
-def columns(parameters: Sequence[PlantParameters]) -> Any:
-    """Return the numbers of sites as arrays of shape (sites,), under the same names."""
-    make: Any = PlantParameters
-    return make(*map(np.array, zip(*parameters, strict=True)))
 
 
 class PlanClock:
@@ -53,6 +41,183 @@ class PlanClock:
         return due
 
 
+def find_levels(
+    sites: Any, options: Any, wet_after: float, ends: Any, hours: int, x1: Any, x2: Any, rain: Any,
+    evaporated: Any, levels: Any,
+) -> None:
+    """Write the volumes to which the cisterns of sites are drained in the first hour (m3).
+
+    Args:
+        sites: :class:`.PlantParameters` of n sites.
+        options: reserve (m3), price (1), reach (s) and area of each site, as for
+            :class:`PlannedLevels`, shape (n, 4).
+        wet_after: time after rain that counts as wet weather (s).
+        ends: boundaries of the forecast's steps (s from now), starting at 0.
+        hours: number of hours to plan.
+        x1: volumes in the cisterns (m3), shape (n,).
+        x2: volumes on the roofs (m3), shape (n,).
+        rain: forecast of rain (m/s), shape (members, steps).
+        evaporated: forecast of evapotranspiration from the areas (m/s), shape (steps,).
+        levels: array for the volumes, shape (n,).
+    """
+    span, most, drawn = ends[-1], 0.0, 0.0
+    for member in range(len(rain)):
+        fallen = 0.0
+        for step in range(len(evaporated)):
+            fallen += rain[member, step] * (ends[step + 1] - ends[step])
+        most = max(most, fallen)
+    for step in range(len(evaporated)):
+        drawn += evaporated[step] * (ends[step + 1] - ends[step])
+    for row in range(len(sites)):
+        p, reserve, price, reach, area = (
+            sites[row], options[row][0], options[row][1], options[row][2], options[row][3]
+        )
+        floor, full = p.a1 * max(p.suction_level, p.mains_level), p.a1 * p.z_o
+        outlet, needed = p.a1 * p.low_outlet_level, reach * area * drawn / span
+        kept = p.drainage_to_cistern
+        comes = most * (p.effective_catchment + kept * p.a2) + kept * max(x2[row] - p.x2_star, 0.0)
+        level = full
+        # A cistern that cannot overflow keeps all its water.
+        if comes > 0 and x1[row] + comes > full:
+            hourly = np.empty((len(rain), hours))
+            for member in range(len(rain)):
+                hourly[member] = find_hourly(rain[member], ends, hours)
+            level = solve(
+                p, wet_after, floor, price, needed, x1[row], x2[row], hourly,
+                area * find_hourly(evaporated, ends, hours),
+            )
+        root = math.sqrt(max(reserve - outlet, 0.0) / p.a1) + p.c_low / (2 * p.a1) * span
+        most_left = min(full, outlet + p.a1 * root * root)
+        levels[row] = min(level, max(reserve, floor + needed), most_left)
+
+
+def solve(
+    p: PlantParameters, wet_after: float, floor: float, price: float, needed: float, x1: float,
+    x2: float, rain: Any, evaporated: Any,
+) -> float:
+    """Return the level of the first hour (m3) by the dynamic program of :class:`.outlet.Policy`.
+
+    Args:
+        p: numbers of the site.
+        wet_after: time after rain that counts as wet weather (s).
+        floor: volume below which the cistern needs mains water or the pumps stop (m3).
+        price: price of mains water (1).
+        needed: water that the roof needs within the reach (m3).
+        x1: volume in the cistern (m3).
+        x2: volume on the roof (m3).
+        rain: depth of rain in each hour (m), shape (members, hours).
+        evaporated: evapotranspiration of the roof in each hour (m3), shape (hours,).
+    """
+    full = p.a1 * p.z_o
+    nodes = floor + (full - floor) / (_NODES - 1) * np.arange(_NODES)
+    drained = drain_hour(p, nodes)
+    first = int(np.searchsorted(nodes, p.a1 * p.low_outlet_level))  # no node below is reached
+    volume = min(max(x1, floor), full)
+    left = np.minimum(np.maximum(nodes, drain_hour(p, volume)), volume)
+    costs = np.zeros(_NODES)
+    for member in range(len(rain)):
+        flows = find_flows(p, x2, rain[member], evaporated)
+        wet = find_wet(rain[member], wet_after)
+        value = -price * np.minimum(nodes - floor, needed)
+        for hour in range(len(flows) - 1, -1, -1):
+            held = nodes + flows[hour]
+            inside = np.minimum(np.maximum(held, floor), full)
+            spilled = wet[hour] * (np.maximum(held, inside) - inside)
+            bought = price * (inside - np.minimum(held, inside))
+            value = value_at(nodes, value, inside) + bought + spilled
+            # With the best use of the valve, U becomes V.
+            if hour > 0 and wet[hour] == 0:
+                best = nodes[first + value[first:].argmin()]
+                value = value_at(nodes, value, np.minimum(np.maximum(drained, best), nodes))
+        costs += value_at(nodes, value, left) / len(rain)
+    ties = np.flatnonzero(costs <= costs.min() + _TIE * (full - floor))
+    return float(nodes[ties[-1]])
+
+
+def find_hourly(rates: Any, ends: Any, hours: int) -> Any:
+    """Return hourly totals of a forecast, shape (hours,); the last hour may end with the forecast.
+
+    Args:
+        rates: rates per second, shape (steps,).
+        ends: boundaries of the steps (s), starting at 0.
+        hours: number of hours.
+    """
+    totals = np.zeros(hours)
+    for step in range(len(rates)):
+        for hour in range(int(ends[step] // _HOUR_S), hours):
+            end = min(ends[step + 1], (hour + 1) * _HOUR_S)
+            totals[hour] += rates[step] * (end - max(ends[step], hour * _HOUR_S))
+            if end == ends[step + 1]:
+                break
+    return totals
+
+
+def drain_hour(p: PlantParameters, volumes: Any) -> Any:
+    """Return the volumes that remain after the valve has been open for an hour (m3).
+
+    The square root of the head above the outlet falls linearly with time.
+
+    Args:
+        p: numbers of the site.
+        volumes: a volume in the cistern (m3), or an array of volumes.
+    """
+    outlet = p.a1 * p.low_outlet_level
+    root = np.sqrt(np.maximum(volumes - outlet, 0.0) / p.a1)
+    root = np.maximum(root - p.c_low / (2 * p.a1) * _HOUR_S, 0.0)
+    return np.minimum(volumes, outlet + p.a1 * root * root)
+
+
+def find_flows(p: PlantParameters, x2: float, rain: Any, evaporated: Any) -> Any:
+    """Return the water that flows into the cistern in each hour, minus what the roof needs (m3).
+
+    Args:
+        p: numbers of the site.
+        x2: volume on the roof (m3).
+        rain: depth of rain in each hour (m), shape (hours,).
+        evaporated: evapotranspiration of the roof in each hour (m3), shape (hours,).
+    """
+    room = p.z_cap - p.x2_star if p.has_field_capacity else p.a2 * ABOVE_M
+    above, flows = x2 - p.x2_star, np.empty(len(rain))
+    for hour in range(len(rain)):
+        above += rain[hour] * p.a2 - evaporated[hour]
+        drained = max(above - room, 0.0)
+        flows[hour] = (
+            rain[hour] * p.effective_catchment + p.drainage_to_cistern * drained
+            - max(-above, 0.0)
+        )
+        above = min(max(above, 0.0), room)
+    return flows
+
+
+def find_wet(rain: Any, wet_after: float) -> Any:
+    """Return 1 for each wet hour, otherwise 0, shape (hours,).
+
+    Args:
+        rain: depth of rain in each hour (m), shape (hours,).
+        wet_after: time after rain that counts as wet weather (s).
+    """
+    wet, without_rain = np.zeros(len(rain)), math.inf
+    for hour in range(len(rain)):
+        without_rain = time_without_rain(without_rain, rain[hour] / _HOUR_S, _HOUR_S)
+        if is_wet(without_rain, _HOUR_S, wet_after):
+            wet[hour] = 1.0
+    return wet
+
+
+def value_at(nodes: Any, value: Any, volumes: Any) -> Any:
+    """Interpolate values between equidistant nodes.
+
+    Args:
+        nodes: volumes at the nodes (m3), shape (nodes,).
+        value: values at the nodes, shape (nodes,).
+        volumes: volumes at which to interpolate (m3), shape (n,).
+    """
+    place = (volumes - nodes[0]) * ((_NODES - 1) / (nodes[-1] - nodes[0]))
+    node = np.minimum(place.astype(np.intp), _NODES - 2)
+    low = value[node]
+    return low + (place - node) * (value[node + 1] - low)
+
+
 class PlannedLevels:
     """Volumes to which cisterns are drained, from plans made in the same ticks for all sites.
 
@@ -61,39 +226,26 @@ class PlannedLevels:
     """
 
     def __init__(
-        self, sites: Any, wet_after: float, ends: Array, reserves: Array, prices: Array,
-        reaches: Array, areas: Array,
+        self, sites: Sequence[PlantParameters], wet_after: float, ends: Array, reserves: Array,
+        prices: Array, reaches: Array, areas: Array,
+        find: Callable[..., None] = find_levels,
     ) -> None:
         """Set the sites and parameters; each array except ``ends`` has one entry per site.
 
         Args:
-            sites: :func:`columns` of sites with valves.
+            sites: numbers of sites with valves.
             wet_after: time after rain that counts as wet weather at all sites (h).
             ends: boundaries of the forecasts' steps (s from now), starting at 0.
             reserves: volumes to which the cisterns are drained without a forecast (m3).
             prices: prices of mains water, in m3 of discharge in wet weather per m3 (1).
             reaches: time for which stored water is worth its price (days).
             areas: areas to which the forecast's evapotranspiration applies (m2).
+            find: :func:`find_levels`, or the same compiled.
         """
-        self._areas, self._sites, self._wet_after = areas, sites, wet_after * _HOUR_S
-        self._ends, self._lengths = ends, np.diff(ends)
-        self._reserves, self._prices, self._reaches_s = reserves, prices, reaches * _DAY_S
-        hours = max(1, min(HORIZON_H, round(float(ends[-1]) / _HOUR_S)))
-        self._hour_ends = np.minimum(_HOUR_S * np.arange(hours + 1), ends[-1])
-        self._full = sites.a1 * sites.z_o
-        self._floor = sites.a1 * np.maximum(sites.suction_level, sites.mains_level)
-        self._nodes = np.linspace(self._floor, self._full, _NODES, axis=-1)
-        self._outlet = sites.a1 * sites.low_outlet_level
-        of_soil, above = sites.z_cap - sites.x2_star, sites.a2 * ABOVE_M
-        self._room = np.where(sites.has_field_capacity, of_soil, above)
-        # The square root of the head above the outlet falls linearly with time, at this rate
-        # (m^0.5/s).
-        self._fall = sites.c_low / (2 * sites.a1)
-        self._drained = self._drain_hour(np.arange(len(reserves)), self._nodes)
-        self._unreachable = np.where(self._nodes < self._outlet[:, None], math.inf, 0.0)
-        root = np.sqrt(np.maximum(reserves - self._outlet, 0.0) / sites.a1)
-        root += self._fall * float(self._hour_ends[-1])
-        self._max_levels = np.minimum(self._full, self._outlet + sites.a1 * root**2)
+        self._sites, self._find, self._wet_after = sites, find, wet_after * _HOUR_S
+        self._ends = ends
+        self._options = np.column_stack((reserves, prices, _DAY_S * reaches, areas))
+        self._hours = max(1, min(HORIZON_H, round(float(ends[-1]) / _HOUR_S)))
         self.levels: Array = reserves
 
     def plan(self, x1: Array, x2: Array, rain: Array, evaporated: Array) -> None:
@@ -105,161 +257,11 @@ class PlannedLevels:
             rain: forecast of rain (m/s), shape (members, steps).
             evaporated: forecast of evapotranspiration from the areas (m/s), shape (steps,).
         """
-        self.levels = self._reserves
-        if not rain.shape[1] == evaporated.size == len(self._lengths):
+        self.levels = self._options[:, 0].copy()
+        if not rain.shape[1] == evaporated.size == len(self._ends) - 1:
             return
-        if not math.isfinite(float(x1.sum() + x2.sum() + rain.sum() + evaporated.sum())):
-            return
-        mean = float(evaporated @ self._lengths) / float(self._ends[-1])
-        needed = self._reaches_s * self._areas * mean
-        levels = self._find_levels(x1, x2, self._hourly(rain), self._hourly(evaporated), needed)
-        levels = np.minimum(levels, np.maximum(self._reserves, self._floor + needed))
-        self.levels = np.asarray(np.minimum(levels, self._max_levels))
-
-    def _hourly(self, rates: Array) -> Array:
-        """Return hourly totals from rates per second, along the last axis."""
-        totals = np.cumsum(rates * self._lengths, axis=-1)
-        place = self._ends[1:].searchsorted(self._hour_ends[1:])
-        before = np.concatenate((np.zeros_like(totals[..., :1]), totals), axis=-1)
-        since = self._hour_ends[1:] - self._ends[place]
-        at_ends = before[..., place] + rates[..., place] * since
-        return np.asarray(np.diff(at_ends, axis=-1, prepend=0.0))
-
-    def _find_levels(
-        self, x1: Array, x2: Array, rain: Array, evaporated: Array, needed: Array
-    ) -> Array:
-        """Return the volumes to which the cisterns are drained in the first hour (m3).
-
-        Args:
-            x1: volume in each cistern (m3).
-            x2: volume on each roof (m3).
-            rain: depth of rain in each hour (m), shape (members, hours).
-            evaporated: depth of evapotranspiration in each hour (m), shape (hours,).
-            needed: water that each roof needs within the reach (m3).
-        """
-        sites, kept = self._sites, self._sites.drainage_to_cistern
-        most = float(rain.sum(axis=1).max()) * (sites.effective_catchment + kept * sites.a2)
-        comes = most + kept * np.maximum(x2 - sites.x2_star, 0.0)
-        levels: Array = self._full.copy()
-        # Sites whose cistern could overflow are planned; the others keep all their water.
-        planned = np.flatnonzero((comes > 0) & (x1 + comes > self._full))
-        size = max(1, _TOGETHER // len(rain))
-        for first in range(0, len(planned), size):
-            rows = planned[first : first + size]
-            levels[rows] = self._solve(
-                rows, x1[rows], x2[rows], rain, self._areas[rows, None] * evaporated, needed[rows]
+        if math.isfinite(float(x1.sum() + x2.sum() + rain.sum() + evaporated.sum())):
+            self._find(
+                self._sites, self._options, self._wet_after, self._ends, self._hours, x1, x2, rain,
+                evaporated, self.levels,
             )
-        return levels
-
-    def _solve(
-        self, rows: Rows, x1: Array, x2: Array, rain: Array, evaporated: Array, needed: Array
-    ) -> Array:
-        """Solve the dynamic program for the given sites; see :meth:`_find_levels`.
-
-        Args:
-            rows: indices of the sites to which the other arrays belong.
-            x1: volume in each cistern (m3).
-            x2: volume on each roof (m3).
-            rain: depth of rain in each hour (m), shape (members, hours).
-            evaporated: evapotranspiration of each roof in each hour (m3), shape (sites, hours).
-            needed: water that each roof needs within the reach (m3).
-        """
-        sites, nodes, price = self._sites, self._nodes[rows, None], self._prices[rows, None, None]
-        floor, full = nodes[..., :1], nodes[..., -1:]
-        inflow = rain * sites.effective_catchment[rows, None, None]
-        flows = inflow - self._find_needs(rows, x2, rain, evaporated)
-        wet: Array = np.array([self._find_wet(member) for member in rain], float)
-        worth = price * np.minimum(nodes - floor, needed[:, None, None])
-        value = np.repeat(-worth, len(rain), axis=1)
-        for hour in reversed(range(rain.shape[1])):
-            held = nodes + flows[:, :, hour, None]
-            inside = np.minimum(np.maximum(held, floor), full)
-            value = (
-                _value_at(nodes, value, inside) + price * (inside - np.minimum(held, inside))
-                + wet[:, hour, None] * (np.maximum(held, inside) - inside)
-            )
-            if hour:
-                value = self._before(rows, value, wet[:, hour, None])
-        x1 = np.minimum(np.maximum(x1, floor[:, 0, 0]), full[:, 0, 0])
-        reached = self._drain_hour(rows, x1[:, None])
-        left = np.minimum(np.maximum(nodes[:, 0], reached), x1[:, None])
-        left = np.repeat(left[:, None], len(rain), axis=1)
-        costs = _value_at(nodes, value, left).mean(axis=1)
-        ties = costs <= costs.min(axis=1, keepdims=True) + _TIE * (full - floor)[:, 0]
-        highest = _NODES - 1 - ties[:, ::-1].argmax(axis=1)
-        return np.asarray(nodes[np.arange(len(rows)), 0, highest])
-
-    def _find_wet(self, rain: Array) -> list[bool]:
-        """Return whether each hour is wet, from its rain (m)."""
-        wet, without_rain = [], math.inf
-        for depth in rain.tolist():
-            without_rain = time_without_rain(without_rain, depth / _HOUR_S, _HOUR_S)
-            wet.append(is_wet(without_rain, _HOUR_S, self._wet_after))
-        return wet
-
-    def _before(self, rows: Rows, value: Array, wet: Array) -> Array:
-        """Compute V from U of :class:`.outlet.Policy`, with the best use of the valve in an hour.
-
-        Args:
-            rows: indices of the sites.
-            value: U at each node, shape (sites, members, nodes).
-            wet: 1 for members whose weather is wet in this hour, otherwise 0, shape (members, 1).
-        """
-        nodes = self._nodes[rows, None]
-        node = (value + self._unreachable[rows, None]).argmin(axis=2, keepdims=True)
-        node = np.where(wet > 0, _NODES - 1, node)
-        level = np.take_along_axis(nodes, node, axis=2)
-        level = np.minimum(np.maximum(level, self._drained[rows, None]), nodes)
-        return _value_at(nodes, value, level)
-
-    def _drain_hour(self, rows: Rows, volumes: Array) -> Array:
-        """Return the volumes that remain after the valves have been open for an hour (m3).
-
-        Args:
-            rows: indices of the sites.
-            volumes: volumes in the cisterns (m3), shape (sites, n).
-        """
-        outlet, a1 = self._outlet[rows, None], self._sites.a1[rows, None]
-        root = np.sqrt(np.maximum(volumes - outlet, 0.0) / a1)
-        root = np.maximum(root - self._fall[rows, None] * _HOUR_S, 0.0)
-        return np.asarray(np.minimum(volumes, outlet + a1 * root**2))
-
-    def _find_needs(self, rows: Rows, x2: Array, rain: Array, evaporated: Array) -> Array:
-        """Return the water (m3) that roofs need from cisterns each hour, minus the roofs' drainage.
-
-        Args:
-            rows: indices of the sites.
-            x2: volume on each roof (m3).
-            rain: depth of rain in each hour (m), shape (members, hours).
-            evaporated: evapotranspiration of each roof in each hour (m3), shape (sites, hours).
-
-        Returns:
-            The water, with shape (sites, members, hours).
-        """
-        sites, kept = self._sites, self._sites.drainage_to_cistern[rows, None]
-        room, fallen = self._room[rows, None], rain * sites.a2[rows, None, None]
-        above = np.repeat((x2 - sites.x2_star[rows])[:, None], len(rain), axis=1)
-        needs: Array = np.empty_like(fallen)
-        for hour in range(rain.shape[1]):
-            above = above + fallen[..., hour] - evaporated[:, hour, None]
-            drained = np.maximum(above - room, 0.0)
-            needs[..., hour] = np.maximum(-above, 0.0) - kept * drained
-            above = np.minimum(np.maximum(above, 0.0), room)
-        return needs
-
-
-def _value_at(nodes: Array, value: Array, volumes: Array) -> Array:
-    """Interpolate values between the nodes; the result has shape (sites, members, n).
-
-    Args:
-        nodes: volumes at the nodes (m3).
-        value: values at the nodes, shape (sites, members, nodes).
-        volumes: volumes at which to interpolate (m3), shape (sites, members, n).
-    """
-    first, last = nodes[..., :1], nodes[..., -1:]
-    place = (volumes - first) * ((_NODES - 1) / (last - first))
-    node = np.minimum(place.astype(np.intp), _NODES - 2)
-    sites, members, count = value.shape
-    start = (np.arange(sites * members) * count).reshape(sites, members, 1) + node
-    low = value.take(start)
-    return np.asarray(low + (place - node) * (value.take(start + 1) - low))

@@ -207,7 +207,8 @@ class PlantNode(SimulationNode):
                 f"{deviation:.2f} m3"
             )
             return
-        self._metrics.add(site.state, command, rain, evapotranspiration, flows)
+        known_rain = rain if self._rain.good else math.nan  # unknown rain counts as wet weather
+        self._metrics.add(site.state, command, known_rain, evapotranspiration, flows)
         site.step()
         # Publish the next tick first, if allowed: the other nodes begin it while this node still
         # publishes the flows of the last tick. The order within a topic does not change.

@@ -131,7 +131,7 @@ def flows_in_short_tick(
 
 def flows_in_long_tick(
     p: PlantParameters, x1: float, collected: float, command: float, outlet: float, pumped: float,
-    missing: float, rise: float, min_run: float,
+    missing: float, rise: float,
 ) -> tuple[float, float, float, float, bool]:
     """Return the flows into and out of the cistern in a tick that is not short.
 
@@ -149,13 +149,12 @@ def flows_in_long_tick(
         pumped: as for :func:`flows_in_short_tick`.
         missing: volume that the pumps must deliver, such as to fill the roof to its target (m3).
         rise: rate at which rain reduces ``missing`` (m3/s).
-        min_run: minimum time for which the site's own pumps run (s).
 
     Returns:
         As :func:`flows_in_short_tick`.
     """
     tau, own = p.tau, math.isnan(pumped)
-    lowest, flow = p.a1 * p.suction_level * (1 + ABOVE_SUCTION), 0.0
+    lowest, min_run, flow = p.a1 * p.suction_level * (1 + ABOVE_SUCTION), MIN_RUN_S, 0.0
     if not own:
         flow, lowest, min_run = pumped, 0.0, 0.0
     elif missing > 0:

@@ -29,12 +29,19 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 # Number of ticks that take a second or more without numba.
 _MANY_TICKS = 100_000
+MIN_COMPILED = 20_000
+"""number of ticks that take less time in plain Python than loading numba does"""
 
 
 @functools.cache
 def can_compile() -> bool:
     """Return whether numba is installed."""
     return find_spec("numba") is not None
+
+
+def pays_to_compile(ticks: int) -> bool:
+    """Return whether numba is installed, and the ticks of all sites are worth loading it."""
+    return can_compile() and ticks >= MIN_COMPILED
 
 
 def note_if_slow(ticks: int) -> None:

@@ -9,12 +9,7 @@ from __future__ import annotations
 
 import math
 
-from greenroof_ros.physics.cistern import (
-    MIN_RUN_S,
-    flows_in_long_tick,
-    flows_in_short_tick,
-    let_out_above,
-)
+from greenroof_ros.physics.cistern import flows_in_long_tick, flows_in_short_tick, let_out_above
 from greenroof_ros.physics.parameters import Flows, PlantParameters, State
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.physics.soil import (
@@ -55,7 +50,7 @@ def step(
         if math.isnan(pumped):
             missing, rise = missing_on_roof(p, x2, fallen, potential) if command > 0 else (0.0, 0.0)
         outflow, low, pump, mains, limited = flows_in_long_tick(
-            p, x1, collected, command, outlet, pumped, missing, rise, MIN_RUN_S
+            p, x1, collected, command, outlet, pumped, missing, rise
         )
     percolated, evaporated, dry = flows_in_tick(p, x2, fallen + pump, potential)
     drained = layer_outflow(p, layer, percolated, tau)
@@ -64,7 +59,7 @@ def step(
         if mains > 0 or x1 + tau * (arriving + mains) > let_out_above(p, outlet):
             # The drainage depends on the pumped water, and can leave the cistern in the same tick.
             outflow, low, _, mains, _ = flows_in_long_tick(
-                p, x1, arriving, command, outlet, pumped, tau * pump, 0.0, 0.0
+                p, x1, arriving, command, outlet, pumped, tau * pump, 0.0
             )
             if mains > 0:  # they were open when the pumps emptied the cistern, as at first
                 mains = max(mains, outflow + pump - arriving - x1 / tau)

@@ -369,11 +369,7 @@ def find_new_days(site: Site, start: float, ticks: int) -> list[int]:
 
 
 class Metrics:
-    """The metrics of a run in progress.
-
-    Attributes:
-        wet: whether the weather is wet in the tick that was added last.
-    """
+    """The metrics of a run in progress."""
 
     def __init__(
         self, site: Site, ticks: int, start: float = 0.0, without_rain: float = math.inf

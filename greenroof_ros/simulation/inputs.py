@@ -62,9 +62,8 @@ class RunInputs:
     forecast: ForecastChoice = field(default_factory=ForecastChoice)
     sensor_and_pump: SensorAndPump = field(default_factory=SensorAndPump)
     start: str = entry(
-        "time of the first tick (ISO 8601); without an offset from UTC, the time is in the site's "
-        "time_zone or, if the site has none, in the zone or offset of the weather",
-        default=DEFAULT_START,
+        "time of the first tick (ISO 8601); without an offset from UTC, in the site's time_zone "
+        "or, if the site has none, in the zone or offset of the weather", default=DEFAULT_START,
     )
     hours: float | None = entry(
         "length of the run; by default, N of the site", 1e-9, 1e9, unit="h", default=None,
@@ -85,9 +84,8 @@ class RunInputs:
     evapotranspiration: str | None = entry(
         "source of evapotranspiration. fao56: FAO-56 Penman-Monteith; hargreaves: FAO-56 Eq. 52, "
         "from temperature alone; monthly: the site's monthly_evapotranspiration; or the name of a "
-        "column of the weather file, for example published (default: the column of the weather "
-        "file, if any; otherwise the first of these three methods for which the data suffice)",
-        default=None,
+        "column of the weather file, such as published (default: the column of the file, if any; "
+        "otherwise the first of these three methods for which the data suffice)", default=None,
     )
     gaps: str = entry(
         "treatment of missing hours in the weather, except in short gaps. refuse: stop and list "

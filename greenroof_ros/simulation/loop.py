@@ -182,7 +182,7 @@ def simulate(
             it raises ends the run.
     """
     instance = run.make_controller() if controller is None else controller
-    if type(instance) is OnOff:
+    if type(instance) is OnOff and run.controller.kind is OnOff:
         return _simulate_season(run, instance, every, progress)
     simulation = Simulation(run, instance)
     ticks: Iterable[Tick] = simulation.ticks()

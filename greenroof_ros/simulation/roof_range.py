@@ -64,9 +64,8 @@ def roof_range(
         array("d", rain * site.a2), array("d", evapotranspiration), array("d", pumped), strict=True
     ):
         # Nothing is pumped if even the roof's minimum volume is above its target.
-        limits = _limits_of_tick(
-            p, low, high, fell, potential, max_pumped if low <= target else 0.0
-        )
+        supply = max_pumped if low <= target else 0.0
+        limits = _limits_of_tick(p, low, high, fell, potential, supply)
         low, high = limits[:2]
         ticks.extend(limits)
     lows, highs, minimum, maximum, unpumped, slope = np.ascontiguousarray(
@@ -79,8 +78,7 @@ def roof_range(
 
 
 def _limits_of_tick(
-    p: PlantParameters, low: float, high: float, rain: float, potential: float,
-    max_pumped: float,
+    p: PlantParameters, low: float, high: float, rain: float, potential: float, max_pumped: float
 ) -> tuple[float, ...]:
     """Compute the range of the roof's volume after a tick.
 
@@ -92,7 +90,7 @@ def _limits_of_tick(
     together.
 
     Args:
-        p: numbers of the p.
+        p: numbers of the site.
         low: minimum volume before the tick (m3).
         high: maximum volume before the tick (m3).
         rain: rain on the roof (m3/s).
@@ -104,9 +102,7 @@ def _limits_of_tick(
     """
     slope = 1.0
     if p.has_field_capacity and high - low > ROUNDING * p.z_cap:
-        first, last = (
-            roof_after_tick(p, x2, rain, potential) for x2 in (low, high)
-        )
+        first, last = (roof_after_tick(p, x2, rain, potential) for x2 in (low, high))
         slope = min(1.0, max(0.0, (last - first) / (high - low)))
     reached = {}
     for line in (0.0, slope):
@@ -114,9 +110,7 @@ def _limits_of_tick(
         reached[line] = min(ends), max(ends)
         if max_pumped > 0:
             end = max(low, min(high, p.a2 * p.z_veg))
-            pumped_to = max(
-                _ends(p, low, end, rain + max_pumped / p.tau, potential, line)
-            )
+            pumped_to = max(_ends(p, low, end, rain + max_pumped / p.tau, potential, line))
             if not p.has_short_ticks:  # the pumps stop at the target
                 full = (1 + ROUNDING) * p.a2 * p.z_veg
                 filled = max(full, roof_after_tick(p, full, rain, potential))
@@ -144,7 +138,7 @@ def _ends(
     of these pieces, and the maximum is at an end or where the slope is 0.
 
     Args:
-        p: numbers of the p.
+        p: numbers of the site.
         low: minimum volume before the tick (m3).
         high: maximum volume before the tick (m3).
         arriving: rain and pumped water (m3/s).

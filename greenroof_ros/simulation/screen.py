@@ -30,13 +30,23 @@ _COLLECTED = 0.1
 
 
 def _metric_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield the metrics, except those that are 0 as expected; capitals mark values over a limit."""
-    left_out = _IN_FILES if _collects_storm_water(summary) else _IN_FILES | _STORM_WATER
+    """Yield the metrics that are not 0 as expected, and the number of rain events.
+
+    Capitals mark values over a limit.
+    """
+    collects, events = _collects_storm_water(summary), summary.get("events")
+    left_out = _IN_FILES if collects else _IN_FILES | _STORM_WATER
     for metric in METRICS:
         value = summary.get(metric.name, 0)
         if metric.name in summary and metric.name not in left_out and (value or metric.max):
             label = metric.label.upper() if value > metric.max else metric.label
             yield label, f"{value:{metric.form}}", metric.description
+    if collects and events:
+        largest = max(events, key=lambda event: float(event["rain_mm"]))
+        yield "rain events", str(len(events)), (
+            f"the largest: {largest['rain_mm']:.1f} mm, with {largest['volume_reduction']:.0%} of "
+            f"its volume and {largest['peak_reduction']:.0%} of its peak kept out of the sewer"
+        )
 
 
 def _collects_storm_water(summary: Mapping[str, Any]) -> bool:
@@ -46,17 +56,6 @@ def _collects_storm_water(summary: Mapping[str, Any]) -> bool:
     """
     rain = summary.get("rain_cistern_m3", 0.0), summary.get("rain_roof_m3", 0.0)
     return "outlet" in summary["parameters"] or 0 < _COLLECTED * rain[1] <= rain[0]
-
-
-def _event_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield the number of rain events, with a description of the largest event."""
-    events = summary.get("events")
-    if events and _collects_storm_water(summary):
-        largest = max(events, key=lambda event: float(event["rain_mm"]))
-        yield "rain events", str(len(events)), (
-            f"the largest: {largest['rain_mm']:.1f} mm, with {largest['volume_reduction']:.0%} of "
-            f"its volume and {largest['peak_reduction']:.0%} of its peak kept out of the sewer"
-        )
 
 
 def grid(title: str, lines: Iterable[tuple[str, str, str]]) -> Table:
@@ -76,7 +75,6 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     yield from setting_rows(summary)
     yield "controller", summary["controller"], _listed(parameters)
     yield from _metric_rows(summary)
-    yield from _event_rows(summary)
     if solver := summary["solver"]:
         yield "solver", f"{solver['mean_s'] * 1e6:.0f} us", (
             f"mean; p99 {solver['p99_s'] * 1e6:.0f} us; {solver['solves']} solves, "

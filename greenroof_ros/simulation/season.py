@@ -10,7 +10,7 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.onoff import onoff_command
 from greenroof_ros.controllers.outlet import OPEN, PLAN, POLICIES, outlet_share
-from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, PlannedLevels, columns
+from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, PlannedLevels, find_levels
 from greenroof_ros.forecast.resampling import Forecast, make_forecast
-from greenroof_ros.physics.compiled import can_compile, compiled, note_if_slow, records
+from greenroof_ros.physics.compiled import compiled, note_if_slow, pays_to_compile, records
 from greenroof_ros.physics.parameters import PlantParameters, State, plant_parameters
 from greenroof_ros.physics.sensor_and_pump import (
     SensorAndPump,
@@ -203,7 +203,8 @@ class SeasonWeather:
             for values in (series.precipitation, series.evapotranspiration, series.frost)
         )
         without_rain = np.empty_like(rain)
-        compiled(count_rain)(rain, run.site.tau, run.without_rain_s, without_rain)
+        count = compiled(count_rain) if pays_to_compile(run.steps) else count_rain
+        count(rain, run.site.tau, run.without_rain_s, without_rain)
         return cls(run, bed, rain, evaporated / bed, frost != 0, without_rain)
 
     @cached_property
@@ -338,7 +339,9 @@ def simulate_season(
             for last in sorted({*due, *range(_BLOCK, steps, _BLOCK), steps + 1}):
                 if first in due:
                     season.plan(first)
-                list(pool.map(lambda part, a=first, b=last: season.run(part, a, b), parts))
+                # A thread of its own would take longer to wake than a site needs from plan to plan.
+                run = partial(season.run, first=first, last=last)
+                list(pool.map(run, parts) if threads > 1 else map(run, parts))
                 done, first = done + (last - first) * (end - begin), last
                 if progress is not None:
                     progress(min(1.0, done / (steps + 1) / count))
@@ -366,8 +369,8 @@ class _Plan(NamedTuple):
     weather: SeasonWeather
     due: set[int]
     """ticks in which plans are made"""
-    sites: Any
-    """numbers of the sites, from :func:`.outlet_plan.columns`"""
+    areas: Values
+    """areas of the cisterns and of the roofs (m2), shape (2, sites)"""
     levels: PlannedLevels
 
 
@@ -384,6 +387,7 @@ class _Season:
         self._batch, self._groups, self._every = batch, groups, max(1, every)
         sites, self._steps = batch.sites, batch.weather[0].run.steps
         steps = self._steps
+        self._compiles = pays_to_compile(steps * len(sites))
         self._numbers = numbers = [s.sum_parameters(site) for site in sites]
         clocks: dict[Any, tuple[int, Site, Run]] = {}
         controls, together = list[Control](), dict[tuple[int, float], list[int]]()
@@ -397,7 +401,9 @@ class _Season:
             if batch.parameters[row].get("outlet") == PLAN:
                 together.setdefault((weather, site.wet_after), []).append(row)
         plants = [plant_parameters(site) for site in sites]
-        self._plans = [_make_plan(batch, plants, rows) for rows in together.values()]
+        self._plans = [
+            _make_plan(batch, plants, rows, self._compiles) for rows in together.values()
+        ]
         self.due = {tick for plan in self._plans for tick in plan.due}
         count, self.intervals = len(sites), -(-steps // int(numbers[0].interval_ticks))
         events = max(s.count_events(q, steps) for q in numbers) if count == 1 else 0
@@ -406,27 +412,32 @@ class _Season:
         self._group_of = np.zeros(count, np.intp)
         self._levels = np.array([each.get("outlet_reserve", 0.0) for each in batch.parameters])
         layers = [site.initial_layer for site in sites]
-        self._state, switches, self._sums, self._weeks = map(_as_taken, (
+        self._state, switches, self._sums, self._weeks = map(self._as_taken, (
             np.column_stack((batch.x1, batch.x2, layers)),
             np.array([[0.0, control.min_off, 0.0] for control in controls]),
             np.zeros((count, max(map(s.count_places, numbers)))),
             np.zeros((count, max(s.count_weeks(q, steps) for q in numbers))),
         ))
         self._of_rows = (
-            records(plants), records(numbers), records(controls), self._group_of, self._levels,
+            *(records(each) if self._compiles else each for each in (plants, numbers, controls)),
+            self._group_of, self._levels,
             self._state, switches, self._sums, self._weeks, self._events, self.kept,
         )
         self._errors = read_errors(batch.sensor_and_pump, steps + 1)
         flags = [_read_clock(site, run) for _, site, run in clocks.values()]
-        self._shared = [*map(_as_taken, (
+        self._shared = [*map(self._as_taken, (
             *(np.array([getattr(each, name) for each in batch.weather]) for name in (
                 "rain", "evapotranspiration", "frost", "without_rain",
             )), *map(np.array, zip(*flags, strict=True)), self._errors,
         ))]
 
+    def _as_taken(self, array: NDArray[Any]) -> Any:
+        """Return an array as :func:`run_ticks` takes it; plain Python is faster with lists."""
+        return array if self._compiles else array.tolist()
+
     def divide(self, begin: int, end: int) -> list[_Part]:
         """Return the sites from a row to another (exclusive) in parts."""
-        parts, bounds = [], np.linspace(begin, end, _PARTS + 1).astype(int).tolist()
+        parts, bounds = [], np.unique(np.linspace(begin, end, _PARTS + 1).astype(int)).tolist()
         for rows in itertools.starmap(slice, itertools.pairwise(bounds)):
             groups, self._group_of[rows] = np.unique(self._groups[rows], return_inverse=True)
             parts.append(_Part(rows, groups, np.zeros((len(groups), 2, self.intervals))))
@@ -434,21 +445,22 @@ class _Season:
 
     def run(self, part: _Part, first: int, last: int) -> None:
         """Simulate a part from a tick to another (exclusive)."""
-        compiled(run_ticks)(
+        function = compiled(run_ticks) if self._compiles else run_ticks
+        function(
             *(each[part.rows] for each in self._of_rows), *self._shared, part.hydrograph,
             self._every, first, last, self._steps,
         )
 
     def plan(self, tick: int) -> None:
         """Make the plans that are due in a tick."""
-        for rows, weather, due, sites, plan in self._plans:
+        for rows, weather, due, (a1, a2), plan in self._plans:
             if tick in due:
                 x1, x2, _ = np.asarray(self._state)[rows].T
-                roof = x2 / sites.a2
+                roof = x2 / a2
                 if len(self._errors):
                     roof = np.maximum(0.0, roof + self._errors[tick])
                 forecast = weather.foresee(tick, self._batch.with_forecast)
-                plan.plan(x1 / sites.a1 * sites.a1, roof * sites.a2, *forecast)
+                plan.plan(x1 / a1 * a1, roof * a2, *forecast)
                 self._levels[rows] = plan.levels
 
     def finish(self, row: int) -> tuple[dict[str, float], list[float], list[Event]]:
@@ -473,9 +485,11 @@ def _control(batch: Batch, row: int, clock: int) -> Control:
     )
 
 
-def _make_plan(batch: Batch, plants: Sequence[PlantParameters], rows: list[int]) -> _Plan:
+def _make_plan(
+    batch: Batch, plants: Sequence[PlantParameters], rows: list[int], compiles: bool
+) -> _Plan:
     site, weather = batch.sites[rows[0]], batch.weather[batch.weather_of[rows[0]]]
-    clock, sites = PlanClock(site.tau), columns([plants[row] for row in rows])
+    clock, own = PlanClock(site.tau), [plants[row] for row in rows]
     due = {
         tick for tick, without_rain in enumerate(weather.without_rain.tolist())
         if clock.is_due(is_wet(without_rain, site.tau, site.wet_after * HOUR_S))
@@ -485,8 +499,10 @@ def _make_plan(batch: Batch, plants: Sequence[PlantParameters], rows: list[int])
         for name in ("outlet_reserve", "outlet_price", "outlet_reach")
     )
     ends = look_ahead_ends(weather.run.site, 0.0, HORIZON_H)
-    return _Plan(rows, weather, due, sites, PlannedLevels(
-        sites, site.wet_after, ends, reserves, prices, reaches, batch.beds[rows]
+    areas = np.array([(p.a1, p.a2) for p in own]).T
+    return _Plan(rows, weather, due, areas, PlannedLevels(
+        records(own) if compiles else own, site.wet_after, ends, reserves, prices, reaches,
+        batch.beds[rows], compiled(find_levels) if compiles else find_levels,
     ))
 
 
@@ -497,8 +513,3 @@ def _read_clock(site: Site, run: Run) -> tuple[Flags, Flags]:
         quiet = site.quiet.quiet_ticks(run.time_ns(0), round(site.tau * 1e9), run.steps + 1)
     new_day[find_new_days(site, run.time_ns(0) / 1e9, run.steps)] = True
     return quiet, new_day
-
-
-def _as_taken(array: NDArray[Any]) -> Any:
-    """Return an array as :func:`run_ticks` takes it; plain Python is faster with lists."""
-    return array if can_compile() else array.tolist()

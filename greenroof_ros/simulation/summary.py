@@ -171,12 +171,15 @@ def find_site_file(run: Path) -> Path:
 def versions() -> Mapping[str, str]:
     """Return the versions of the software that determines the results of a run.
 
-    ``source`` is a hash of this package's source files rather than a commit, because an installed
-    package does not know its commit, and edited files do not belong to any commit.
+    ``source`` is twelve digits of a hash of this package's source files rather than a commit,
+    because an installed package does not know its commit, and edited files do not belong to any.
     """
+    digest, root = hashlib.sha256(), Path(__file__).resolve().parent.parent
+    for file in sorted(root.rglob("*.py")):
+        digest.update(file.relative_to(root).as_posix().encode() + file.read_bytes())
     result = {
         "greenroof_ros": __version__,
-        "source": _source(),
+        "source": digest.hexdigest()[:12],
         "python": platform.python_version(),
     }
     for package in ("numpy", "scipy", "osqp", "eto", "mcap", "rclpy"):
@@ -191,12 +194,3 @@ def format_versions(by_name: Mapping[str, str]) -> str:
     """Return versions as human-readable text, with an intelligible name for the hash."""
     names = {"source": "hash of its source files"}
     return ", ".join(f"{names.get(name, name)} {version}" for name, version in by_name.items())
-
-
-def _source() -> str:
-    """Return twelve digits that identify this package's code (a version covers many commits)."""
-    digest = hashlib.sha256()
-    package = Path(__file__).resolve().parent.parent
-    for file in sorted(package.rglob("*.py")):
-        digest.update(file.relative_to(package).as_posix().encode() + file.read_bytes())
-    return digest.hexdigest()[:12]

@@ -15,7 +15,6 @@ from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError, suggest_names
 from greenroof_ros.common.files import is_there, read_yaml, shared_directory
-from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.parameter import Parameter, make_record, parameters_of
 from greenroof_ros.site.clock import standard_offset
 from greenroof_ros.site.plain_keys import PLAIN, Entry, compute, override, translate
@@ -291,12 +290,10 @@ def _find_contradictions(site: Site, entries: Collection[str]) -> Iterator[tuple
             yield name, expected
     if site.monthly_evapotranspiration and len(site.monthly_evapotranspiration) != 12:
         yield "monthly_evapotranspiration", "must be a list of twelve numbers, January to December"
-    high = min(site.d, read_topics()["/cistern/level"].high)
-    if _ABOVE_OUTLET * site.z_o >= high:
+    if _ABOVE_OUTLET * site.z_o >= site.d:
         yield "z_o", (
-            f"must be below {high / _ABOVE_OUTLET:.4g} m, since a cistern can fill to "
-            f"{_ABOVE_OUTLET} z_o, which must be below the roof (d = {site.d:g} m) and below the "
-            "highest accepted level; is a unit wrong?"
+            f"must be below d / {_ABOVE_OUTLET} = {site.d / _ABOVE_OUTLET:.4g} m, so that even a "
+            f"cistern filled above its overflow is below the roof at d = {site.d:g} m"
         )
     for names, further in _TOGETHER:
         there = {name for name in entries if getattr(site, name) is not False}

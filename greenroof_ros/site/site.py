@@ -34,9 +34,7 @@ class Cistern:
     )
     z_o: float = entry("elevation of the cistern's overflow above its base", *_POSITIVE, unit="m")
     r_o: float = entry("radius of the cistern's overflow", *_POSITIVE, unit="m")
-    c_d: float = entry(
-        "discharge coefficient of the overflow and of the low outlet", *_POSITIVE, unit="1",
-    )
+    c_d: float = entry("discharge coefficient of overflow and low outlet", *_POSITIVE, unit="1")
     low_outlet_level: float | None = entry(
         "elevation above the cistern's base of the low outlet, a throttled second outlet below "
         "the overflow that empties the detention volume between storms; if omitted, the cistern "
@@ -57,17 +55,14 @@ class Cistern:
         "water level in the cistern below which a float valve adds mains water; if omitted, the "
         "cistern has no mains supply", 0.01, 100.0, unit="m", default=None,
     )
-    mains_flow: float | None = entry(
-        "flow of mains water into the cistern", 1e-6, 1.0, unit="m3/s", default=None,
-    )
+    mains_flow: float | None = entry("flow of mains water", 1e-6, 1.0, unit="m3/s", default=None)
     drainage_to_cistern: float = entry(
         "share of the roof's drainage that flows into the cistern; the rest flows to the sewer",
         0.0, 1.0, unit="1", default=0.0,
     )
     wet_after: float = entry(
-        "time after rain during which the sewer still carries storm water, so that water "
-        "discharged to the sewer counts as discharge in wet weather [assumed]", 0.0, 48.0, unit="h",
-        default=2.0,
+        "time after rain during which the sewer still carries storm water, so that discharge "
+        "counts as discharge in wet weather [assumed]", 0.0, 48.0, unit="h", default=2.0,
     )
     event_separation: float = entry(
         "minimum time without rain between two rain events", 0.1, 48.0, unit="h", default=6.0,
@@ -109,12 +104,11 @@ class Roof:
     a2: float = entry("area of the rooftop vegetation", *_POSITIVE, unit="m2")
     z_veg: float = entry("desired depth of water in the substrate", *_POSITIVE, unit="m")
     x2_star: float = entry(
-        "desired water volume on the roof, equal to a2 z_veg; computed if omitted", *_POSITIVE,
-        unit="m3",
+        "desired volume on the roof, equal to a2 z_veg; computed if omitted", *_POSITIVE, unit="m3",
     )
     z_soil: float = entry("depth of the soil on the roof", *_POSITIVE, unit="m")
     z_cap: float = entry(
-        "volume of water that the soil holds before it drains, equal to a2 z_soil or, for a "
+        "water volume that the soil holds before it drains, equal to a2 z_soil or, for a "
         "field-capacity soil, to a2 z_soil field_capacity; computed if omitted", *_POSITIVE,
         unit="m3",
     )
@@ -125,13 +119,11 @@ class Roof:
         unit="1", default=None,
     )
     percolation_exponent: float = entry(
-        "exponent beta of a field-capacity soil: of the arriving water, the share S^beta "
-        "percolates, where S is the filled share of the available water", 1.0, 10.0, unit="1",
-        default=2.0,
+        "exponent beta of a field-capacity soil: of the arriving water, S^beta percolates, where "
+        "S is the filled share of the available water", 1.0, 10.0, unit="1", default=2.0,
     )
     wilting_point: float | None = entry(
-        "volume of water that plants cannot take up, per volume of substrate", 0.0, 0.5, unit="1",
-        default=None,
+        "water that plants cannot take up, per volume of soil", 0.0, 0.5, unit="1", default=None,
     )
     depletion_fraction: float | None = entry(
         "depletion fraction p in FAO-56 Eq. 84: the share of the water between field capacity and "
@@ -194,27 +186,19 @@ class Pump:
         "omitted, the pumps irrigate the roof", choices=("none",), default=None,
     )
     a_hat: float = entry(
-        "quadratic coefficient of the pump curve in Eq. (3b); must be negative", *_NEGATIVE,
-        unit="s2/m5",
+        "quadratic coefficient of the pump curve in Eq. (3b); negative", *_NEGATIVE, unit="s2/m5",
     )
     c_hat: float = entry("constant coefficient of the pump curve in Eq. (3b)", *_POSITIVE, unit="m")
-    a_pump: float = entry(
-        "cross-sectional area of the flow through the pump", *_POSITIVE, unit="m2",
-    )
+    a_pump: float = entry("cross section of the flow through the pump", *_POSITIVE, unit="m2")
     d: float = entry("elevation of the vegetation above the cistern's base", *_POSITIVE, unit="m")
     D: float = entry("diameter of the pipe", *_POSITIVE, unit="m")
     F: float = entry("friction factor of the pipe", *_POSITIVE, unit="1")
     k_L: float = entry("minor loss coefficient of the pipe", *_NOT_NEGATIVE, unit="1")
     l: float = entry("length of the pipe", *_POSITIVE, unit="m")  # noqa: E741 - the paper's symbol
-    z_pump: float = entry(
-        "elevation of the pumps above the cistern's base", *_NOT_NEGATIVE, unit="m",
-    )
-    z_H: float = entry(
-        "minimum water level that the pumps need above their base", *_NOT_NEGATIVE, unit="m",
-    )
+    z_pump: float = entry("height of the pumps above the cistern's base", *_NOT_NEGATIVE, unit="m")
+    z_H: float = entry("minimum water level above the pumps' base", *_NOT_NEGATIVE, unit="m")
     pump_efficiency: float = entry(
-        "ratio of hydraulic to electric power of pumps and motors", 0.001, 1.0, unit="1",
-        default=0.5,
+        "ratio of hydraulic to electric power of pump and motor", 0.001, 1.0, unit="1", default=0.5,
     )
     starts_per_hour: float = entry(
         "maximum number of pump starts per hour; more starts cause a warning, and the controller "
@@ -250,8 +234,7 @@ class Place:
         "elevation above mean sea level", -430.0, 6000.0, unit="m", default=None,
     )
     utc_offset: float | None = entry(
-        "offset of local standard time from UTC, without daylight saving", -12.0, 14.0, unit="h",
-        default=None,
+        "offset of local standard time from UTC", -12.0, 14.0, unit="h", default=None,
     )
     time_zone: str | None = entry(
         "IANA name of the time zone of quiet_hours and of the web page, such as America/Toronto; "
@@ -263,9 +246,8 @@ class Place:
         unit="1", default=0.23,
     )
     k_Rs: float = entry(
-        "adjustment coefficient in FAO-56 Eq. 50, which estimates solar radiation that was not "
-        "measured: 0.16 inland, 0.19 near a large body of water", 0.1, 0.25, unit="degC^-0.5",
-        default=0.16,
+        "coefficient in FAO-56 Eq. 50, which estimates solar radiation that was not measured: "
+        "0.16 inland, 0.19 near a large body of water", 0.1, 0.25, unit="degC^-0.5", default=0.16,
     )
     wind_height: float = entry(
         "height above the ground at which the wind was measured, for records in this project's "
@@ -281,9 +263,8 @@ class Place:
         "temperature", 0.0, 20.0, unit="mm/day", default=None,
     )
     quiet_hours: tuple[str, ...] | None = entry(
-        "intervals of the day during which the pump stays off, in the local time of time_zone, "
-        'such as ["22:00-06:00", "12:00-13:30"]; if omitted, the pump may run at any time',
-        default=None,
+        "intervals of the day during which the pump is off, in the local time of time_zone, such "
+        'as ["22:00-06:00", "12:00-13:30"]; if omitted, the pump may run at any time', default=None,
     )
 
     @cached_property
@@ -313,9 +294,7 @@ class Site(Place, Pump, Roof, Cistern):
     """
 
     g: float = entry("acceleration due to gravity", *_POSITIVE, unit="m/s2")
-    epsilon: float = entry(
-        "steepness of the sigmoid functions in the smooth model", *_POSITIVE, unit="1",
-    )
+    epsilon: float = entry("steepness of the smooth model's sigmoids", *_POSITIVE, unit="1")
     tau: float = entry("duration of a tick", 0.001, 3600.0, unit="s")
     M: int = entry("length of the controller's look-ahead", 1, 1000, unit="ticks")
     N: int = entry("length of a run", 1, 2**40, unit="ticks")

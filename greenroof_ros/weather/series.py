@@ -297,7 +297,7 @@ def _refuse_missing(
     weather: Weather, quantity: str, hours: NDArray[np.int64], further: str
 ) -> None:
     """Reject records that lack a quantity for some hours; the message ends with ``further``."""
-    missing = hours[np.isnan(weather.values[quantity][hours])]
+    missing = np.unique(hours[np.isnan(weather.values[quantity][hours])])
     if missing.size:
         named = ", ".join(name_hours(weather.first, missing))
         raise ConfigurationError(f"{quantity} is missing at {named}{further}", file=weather.source)
@@ -313,7 +313,7 @@ def select_records(
     """
     index = np.clip(hours, 0, weather.hours - 1)
     _refuse_missing(
-        weather, quantity, np.unique(index), ", but the run's forecasts require it; choose "
+        weather, quantity, index, ", but the run's forecasts require it; choose "
         "another period or another kind of forecast",
     )
     return weather.values[quantity][index]

@@ -13,7 +13,9 @@ from paper import run_in, site_with, weather_of
 import greenroof_ros as gr
 from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.outlet import Policy
+from greenroof_ros.controllers.outlet_plan import find_hourly, find_wet, solve
 from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.simulation.loop import simulate
 from greenroof_ros.site.site import Site
 
@@ -150,12 +152,10 @@ def test_unknown_rain_is_wet(name: str, forecast: Any) -> None:
 
 def test_an_hour_with_a_tenth_of_a_millimetre_is_wet() -> None:
     """Sums of rates are rounded; of all multiples of 0.1 mm before it, it remains 0.1 mm."""
-    site = replace(SITE, wet_after=0.0)
-    plan = Policy(site, HOUR * np.arange(4.0), math.inf, "plan", 2.0, 0.1, REACH)
-    assert plan.levels is not None
     for tenths in range(200):
-        (hourly,) = plan.levels._hourly(np.array([[tenths / 10, 0.0, 0.1]]) / 1000 / HOUR)
-        assert plan.levels._find_wet(hourly) == [tenths > 0, False, True]
+        rates = np.array([tenths / 10, 0.0, 0.1]) / 1000 / HOUR
+        hourly = find_hourly(rates, HOUR * np.arange(4.0), 3)
+        assert find_wet(hourly, 0.0).tolist() == [tenths > 0, False, True]
 
 
 def test_plan_depends_on_all_members() -> None:
@@ -173,10 +173,8 @@ def test_plan_depends_on_all_members() -> None:
 def test_the_hours_of_steps_that_are_none() -> None:
     """Rates over steps of 20 min, 70 min and 6 h, as totals of hours."""
     ends = np.array([0.0, 1200, 5400, 27_000])
-    plan = Policy(SITE, ends, math.inf, "plan", 2.0, 0.1, REACH)
-    assert plan.levels is not None
-    hourly = plan.levels._hourly(np.array([[3.0, 6.0, 1.0]]) / HOUR)
-    assert hourly[0] == pytest.approx([1 + 4, 3 + 0.5, 1, 1, 1, 1, 1, 0.5])
+    hourly = find_hourly(np.array([3.0, 6.0, 1.0]) / HOUR, ends, 8)
+    assert hourly == pytest.approx([1 + 4, 3 + 0.5, 1, 1, 1, 1, 1, 0.5])
 
 
 def find_costs(
@@ -232,11 +230,9 @@ def test_level_against_all_ways(seed: int) -> None:
     evaporated, price = random.choice([0, 0.005, 0.02]), 10 ** random.uniform(-1.5, 0.3)
     x1, x2 = random.uniform(0.3, 10), site.x2_star * random.uniform(0.7, 1.1)
     needed = random.choice([0.0, 3.0, 20.0])
-    plan = Policy(site, HOUR * np.arange(hours + 1.0), math.inf, "plan", 0.0, price, 1.0)
-    assert plan.levels is not None
-    (level,) = plan.levels._find_levels(
-        np.array([x1]), np.array([x2]), fallen / 1000, np.full(hours, evaporated),
-        np.array([needed]),
+    level = solve(
+        plant_parameters(site), site.wet_after * HOUR, 5.0 * 0.05, price, needed, x1, x2,
+        fallen / 1000, np.full(hours, evaporated),
     )
     grid, costs = find_costs(site, x2, fallen, evaporated, price, needed)
     low = 5.0 * (site.low_outlet_level or 0.0)

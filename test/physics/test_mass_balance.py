@@ -16,6 +16,11 @@ from greenroof_ros.physics.tick import OWN_PUMPS, step
 from greenroof_ros.simulation.loop import Simulation
 from greenroof_ros.site.site import Site
 
+# Mains water flows in while the pumps empty the cistern.
+KEPT = replace(
+    PAPER_SITE, a1=1.0, mains_level=0.5, mains_flow=0.01, drainage_to_cistern=1.0,
+    z_cap=13.76, field_capacity=0.4, wilting_point=0.0, depletion_fraction=0.5,
+)
 # Rain (m/s), evapotranspiration (m3/s), a command, the flow of an arbitrary pump driver (m3/s), or
 # NaN if the command decides, and the share to which the valve is open.
 TICKS = st.lists(
@@ -40,6 +45,7 @@ TICKS = st.lists(
 )
 @example(PAPER_SITE, 1.0, 0.04, 2e-6, [(0.0, 1e-3, 0.0, 0.3, 1.0)] * 5)
 @example(replace(PAPER_SITE, a1=5 / 3), 60.0, 2.027, 1.0, [(2e-5, 0.0, 0.0, OWN_PUMPS, 1.0)] * 5)
+@example(KEPT, 60.0, 1.25, 0.02, [(4.8e-6, 0.0, 0.0, 1.0, 1.0)])
 @example(replace(PAPER_SITE, K=1e-3), 300.0, 1.0, 1.1, [(0.0, 0.0, 0.0, OWN_PUMPS, 1.0)] * 5)
 def test_each_tank_changes_by_what_flows(
     site: Site, tau: float, cistern: float, roof: float,

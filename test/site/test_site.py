@@ -116,8 +116,7 @@ CLIMATE = "monthly_evapotranspiration"
         # A value that contradicts another.
         (PAPERS, {"x2_star": 3.145}, "x2_star", "a2 z_veg = 3.14416 m3"),
         (PAPERS, {"z_cap": 34.5}, "z_cap", "a2 z_soil = 34.4 m3; leave this line out to have it"),
-        (PAPERS, {"z_o": 300}, "z_o", "below 12.31 m, since a cistern can fill to 1.3 z_o"),
-        (PAPERS, {"z_o": 300, "d": 1000}, "z_o", "below 76.92 m, since a cistern can fill"),
+        (PAPERS, {"z_o": 300}, "z_o", "below d / 1.3 = 12.31 m, so that even a cistern filled"),
         (PAPERS, {"c_hat": 15.25}, "c_hat", "d - z_pump - z_H = 15.25 m"),
         (PAPERS, {"tau": 1.0000000001}, "tau", "a whole number of nanoseconds"),
         (PAPERS, {"z_veg": 0.5, "x2_star": 34.4}, "z_veg", "below z_cap / a2 = 0.5 m"),

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.physics.compiled import can_compile, compiled, records
+from greenroof_ros.physics.compiled import compiled, records
 from greenroof_ros.physics.parameters import Flows, State, plant_parameters
 from greenroof_ros.physics.sensor_and_pump import (
     min_ticks,
@@ -158,23 +158,26 @@ class Surroundings:
     Attributes:
         run: a run with the site and the weather.
         rain_offset_ns: time of tick 0 of this run since the first step of the rain.
+        compiles: whether the ticks are compiled.
         fixed: the first arguments of :func:`follow`.
         befores: what is known of the starts so far; see :meth:`find_before`.
     """
 
     run: Run
     rain_offset_ns: int
+    compiles: bool
     fixed: tuple[Any, ...]
     befores: dict[datetime, tuple[float, list[int]]] = field(default_factory=dict)
 
     @classmethod
-    def of_run(cls, run: Run, rain: PerTick, hours: range) -> Surroundings:
+    def of_run(cls, run: Run, rain: PerTick, hours: range, compiles: bool) -> Surroundings:
         """Make the surroundings of a run, and of others at other times of its record.
 
         Args:
             run: the run.
             rain: rain of all these runs, with the clock of this one.
             hours: hours of the record that the runs may reach.
+            compiles: whether to compile the ticks, for which numba must be installed.
         """
         site, series, sensor = run.site, run.series, run.sensor_and_pump
         clock, quiet = series.evapotranspiration.clock, np.empty(0, np.bool_)
@@ -191,9 +194,17 @@ class Surroundings:
             np.array(times), rain.values, series.evapotranspiration.values, series.frost.values,
             quiet, read_errors(sensor, run.steps + 1),
         )
-        return cls(run, rain.clock.offset_ns, (
-            *(records([part]) for part in parts), *map(_as_taken, arrays)
+        if compiles:
+            return cls(run, rain.clock.offset_ns, True, (
+                *(records([part]) for part in parts), *arrays
+            ))
+        return cls(run, rain.clock.offset_ns, False, (
+            *([part] for part in parts), *map(np.ndarray.tolist, arrays)
         ))
+
+    def as_taken(self, array: NDArray[Any]) -> Any:
+        """Return an array as :func:`follow` takes it; plain Python is faster with lists."""
+        return array if self.compiles else array.tolist()
 
     def find_before(self, start: datetime) -> tuple[float, list[int]]:
         """Return the time without rain before a run (s), and the first ticks of its days."""
@@ -231,6 +242,7 @@ class CommandedSites:
             x2: initial volume on each roof (m3).
         """
         self._surroundings, run, self.tick = surroundings, surroundings.run, 0
+        as_taken = surroundings.as_taken
         site, numbers, count = run.site, sum_parameters(run.site), len(starts)
         befores = [surroundings.find_before(start) for start in starts]
         later = np.array([
@@ -240,28 +252,29 @@ class CommandedSites:
         new_days = np.full((count, 1 + max(len(days) for _, days in befores)), -1)
         for row, (_, days) in enumerate(befores):
             new_days[row, : len(days)] = days
-        self._begins = _as_taken(np.column_stack((hours, surroundings.rain_offset_ns + later)))
-        self._new_days, self._events = _as_taken(new_days), np.zeros((0, EVENT_COLUMNS))
+        self._begins = as_taken(np.column_stack((hours, surroundings.rain_offset_ns + later)))
+        self._new_days, self._events = as_taken(new_days), np.zeros((0, EVENT_COLUMNS))
         layers, roof = np.full(count, site.initial_layer), x2 / site.a2
         if len(surroundings.fixed[-1]):
             roof = np.maximum(0.0, roof + surroundings.fixed[-1][0])
         switch = 0.0, min_ticks(run.sensor_and_pump.pump_min_off, site.tau), 0.0
-        self.commands, self._state, self.levels, self._switches = map(_as_taken, (
+        self.commands, self._state, self.levels, self._switches = map(as_taken, (
             np.zeros((count, 2)), np.column_stack((x1, x2, layers)),
             np.column_stack((x1 / site.a1, roof)), np.tile(switch, (count, 1)),
         ))
-        self.without_rain, self._days, self.rewards = map(_as_taken, (
+        self.without_rain, self._days, self.rewards = map(as_taken, (
             np.array([before for before, _ in befores]), np.zeros(count, np.int64),
             np.zeros(count),
         ))
-        self._sums, self._weeks, self._ticks = map(_as_taken, (
+        self._sums, self._weeks, self._ticks = map(as_taken, (
             np.zeros((count, count_places(numbers))),
             np.zeros((count, count_weeks(numbers, run.steps))), np.zeros((count, 17)),
         ))
 
     def follow(self, last: int, first_row: int, last_row: int) -> None:
         """Simulate some sites from the current tick to another (exclusive); see :func:`follow`."""
-        compiled(follow)(
+        function: Any = compiled(follow) if self._surroundings.compiles else follow
+        function(
             *self._surroundings.fixed, self._begins, self._new_days, self.commands, self._state,
             self.levels, self._switches, self.without_rain, self._days, self._sums, self._weeks,
             self._events, self._ticks, self.rewards, first_row, last_row, self.tick, last,
@@ -286,11 +299,7 @@ class CommandedSites:
         """Return the metrics of every site, as if the runs ended now."""
         sums, weeks = np.array(self._sums), np.array(self._weeks)
         numbers, state = self._surroundings.fixed[1], np.asarray(self._state)
-        compiled(finish_all)(numbers, sums, weeks, self._events, state)
+        function = compiled(finish_all) if self._surroundings.compiles else finish_all
+        function(numbers, sums, weeks, self._events, state)
         site = self._surroundings.run.site
         return [compute_metrics(site, row) for row in sums.tolist()]
-
-
-def _as_taken(array: NDArray[Any]) -> Any:
-    """Return an array as :func:`follow` takes it; plain Python is faster with lists."""
-    return array if can_compile() else array.tolist()

@@ -23,6 +23,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.outlet import SHARE
 from greenroof_ros.controllers.registry import choose_class
 from greenroof_ros.forecast.resampling import make_forecast
+from greenroof_ros.physics.compiled import pays_to_compile
 from greenroof_ros.simulation.inputs import find_needs
 from greenroof_ros.simulation.loop import Tick
 from greenroof_ros.site.horizon import look_ahead_ends
@@ -59,6 +60,7 @@ class Environment:
     """
 
     __copy__ = copy.deepcopy  # otherwise both would go on with one state
+    _pays_to_compile = staticmethod(pays_to_compile)
 
     def __init__(self, **inputs: Any) -> None:
         """Begin a run.
@@ -77,7 +79,8 @@ class Environment:
         self._ends = look_ahead_ends(self.site, run.parameters["horizon"])
         clock = run.series.evapotranspiration.clock
         self._surroundings = Surroundings.of_run(
-            run, run.series.precipitation, range(clock.step(0), clock.step(run.steps) + 1)
+            run, run.series.precipitation, range(clock.step(0), clock.step(run.steps) + 1),
+            self._pays_to_compile(run.steps),
         )
         self.reset()
 

@@ -26,6 +26,7 @@ from greenroof_ros.analysis.api.starts import Starts
 from greenroof_ros.common.errors import ConfigurationError, require_extra, suggest_names
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.controllers.registry import choose_class
+from greenroof_ros.physics.compiled import can_compile
 from greenroof_ros.physics.storm_water import HOUR_S, wet_time_left
 from greenroof_ros.simulation.loop import Tick
 
@@ -42,6 +43,12 @@ _MAX_RAIN, _MAX_EVAPOTRANSPIRATION = 50.0, 12.0
 _TICKS = Range(1, 1e9, whole=True)
 RANDOM = "random"
 """a start or an initial state that every episode draws"""
+
+
+class _Roof(Environment):
+    """The environment of an episode; one of many, for which it pays to compile the ticks."""
+
+    _pays_to_compile = staticmethod(lambda ticks: can_compile())
 
 
 def minus_deviation(tick: Tick, state: SiteState) -> float:
@@ -65,10 +72,10 @@ def read_actions(actions: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
         and not np.iscomplexobj(commands) and ((commands >= 0) & (commands <= 1)).all()
     ):
         numbers = "two numbers" if shape[-1] == 2 else "one number"
-        each = " for each environment" if len(shape) > 1 else ""
-        raise ConfigurationError(
-            f"must be {numbers} from 0 to 1{each}, of shape {shape}", key="action", value=actions
-        )
+        what = f"must be {numbers} from 0 to 1"
+        if len(shape) > 1:
+            raise ConfigurationError(f"{what} for each site, of shape {shape}", key="action")
+        raise ConfigurationError(f"{what}, of shape {shape}", key="action", value=actions)
     return commands.astype(np.float64)
 
 
@@ -254,6 +261,6 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
             begin["initial"] = tuple(float(random.uniform(0.0, top)) for top in high)
         return begin, int(random.integers(2**31))
 
-    def _make_roof(self, begin: Mapping[str, Any]) -> Environment:
+    def _make_roof(self, begin: Mapping[str, Any]) -> _Roof:
         """Return an environment; all environments share the weather that the first of them read."""
-        return Environment(**{**self._inputs, **begin})
+        return _Roof(**{**self._inputs, **begin})

@@ -311,7 +311,7 @@ class GreenRoofVectorEnv(VectorEnv[Array, Array, NDArray[Any]]):
         commands = read_actions(actions, (count, 1 + self.site.low_outlet_valve))
         given = np.ones((count, 2))
         given[:, : commands.shape[1]] = commands
-        sites.commands[:] = given if can_compile() else given.tolist()
+        sites.commands[:] = self._surroundings.as_taken(given)
         observations = self._advance(sites, min(sites.tick + self._single._decision_ticks, steps))
         ended = sites.tick == steps
         infos = self._describe_metrics(sites) if ended else {}
@@ -332,7 +332,7 @@ class GreenRoofVectorEnv(VectorEnv[Array, Array, NDArray[Any]]):
         hours = range(clock.step(0), clock.step(run.steps) + 1)
         if places["start"] == RANDOM:
             rain, hours = _rain_of_record(run), range(run.weather.hours)
-        self._surroundings = Surroundings.of_run(run, rain, hours)
+        self._surroundings = Surroundings.of_run(run, rain, hours, can_compile())
         self._begun = dict(places)
 
     def _advance(self, sites: CommandedSites, last: int) -> Array:

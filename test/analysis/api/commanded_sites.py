@@ -50,11 +50,13 @@ IMPERFECT = {
 
 @pytest.fixture(scope="module", params=[True, False], ids=["compiled", "plain"])
 def way(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Simulate with numba, and without it."""
-    pytest.importorskip("numba")
+    """Simulate with numba, whatever the number of ticks, and without it."""
     cached = compiled.can_compile, compiled.compiled
     with pytest.MonkeyPatch.context() as patch:
-        if not request.param:
+        if request.param:
+            pytest.importorskip("numba")
+            patch.setattr(compiled, "MIN_COMPILED", 0)
+        else:
             patch.setitem(sys.modules, "numba", None)
         for function in cached:
             function.cache_clear()

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
+from commanded_sites import FIELD_CAPACITY, IMPERFECT, VALVE_SITE, way, weather
 from paper import VALVE
 from refusals import refusal
 
 import greenroof_ros as gr
+from greenroof_ros.simulation.loop import Simulation
+
+__all__ = ["way"]
 
 
 def test_a_loop_of_five_lines_is_on_off() -> None:
@@ -104,3 +109,53 @@ def test_no_command_to_a_valve_that_is_not_there() -> None:
     for inputs in ({"outlet": "drain"}, {"outlet_reserve": 1.0}, {"outlet_reach": 1}):
         refusal(lambda given=inputs: gr.Environment(**given), match=sentence)
         refusal(lambda given=inputs: gr.simulate("onoff", **given), match=sentence)
+
+
+COMMANDS = np.random.default_rng(3).random((3000, 2)) * [[1.2, 1.0]]
+
+
+class Program:
+    """A controller that issues these commands, and notes the ticks that it has to skip."""
+
+    parameters = ()
+    outlet = 0.0
+
+    def __init__(self, site: Any) -> None:
+        self.tick, self.skipped = -1, []
+
+    def command(self, *inputs: Any) -> float:
+        self.tick += 1
+        share, self.outlet = COMMANDS[self.tick].tolist()
+        return share
+
+    def skip(self) -> None:
+        self.command()
+        self.skipped.append(self.tick)
+
+    def statistics(self) -> None:
+        return None
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("inputs", [
+    {"site": VALVE_SITE, "start": "2021-03-13T23:00-05:00", "hours": 40, "initial": "high-high"},
+    {"site": FIELD_CAPACITY, "start": "2021-03-12T19:20:30-05:00", "hours": 37, **IMPERFECT},
+    {"site": gr.read_site(tau=240.0, M=1), "start": "2021-03-13T00:00Z", "hours": 60},
+])
+def test_the_ticks_are_those_of_a_simulation(inputs: dict[str, Any], way: None) -> None:
+    """Bit for bit, of a controller with the same commands, which is not asked in frost."""
+    frame = weather(5 if inputs["site"].tau == 240 else 60)
+    result = gr.simulate(Program(None), weather=frame, **inputs)
+    program = Program(None)
+    expected = [*Simulation(result.run, program).ticks()]
+    roof, ticks, has_valve = gr.Environment(weather=frame, **inputs), [], inputs["site"].c_low > 0
+    while not roof.done:
+        share, outlet = COMMANDS[len(ticks)].tolist()
+        ticks.append(roof.step(share, *[outlet] * has_valve))
+    assert ticks == expected[:-1]
+    assert roof.state[1:3] == (expected[-1].cistern_level, expected[-1].roof_level)
+    assert roof.metrics == result.metrics
+    assert has_valve is False or roof.metrics["overflow_days"] > 0
+    stopped = [tick.k for tick in ticks if tick.command == 0]
+    assert stopped == [k for k in program.skipped if k < len(ticks)]
+    assert 100 < len(stopped) < len(ticks) / 2

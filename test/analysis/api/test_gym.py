@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from commanded_sites import FIELD_CAPACITY, IMPERFECT, weather
+from commanded_sites import VALVE_SITE as LIMITED_SITE
 from paper import VALVE
 
 import greenroof_ros as gr
@@ -138,6 +140,27 @@ def test_random_starts_in_workers_that_know_nothing(context: str) -> None:
     assert [each["roof_m3"] for each in alone] == list(drawn["roof_m3"])
     assert alone[0]["start"] != alone[1]["start"]
     assert max(made().reset(seed=seed)[0][1] for seed in range(9)) < 1
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("site", [VALVE_SITE, LIMITED_SITE, FIELD_CAPACITY])
+def test_a_decision_is_the_sum_of_its_ticks(site: Any) -> None:
+    """Bit for bit: a function as the reward is asked tick by tick, and the default is not."""
+    inputs = {"site": site, "weather": weather(), "initial": "random", "start": "random",
+              "decision_ticks": 37, "hours": 8, **IMPERFECT}
+    roofs = [
+        gymnasium.make(ID, **inputs, **given) for given in (
+            {}, {"reward": lambda tick, state: -abs(state.roof - state.site.x2_star)},
+        )
+    ]
+    for seed in (1, 2):
+        assert len({roof.reset(seed=seed)[0].tobytes() for roof in roofs}) == 1
+        ended = False
+        while not ended:
+            action = roofs[0].action_space.sample()
+            ours, theirs = (roof.step(action) for roof in roofs)
+            assert ours[0].tobytes() == theirs[0].tobytes() and ours[1:] == theirs[1:]
+            ended = ours[3]
 
 
 def test_options_of_an_episode() -> None:

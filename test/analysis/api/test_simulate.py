@@ -197,6 +197,57 @@ def test_a_trajectory_of_some_ticks(every: float | None, kept: Sequence[int]) ->
     assert result.metrics == whole.metrics
 
 
+def test_the_command_writes_the_same_at_once_and_paced(tmp_path: Path) -> None:
+    """On/off at once or tick by tick: readings of a noisy sensor, and the drainage layer."""
+    options = (
+        "--controller", "onoff", "--hours", "3", "--site", str(CONFIG / "site_neubrandenburg.yaml"),
+        "--start", "2021-07-08T10:00", "--roof-noise", "0.01", "--trajectory-every", "7",
+    )
+    texts, summaries = [], []
+    for number, pace in enumerate(("max", "1e9")):
+        directory = tmp_path / str(number)
+        directory.mkdir()
+        summaries.append(of_command(directory, "--speed", pace, *options))
+        texts.append((directory / "out" / "trajectory.csv").read_text())
+    assert texts[0] == texts[1]
+    assert {key for key, value in summaries[0].items() if summaries[1][key] != value} <= OTHER
+    with (tmp_path / "0" / "out" / "trajectory.csv").open() as stream:
+        layers = [float(row["drainage_layer_m3"]) for row in csv.DictReader(stream)]
+    assert layers[0] < max(layers) and layers[-1] == summaries[0]["final_layer_m3"]
+
+
+def test_the_drainage_layer_is_computed_from_what_is_recorded(tmp_path: Path) -> None:
+    """A file of a trajectory has no layer; with each tick, its water is that of the run."""
+    inputs = {"site": CONFIG / "site_neubrandenburg.yaml", "start": "2021-07-08T10:00", "hours": 2}
+    result = gr.simulate("onoff", **inputs)
+    read = gr.read_bag(result.save(tmp_path / "run"))
+    ours = result.trajectory["drainage_layer_m3"]
+    assert read["drainage_layer_m3"].to_list() == ours.to_list()
+    assert ours[-1] == result.metrics["final_layer_m3"] > 0
+
+
+WITHOUT_NUMBA = """
+import sys, warnings
+sys.modules["numba"] = None
+import greenroof_ros as gr
+warnings.simplefilter("ignore")
+gr.simulate("onoff", hours=1)
+long = {"site": gr.read_site(tau=60.0, M=1), "start": "2021-05-01T00:00", "gaps": "fill"}
+for _ in range(2):
+    gr.simulate("onoff", hours=1667, weather=sys.argv[1], trajectory_every=3600, **long)
+"""
+
+
+def test_a_long_run_without_numba_says_once_what_to_install() -> None:
+    """100,020 ticks of a minute; a short run says nothing."""
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_NUMBA, str(CONFIG / "weather" / "toronto_2021.csv")],
+        capture_output=True, text=True, check=True,
+    )
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("note: numba ") and line.endswith("pip install 'greenroof_ros[study]'")
+
+
 @pytest.mark.parametrize("command", [
     np.array([[0.5]]), np.array(0.5), np.float32(0.5), np.array([[[0.5]]], np.float16),
 ])

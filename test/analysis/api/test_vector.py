@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import doctest
 import importlib
+from contextlib import suppress
+from datetime import timedelta
 from typing import Any
 
 import numpy as np
+import polars
 import pytest
-from commanded_sites import FIELD_CAPACITY, IMPERFECT, VALVE_SITE, way, weather
+from commanded_sites import FIELD_CAPACITY, FIRST, IMPERFECT, VALVE_SITE, way, weather
+from places import CONFIG
 from refusals import refusal
 
 import greenroof_ros as gr
+from greenroof_ros.common.errors import ConfigurationError
 
 gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed")
 
@@ -20,11 +25,10 @@ __all__ = ["way"]
 ID = "greenroof_ros:GreenRoofVector-v1"
 MINUTES = gr.read_site(tau=60.0, M=1)
 RANDOM = {"start": "random", "initial": "random", "hours": 9, "decision_ticks": 47, "horizon": 6}
-SEASON = gr.scenarios["season-forecasts"].inputs
 
 CASES: dict[str, dict[str, Any]] = {
     "the paper's site": {"hours": 0.02, "decision_ticks": 7, "initial": "random"},
-    "one tick": {"hours": 0.004, "horizon": 0.1},
+    "one tick": {"hours": 1 / 3600, "horizon": 0.1},
     "valve, frost, quiet hours": {"site": VALVE_SITE, "weather": weather(), **RANDOM},
     "not at a full minute": {
         "site": VALVE_SITE, "weather": weather(), **RANDOM, "start": "2021-03-13T19:20:30-04:00",
@@ -44,7 +48,10 @@ CASES: dict[str, dict[str, Any]] = {
     },
     "errors": {"site": MINUTES, "weather": weather(), **RANDOM, "forecast": "errors"},
     "ensemble": {"site": MINUTES, "weather": weather(), **RANDOM, "forecast": "ensemble"},
-    "archive": {**SEASON, **RANDOM, "hours": 30},
+    "archive": {
+        "site": MINUTES, "initial": "random", "hours": 9, "decision_ticks": 47,
+        "forecast": str(CONFIG / "forecasts" / "rain_that_never_comes.csv"),
+    },
 }
 
 
@@ -62,7 +69,7 @@ def flatten(infos: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 @pytest.mark.filterwarnings("ignore::UserWarning")
 @pytest.mark.parametrize("case", CASES)
 def test_each_environment_is_a_single_one(case: str, way: None) -> None:
-    """Gymnasium's own vector of single ones, over two ends of episodes; only tests compare so."""
+    """Those of Gymnasium's own vector environment, over two ends of episodes."""
     inputs, count = CASES[case], 4
     ours = gymnasium.make_vec(ID, num_envs=count, **inputs)
     theirs = gymnasium.make_vec(
@@ -102,7 +109,8 @@ def test_threads_share_many_environments() -> None:
         for _ in range(12):
             expected, reward, _, _, ended = roof.step(actions[row])
         assert expected.tobytes() == after[row].tobytes() and reward == rewards[row]
-        assert ended["metrics"]["pumped_m3"] == last["metrics"]["pumped_m3"][row] > 0
+        for name, value in ended["metrics"].items():
+            assert last["metrics"][name][row] == value, name
     roofs.close()
 
 
@@ -121,6 +129,25 @@ def test_seeds_and_options() -> None:
     refusal(lambda: roofs.reset(options={"beginning": 1}), match="beginning: is not an option.*s")
 
 
+def test_random_starts_lack_no_hour() -> None:
+    """All hours are drawn from which an episode of 9 h and a tick could be simulated, no other."""
+    frame = weather().with_columns(
+        polars.when(polars.int_range(polars.len()).is_in([20, 21, 22, 23, 24, 25, 70])).then(None)
+        .otherwise(polars.col(name)).alias(name)
+        for name in ("precipitation [mm/h]", "temperature [degC]")
+    )
+    inputs = {**RANDOM, "site": MINUTES, "weather": frame}
+    roofs = gymnasium.make_vec(ID, num_envs=800, **inputs)
+    drawn = {*roofs.reset(seed=1)[1]["start"]}
+    del inputs["decision_ticks"], inputs["initial"]
+    possible = set()
+    for hour in range(96 - 9):
+        start = (FIRST + timedelta(hours=hour)).isoformat()
+        with suppress(ConfigurationError):
+            possible.add(gr.Environment(**{**inputs, "start": start}).state.time.isoformat())
+    assert drawn == possible and 20 < len(possible) < 70
+
+
 @pytest.mark.parametrize("actions", [
     np.full((3, 2), 0.5), np.full(3, 0.5), [[0.5], [0.5], [1.1]], [[0.5], [np.nan], [0.0]],
     [["a"], ["b"], ["c"]],
@@ -129,11 +156,14 @@ def test_refused_actions(actions: Any) -> None:
     roofs = gymnasium.make_vec(ID, num_envs=3, hours=1)
     with pytest.raises(gymnasium.error.ResetNeeded):
         roofs.step(np.zeros((3, 1)))
-    before, _ = roofs.reset(seed=1)
+    roofs.reset(seed=1)
     refusal(roofs.step, np.array(actions), match=(
-        r"action.*must be one number from 0 to 1 for each environment, of shape \(3, 1\)"
+        r"action: must be one number from 0 to 1 for each site, of shape \(3, 1\)"
     ))
-    assert (roofs.step(np.zeros((3, 1)))[0][:, 0] < before[:, 0]).all()  # less than in tick 0
+    others = gymnasium.make_vec(ID, num_envs=3, hours=1)  # a refused action changes nothing
+    others.reset(seed=1)
+    ours, theirs = (each.step(np.full((3, 1), 0.5))[0] for each in (roofs, others))
+    assert ours.tobytes() == theirs.tobytes()
 
 
 def test_refused_inputs() -> None:

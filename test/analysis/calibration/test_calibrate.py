@@ -79,7 +79,7 @@ def test_the_command_writes_a_site_that_can_be_used(fitted: Path) -> None:
     assert high - low < 6.0
     assert low < site.c_hat < high
     assert site.z_pump == 0.15  # a value that was not fitted stays
-    assert "# m       elevation of the pumps above the cistern's base" in text
+    assert "# m       height of the pumps above the cistern's base" in text
 
 
 def test_months_are_checked_before_anything_is_read(tmp_path: Path) -> None:
