@@ -8,7 +8,6 @@ from places import DATA
 
 from greenroof_ros.analysis.district.run import DistrictRun, read_run, simulate_district
 from greenroof_ros.analysis.district.totals import Totals
-from greenroof_ros.analysis.workers.processes import this_process
 
 WEATHER = DATA / "en_climate_hourly_07-2021.csv"
 # Two storms, with 23 mm and 13 mm within hours; dry days before, between and after them.
@@ -39,15 +38,7 @@ def edit(old: str, new: str) -> str:
     return DISTRICT.replace(old, new)
 
 
-def empty_totals(run: DistrictRun) -> Totals:
-    """Return the sums of a district before its first part."""
-    return Totals(
-        run.site, run.buildings, run.adoption, run.outlets, run.rain, run.district.sewer_capacity
-    )
-
-
 def simulate_here(directory: Path, text: str = DISTRICT) -> tuple[DistrictRun, Totals]:
     """Simulate a district in this process."""
     run = read_run(write_district(directory, text))
-    with this_process(run.files) as workers:
-        return run, simulate_district(run, workers)
+    return run, simulate_district(run)

@@ -27,7 +27,7 @@ from swmm_run import run_swmm
 from greenroof_ros.analysis.district.district_file import ORIFICE
 from greenroof_ros.analysis.district.parts import SITE_FILE, make_sites, simulate_part, with_outlet
 from greenroof_ros.analysis.district.run import DistrictRun, read_run
-from greenroof_ros.analysis.district.totals import Flow, Totals
+from greenroof_ros.analysis.district.totals import Flow
 from greenroof_ros.analysis.workers.input_files import write_inputs
 from greenroof_ros.site.site import Site
 
@@ -56,8 +56,8 @@ def read(buildings: int, hours: float, weather: Path, directory: Path) -> Distri
 
 def simulate_here(run: DistrictRun, outlet: str, directory: Path) -> float:
     """Simulate with this package, and return the discharge of all buildings to the sewer (m3)."""
-    totals = Totals(run.site, run.buildings, run.adoption, run.outlets, run.rain, None)
-    for part in run.parts(directory):
+    totals = run.make_totals()
+    for part in run.parts():
         only = replace(part, outlets=(outlet,))
         totals.add(part.places, simulate_part(directory, only))
     return float(totals.discharge(Flow(outlet, 1.0)).sum())
@@ -76,8 +76,8 @@ def format_model(run: DistrictRun, sites: Sequence[Site], states: Sequence[float
     end = start + timedelta(hours=hours)
     monthly = run.site.monthly_evapotranspiration or ()
     evaporated = " ".join(f"{value * run.site.crop_coefficient:g}" for value in monthly)
-    per_hour = round(len(run.rain[0]) / hours)
-    rain = 1000 * run.rain[0].reshape(-1, per_hour).sum(axis=1)
+    depths = run.make_totals().rain[0]
+    rain = 1000 * depths.reshape(-1, round(len(depths) / hours)).sum(axis=1)
     sections: dict[str, list[str]] = {name: [] for name in (
         "SUBCATCHMENTS", "SUBAREAS", "INFILTRATION", "LID_CONTROLS", "LID_USAGE", "OUTFALLS",
         "STORAGE", "OUTLETS",

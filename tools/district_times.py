@@ -1,4 +1,4 @@
-"""Measure the time and memory of districts: in one process, in several, and on a Dask cluster here.
+"""Measure the time and memory of districts: with one thread, with several, and on Dask here.
 
 ``python tools/district_times.py --weather DIR`` runs the example district with 100, 1,000 and
 10,000 buildings in each of these ways, using the command that a user would type, and prints a
@@ -24,7 +24,7 @@ from dask_cluster import Dask
 from markdown_tables import head, row
 
 EXAMPLE = paths.CHECKOUT / "config" / "districts" / "example.yaml"
-PROCESSES, DASK = "process(es)", "Dask worker(s)"
+THREADS, DASK = "thread(s)", "Dask worker(s)"
 _SAMPLE_S = 0.2
 _TICKS = os.sysconf("SC_CLK_TCK")
 
@@ -139,7 +139,7 @@ def measure(
             f"{watched.cpu:.0f} s", f"{watched.memory:.0f} MB",
         ])
 
-    if way == PROCESSES:
+    if way == THREADS:
         return run(["--jobs", str(count)], [])
     with cluster(count, directory) as dask:
         return run(
@@ -158,8 +158,8 @@ def main() -> None:
     parser.add_argument("--outlets", nargs="+", default=["none, orifice, drain"])
     parser.add_argument("--hours", type=int, default=4416)
     parser.add_argument("--keep", type=Path, help="keep the results in this new directory")
-    parser.add_argument("--ways", nargs="+", default=["1p", "2p", "2d"],
-                        help="number of processes (p) or Dask workers (d)")
+    parser.add_argument("--ways", nargs="+", default=["1t", "2t", "2d"],
+                        help="number of threads (t) or Dask workers (d)")
     arguments = parser.parse_args()
     columns = ["buildings", "outlets", "days", "on", "time", "processor time", "memory"]
     print(head(columns), flush=True)
@@ -170,7 +170,7 @@ def main() -> None:
                     directory = Path(scratch)
                     print(measure(
                         buildings, outlets, arguments.hours,
-                        PROCESSES if way[-1] == "p" else DASK, int(way[:-1]),
+                        THREADS if way[-1] == "t" else DASK, int(way[:-1]),
                         arguments.weather.resolve(), directory,
                     ), flush=True)
                     if arguments.keep is not None:

@@ -445,7 +445,7 @@ class _Season:
 
     def run(self, part: _Part, first: int, last: int) -> None:
         """Simulate a part from a tick to another (exclusive)."""
-        function = compiled(run_ticks) if self._compiles else run_ticks
+        function: Any = compiled(run_ticks) if self._compiles else run_ticks
         function(
             *(each[part.rows] for each in self._of_rows), *self._shared, part.hydrograph,
             self._every, first, last, self._steps,

@@ -22,7 +22,7 @@ from greenroof_ros.analysis.district.district_file import read_district
 from greenroof_ros.analysis.district.parts import make_sites
 from greenroof_ros.analysis.district.run import read_run
 from greenroof_ros.analysis.workers.input_files import write_inputs
-from greenroof_ros.physics.plant import maximum_pump_flow
+from greenroof_ros.physics.pump import maximum_pump_flow
 
 MANY = edit("buildings: 8", "buildings: 4000")
 

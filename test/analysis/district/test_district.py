@@ -1,4 +1,4 @@
-"""The command: its files, processes and a Dask cluster that loses a worker, and its ends."""
+"""The command: its files, threads and a Dask cluster that loses a worker, and its ends."""
 
 from __future__ import annotations
 
@@ -21,10 +21,9 @@ from graphs import wait_for
 
 import greenroof_ros as gr
 from greenroof_ros.analysis.district.page import COLUMNS
-from greenroof_ros.analysis.district.run import read_run, simulate_district
+from greenroof_ros.analysis.district.run import distribute_district, read_run, simulate_district
 from greenroof_ros.analysis.district.totals import Flow
 from greenroof_ros.analysis.workers.cluster import cluster
-from greenroof_ros.analysis.workers.processes import processes, this_process
 from greenroof_ros.common.errors import ConfigurationError
 
 SHORT = edit("hours: 72", "hours: 24").replace("T00:00", "T20:00")
@@ -80,18 +79,15 @@ def test_command(tmp_path: Path) -> None:
     assert "--output = 'out': exists and is not empty" in again.stderr
 
 
-def test_processes_and_dask_with_a_killed_worker(
+def test_threads_and_dask_with_a_killed_worker(
     dask: Dask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The same to the bit: what the killed worker had begun is done again, and counted once."""
-    monkeypatch.setattr("greenroof_ros.analysis.district.run._MIN_PART", 2)
+    monkeypatch.setattr("greenroof_ros.analysis.district.run._PART", 2)
     run = read_run(write_district(tmp_path, SHORT))
     dask.start_worker()
     dask.start_worker()
-    with processes(2, run.files, []) as workers:
-        here = simulate_district(run, workers)
-    with this_process(run.files) as workers:
-        one = simulate_district(run, workers)
+    one, here = (simulate_district(run, threads) for threads in (1, 2))
     seen: list[float] = []
 
     def kill(_: str, share: float) -> None:
@@ -101,7 +97,7 @@ def test_processes_and_dask_with_a_killed_worker(
             dask.wait_for_log("Remove worker")
 
     with cluster(dask.address, run.files) as workers:
-        there = simulate_district(run, workers, kill)
+        there = distribute_district(run, workers, kill)
     assert dask.workers[0].poll() is not None
     assert seen[-1] == 1
     for other in (here, there):
@@ -112,7 +108,7 @@ def test_processes_and_dask_with_a_killed_worker(
 
 
 def test_a_wrong_building_is_named(tmp_path: Path) -> None:
-    """What two of its values together make wrong is found by a worker."""
+    """What two of its values together make wrong is found when its part begins."""
     (tmp_path / "houses.csv").write_text("id,cistern_volume,cistern_height\nA,5,2\nB,5,0.1\n")
     text = DISTRICT.replace("buildings: 8", "file: houses.csv").replace(
         "  cistern_volume: {low: 1.0, high: 6.0}\n", ""
@@ -169,7 +165,7 @@ def test_full_disk(tmp_path: Path) -> None:
 
 
 def test_interrupted(tmp_path: Path) -> None:
-    """Ctrl-C ends all processes, in one line."""
+    """Ctrl-C ends it in one line."""
     write_district(tmp_path, DISTRICT.replace("hours: 72", "hours: 500"))
     process = Forked(
         [sys.executable, "-m", "greenroof_ros", "district", "district.yaml", "--output", "out"],

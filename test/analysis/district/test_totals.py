@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from districts import WEATHER, edit, empty_totals, simulate_here, write_district
+from districts import WEATHER, edit, simulate_here, write_district
+from places import CONFIG
 
 from greenroof_ros.analysis.district.page import (
     describe_valves,
@@ -20,8 +21,9 @@ from greenroof_ros.analysis.district.page import (
     warn,
 )
 from greenroof_ros.analysis.district.parts import simulate_part
+from greenroof_ros.analysis.district.result import DistrictResult
 from greenroof_ros.analysis.district.run import DistrictRun, read_run
-from greenroof_ros.analysis.district.totals import AS_IS, Flow, Totals
+from greenroof_ros.analysis.district.totals import AS_IS, Flow, Totals, find_peak
 from greenroof_ros.analysis.workers.input_files import write_inputs
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.simulation.inputs import make_inputs
@@ -79,16 +81,54 @@ def test_sums_of_single_runs(simulated: Simulated) -> None:
             area = site.a2 + site.a_in * site.runoff_coefficient
             if rank >= 4:
                 for name in ("discharge_m3", "wet_discharge_m3"):
-                    sums[name] += area * run.rain.sum()
+                    sums[name] += area * totals.rain.sum()
                 continue
             own = outlet if rank % 2 else "none"  # every other one has a valve
             results = results_of(site_of(run, directory, place, own), own)
             for name in ("discharge_m3", "wet_discharge_m3", "mains_m3", "pumped_m3"):
                 sums[name] += results[name] or 0.0
+            sums["rain_m3"] += results["pumped_m3"] * results.get("demand_met_share", 0.0)
         row = rows[outlet, 0.5]
+        assert row["demand_met_share"] == pytest.approx(sums.pop("rain_m3") / sums["pumped_m3"])
         assert row["buildings"] == 4
         for name, value in sums.items():
             assert row[name] == pytest.approx(value, rel=1e-6), (outlet, name)
+
+
+def test_water_to_fill_up_is_no_irrigation(tmp_path: Path) -> None:
+    """Dry days from nearly empty cisterns: the mains meet the whole demand, and also fill up."""
+    text = edit("draw:\n", "draw:\n  initial_cistern: {values: [0.02]}\n")
+    text = text.replace("2021-07-07T00:00, hours: 72", "2021-07-04T00:00, hours: 48")
+    _, totals = simulate_here(tmp_path, text)
+    row = totals.rows()[-1]
+    assert row["mains_m3"] > row["pumped_m3"] > 0
+    assert row["demand_met_share"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_without_mains_water(tmp_path: Path) -> None:
+    """Neither its volume nor the share of the demand that needs none is a result."""
+    (tmp_path / "dry.yaml").write_text("".join(
+        line for line in (CONFIG / "site_valve.yaml").read_text().splitlines(keepends=True)
+        if not line.startswith("mains_")
+    ))
+    run, totals = simulate_here(tmp_path, edit("site_valve.yaml", "dry.yaml"))
+    for row in totals.rows():
+        assert "mains_m3" not in row and "demand_met_share" not in row
+    assert totals.rows()[-1]["pumped_m3"] > 0
+    result = DistrictResult(run, totals)
+    result.save(tmp_path / "out")
+    assert "mains water" not in (tmp_path / "out" / "page.html").read_text()
+
+
+@pytest.mark.parametrize("seconds", [60.0, 90.0, 300.0])
+def test_peak(seconds: float) -> None:
+    """A moving mean, second by second; before and after the run nothing flows."""
+    volumes = np.random.default_rng(7).choice([0.0, 0.0, 1.0, 5.0], 40)
+    flow = np.repeat(volumes / seconds, int(seconds))
+    for minutes in (5, 15, 60):
+        window = np.ones(60 * minutes) / (60 * minutes)
+        expected = np.convolve(flow, window).max()
+        assert find_peak(volumes, seconds, minutes) == pytest.approx(expected)
 
 
 def test_valves_are_closed_in_wet_weather(simulated: Simulated) -> None:
@@ -174,10 +214,10 @@ def test_sentences_of_one_building_and_of_none_all_and_the_same(simulated: Simul
 
 def test_no_green_roof(simulated: Simulated) -> None:
     """All rain runs off at once, in wet weather; its peak is the rain's."""
-    _, run, totals = simulated
+    *_, totals = simulated
     row = totals.rows()[0]
     assert (row["outlet"], row["adoption"], row["buildings"]) == ("none", 0.0, 0)
-    rain = run.rain[0]
+    rain = totals.rain[0]
     assert row["rain_m3"] == pytest.approx(rain.sum() * totals.area)
     assert row["discharge_m3"] == pytest.approx(row["rain_m3"])
     assert row["wet_discharge_m3"] == pytest.approx(row["rain_m3"])
@@ -189,28 +229,29 @@ def test_no_green_roof(simulated: Simulated) -> None:
 
 def test_sewer(simulated: Simulated, tmp_path: Path) -> None:
     """What exceeds the capacity overflows: of hourly rain it is the sum of the excesses."""
-    _, run, totals = simulated
+    *_, totals = simulated
     row = totals.rows()[0]
-    hourly = 1000 * run.rain[0].reshape(-1, 60).sum(axis=1)
+    hourly = 1000 * totals.rain[0].reshape(-1, 60).sum(axis=1)
     excess = np.maximum(hourly - 2.0, 0.0)
     assert excess.sum() > 10
     assert row["sewer_overflow_m3"] == pytest.approx(excess.sum() / 1000 * totals.area)
     assert row["sewer_overflow_hours"] == pytest.approx((excess > 0).sum())
-    without = empty_totals(read_run(write_district(tmp_path, edit("sewer_capacity: 2.0\n", ""))))
+    file = write_district(tmp_path, edit("sewer_capacity: 2.0\n", ""))
+    without = read_run(file).make_totals()
     without.areas[:] = totals.areas
     assert "sewer_overflow_m3" not in without.rows()[0]
 
 
 def test_parts_in_any_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The bits of the sums are the same in any order of the parts."""
-    monkeypatch.setattr("greenroof_ros.analysis.district.run._MIN_PART", 3)
+    monkeypatch.setattr("greenroof_ros.analysis.district.run._PART", 3)
     run = read_run(write_district(tmp_path))
     write_inputs(run.files, tmp_path)
-    results = [(part.places, simulate_part(tmp_path, part)) for part in run.parts(tmp_path)]
-    assert len(results) == 6
+    results = [(part.places, simulate_part(tmp_path, part)) for part in run.parts()]
+    assert len(results) == 3
     found = []
-    for order in (results, results[::-1], [*results[3:], *results[:3]]):
-        totals = empty_totals(run)
+    for order in (results, results[::-1], [*results[1:], results[0]]):
+        totals = run.make_totals()
         for places, result in order:
             totals.add(places, result)
         found.append((totals.rows(), totals.discharge(Flow("plan", 0.5)).tobytes()))
@@ -229,10 +270,10 @@ def test_cells(tmp_path: Path) -> None:
     run, totals = simulate_here(tmp_path, text)
     assert run.buildings.cells.tolist() == [0] * 4 + [1] * 4
     areas = [totals.areas[:4].sum(), totals.areas[4:].sum()]
-    expected = areas @ run.rain
+    expected = areas @ totals.rain
     assert totals.discharge(AS_IS) == pytest.approx(expected)
-    assert run.rain[0].sum() != run.rain[1].sum() == pytest.approx(0.005)
-    rains = np.flatnonzero(run.rain[1])
+    assert totals.rain[0].sum() != totals.rain[1].sum() == pytest.approx(0.005)
+    rains = np.flatnonzero(totals.rain[1])
     assert totals.wet[rains[0] : rains[-1] + 121].all()
 
 

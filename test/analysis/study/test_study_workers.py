@@ -83,6 +83,24 @@ def test_a_killed_worker_ends_the_study(tmp_path: Path) -> None:
     assert sorted(status) == ["done"] * done + ["not run"] * (6 - done)
 
 
+def test_a_run_that_fails_is_named(tmp_path: Path) -> None:
+    """By a sentence and in the table; the other runs are stored."""
+    text = (CHECKOUT / "examples" / "proportional.py").read_text()
+    first = "        if not cistern_level >= self._site.suction_level:\n"
+    assert first in text
+    (tmp_path / "mine.py").write_text(text.replace(first, f"        1 / 0\n{first}"))
+    grid(tmp_path, lasting("0.01").replace("  onoff:\n", "  onoff:\n  mine:Proportional:\n"))
+    result = study(tmp_path, "grid.yaml", "--output", "out", "--jobs", "2")
+    assert result.returncode == 1
+    rows = rows_of(tmp_path / "out" / "results.csv")
+    status = {(row["controller"], row["status"]) for row in rows}
+    assert status == {("mpc", "done"), ("onoff", "done"), ("proportional", "failed")}
+    for row in rows:
+        assert ("division by zero" in row["error"]) == (row["status"] == "failed")
+        failed = f"failed: proportional, {row['initial']}, run {row['run']}: "
+        assert (failed in result.stderr) == (row["status"] == "failed")
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_interrupted_while_workers_start(tmp_path: Path, number: signal.Signals) -> None:
     """All processes get the signal, as from a terminal or a batch system, while one imports."""
