@@ -71,7 +71,7 @@ def find_demand(weather: pd.DataFrame, house: House, *, percolates: bool) -> pd.
 def find_yield(
     inflow: pd.Series, demand: pd.Series, capacity: float, stored: float, *, after_spillage: bool
 ) -> float:
-    """Return the volume of rainwater that meets a demand (m3).
+    """Return the volume of rainwater that meets a demand (m3), at most as much as flowed in.
 
     Args:
         inflow: volume that flows into the cistern in each step (m3).
@@ -89,7 +89,7 @@ def find_yield(
             used = min(wanted, stored + arriving)
             stored = min(stored + arriving - used, capacity)
         total += used
-    return total
+    return min(total, float(inflow.sum()))
 
 
 def find_share(

@@ -160,14 +160,14 @@ class Surroundings:
         rain_offset_ns: time of tick 0 of this run since the first step of the rain.
         compiles: whether the ticks are compiled.
         fixed: the first arguments of :func:`follow`.
-        befores: what is known of the starts so far; see :meth:`find_before`.
+        earlier: what is known of the starts so far; see :meth:`find_before`.
     """
 
     run: Run
     rain_offset_ns: int
     compiles: bool
     fixed: tuple[Any, ...]
-    befores: dict[datetime, tuple[float, list[int]]] = field(default_factory=dict)
+    earlier: dict[datetime, tuple[float, list[int]]] = field(default_factory=dict)
 
     @classmethod
     def of_run(cls, run: Run, rain: PerTick, hours: range, compiles: bool) -> Surroundings:
@@ -208,11 +208,11 @@ class Surroundings:
 
     def find_before(self, start: datetime) -> tuple[float, list[int]]:
         """Return the time without rain before a run (s), and the first ticks of its days."""
-        if start not in self.befores:
+        if start not in self.earlier:
             run = replace(self.run, start=start)
             days = find_new_days(run.site, run.time_ns(0) / 1e9, run.steps)
-            self.befores[start] = run.without_rain_s, days
-        return self.befores[start]
+            self.earlier[start] = run.without_rain_s, days
+        return self.earlier[start]
 
     def __deepcopy__(self, _: object) -> Surroundings:
         """Return the surroundings themselves, because they never change."""
@@ -244,13 +244,13 @@ class CommandedSites:
         self._surroundings, run, self.tick = surroundings, surroundings.run, 0
         as_taken = surroundings.as_taken
         site, numbers, count = run.site, sum_parameters(run.site), len(starts)
-        befores = [surroundings.find_before(start) for start in starts]
+        earlier = [surroundings.find_before(start) for start in starts]
         later = np.array([
             1000 * round((start - run.start) / timedelta(microseconds=1)) for start in starts
         ])
         hours = run.series.evapotranspiration.clock.offset_ns + later
-        new_days = np.full((count, 1 + max(len(days) for _, days in befores)), -1)
-        for row, (_, days) in enumerate(befores):
+        new_days = np.full((count, 1 + max(len(days) for _, days in earlier)), -1)
+        for row, (_, days) in enumerate(earlier):
             new_days[row, : len(days)] = days
         self._begins = as_taken(np.column_stack((hours, surroundings.rain_offset_ns + later)))
         self._new_days, self._events = as_taken(new_days), np.zeros((0, EVENT_COLUMNS))
@@ -263,7 +263,7 @@ class CommandedSites:
             np.column_stack((x1 / site.a1, roof)), np.tile(switch, (count, 1)),
         ))
         self.without_rain, self._days, self.rewards = map(as_taken, (
-            np.array([before for before, _ in befores]), np.zeros(count, np.int64),
+            np.array([before for before, _ in earlier]), np.zeros(count, np.int64),
             np.zeros(count),
         ))
         self._sums, self._weeks, self._ticks = map(as_taken, (

@@ -36,6 +36,8 @@ def test_yield_rules() -> None:
     # After spillage: 1 is used, then 2 of what is left by a full tank of 3 - 1. Before: 2, and 2.
     assert find_yield(inflow, demand, 3.0, 1.0, after_spillage=True) == 1.0 + 2.0
     assert find_yield(inflow, demand, 3.0, 1.0, after_spillage=False) == 2.0 + 2.0
+    # Of what is used here, 1 was there at the start.
+    assert find_yield(inflow / 10, demand, 3.0, 1.0, after_spillage=True) == 0.5
 
 
 def test_sizes_agree_with_daily_balances(weather: pd.DataFrame) -> None:

@@ -96,9 +96,8 @@ def test_a_run_that_fails_is_named(tmp_path: Path) -> None:
     status = {(row["controller"], row["status"]) for row in rows}
     assert status == {("mpc", "done"), ("onoff", "done"), ("proportional", "failed")}
     for row in rows:
-        assert ("division by zero" in row["error"]) == (row["status"] == "failed")
-        failed = f"failed: proportional, {row['initial']}, run {row['run']}: "
-        assert (failed in result.stderr) == (row["status"] == "failed")
+        named = f"{row['initial']}, run {row['run']}: {row['error']}\n" in result.stderr
+        assert named == ("division by zero" in row["error"]) == (row["status"] == "failed")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
