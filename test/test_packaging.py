@@ -86,7 +86,7 @@ def assert_installed(module, prefix):
     """Check that a prefix has the whole package and nothing else: modules, shared files, marker."""
     assert module.is_relative_to(prefix)
     # An editable install of the checkout would stand in for a missing module.
-    compiled = (".pyc", ".pyi")
+    compiled = (".pyc", ".pyi", ".nbi", ".nbc")
     ours = files_under(CHECKOUT / "greenroof_ros")
     files = [path for path in ours if path.suffix not in compiled]
     assert [path for path in files_under(module.parent) if path.suffix not in compiled] == files

@@ -115,7 +115,8 @@ def follow(
             if since_step >= step_ends:
                 falls = rain[min(since_step // step_ns, times[_LAST_STEP])]
                 step_ends = (since_step // step_ns + 1) * step_ns
-            may_run = not (frozen or (len(quiet) > 0 and quiet[since // _MINUTE_NS - minute]))
+            hushed = len(quiet) > 0 and quiet[since // _MINUTE_NS - minute]
+            may_run = p.b > 0 and not (frozen or hushed)
             command = asked if may_run else 0.0
             outlet = 0.0 if frozen and c.closed_in_frost else opening
             dry = time_without_rain(dry, falls, p.tau)

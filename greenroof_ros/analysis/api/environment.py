@@ -42,9 +42,9 @@ def _read_share(outlet: Any) -> float:
 class Environment:
     """A site with its weather, for which a program sets the command at every tick.
 
-    During frost and quiet hours the command is treated as 0. At a site with a valve on its low
-    outlet, the program can also command the valve. Copies made with ``copy`` or ``pickle`` continue
-    from the same tick with bit-identical results.
+    During frost and quiet hours, and on a roof without irrigation, the command is treated as 0. At
+    a site with a valve on its low outlet, the program can also command the valve. Copies made with
+    ``copy`` or ``pickle`` continue from the same tick with bit-identical results.
 
     Example:
         >>> import greenroof_ros as gr

@@ -6,6 +6,8 @@ environment:
     import gymnasium
 
     environment = gymnasium.make("greenroof_ros:GreenRoof-v1")
+
+:mod:`greenroof_ros.analysis.api.vector` steps many of them at once.
 """
 
 from __future__ import annotations

@@ -350,7 +350,10 @@ def test_gaps_of_a_window(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_minimum_discharge_of_a_site_with_a_valve(tmp_path: Path) -> None:
-    """It is one for all controllers of a site and weather, no run has less, and a figure has it."""
+    """It is one for all controllers of a site and weather, and a figure has it.
+
+    No run with the irrigation of on/off control has less; another controller irrigates otherwise.
+    """
     text = f"""
 site: {{file: {CONFIG / "site_valve.yaml"}, tau: 300.0, M: 1}}
 weather: {{file: {WEATHER}, start: 2021-07-07T02:00, hours: 24, evapotranspiration: published}}
@@ -363,7 +366,9 @@ controllers:
     done = run_here(tmp_path, text)
     assert len(done.discharge_bounds) == 1
     for row in done.write_table():
-        assert 0 <= row["bound_wet_discharge_m3"] <= row["wet_discharge_m3"] + 1e-6
+        bound = row["bound_wet_discharge_m3"]
+        assert bound >= 0
+        assert row["controller"] != "onoff" or bound <= row["wet_discharge_m3"] + 1e-6
         assert row["bound_mains_m3"] == pytest.approx(0.0, abs=1e-6)
     names = [figure.name for figure in make_figures(Report(find_runs([done.directory])))]
     assert "discharge-1" in names
