@@ -127,7 +127,7 @@ setup(
         "foxglove": ["foxglove-sdk>=0.30,<0.31"],  # its minor releases change the interface
         "dask": ["distributed>=2024.1"],  # study, district --scheduler: more than one machine
         # The environments GreenRoof-v1 and GreenRoofVector-v1, for reinforcement learning.
-        "gym": ["gymnasium>=1,<2", NUMBA],
+        "gym": ["gymnasium>=1.1,<2", NUMBA],
         "test": [
             # With 9.2, pytest-xdist 3.8 keeps no group together: fixtures are made once a worker.
             "pytest>=8,<9.2",
@@ -136,7 +136,7 @@ setup(
             "hypothesis>=6.100",  # properties of the plant and the controllers
             # EPA's SWMM 5.2: hydrographs of the same cistern; 0.17 is the oldest that was tried.
             "swmm-toolkit>=0.17,<1",
-            "gymnasium>=1,<2",  # whether its checks pass the environment
+            "gymnasium>=1.1,<2",  # whether its checks pass the environment
             "pandas>=2",  # weather in its data frames, and trajectories as such
             "pyarrow>=15",  # what polars needs for that
             "nbclient>=0.10",  # runs the notebook in examples/
