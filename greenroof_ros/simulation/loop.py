@@ -9,11 +9,12 @@ from __future__ import annotations
 import time
 from array import array
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from greenroof_ros.controllers.decide import decide, read_statistics
 from greenroof_ros.controllers.onoff import OnOff
@@ -25,12 +26,17 @@ from greenroof_ros.recording.trajectory import Trajectory, recorded_columns
 from greenroof_ros.results.metrics import Metrics
 from greenroof_ros.simulation import summary
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.simulation.season import KEPT, Batch, SeasonWeather, simulate_season
+from greenroof_ros.simulation.season import KEPT, Case, SeasonWeather, simulate_season
 
 # Makes a named tuple from a tuple in half the time of its own class.
 _new = tuple.__new__
 # Ticks between two reports of progress.
 _REPORTED = 64
+# The values of a trajectory as attributes of a tick.
+_KEPT_OF_TICK = (
+    "x1", "x2", "precipitation", "evapotranspiration", "command", "flows.pump", "flows.outflow",
+    "flows.drainage", "frost", "layer", "outlet", "flows.low_outlet",
+)
 
 
 class Tick(NamedTuple):
@@ -148,24 +154,20 @@ def record(run: Run, ticks: Iterable[Tick], every: int = 1) -> Trajectory:
         every: interval between the ticks that are kept (ticks); the last tick of the run is always
             kept.
     """
-    recorded = recorded_columns(run.site)
-    values = attrgetter("k", "layer", *(column.tick for column in recorded))
-    rows = array("d")
+    values, rows = attrgetter(*_KEPT_OF_TICK), array("d")
     for tick in ticks:
         if tick.k % every == 0 or tick.k == run.steps:
             rows.extend(values(tick))
-    names = "k", "layer", *(column.attribute for column in recorded)
-    columns = np.frombuffer(rows).reshape(-1, len(names)).T
-    return _make_trajectory(run, dict(zip(names, columns, strict=True)))
+    return _make_trajectory(run, np.frombuffer(rows).reshape(-1, len(KEPT)), every)
 
 
-def _make_trajectory(run: Run, columns: Mapping[str, Any]) -> Trajectory:
-    """Make a trajectory from its columns and the numbers of their ticks, ``k``, by name."""
-    names = "layer", *(column.attribute for column in recorded_columns(run.site))
-    return Trajectory(
-        start=run.start, time=run.site.tau * columns["k"],
-        **{name: columns[name] for name in names},
-    )
+def _make_trajectory(run: Run, rows: NDArray[np.float64], every: int) -> Trajectory:
+    """Make a trajectory from the values :data:`.KEPT` of every n-th tick, and of the last one."""
+    own = {"layer", *(column.attribute for column in recorded_columns(run.site))}
+    ticks = np.minimum(every * np.arange(len(rows)), run.steps)
+    return Trajectory(start=run.start, time=run.site.tau * ticks, **{
+        name: values for name, values in zip(KEPT, rows.T, strict=True) if name in own
+    })
 
 
 def simulate(
@@ -182,7 +184,7 @@ def simulate(
             it raises ends the run.
     """
     instance = run.make_controller() if controller is None else controller
-    if type(instance) is OnOff and run.controller.kind is OnOff:
+    if type(instance) is OnOff and run.controller.kind is OnOff and instance.fits(run.site):
         return _simulate_season(run, instance, every, progress)
     simulation = Simulation(run, instance)
     ticks: Iterable[Tick] = simulation.ticks()
@@ -207,22 +209,12 @@ def _simulate_season(
 ) -> tuple[dict[str, Any], Trajectory | None]:
     """Simulate a run under on/off control with the compiled plant; see :func:`simulate`."""
     began = time.monotonic()
-    weather = SeasonWeather.of_run(run, 1.0)
     parameters = {**run.parameters, "fraction": controller.fraction, "level": controller.level}
-    result = simulate_season(Batch(
-        [run.site], [weather], np.zeros(1, np.intp), [parameters], np.array([run.x1]),
-        np.array([run.x2]), np.ones(1), sensor_and_pump=run.sensor_and_pump,
-    ), every, progress)
-    made = summary.make_summary(
-        run, result.metrics[0], result.weeks[0], result.events[0],
-        wall_s=time.monotonic() - began, solver=None,
+    case = Case(run.site, parameters, SeasonWeather(run), run.x1, run.x2)
+    ((metrics, weeks, events, kept),), _ = simulate_season(
+        [case], sensor_and_pump=run.sensor_and_pump, every=every, progress=progress
     )
-    if not every:
-        return made, None
-    ticks = np.minimum(every * np.arange(result.kept.shape[1]), run.steps)
-    return made, _make_trajectory(run, {
-        "k": ticks, "precipitation": weather.rain[ticks],
-        "evapotranspiration": weather.evapotranspiration[ticks],
-        "frost": weather.frost[ticks].astype(float),
-        **dict(zip(KEPT, result.kept[0].T, strict=True)),
-    })
+    made = summary.make_summary(
+        run, metrics, weeks, events, wall_s=time.monotonic() - began, solver=None
+    )
+    return made, _make_trajectory(run, kept, every) if every else None
