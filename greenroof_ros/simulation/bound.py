@@ -1,27 +1,36 @@
-"""The minimum total deviation of any controller, between two bounds.
+"""What no controller can beat, even if it knows the weather: two linear programs over a run.
 
-A linear program yields a lower bound. The simulation of the plan that ``lookahead`` makes with
-perfect knowledge of the weather yields an upper bound.
+The minimum total deviation lies between the optimum of a program (:func:`clairvoyant_bound`) and
+the result of a plan that is simulated with perfect knowledge of the weather
+(:func:`simulate_plan`). :func:`bound_discharge` yields the minimum discharge in wet weather for
+some volumes of mains water. The proofs are in doc/explanation/bound.md.
 """
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.order_up_to import BELOW_M3, OrderUpTo
 from greenroof_ros.forecast.resampling import PerfectForecast
-from greenroof_ros.physics.parameters import plant_parameters
+from greenroof_ros.physics.cistern import low_outlet_flow
+from greenroof_ros.physics.parameters import State, plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow
-from greenroof_ros.physics.tick import command_to
+from greenroof_ros.physics.storm_water import HOUR_S, interval_seconds, is_wet
+from greenroof_ros.physics.tick import command_to, step
+from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.simulation.loop import Simulation
 from greenroof_ros.simulation.roof_range import ROUNDING, RoofRange, roof_range
 from greenroof_ros.simulation.run import Run
+from greenroof_ros.simulation.season import count_rain
+from greenroof_ros.site.site import Site
 
 Values = NDArray[np.float64]
 
@@ -36,9 +45,37 @@ _NODES = 3000, 1000
 BLOCK_S = 60.0
 """time that usually shares a variable (s)"""
 
+WEIGHTS = (0.001, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+"""Costs of a m3 of mains water, in m3 of discharge in wet weather, one per point."""
+
+# In a short tick an outlet can take what stands this far above the water (m).
+_OVERDRAWN = 1e-4
+# Points of a frontier that differ by less are one (m3).
+_SAME = 1e-3
+
 
 class NoBoundError(Exception):
     """Error raised if the solver finds no optimum; the solver's message states the reason."""
+
+
+def _minimise(
+    costs: Values, balance: Any, right: Values, lower: Values, upper: Values
+) -> Any:
+    """Return scipy's solution of a linear program: the least costs z with balance z = right.
+
+    Raises:
+        NoBoundError: if the solver finds no optimum.
+    """
+    # Imported here because it takes half a second, and the first process of a study solves nothing.
+    from scipy.optimize import linprog
+
+    result = linprog(
+        costs, A_eq=balance, b_eq=right, bounds=np.column_stack([lower, upper]), method="highs",
+        options=_TOLERANCES,
+    )
+    if result.status != 0:
+        raise NoBoundError(result.message)
+    return result
 
 
 def clairvoyant_bound(run: Run, block_s: float, max_command: float = 1.0) -> float:
@@ -161,8 +198,6 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> float:
     Raises:
         NoBoundError: if the solver finds no optimum.
     """
-    # Imported here because it takes half a second, and the first process of a study solves nothing.
-    from scipy.optimize import linprog
     from scipy.sparse import diags, hstack, identity
 
     unit = run.site.x2_star
@@ -189,12 +224,7 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> float:
     step = diags([np.ones(blocks), -factors[1:]], [0, -1])
     weights = np.concatenate([ticks, ticks, zero]) / ticks[0]
     balance = hstack([step, -step, -identity(blocks)], format="csc")
-    result = linprog(
-        weights, A_eq=balance, b_eq=zero, bounds=np.column_stack([lower, upper]), method="highs",
-        options=_TOLERANCES,
-    )
-    if result.status != 0:
-        raise NoBoundError(result.message)
+    result = _minimise(weights, balance, zero, lower, upper)
     prices = weights - balance.T @ result.eqlin.marginals
     cost = unit * float(ticks[0]) * float(np.minimum(prices * lower, prices * upper).sum())
     # Anything less is the rounding error of a sum of zeros.
@@ -324,3 +354,148 @@ class _PlanController:
 
     def statistics(self) -> None:
         """Return None, because there is no solver."""
+
+
+class FrontierPoint(NamedTuple):
+    """A point of the frontier."""
+
+    weight: float
+    """weight of mains water: no run has a smaller sum of discharge and weighted mains water"""
+    wet_discharge_m3: float
+    """discharge in wet weather (m3)"""
+    mains_m3: float
+    """mains water"""
+
+
+class Steps(NamedTuple):
+    """Steps of up to an hour, each in either wet or dry weather; arrays have shape (n,)."""
+
+    seconds: Values
+    """duration (s)"""
+    wet: NDArray[np.bool_]
+    """whether the step is in wet weather"""
+    inflow: Values
+    """rain and kept drainage into the cistern (m3)"""
+    pumped: Values
+    """water pumped to the roof (m3)"""
+    highest: Values
+    """volume in the cistern at the beginning if the valve is always closed (m3), shape (n + 1,)"""
+    lowest: float
+    """volume that the pumps leave in the cistern (m3)"""
+
+
+def bound_discharge(
+    run: Run, trajectory: Trajectory, weights: Sequence[float] = WEIGHTS
+) -> list[FrontierPoint]:
+    """Return the minimum discharge in wet weather for some volumes of mains water.
+
+    The program has a step per hour of the run. The roof receives the water that the run pumps,
+    while the valve of the low outlet and the mains can be controlled freely. Each weight of mains
+    water, from small to large, yields a point of the frontier. With the same irrigation and as
+    little mains water as at this point, no way of controlling the valve leads to less discharge in
+    wet weather.
+
+    Args:
+        run: run at a site with a valve.
+        trajectory: every tick of the run.
+        weights: weights of mains water, in ascending order.
+
+    Raises:
+        ConfigurationError: if the site has no valve.
+        NoBoundError: if the solver finds no optimum.
+    """
+    if not run.site.low_outlet_valve:
+        raise ConfigurationError(
+            "must have a valve that releases storm water (low_outlet_valve: true)", key="site"
+        )
+    site, tau, seconds = run.site, run.site.tau, interval_seconds(run.site)
+    rain, potential, pumped, drained = (
+        values[: run.steps] for values in (
+            trajectory.precipitation, trajectory.evapotranspiration, trajectory.pump_flow,
+            trajectory.drainage,
+        )
+    )
+    p, closed = plant_parameters(site), State(run.x1, run.x2, site.initial_layer)
+    highest = array("d", [run.x1])
+    for given in zip(rain.tolist(), potential.tolist(), pumped.tolist(), strict=True):
+        closed, _ = step(p, closed, *given[:2], 0.0, 0.0, given[2])
+        highest.append(closed.cistern)
+    wet = [
+        is_wet(without_rain, tau, site.wet_after * HOUR_S)
+        for without_rain in count_rain(rain.tolist(), tau, run.without_rain_s)
+    ]
+    # An interval is in wet weather if all its ticks are, which can only lower the bound.
+    starts = np.arange(0, run.steps, round(seconds / tau))
+    is_wet_interval = np.logical_and.reduceat(wet, starts)
+    begins = np.arange(len(starts)) % max(1, round(HOUR_S / seconds)) == 0
+    begins |= np.diff(is_wet_interval, prepend=is_wet_interval[0])
+    edges = np.append(starts[begins], run.steps)
+    fallen, to_roof, from_roof = (
+        tau * np.add.reduceat(values, edges[:-1]) for values in (rain, pumped, drained)
+    )
+    kept = site.drainage_to_cistern * from_roof
+    # The last tick in which the pumps run begins at the suction level or above.
+    lowest = min(run.x1, site.cistern_volume(site.suction_level)) - tau * pumped.max()
+    steps = Steps(
+        tau * np.diff(edges), is_wet_interval[begins], fallen * site.effective_catchment + kept,
+        to_roof, np.array(highest)[edges], lowest,
+    )
+    of_roof = float((from_roof - kept)[steps.wet].sum())
+    return [
+        point._replace(wet_discharge_m3=of_roof + point.wet_discharge_m3)
+        for point in find_frontier(site, run.x1, steps, weights)
+    ]
+
+
+def find_frontier(
+    site: Site, x1: float, steps: Steps, weights: Sequence[float] = WEIGHTS
+) -> list[FrontierPoint]:
+    """Return the frontier without the roof's drainage, beginning with the most mains water.
+
+    In each step, with the volume v at its beginning,
+
+        v' = v + inflow + mains - pumped - released - overflow.
+
+    - v' is at most the full volume, or the volume with a closed valve if this is larger. v' is at
+      least the volume that the pumps leave.
+    - The water released is at most the volume that the open valve drains from the highest level in
+      the step.
+    - The overflow is at most the inflow plus the volume above the upper outlet at the beginning.
+    - The mains water is at most the volume that the mains can supply.
+
+    Every run with the same irrigation satisfies these conditions, so its discharge in wet weather
+    plus the weighted mains water cannot be below the optimum.
+
+    Args:
+        site: site with a valve.
+        x1: volume in the cistern at the beginning (m3).
+        steps: steps of the run.
+        weights: weights of mains water, in ascending order.
+
+    Raises:
+        NoBoundError: if the solver finds no optimum.
+    """
+    from scipy.sparse import diags, hstack, identity
+
+    n, (seconds, wet, inflow, pumped, highest, lowest) = len(steps.wet), steps
+    full, overdrawn = site.cistern_volume(site.z_o), site.cistern_volume(_OVERDRAWN)
+    peaks = np.maximum(highest[:-1], full) + inflow
+    p = plant_parameters(site)
+    released = seconds * [low_outlet_flow(p, volume + overdrawn) for volume in peaks.tolist()]
+    step = diags([np.ones(n), -np.ones(n - 1)], [0, -1])
+    balance = hstack([step, identity(n), identity(n), -identity(n)], format="csc")
+    change = inflow - pumped
+    change[0] += x1
+    lower = np.concatenate((np.full(n, lowest - overdrawn), np.zeros(3 * n)))
+    upper = np.concatenate((
+        np.maximum(highest[1:], full) + overdrawn, released, peaks - full + overdrawn,
+        seconds * (site.mains_flow or 0.0),
+    ))
+    points: list[FrontierPoint] = []
+    for weight in weights:
+        costs = np.concatenate((np.zeros(n), wet, wet, np.full(n, weight)))
+        _, out, over, let_in = np.split(_minimise(costs, balance, change, lower, upper).x, 4)
+        found = float((out + over)[wet].sum()), float(let_in.sum())
+        if not points or max(map(abs, np.subtract(found, points[-1][1:]))) > _SAME:
+            points.append(FrontierPoint(weight, *found))
+    return points

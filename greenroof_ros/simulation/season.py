@@ -55,13 +55,16 @@ class SeasonWeather:
     """The weather of a run, for sites with the same number of ticks.
 
     Attributes:
-        run: the run; plans use its forecasts.
+        run: the run.
         bed: area of a bed that evaporates as much as the run's (m2), from :func:`find_bed`; 1 to
             keep the evapotranspiration of the run's bed.
+        with_forecast: whether plans use the forecasts of the run; otherwise the plans know the
+            evapotranspiration and the current rain, and expect no further rain.
     """
 
     run: Run
     bed: float = 1.0
+    with_forecast: bool = True
 
     @cached_property
     def forecast(self) -> Forecast:
@@ -72,20 +75,15 @@ class SeasonWeather:
             all_members=True, outlet_horizon=HORIZON_H,
         )
 
-    def foresee(self, tick: int, with_rain: bool) -> tuple[Values, Values]:
-        """Return the forecast of a tick.
-
-        Args:
-            tick: number of the tick.
-            with_rain: whether the forecast contains future rain; otherwise only the current rain is
-                known.
+    def foresee(self, tick: int) -> tuple[Values, Values]:
+        """Return the forecast that plans use in a tick.
 
         Returns:
             Rain (m/s), shape (members, steps), and evapotranspiration of 1 m2 (m3/s), shape
             (steps,).
         """
         rain = np.atleast_2d(np.asarray(self.forecast.precipitation(tick)))
-        if not with_rain:
+        if not self.with_forecast:
             rain = rain[:1].copy()
             rain[:, 1:] = 0.0
         return rain, np.asarray(self.forecast.evapotranspiration(tick)) / self.bed
@@ -275,16 +273,13 @@ def count_rain(rain: Any, tau: float, before: float) -> Any:
 
 
 def simulate_season(
-    cases: Sequence[Case], *, with_forecast: bool = True,
-    sensor_and_pump: SensorAndPump | None = None, every: int = 0,
+    cases: Sequence[Case], *, sensor_and_pump: SensorAndPump | None = None, every: int = 0,
     progress: Callable[[float], None] | None = None, threads: int = 1,
 ) -> tuple[list[CaseResult], Values]:
     """Simulate sites under on/off control.
 
     Args:
         cases: the sites, which have the same tau and number of steps.
-        with_forecast: whether plans use the forecasts of the weather's run; otherwise the plans
-            know the evapotranspiration and the current rain, and expect no further rain.
         sensor_and_pump: errors of the roofs' sensors and of the pumps; by default, there are none.
         every: interval between the ticks that are kept (ticks); 0 to keep none.
         progress: callback that regularly receives the completed share of the work (1); an error
@@ -318,8 +313,8 @@ def simulate_season(
         spread: Any = pool.map if threads > 1 else map
         for rows in together.values():
             season = _Season(
-                [cases[row] for row in rows], with_forecast, sensor_and_pump or SensorAndPump(),
-                every, intervals, count,
+                [cases[row] for row in rows], sensor_and_pump or SensorAndPump(), every, intervals,
+                count,
             )
             for ticks in season.ticks():
                 list(spread(partial(season.run, ticks), season.parts))
@@ -341,12 +336,12 @@ class _Season:
     """
 
     def __init__(
-        self, cases: Sequence[Case], with_forecast: bool, sensor_and_pump: SensorAndPump,
-        every: int, intervals: int, total: int,
+        self, cases: Sequence[Case], sensor_and_pump: SensorAndPump, every: int, intervals: int,
+        total: int,
     ) -> None:
         self._cases, self._every, count = cases, max(1, every), len(cases)
         self._weather, self._site = cases[0].weather, cases[0].site
-        self._with_forecast, run = with_forecast, cases[0].weather.run
+        run = cases[0].weather.run
         self._steps = steps = run.steps
         self._compiles = pays_to_compile(steps * total)
         self._errors = read_errors(sensor_and_pump, steps + 1)
@@ -389,8 +384,9 @@ class _Season:
             own, self._sites.groups[rows] = np.unique(groups[rows], return_inverse=True)
             self.parts.append((rows, own, self._as_taken(np.zeros((len(own), 2, intervals)))))
         self._plan = None if cases[0].parameters.get("outlet") != PLAN else PlannedLevels(
-            parameters, self._site.wet_after, look_ahead_ends(run.site, 0.0, HORIZON_H),
-            reserves.copy(), prices, reaches, np.array([case.bed for case in cases]),
+            self._sites.parameters, self._site.wet_after,
+            look_ahead_ends(run.site, 0.0, HORIZON_H), reserves.copy(), prices, reaches,
+            np.array([case.bed for case in cases]),
             compiled(find_levels) if self._compiles else find_levels,
         )
 
@@ -439,8 +435,7 @@ class _Season:
         roof = x2 / a2
         if len(self._errors):
             roof = np.maximum(0.0, roof + self._errors[tick])
-        forecast = self._weather.foresee(tick, self._with_forecast)
-        self._plan.plan(x1 / a1 * a1, roof * a2, *forecast)
+        self._plan.plan(x1 / a1 * a1, roof * a2, *self._weather.foresee(tick))
         self._sites.levels[:] = self._plan.levels
 
     def run(self, ticks: Ticks, part: tuple[slice, Any, Any]) -> None:

@@ -18,12 +18,8 @@ from greenroof_ros.commands import bound as module
 from greenroof_ros.commands.bound import main
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.registry import choose_class
-from greenroof_ros.simulation.discharge_bound import (
-    WEIGHTS,
-    Steps,
-    find_frontier,
-    simulate_frontier,
-)
+from greenroof_ros.simulation.bound import WEIGHTS, Steps, bound_discharge, find_frontier
+from greenroof_ros.simulation.loop import simulate
 from greenroof_ros.simulation.run import Run
 
 # 10 m3 below the upper outlet; the pumps leave 0.25 m3.
@@ -91,10 +87,11 @@ def random_run(seed: int) -> Run:
 @settings(max_examples=40, deadline=None)
 def test_no_run_is_beneath_the_frontier(seed: int) -> None:
     """Whatever the valve does, discharge plus weighted mains is at least that of each point."""
-    found = simulate_frontier(random_run(seed))
-    for point in found.points:
-        run = found.wet_discharge_m3 + point.weight * found.mains_m3
-        assert run >= point.wet_discharge_m3 + point.weight * point.mains_m3 - 1e-6
+    run = random_run(seed)
+    found, ticks = simulate(run, every=1)
+    for point in bound_discharge(run, ticks):
+        cost = found["wet_discharge_m3"] + point.weight * found.get("mains_m3", 0.0)
+        assert cost >= point.wet_discharge_m3 + point.weight * point.mains_m3 - 1e-6
 
 
 def steps_of(
@@ -142,7 +139,8 @@ def test_a_dry_part_of_an_hour_costs_nothing() -> None:
     minutes[2, 55:] = 120.0  # 10 mm, 2.7 m3, in five minutes
     site = replace(SITE, z_veg=0.01, x2_star=0.6875)
     run = run_in(weather_of(minutes, 0.0), site, 9.0, 3.142)
-    assert simulate_frontier(run).points[0].wet_discharge_m3 == pytest.approx(0, abs=1e-6)
+    found = bound_discharge(run, simulate(run, every=1)[1])
+    assert found[0].wet_discharge_m3 == pytest.approx(0, abs=1e-6)
 
 
 def test_command(

@@ -126,11 +126,11 @@ def test_any_site(
 # --- a batch -------------------------------------------------------------------------------------
 
 
-def cases_of(runs: Sequence[Run], groups: Sequence[int] = (0,)) -> list[Case]:
+def cases_of(runs: Sequence[Run], groups: Sequence[int] = (0,), **choice: bool) -> list[Case]:
     """Return runs as cases; those of the same start share the weather of the first."""
     weather: dict[Any, SeasonWeather] = {}
     for run in runs:
-        weather.setdefault(run.start, SeasonWeather(run, run.site.a2))
+        weather.setdefault(run.start, SeasonWeather(run, run.site.a2, **choice))
     return [
         Case(run.site, run.parameters, weather[run.start], run.x1, run.x2, run.site.a2, group)
         for run, group in zip(runs, cycle(groups), strict=False)
@@ -174,7 +174,7 @@ def test_plan_without_a_forecast() -> None:
     run = run_of(replace(SMALL, drainage_to_cistern=0.0), outlet="plan", cistern=1.9)
     expected = metrics_of(with_forecasts(run, "always dry"))
     assert expected["overflow_m3"] > 1.1 * metrics_of(run)["overflow_m3"]
-    (found,), _ = simulate_season(cases_of([run]), with_forecast=False)
+    (found,), _ = simulate_season(cases_of([run], with_forecast=False))
     assert found.metrics == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 

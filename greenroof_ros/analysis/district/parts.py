@@ -22,7 +22,6 @@ from greenroof_ros.analysis.district.district_file import (
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.onoff import LEVEL
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.physics.start import find_state
 from greenroof_ros.physics.storm_water import connected_area
 from greenroof_ros.simulation.season import Case, SeasonWeather, find_bed, simulate_season
@@ -136,7 +135,7 @@ def simulate_part(
             variants, buildings.cells[places].tolist(), np.concatenate(groups).tolist(), strict=True
         )
         for weather in [_read_weather(directory / weather_file(cell))]
-    ], with_forecast=part.district.forecast == PERFECT, progress=progress, threads=threads)
+    ], progress=progress, threads=threads)
     made, metrics = iter(results), {}
     for outlet, places in simulated.items():
         values = np.full((len(METRICS), len(buildings)), np.nan)

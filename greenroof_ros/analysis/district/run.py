@@ -33,6 +33,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping
 from greenroof_ros.common.processes import scratch_directory
 from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.physics.storm_water import HOUR_S, interval_seconds, is_wet
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.run import Run
@@ -73,7 +74,9 @@ class DistrictRun:
     def weather(self) -> list[SeasonWeather]:
         """The weather of each cell."""
         return [
-            SeasonWeather(run, find_bed(run.weather.method, run.site)) for run in self.runs
+            SeasonWeather(
+                run, find_bed(run.weather.method, run.site), self.district.forecast == PERFECT
+            ) for run in self.runs
         ]
 
     @property

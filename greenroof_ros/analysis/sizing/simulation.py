@@ -12,7 +12,6 @@ from greenroof_ros.analysis.sizing.designs import Design
 from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.simulation import season
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.simulation.season import SeasonWeather, simulate_season
 
 Values = NDArray[np.float64]
 
@@ -41,13 +40,13 @@ def simulate_cases(
         progress: callback that receives the completed share of the work (1); an error that it
             raises ends the runs.
     """
-    weather = [SeasonWeather(run) for run in seasons]
-    results, _ = simulate_season([
+    weather = [season.SeasonWeather(run, with_forecast=False) for run in seasons]
+    results, _ = season.simulate_season([
         season.Case(
             case.design.site, case.design.parameters, weather[case.season],
             case.filled * case.design.volume, case.design.site.x2_star,
         ) for case in cases
-    ], with_forecast=False, progress=progress, threads=threads)
+    ], progress=progress, threads=threads)
     return {
         metric.name: np.array([made.get(metric.name, np.nan) for made, *_ in results])
         for metric in METRICS
