@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from greenroof_ros.controllers.decide import decide, read_statistics
 from greenroof_ros.controllers.onoff import OnOff
-from greenroof_ros.controllers.outlet import OutletPolicy
 from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.physics.parameters import Flows
 from greenroof_ros.physics.virtual_site import VirtualSite
@@ -76,19 +75,16 @@ class Simulation:
         metrics: metrics of the ticks that have been simulated.
     """
 
-    def __init__(
-        self, run: Run, controller: Controller | None = None, outlet: OutletPolicy | None = None,
-    ) -> None:
+    def __init__(self, run: Run, controller: Controller | None = None) -> None:
         """Begin with tick 0.
 
         Args:
             run: run to simulate.
             controller: controller to use; if None, a new controller of the run's class.
-            outlet: policy of the outlet valve to use; if None, the run's own policy.
         """
         self._run = run
         self._controller = run.make_controller() if controller is None else controller
-        self._outlet = run.make_outlet(self._controller) if outlet is None else outlet
+        self._outlet = run.make_outlet(self._controller)
         self._own_steps = run.controller.count_own_steps(run.site, run.parameters)
         self.site = VirtualSite(
             run.site, run.x1, run.x2, run.time_ns(0), run.sensor_and_pump, run.steps + 1
