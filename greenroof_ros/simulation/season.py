@@ -242,17 +242,17 @@ def run_ticks(sites: Any, ticks: Any, hydrograph: Any, every: int, steps: int) -
             after, flows = step(p, now, falls, demand, switched, outlet, OWN_PUMPS)
             observe_pump(switch, flows.pump)
             if len(kept) > 0 and (k % every == 0 or k == steps):
-                place = kept[(k + every - 1) // every]
-                place[0], place[1], place[2], place[3] = now.cistern, now.roof, falls, demand
-                place[4], place[5], place[6] = command, flows.pump, flows.outflow
-                place[7], place[8], place[9] = flows.drainage, 1.0 if frozen else 0.0, now.layer
-                place[10], place[11] = outlet, flows.low_outlet
+                kept[(k + every - 1) // every][:] = (
+                    now.cistern, now.roof, falls, demand, command, flows.pump, flows.outflow,
+                    flows.drainage, 1.0 if frozen else 0.0, now.layer, outlet, flows.low_outlet,
+                )
             if k == steps:
                 break
             add(q, sums, weeks, events, now, command, falls, demand, flows, wet, new_day[n])
-            interval = int(k // q.interval_ticks)
-            of_group[0][interval] += p.tau * (flows.outflow + q.to_sewer * flows.drainage)
-            of_group[1][interval] += p.tau * flows.low_outlet
+            if flows.outflow > 0 or flows.drainage > 0:
+                interval = int(k // q.interval_ticks)
+                of_group[0][interval] += p.tau * (flows.outflow + q.to_sewer * flows.drainage)
+                of_group[1][interval] += p.tau * flows.low_outlet
             now = after
         state[0], state[1], state[2] = now.cistern, now.roof, now.layer
 
