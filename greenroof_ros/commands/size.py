@@ -64,7 +64,7 @@ def make_parser() -> Parser:
         help="weather files, which are joined in chronological order, or a glob pattern; together, "
         "the files must cover at least one season",
     )
-    add_option(group, INPUTS["evapotranspiration"])
+    add_option(group, INPUTS["evapotranspiration"], metavar="METHOD")
     add_option(group, INPUTS["gaps"])
     group.add_argument(
         "--season", metavar="MM-DD/MM-DD",

@@ -134,19 +134,6 @@ def clairvoyant_bound(run: Run, block_s: float, max_command: float = 1.0) -> flo
     return _solve(run, _limits(run, max_command), np.arange(0, run.steps + 1, block))
 
 
-def _conditions(run: Run) -> tuple[Values, Values, NDArray[np.bool_]]:
-    """Return rain, evapotranspiration and whether pumping is allowed in the ticks 0..N-1."""
-    site, series = run.site, run.series
-    rain, evapotranspiration, frost = (
-        np.frombuffer(values[: run.steps])
-        for values in (series.precipitation, series.evapotranspiration, series.frost)
-    )
-    may_pump = np.asarray(frost == 0)
-    if site.quiet is not None:
-        may_pump &= ~site.quiet.quiet_ticks(run.time_ns(0), round(site.tau * 1e9), run.steps)
-    return rain, evapotranspiration, may_pump
-
-
 def _sums(first: float, changes: Values) -> Values:
     return np.concatenate([[first], first + np.cumsum(changes)])
 
@@ -154,7 +141,7 @@ def _sums(first: float, changes: Values) -> Values:
 def _limits(run: Run, max_command: float) -> RoofRange:
     """Return the limits of every run; :func:`clairvoyant_bound` derives them."""
     site, tau = run.site, run.site.tau
-    rain, evapotranspiration, may_pump = _conditions(run)
+    rain, evapotranspiration, frost, quiet = run.read_ticks(0, run.steps, site)
     # This assumes that the mains' valve is always open.
     received = _sums(run.x1, tau * (site.effective_catchment * rain + (site.mains_flow or 0.0)))
     # In a short tick the pumps lift water that was there before it.
@@ -164,8 +151,7 @@ def _limits(run: Run, max_command: float) -> RoofRange:
     usable = held - site.a1 * site.suction_level
     full = np.where(usable < -ROUNDING * held, 0, tau * max_command * flow)
     mains = np.where(full > 0, np.minimum(usable + full, received[1:]), 0)
-    pumped = np.where(may_pump, full, 0)
-
+    pumped = np.where(frost | quiet, 0, full)
     roof = roof_range(site, run.x2, rain, evapotranspiration, pumped)
     supplied = _sums(run.x2, roof.unpumped) + np.concatenate([[0], mains])
     # The plant adds in another order, so its last digits differ.
@@ -319,9 +305,10 @@ class _PlanController:
         self._tick = -1
         self._block = max(1, round(_STEP_S / site.tau), -(-n // _MAX_STEPS))
         starts = np.arange(0, n, self._block)
+        rain, evaporated, *stopped = run.read_ticks(0, n, site)
         rain, evaporated, pumping = (
-            np.add.reduceat(values.astype(float), starts) / np.diff(starts, append=n)
-            for values in _conditions(run)
+            np.add.reduceat(values, starts) / np.diff(starts, append=n)
+            for values in (rain, evaporated, 1.0 - np.any(stopped, axis=0))
         )
         flow = max_command * maximum_pump_flow(self._p, run.x1) * pumping
         self._program, edges = OrderUpTo(site, fine=_NODES), site.tau * np.append(starts, n)

@@ -39,13 +39,14 @@ def add_run_arguments(parser: Parser, arguments: Sequence[str] | None = None) ->
     group = parser.add_argument_group("the run")
     add_controller_arguments(parser, group, arguments)
     add_site_arguments(group)
-    for title, names in (
-        ("forecasts", ("forecast", *choice.INPUTS)),
-        ("sensor and pumps (default: as in the paper)", sensor_and_pump.PARAMETERS),
-    ):
-        group = parser.add_argument_group(title)
-        for name in names:
-            add_option(group, INPUTS[name])
+    group = parser.add_argument_group("forecasts")
+    add_option(group, INPUTS["forecast"], metavar=f"{{{','.join(MODELS)},FILE}}")
+    skill = {"metavar": f"{{{','.join(SKILLS)},FILE.yaml}}"}
+    for name, parameter in choice.INPUTS.items():
+        add_option(group, parameter, **(skill if name == "forecast_skill" else {}))
+    group = parser.add_argument_group("sensor and pumps (default: as in the paper)")
+    for parameter in sensor_and_pump.PARAMETERS.values():
+        add_option(group, parameter)
 
 
 def add_controller_arguments(
@@ -92,29 +93,22 @@ def add_controller_arguments(
 def add_site_arguments(group: argparse._ArgumentGroup) -> None:
     """Add the options for site, weather, initial state, start and length."""
     add_site(group)
-    names = "weather", "start", "initial", "hours", "cistern", "roof", "gaps", "evapotranspiration"
-    for name in names:
+    add_option(group, INPUTS["weather"], nargs="+", metavar="FILE")
+    add_option(group, INPUTS["start"], metavar="ISO")
+    add_option(group, INPUTS["initial"], choices=INITIAL_STATES)
+    for name in ("hours", "cistern", "roof", "gaps"):
         add_option(group, INPUTS[name])
+    add_option(group, INPUTS["evapotranspiration"], metavar="METHOD")
 
 
-# What the help shows for the value of an option, and how it is read, if not by its parameter.
-_SETTINGS: dict[str, dict[str, Any]] = {
-    "weather": {"nargs": "+", "metavar": "FILE"}, "start": {"metavar": "ISO"},
-    "initial": {"choices": INITIAL_STATES}, "evapotranspiration": {"metavar": "METHOD"},
-    "forecast": {"metavar": f"{{{','.join(MODELS)},FILE}}"},
-    "forecast_skill": {"metavar": f"{{{','.join(SKILLS)},FILE.yaml}}"},
-}
-
-
-def add_option(group: argparse._ArgumentGroup, parameter: Parameter) -> None:
+def add_option(group: argparse._ArgumentGroup, parameter: Parameter, **settings: Any) -> None:
     """Add the option for an input; the value of an omitted option is None."""
     default, about = parameter.default, [] if parameter.unit in ("", "1") else [parameter.unit]
-    settings = _SETTINGS.get(parameter.name, {})
     if isinstance(default, (int, float)) or math.isfinite(parameter.low):
         kind = int if parameter.whole else float
-        settings = {"metavar": "X", "type": make_number_type(parameter.low, parameter.high, kind)}
+        settings |= {"metavar": "X", "type": make_number_type(parameter.low, parameter.high, kind)}
     elif parameter.among:
-        settings = {"choices": parameter.among}
+        settings["choices"] = parameter.among
     if isinstance(default, float):
         default = None if math.isnan(default) else f"{default:g}"
     if default is not None:

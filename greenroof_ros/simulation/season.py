@@ -411,19 +411,12 @@ class _Season:
 
     def _read(self, first: int, last: int) -> Ticks:
         """Return the ticks from one to another (exclusive), which must be the next ones."""
-        run, site, quiet = self._weather.run, self._site, np.zeros(last - first, np.bool_)
-        rain, evaporated, frost = (
-            np.frombuffer(values[first:last]) for values in (
-                run.series.precipitation, run.series.evapotranspiration, run.series.frost
-            )
-        )
-        if site.quiet is not None:
-            quiet = site.quiet.quiet_ticks(run.time_ns(first), round(site.tau * 1e9), last - first)
+        rain, evaporated, frost, quiet = self._weather.run.read_ticks(first, last, self._site)
         count = compiled(count_rain) if self._compiles else count_rain
-        without_rain = count(self._as_taken(rain), site.tau, self._before)
+        without_rain = count(self._as_taken(rain), self._site.tau, self._before)
         self._before = float(without_rain[-1])
         return Ticks(first, *map(self._as_taken, (
-            rain, evaporated / self._weather.bed, frost != 0, without_rain, quiet,
+            rain, evaporated / self._weather.bed, frost, without_rain, quiet,
             np.isin(np.arange(first, last), self._new_days), self._errors[first:last],
         )))
 
