@@ -8,32 +8,42 @@ some volumes of mains water. The proofs are in doc/explanation/bound.md.
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.order_up_to import BELOW_M3, OrderUpTo
 from greenroof_ros.forecast.resampling import PerfectForecast
 from greenroof_ros.physics.cistern import low_outlet_flow
-from greenroof_ros.physics.parameters import State, plant_parameters
+from greenroof_ros.physics.parameters import PlantParameters, State, plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow
+from greenroof_ros.physics.soil import (
+    ALMOST_FULL,
+    fill,
+    percolation,
+    roof_after_tick,
+    water_to_fill,
+)
 from greenroof_ros.physics.storm_water import HOUR_S, interval_seconds, is_wet
 from greenroof_ros.physics.tick import command_to, step
 from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.simulation.loop import Simulation
-from greenroof_ros.simulation.roof_range import ROUNDING, RoofRange, roof_range
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.simulation.season import count_rain
 from greenroof_ros.site.site import Site
 
 Values = NDArray[np.float64]
 
+# Larger than the rounding errors of a year of ticks, and far too small to show in a bound.
+_ROUNDING = 1e-9
+# Accuracy of a filled share at which a limit may have its extreme (1).
+_SHARE_ERROR = 1e-9
 # The tightest that HiGHS accepts: a tick's evapotranspiration is usually only 1e-7 of x2*.
 _TOLERANCES = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
 
@@ -52,6 +62,21 @@ WEIGHTS = (0.001, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 _OVERDRAWN = 1e-4
 # Points of a frontier that differ by less are one (m3).
 _SAME = 1e-3
+
+
+class RoofRange(NamedTuple):
+    """Limits on the roof's volume under any controller; all volumes are in m3."""
+
+    low: Values
+    """minimum volume, shape (N+1,)"""
+    high: Values
+    """maximum volume, shape (N+1,)"""
+    minimum: Values
+    """minimum of the volume after each tick minus slope times the volume before it, shape (N,)"""
+    maximum: Values
+    """maximum of the same, shape (N,)"""
+    slope: Values | None = None
+    """slope from 0 to 1, shape (N,); None means 1 in every tick, so the limits are of the change"""
 
 
 class NoBoundError(Exception):
@@ -118,6 +143,16 @@ def clairvoyant_bound(run: Run, block_s: float, max_command: float = 1.0) -> flo
     a multiple of itself. On a field-capacity soil, whose limits depend on the size of the blocks,
     the bound can rise by up to 0.4 %.
 
+    Let y_b be the mean of x2 - x2* in block b, in units of x2*, and n_b the number of ticks in the
+    block. The program minimises the sum of n_b (p_b + m_b) subject to y_b = p_b - m_b = y_{b-1} +
+    c_b, where y_{-1} is 0, and p, m and c have bounds. On a field-capacity soil, y_{b-1} is
+    multiplied by a factor. In the optimum either p_b or m_b is 0, so the limits of y_b are limits
+    of both p_b and m_b.
+
+    The result is the cost of the dual program. Every variable z is between two limits, and the
+    balance A z is 0. For any multipliers v, the sum of the minimum values of (w - A'v) z is a lower
+    bound on w z, regardless of the solver's tolerance.
+
     Args:
         run: weather, site, initial state and length; its controller and forecast have no effect.
         block_s: length of a block (s), which is rounded to whole ticks and is at least one tick.
@@ -130,8 +165,38 @@ def clairvoyant_bound(run: Run, block_s: float, max_command: float = 1.0) -> flo
     Raises:
         NoBoundError: if the solver finds no optimum.
     """
-    block = max(1, round(block_s / run.site.tau))
-    return _solve(run, _limits(run, max_command), np.arange(0, run.steps + 1, block))
+    from scipy.sparse import diags, hstack, identity
+
+    block = min(run.steps + 1, max(1, round(block_s / run.site.tau)))
+    limits, edges = _limits(run, max_command), np.arange(0, run.steps + 1, block)
+    ticks, unit = np.diff(edges, append=run.steps + 1), run.site.x2_star
+
+    def means(volumes: Values) -> Values:
+        return np.asarray(np.add.reduceat(volumes / unit - 1, edges) / ticks)
+
+    floor, ceiling = means(limits.low), means(limits.high)
+    if limits.slope is None:
+        factors = np.ones(len(edges))
+        minimum = np.diff(means(_sums(run.x2, limits.minimum)), prepend=0)
+        maximum = np.diff(means(_sums(run.x2, limits.maximum)), prepend=0)
+    else:
+        factors, minimum, maximum = _changes(limits, limits.slope, block)
+        minimum, maximum = (part / unit + factors - 1 for part in (minimum, maximum))
+    zero = np.zeros_like(floor)
+    lower = np.concatenate([np.maximum(floor, 0), np.maximum(-ceiling, 0), minimum])
+    # If nothing can be pumped both are equal, and rounding must not set them apart.
+    upper = np.concatenate(
+        [np.maximum(ceiling, 0), np.maximum(-floor, 0), np.maximum(maximum, minimum)]
+    )
+    blocks = len(edges)
+    step = diags([np.ones(blocks), -factors[1:]], [0, -1])
+    weights = np.concatenate([ticks, ticks, zero]) / ticks[0]
+    balance = hstack([step, -step, -identity(blocks)], format="csc")
+    result = _minimise(weights, balance, zero, lower, upper)
+    prices = weights - balance.T @ result.eqlin.marginals
+    cost = unit * float(ticks[0]) * float(np.minimum(prices * lower, prices * upper).sum())
+    # Anything less is the rounding error of a sum of zeros.
+    return cost if cost > _ROUNDING * unit * run.steps else 0.0
 
 
 def _sums(first: float, changes: Values) -> Values:
@@ -149,104 +214,182 @@ def _limits(run: Run, max_command: float) -> RoofRange:
     held = received[:-1] if p.has_short_ticks else received[1:]
     flow = np.fromiter((maximum_pump_flow(p, x1) for x1 in held), float, run.steps)
     usable = held - site.a1 * site.suction_level
-    full = np.where(usable < -ROUNDING * held, 0, tau * max_command * flow)
+    full = np.where(usable < -_ROUNDING * held, 0, tau * max_command * flow)
     mains = np.where(full > 0, np.minimum(usable + full, received[1:]), 0)
     pumped = np.where(frost | quiet, 0, full)
-    roof = roof_range(site, run.x2, rain, evapotranspiration, pumped)
-    supplied = _sums(run.x2, roof.unpumped) + np.concatenate([[0], mains])
+    target, low, high = (1 + _ROUNDING) * site.a2 * site.z_veg, run.x2, run.x2
+    ticks = array("d")
+    for fallen, potential, lifted in zip(
+        array("d", rain * site.a2), array("d", evapotranspiration), array("d", pumped), strict=True
+    ):
+        # Nothing is pumped if even the roof's minimum volume is above its target.
+        limits = _limits_of_tick(p, low, high, fallen, potential, lifted if low <= target else 0.0)
+        low, high = limits[:2]
+        ticks.extend(limits)
+    lows, highs, minimum, maximum, unpumped, slope = np.ascontiguousarray(
+        np.reshape(ticks, (run.steps, -1)).T
+    )
+    supplied = _sums(run.x2, unpumped) + np.concatenate([[0], mains])
+    lows, highs = np.append(run.x2, lows), np.append(run.x2, highs)
     # The plant adds in another order, so its last digits differ.
-    slack = ROUNDING * (site.x2_star + roof.high.max())
-    high = np.minimum(roof.high, supplied) + slack
-    return roof._replace(low=roof.low - slack, high=high)
+    slack = _ROUNDING * (site.x2_star + highs.max())
+    return RoofRange(
+        lows - slack, np.minimum(highs, supplied) + slack, minimum, maximum,
+        slope if p.has_field_capacity else None,
+    )
 
 
-def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> float:
-    """Solve the program of :func:`clairvoyant_bound`.
+def _limits_of_tick(
+    p: PlantParameters, low: float, high: float, rain: float, potential: float, max_pumped: float
+) -> tuple[float, ...]:
+    """Compute the range of the roof's volume after a tick.
 
-    Let y_b be the mean of x2 - x2* in block b, in units of x2*, and n_b the number of ticks in the
-    block. The program minimises the sum of n_b (p_b + m_b) subject to y_b = p_b - m_b = y_{b-1} +
-    c_b, where y_{-1} is 0, and p, m and c have bounds. On a field-capacity soil, y_{b-1} is
-    multiplied by a factor. In the optimum either p_b or m_b is 0, so the limits of y_b are limits
-    of both p_b and m_b.
-
-    The result is the cost of the dual program. Every variable z is between two limits, and the
-    balance A z is 0. For any multipliers v, the sum of the minimum values of (w - A'v) z is a lower
-    bound on w z, regardless of the solver's tolerance.
+    On a field-capacity soil, the retained share of arriving water falls with the volume, while
+    evaporation and the excess above field capacity rise with the volume. The change without pumping
+    is therefore largest at the minimum volume, as on the paper's soil, which drains above z_cap.
+    The volume after a tick rises with the volume before it, by about the slope of the chord over
+    the range. After subtraction of the slope times the volume before the tick, the limits are close
+    together.
 
     Args:
-        run: the run.
-        limits: limits of the run.
-        edges: first tick of each block, shape (B,).
+        p: numbers of the site.
+        low: minimum volume before the tick (m3).
+        high: maximum volume before the tick (m3).
+        rain: rain on the roof (m3/s).
+        potential: evapotranspiration of plants without water stress (m3/s).
+        max_pumped: maximum volume that the pumps can lift in the tick (m3).
 
     Returns:
-        A lower bound on the cost (m3).
-
-    Raises:
-        NoBoundError: if the solver finds no optimum.
+        The minimum and the maximum volume after the tick; those of the volume minus the slope times
+        the volume before the tick; the maximum change without pumping (m3); and the slope, which
+        is 1 on the paper's soil.
     """
-    from scipy.sparse import diags, hstack, identity
-
-    unit = run.site.x2_star
-    ticks = np.diff(edges, append=run.steps + 1)
-
-    def means(volumes: Values) -> Values:
-        return np.asarray(np.add.reduceat(volumes / unit - 1, edges) / ticks)
-
-    floor, ceiling = means(limits.low), means(limits.high)
-    if limits.slope is None:
-        factors = np.ones(len(edges))
-        minimum = np.diff(means(_sums(run.x2, limits.minimum)), prepend=0)
-        maximum = np.diff(means(_sums(run.x2, limits.maximum)), prepend=0)
-    else:
-        factors, minimum, maximum = _changes(limits, limits.slope, edges)
-        minimum, maximum = (part / unit + factors - 1 for part in (minimum, maximum))
-    zero = np.zeros_like(floor)
-    lower = np.concatenate([np.maximum(floor, 0), np.maximum(-ceiling, 0), minimum])
-    # If nothing can be pumped both are equal, and rounding must not set them apart.
-    upper = np.concatenate(
-        [np.maximum(ceiling, 0), np.maximum(-floor, 0), np.maximum(maximum, minimum)]
+    slope = 1.0
+    if p.has_field_capacity and high - low > _ROUNDING * p.z_cap:
+        first, last = (roof_after_tick(p, x2, rain, potential) for x2 in (low, high))
+        slope = min(1.0, max(0.0, (last - first) / (high - low)))
+    reached = {}
+    for line in (0.0, slope):
+        ends = _ends(p, low, high, rain, potential, line)
+        reached[line] = min(ends), max(ends)
+        if max_pumped > 0:
+            end = max(low, min(high, p.a2 * p.z_veg))
+            pumped_to = max(_ends(p, low, end, rain + max_pumped / p.tau, potential, line))
+            if not p.has_short_ticks:  # the pumps stop at the target
+                full = (1 + _ROUNDING) * p.a2 * p.z_veg
+                filled = max(full, roof_after_tick(p, full, rain, potential))
+                pumped_to = min(pumped_to, filled - line * low)
+            reached[line] = reached[line][0], max(reached[line][1], pumped_to)
+    unpumped = max(_ends(p, low, low, rain, potential, 1.0))
+    # A roof that runs dry ends at 0 and not below it: it loses the water it held, at least low.
+    return (
+        max(0.0, reached[0.0][0]), max(0.0, reached[0.0][1]), reached[slope][0],
+        max(reached[slope][1], -slope * low), max(unpumped, -low), slope,
     )
-    blocks = len(edges)
-    step = diags([np.ones(blocks), -factors[1:]], [0, -1])
-    weights = np.concatenate([ticks, ticks, zero]) / ticks[0]
-    balance = hstack([step, -step, -identity(blocks)], format="csc")
-    result = _minimise(weights, balance, zero, lower, upper)
-    prices = weights - balance.T @ result.eqlin.marginals
-    cost = unit * float(ticks[0]) * float(np.minimum(prices * lower, prices * upper).sum())
-    # Anything less is the rounding error of a sum of zeros.
-    return cost if cost > ROUNDING * unit * run.steps else 0.0
 
 
-def _changes(
-    limits: RoofRange, slope: Values, edges: NDArray[np.int64]
-) -> tuple[Values, Values, Values]:
+def _ends(
+    p: PlantParameters, low: float, high: float, arriving: float, potential: float, line: float
+) -> list[float]:
+    """Return candidates for the minimum and maximum volume after a tick, minus a line (m3).
+
+    The drainage of the paper's soil begins at z_cap with a jump, and is linear above z_cap. The
+    extremes are therefore at the ends of the range and on both sides of z_cap.
+
+    On a field-capacity soil, the volume after a tick is a continuous function of the volume before
+    the tick. The function is concave between the wilting point, the onset of stress and field
+    capacity. Subtracting a line changes neither property. The minimum is therefore at an end of one
+    of these pieces, and the maximum is at an end or where the slope is 0.
+
+    Args:
+        p: numbers of the site.
+        low: minimum volume before the tick (m3).
+        high: maximum volume before the tick (m3).
+        arriving: rain and pumped water (m3/s).
+        potential: evapotranspiration of plants without water stress (m3/s).
+        line: slope of the line, by which the volume before the tick is multiplied.
+    """
+    if not p.has_field_capacity:
+        full, ends = p.z_cap, []
+        for x2 in (low, min(max(low, full), high), high):
+            after = x2 - line * x2 + p.tau * (arriving - potential)
+            if x2 < (1 + _ROUNDING) * full:
+                ends.append(after)
+            if x2 >= (1 - _ROUNDING) * full:
+                drained = percolation(p, max(x2, full), arriving, p.tau)
+                ends.append(after - p.tau * drained)
+        return ends
+    dry, available = p.wilting_volume, p.available_volume
+    drying = p.stress_onset * available
+    volumes = [low, high]
+    volumes += [x2 for x2 in (dry, dry + drying, p.z_cap) if low < x2 < high]
+    arrived, exponent = p.tau * arriving, p.percolation_exponent
+    if arrived > 0:
+        # Below the wilting point the slope is 1 - S'^beta, S' being the share after the tick.
+        volumes.append(dry - arrived)
+        if 0 < line < 1:
+            u = water_to_fill(exponent, 0.0, (1 - line) ** (1 / exponent))
+            volumes.append(dry - arrived + available * u)
+        # Above it, (1 - S'^beta) / (1 - S^beta) = steep, for the two pieces.
+        for steep in (line, line + p.tau * potential / drying):
+            if steep > 0:
+                volumes.append(dry + available * _share_of_slope(p, arrived / available, steep))
+        volumes = [x2 for x2 in volumes if low <= x2 <= high]
+    return [roof_after_tick(p, x2, arriving, potential) - line * x2 for x2 in volumes]
+
+
+def _share_of_slope(p: PlantParameters, u: float, slope: float) -> float:
+    """Return the filled share at which the share after a tick has a slope, which falls with it (1).
+
+    Args:
+        p: numbers of the site.
+        u: water that arrives in the tick (as a share of TAW).
+        slope: the slope.
+    """
+    exponent = p.percolation_exponent
+    if exponent == 2:  # (1 - g^2) / (1 + S g)^2
+        g = math.tanh(u)
+        return (math.sqrt((1 - g * g) / slope) - 1) / g
+    low, high = 0.0, ALMOST_FULL
+    while high - low > _SHARE_ERROR:
+        middle = (low + high) / 2
+        after = fill(exponent, middle, u)
+        if (1 - after**exponent) / (1 - middle**exponent) > slope:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+def _changes(limits: RoofRange, slope: Values, block: int) -> tuple[Values, Values, Values]:
     """Return the limits of a block's mean volume, given the previous one (field-capacity soil).
+
+    Args:
+        limits: limits of the run.
+        slope: slope of each tick, shape (N,).
+        block: number of ticks of a block; the last of B blocks can be shorter.
 
     Returns:
         A factor, and the minimum and the maximum of a block's mean minus this factor times the
-        previous block's mean (m3), each of shape (B,). The factor is 0 for a block that does not
-        follow a block of the same length; the minimum and maximum are then the limits of the
-        volume.
+        previous block's mean (m3), each of shape (B,). The factor is 0 for the first block and for
+        a shorter last one; the minimum and maximum are then the limits of the volume.
     """
     floor, ceiling = limits.low, limits.high
-    sizes = np.diff(edges, append=len(floor))
-    factors = np.zeros(len(edges))
-    minimum, maximum = (
-        np.add.reduceat(volumes, edges) / sizes for volumes in (floor, ceiling)
+    edges = np.arange(0, len(floor), block)
+    sizes, factors = np.diff(edges, append=len(floor)), np.zeros(len(edges))
+    minimum, maximum = (np.add.reduceat(volumes, edges) / sizes for volumes in (floor, ceiling))
+    following = len(floor) // block - 1
+    ticks, last = slice(following * block), slice(1, following + 1)
+    factor, low, high = (
+        each[ticks] for each in _compose(slope, limits.minimum, limits.maximum, block)
     )
-    block = sizes[0]
-    following = int(np.count_nonzero(sizes == block)) - 1
-    if following > 0:
-        count = following * block
-        factor, low, high = _compose(slope, limits.minimum, limits.maximum, block)
-        factor, low, high = factor[:count], low[:count], high[:count]
-        mean = factor.reshape(following, block).mean(axis=1)
-        # A tick's factor differs a little from its block's.
-        off = factor - np.repeat(mean, block)
-        ends = off * floor[:count], off * ceiling[:count]
-        factors[1 : following + 1] = mean
-        minimum[1 : following + 1] = (low + np.minimum(*ends)).reshape(-1, block).mean(axis=1)
-        maximum[1 : following + 1] = (high + np.maximum(*ends)).reshape(-1, block).mean(axis=1)
+    mean = factor.reshape(following, block).mean(axis=1)
+    # A tick's factor differs a little from its block's.
+    off = factor - np.repeat(mean, block)
+    ends = off * floor[ticks], off * ceiling[ticks]
+    factors[last] = mean
+    minimum[last] = (low + np.minimum(*ends)).reshape(-1, block).mean(axis=1)
+    maximum[last] = (high + np.maximum(*ends)).reshape(-1, block).mean(axis=1)
     return factors, minimum, maximum
 
 
@@ -286,7 +429,8 @@ def simulate_plan(run: Run, max_command: float = 1.0) -> dict[str, float]:
         run, forecast=PerfectForecast(run.series, 1),
         sensor_and_pump=replace(run.sensor_and_pump, roof_noise=0.0, roof_offset=0.0),
     )
-    simulation = Simulation(known, _PlanController(run, max_command))
+    controller: Any = _PlanController(run, max_command)  # which has no solver, nor parameters
+    simulation = Simulation(known, controller)
     for _ in simulation.ticks():
         pass
     return simulation.metrics.results(simulation.site.state)
@@ -294,8 +438,6 @@ def simulate_plan(run: Run, max_command: float = 1.0) -> dict[str, float]:
 
 class _PlanController:
     """Controller that fills the roof to the levels of a plan for the whole run."""
-
-    parameters: ClassVar[tuple[Parameter, ...]] = ()
 
     def __init__(self, run: Run, max_command: float) -> None:
         """Make the plan; see :func:`simulate_plan`."""
@@ -338,9 +480,6 @@ class _PlanController:
     def skip(self) -> None:
         """Count a tick in which the pumps must not run."""
         self._tick += 1
-
-    def statistics(self) -> None:
-        """Return None, because there is no solver."""
 
 
 class FrontierPoint(NamedTuple):
