@@ -168,7 +168,7 @@ def _make_trajectory(run: Run, rows: NDArray[np.float64], every: int) -> Traject
 
 def simulate(
     run: Run, controller: Controller | None = None, every: int = 0,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[dict[str, Any], Trajectory | None]:
     """Simulate a run; return the content of its ``summary.json``, and its trajectory if wanted.
 
@@ -183,9 +183,7 @@ def simulate(
     if type(instance) is OnOff and run.controller.kind is OnOff and instance.fits(run.site):
         return _simulate_season(run, instance, every, progress)
     simulation = Simulation(run, instance)
-    ticks: Iterable[Tick] = simulation.ticks()
-    if progress is not None:
-        ticks = _reported(ticks, run.steps, progress)
+    ticks = _reported(simulation.ticks(), run.steps, progress)
     trajectory = record(run, ticks, every) if every else None
     deque(ticks, maxlen=0)
     return simulation.summary(), trajectory
@@ -201,7 +199,7 @@ def _reported(
 
 
 def _simulate_season(
-    run: Run, controller: OnOff, every: int, progress: Callable[[float], None] | None
+    run: Run, controller: OnOff, every: int, progress: Callable[[float], None]
 ) -> tuple[dict[str, Any], Trajectory | None]:
     """Simulate a run under on/off control with the compiled plant; see :func:`simulate`."""
     began = time.monotonic()

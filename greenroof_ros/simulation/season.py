@@ -274,7 +274,7 @@ def count_rain(rain: Any, tau: float, before: float) -> Any:
 
 def simulate_season(
     cases: Sequence[Case], *, sensor_and_pump: SensorAndPump | None = None, every: int = 0,
-    progress: Callable[[float], None] | None = None, threads: int = 1,
+    progress: Callable[[float], None] = lambda share: None, threads: int = 1,
 ) -> tuple[list[CaseResult], Values]:
     """Simulate sites under on/off control.
 
@@ -319,8 +319,7 @@ def simulate_season(
             for ticks in season.ticks():
                 list(spread(partial(season.run, ticks), season.parts))
                 done += len(ticks.rain) * len(rows)
-                if progress is not None:
-                    progress(min(1.0, done / (steps + 1) / count))
+                progress(min(1.0, done / (steps + 1) / count))
             for _, groups, of_part in season.parts:
                 hydrograph[groups] += of_part
             results |= zip(rows, season.results(), strict=True)

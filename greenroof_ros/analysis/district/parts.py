@@ -94,7 +94,7 @@ def _read_weather(file: Path) -> SeasonWeather:
 
 def simulate_part(
     directory: Path, part: Part, threads: int = 1,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> PartResult:
     """Simulate a part.
 
