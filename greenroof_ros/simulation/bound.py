@@ -36,7 +36,6 @@ from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.simulation.loop import Simulation
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.simulation.season import count_rain
-from greenroof_ros.site.site import Site
 
 Values = NDArray[np.float64]
 
@@ -493,23 +492,6 @@ class FrontierPoint(NamedTuple):
     """mains water"""
 
 
-class Steps(NamedTuple):
-    """Steps of up to an hour, each in either wet or dry weather; arrays have shape (n,)."""
-
-    seconds: Values
-    """duration (s)"""
-    wet: NDArray[np.bool_]
-    """whether the step is in wet weather"""
-    inflow: Values
-    """rain and kept drainage into the cistern (m3)"""
-    pumped: Values
-    """water pumped to the roof (m3)"""
-    highest: Values
-    """volume in the cistern at the beginning if the valve is always closed (m3), shape (n + 1,)"""
-    lowest: float
-    """volume that the pumps leave in the cistern (m3)"""
-
-
 def bound_discharge(
     run: Run, trajectory: Trajectory, weights: Sequence[float] = WEIGHTS
 ) -> list[FrontierPoint]:
@@ -520,63 +502,6 @@ def bound_discharge(
     water, from small to large, yields a point of the frontier. With the same irrigation and as
     little mains water as at this point, no way of controlling the valve leads to less discharge in
     wet weather.
-
-    Args:
-        run: run at a site with a valve.
-        trajectory: every tick of the run.
-        weights: weights of mains water, in ascending order.
-
-    Raises:
-        ConfigurationError: if the site has no valve.
-        NoBoundError: if the solver finds no optimum.
-    """
-    if not run.site.low_outlet_valve:
-        raise ConfigurationError(
-            "must have a valve that releases storm water (low_outlet_valve: true)", key="site"
-        )
-    site, tau, seconds = run.site, run.site.tau, interval_seconds(run.site)
-    rain, potential, pumped, drained = (
-        values[: run.steps] for values in (
-            trajectory.precipitation, trajectory.evapotranspiration, trajectory.pump_flow,
-            trajectory.drainage,
-        )
-    )
-    p, closed = plant_parameters(site), State(run.x1, run.x2, site.initial_layer)
-    highest = array("d", [run.x1])
-    for given in zip(rain.tolist(), potential.tolist(), pumped.tolist(), strict=True):
-        closed, _ = step(p, closed, *given[:2], 0.0, 0.0, given[2])
-        highest.append(closed.cistern)
-    wet = [
-        is_wet(without_rain, tau, site.wet_after * HOUR_S)
-        for without_rain in count_rain(rain.tolist(), tau, run.without_rain_s)
-    ]
-    # An interval is in wet weather if all its ticks are, which can only lower the bound.
-    starts = np.arange(0, run.steps, round(seconds / tau))
-    is_wet_interval = np.logical_and.reduceat(wet, starts)
-    begins = np.arange(len(starts)) % max(1, round(HOUR_S / seconds)) == 0
-    begins |= np.diff(is_wet_interval, prepend=is_wet_interval[0])
-    edges = np.append(starts[begins], run.steps)
-    fallen, to_roof, from_roof = (
-        tau * np.add.reduceat(values, edges[:-1]) for values in (rain, pumped, drained)
-    )
-    kept = site.drainage_to_cistern * from_roof
-    # The last tick in which the pumps run begins at the suction level or above.
-    lowest = min(run.x1, site.cistern_volume(site.suction_level)) - tau * pumped.max()
-    steps = Steps(
-        tau * np.diff(edges), is_wet_interval[begins], fallen * site.effective_catchment + kept,
-        to_roof, np.array(highest)[edges], lowest,
-    )
-    of_roof = float((from_roof - kept)[steps.wet].sum())
-    return [
-        point._replace(wet_discharge_m3=of_roof + point.wet_discharge_m3)
-        for point in find_frontier(site, run.x1, steps, weights)
-    ]
-
-
-def find_frontier(
-    site: Site, x1: float, steps: Steps, weights: Sequence[float] = WEIGHTS
-) -> list[FrontierPoint]:
-    """Return the frontier without the roof's drainage, beginning with the most mains water.
 
     In each step, with the volume v at its beginning,
 
@@ -593,35 +518,72 @@ def find_frontier(
     plus the weighted mains water cannot be below the optimum.
 
     Args:
-        site: site with a valve.
-        x1: volume in the cistern at the beginning (m3).
-        steps: steps of the run.
+        run: run at a site with a valve.
+        trajectory: every tick of the run.
         weights: weights of mains water, in ascending order.
 
+    Returns:
+        The points of the frontier, beginning with the most mains water.
+
     Raises:
+        ConfigurationError: if the site has no valve.
         NoBoundError: if the solver finds no optimum.
     """
     from scipy.sparse import diags, hstack, identity
 
-    n, (seconds, wet, inflow, pumped, highest, lowest) = len(steps.wet), steps
+    if not run.site.low_outlet_valve:
+        raise ConfigurationError(
+            "must have a valve that releases storm water (low_outlet_valve: true)", key="site"
+        )
+    site, tau, seconds = run.site, run.site.tau, interval_seconds(run.site)
+    rain, potential, pumped, drained = (
+        values[: run.steps] for values in (
+            trajectory.precipitation, trajectory.evapotranspiration, trajectory.pump_flow,
+            trajectory.drainage,
+        )
+    )
+    p, state = plant_parameters(site), State(run.x1, run.x2, site.initial_layer)
+    closed = array("d", [run.x1])  # the volume in the cistern if the valve is always closed
+    for given in zip(rain.tolist(), potential.tolist(), pumped.tolist(), strict=True):
+        state, _ = step(p, state, *given[:2], 0.0, 0.0, given[2])
+        closed.append(state.cistern)
+    wet = np.array([
+        is_wet(without_rain, tau, site.wet_after * HOUR_S)
+        for without_rain in count_rain(rain.tolist(), tau, run.without_rain_s)
+    ])
+    # An interval is in wet weather if all its ticks are, which can only lower the bound. A step of
+    # the program has up to an hour, either in wet or in dry weather.
+    starts = np.arange(0, run.steps, round(seconds / tau))
+    wet = np.logical_and.reduceat(wet, starts)
+    begins = np.arange(len(starts)) % max(1, round(HOUR_S / seconds)) == 0
+    begins |= np.diff(wet, prepend=wet[0])
+    edges, wet = np.append(starts[begins], run.steps), wet[begins]
+    fallen, to_roof, from_roof = (
+        tau * np.add.reduceat(values, edges[:-1]) for values in (rain, pumped, drained)
+    )
+    kept = site.drainage_to_cistern * from_roof
+    inflow, of_roof = fallen * site.effective_catchment + kept, (from_roof - kept)[wet].sum()
+    # The last tick in which the pumps run begins at the suction level or above.
+    lowest = min(run.x1, site.cistern_volume(site.suction_level)) - tau * pumped.max()
     full, overdrawn = site.cistern_volume(site.z_o), site.cistern_volume(_OVERDRAWN)
-    peaks = np.maximum(highest[:-1], full) + inflow
-    p = plant_parameters(site)
-    released = seconds * [low_outlet_flow(p, volume + overdrawn) for volume in peaks.tolist()]
-    step = diags([np.ones(n), -np.ones(n - 1)], [0, -1])
-    balance = hstack([step, identity(n), identity(n), -identity(n)], format="csc")
-    change = inflow - pumped
-    change[0] += x1
+    highest, lengths, n = np.maximum(np.array(closed)[edges], full), tau * np.diff(edges), len(wet)
+    peaks = highest[:-1] + inflow
+    released = lengths * [low_outlet_flow(p, volume + overdrawn) for volume in peaks.tolist()]
+    balance = hstack([
+        diags([np.ones(n), -np.ones(n - 1)], [0, -1]), identity(n), identity(n), -identity(n)
+    ], format="csc")
+    change = inflow - to_roof
+    change[0] += run.x1
     lower = np.concatenate((np.full(n, lowest - overdrawn), np.zeros(3 * n)))
     upper = np.concatenate((
-        np.maximum(highest[1:], full) + overdrawn, released, peaks - full + overdrawn,
-        seconds * (site.mains_flow or 0.0),
+        highest[1:] + overdrawn, released, peaks - full + overdrawn,
+        lengths * (site.mains_flow or 0.0),
     ))
     points: list[FrontierPoint] = []
     for weight in weights:
         costs = np.concatenate((np.zeros(n), wet, wet, np.full(n, weight)))
         _, out, over, let_in = np.split(_minimise(costs, balance, change, lower, upper).x, 4)
-        found = float((out + over)[wet].sum()), float(let_in.sum())
+        found = of_roof + float((out + over)[wet].sum()), float(let_in.sum())
         if not points or max(map(abs, np.subtract(found, points[-1][1:]))) > _SAME:
             points.append(FrontierPoint(weight, *found))
     return points

@@ -17,6 +17,7 @@ from paper import field_capacity_sites, metrics_of, run_of_hours, sites, weather
 from places import CONFIG, DATA
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.physics import compiled as compilation
 from greenroof_ros.recording.trajectory import Trajectory
@@ -121,6 +122,13 @@ def test_any_site(
     site = replace(site, tau=tau)
     run = run_of_hours(hours, fill[0] * site.a1 * site.z_o, fill[1] * site.z_cap, site)
     assert metrics_of(run).items() <= simulate(run)[0].items()
+
+
+def test_a_controller_of_another_site() -> None:
+    """It fills this roof to the target of its own site, as tick by tick."""
+    run, other = run_of(VALVE, outlet="closed", roof=1.0), OnOff(PAPERS, 1.0)
+    assert metrics_of(run, other).items() <= simulate(run, other)[0].items()
+    assert metrics_of(run, other)["pumped_m3"] != simulate(run)[0]["pumped_m3"]
 
 
 # --- a batch -------------------------------------------------------------------------------------
