@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from typing import Any
-
-from rich.console import Console
-from rich.table import Table
 
 from greenroof_ros.common.command_line import (
     EXIT_DONE,
@@ -29,7 +25,7 @@ from greenroof_ros.simulation.bound import (
 from greenroof_ros.simulation.loop import simulate
 from greenroof_ros.simulation.options import add_site_arguments, build_run
 from greenroof_ros.simulation.run import Run, count_ticks
-from greenroof_ros.simulation.screen import grid, print_notes, setting_rows
+from greenroof_ros.simulation.screen import setting_rows, show
 from greenroof_ros.simulation.summary import describe_setting
 
 
@@ -48,9 +44,9 @@ def _result(
     }
 
 
-def _table(result: dict[str, Any]) -> Table:
+def _rows(result: dict[str, Any]) -> tuple[tuple[str, str, str], ...]:
     gap = result["gap"]
-    rows = (
+    return (
         *setting_rows(result),
         ("bound", f"{result['bound_m3']:.2f}", "m3, total deviation that no controller can beat"),
         (
@@ -73,7 +69,6 @@ def _table(result: dict[str, Any]) -> Table:
             "length of the blocks of ticks that share one variable",
         ),
     )
-    return grid("Clairvoyant optimum", rows)
 
 
 def make_parser() -> Parser:
@@ -116,11 +111,11 @@ def make_parser() -> Parser:
 def _print_frontier(run: Run, as_json: bool) -> None:
     """Print the minimum discharge in wet weather for every amount of mains water."""
     with ProgressBar() as bar:
-        def show(share: float) -> None:
+        def report(share: float) -> None:
             check_interrupts()
             bar.show(hours_minutes_seconds(share * run.steps * run.site.tau), share)
 
-        summary, trajectory = simulate(run, every=1, progress=show)
+        summary, trajectory = simulate(run, every=1, progress=report)
     assert trajectory is not None
     points = bound_discharge(run, trajectory)
     result = {
@@ -128,9 +123,6 @@ def _print_frontier(run: Run, as_json: bool) -> None:
         "mains_m3": summary.get("mains_m3", 0.0),
         "frontier": [point._asdict() for point in points],
     }
-    if as_json:
-        print(json.dumps(result, indent=2, allow_nan=False))
-        return
     about = "m3 in wet weather, with {:.2f} m3 of mains water".format
     if run.site.mains_level is None:  # so its cost makes no difference
         about, points = "m3 in wet weather".format, points[:1]
@@ -144,9 +136,7 @@ def _print_frontier(run: Run, as_json: bool) -> None:
             f"{about(result['mains_m3'])}; the bound uses the same irrigation",
         ),
     )
-    console = Console()
-    print_notes(console, result)
-    console.print(grid("Minimum discharge", rows))
+    show("Minimum discharge", rows, result, as_json=as_json)
 
 
 def _print_bound(run: Run, block: float | None, max_command: float, as_json: bool) -> None:
@@ -156,12 +146,7 @@ def _print_bound(run: Run, block: float | None, max_command: float, as_json: boo
         block_s = count_ticks(run.site, block, "--block", unit_s=1.0) * run.site.tau
     bound_m3 = clairvoyant_bound(run, block_s, max_command)
     result = _result(run, max_command, bound_m3, simulate_plan(run, max_command), block_s)
-    if as_json:
-        print(json.dumps(result, indent=2, allow_nan=False))
-    else:
-        console = Console()
-        print_notes(console, result)
-        console.print(_table(result))
+    show("Clairvoyant optimum", _rows(result), result, as_json=as_json)
 
 
 @command

@@ -63,21 +63,6 @@ _OVERDRAWN = 1e-4
 _SAME = 1e-3
 
 
-class RoofRange(NamedTuple):
-    """Limits on the roof's volume under any controller; all volumes are in m3."""
-
-    low: Values
-    """minimum volume, shape (N+1,)"""
-    high: Values
-    """maximum volume, shape (N+1,)"""
-    minimum: Values
-    """minimum of the volume after each tick minus slope times the volume before it, shape (N,)"""
-    maximum: Values
-    """maximum of the same, shape (N,)"""
-    slope: Values | None = None
-    """slope from 0 to 1, shape (N,); None means 1 in every tick, so the limits are of the change"""
-
-
 class NoBoundError(Exception):
     """Error raised if the solver finds no optimum; the solver's message states the reason."""
 
@@ -167,19 +152,21 @@ def clairvoyant_bound(run: Run, block_s: float, max_command: float = 1.0) -> flo
     from scipy.sparse import diags, hstack, identity
 
     block = min(run.steps + 1, max(1, round(block_s / run.site.tau)))
-    limits, edges = _limits(run, max_command), np.arange(0, run.steps + 1, block)
+    low, high, *changes = _limits(run, max_command)
+    edges = np.arange(0, run.steps + 1, block)
     ticks, unit = np.diff(edges, append=run.steps + 1), run.site.x2_star
 
     def means(volumes: Values) -> Values:
         return np.asarray(np.add.reduceat(volumes / unit - 1, edges) / ticks)
 
-    floor, ceiling = means(limits.low), means(limits.high)
-    if limits.slope is None:
+    floor, ceiling = means(low), means(high)
+    if run.site.field_capacity is None:
         factors = np.ones(len(edges))
-        minimum = np.diff(means(_sums(run.x2, limits.minimum)), prepend=0)
-        maximum = np.diff(means(_sums(run.x2, limits.maximum)), prepend=0)
+        minimum, maximum = (
+            np.diff(means(_sums(run.x2, limit)), prepend=0) for limit in changes[:2]
+        )
     else:
-        factors, minimum, maximum = _changes(limits, limits.slope, block)
+        factors, minimum, maximum = _changes(block, low, high, *changes)
         minimum, maximum = (part / unit + factors - 1 for part in (minimum, maximum))
     zero = np.zeros_like(floor)
     lower = np.concatenate([np.maximum(floor, 0), np.maximum(-ceiling, 0), minimum])
@@ -202,8 +189,15 @@ def _sums(first: float, changes: Values) -> Values:
     return np.concatenate([[first], first + np.cumsum(changes)])
 
 
-def _limits(run: Run, max_command: float) -> RoofRange:
-    """Return the limits of every run; :func:`clairvoyant_bound` derives them."""
+def _limits(run: Run, max_command: float) -> tuple[Values, ...]:
+    """Return limits on the roof's volume in every run; :func:`clairvoyant_bound` derives them.
+
+    Returns:
+        The minimum and the maximum volume (m3), each of shape (N+1,); the minimum and the maximum
+        of the volume after each tick minus slope times the volume before it (m3); and the slopes
+        from 0 to 1, which are 1 on the paper's soil, so that the limits are of the change; each of
+        shape (N,).
+    """
     site, tau = run.site, run.site.tau
     rain, evapotranspiration, frost, quiet = run.read_ticks(0, run.steps, site)
     # This assumes that the mains' valve is always open.
@@ -232,10 +226,7 @@ def _limits(run: Run, max_command: float) -> RoofRange:
     lows, highs = np.append(run.x2, lows), np.append(run.x2, highs)
     # The plant adds in another order, so its last digits differ.
     slack = _ROUNDING * (site.x2_star + highs.max())
-    return RoofRange(
-        lows - slack, np.minimum(highs, supplied) + slack, minimum, maximum,
-        slope if p.has_field_capacity else None,
-    )
+    return lows - slack, np.minimum(highs, supplied) + slack, minimum, maximum, slope
 
 
 def _limits_of_tick(
@@ -360,36 +351,38 @@ def _share_of_slope(p: PlantParameters, u: float, slope: float) -> float:
     return low
 
 
-def _changes(limits: RoofRange, slope: Values, block: int) -> tuple[Values, Values, Values]:
+def _changes(
+    block: int, floor: Values, ceiling: Values, minimum: Values, maximum: Values, slope: Values
+) -> tuple[Values, Values, Values]:
     """Return the limits of a block's mean volume, given the previous one (field-capacity soil).
 
     Args:
-        limits: limits of the run.
-        slope: slope of each tick, shape (N,).
         block: number of ticks of a block; the last of B blocks can be shorter.
+        floor: minimum volume, from :func:`_limits` like the other arrays.
+        ceiling: maximum volume.
+        minimum: minimum of the volume after a tick minus the slope times the volume before it.
+        maximum: maximum of the same.
+        slope: slope of each tick.
 
     Returns:
         A factor, and the minimum and the maximum of a block's mean minus this factor times the
         previous block's mean (m3), each of shape (B,). The factor is 0 for the first block and for
         a shorter last one; the minimum and maximum are then the limits of the volume.
     """
-    floor, ceiling = limits.low, limits.high
     edges = np.arange(0, len(floor), block)
     sizes, factors = np.diff(edges, append=len(floor)), np.zeros(len(edges))
-    minimum, maximum = (np.add.reduceat(volumes, edges) / sizes for volumes in (floor, ceiling))
+    least, most = (np.add.reduceat(volumes, edges) / sizes for volumes in (floor, ceiling))
     following = len(floor) // block - 1
     ticks, last = slice(following * block), slice(1, following + 1)
-    factor, low, high = (
-        each[ticks] for each in _compose(slope, limits.minimum, limits.maximum, block)
-    )
+    factor, low, high = (each[ticks] for each in _compose(slope, minimum, maximum, block))
     mean = factor.reshape(following, block).mean(axis=1)
     # A tick's factor differs a little from its block's.
     off = factor - np.repeat(mean, block)
     ends = off * floor[ticks], off * ceiling[ticks]
     factors[last] = mean
-    minimum[last] = (low + np.minimum(*ends)).reshape(-1, block).mean(axis=1)
-    maximum[last] = (high + np.maximum(*ends)).reshape(-1, block).mean(axis=1)
-    return factors, minimum, maximum
+    least[last] = (low + np.minimum(*ends)).reshape(-1, block).mean(axis=1)
+    most[last] = (high + np.maximum(*ends)).reshape(-1, block).mean(axis=1)
+    return factors, least, most
 
 
 def _compose(
