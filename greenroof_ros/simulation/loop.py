@@ -90,16 +90,15 @@ class Simulation:
             run.site, run.x1, run.x2, run.time_ns(0), run.sensor_and_pump, run.steps + 1
         )
         self.metrics = Metrics(run.site, run.steps, run.time_ns(0) / 1e9, run.without_rain_s)
-        self._wall_s = 0.0
+        self._began = time.monotonic()
 
     def ticks(self) -> Iterator[Tick]:
-        """Run the ticks from the current tick to N, and yield each tick after its step."""
-        began = time.monotonic()
-        run, site, controller, until = self._run, self.site, self._controller, self.site.tick
+        """Run all ticks, and yield each tick after its step."""
+        run, site, controller, until = self._run, self.site, self._controller, 0
         policy, outlet, own_steps = self._outlet, 1.0, self._own_steps
         closes, irrigated = run.site.valve_closed_in_frost, run.site.irrigated
         forecast, has_quiet_hours = run.forecast, run.site.quiet is not None
-        for k in range(until, run.steps + 1):
+        for k in range(run.steps + 1):
             if k == until:
                 precipitation, evapotranspiration, frost, until = run.series.at(k)
                 site.frost = frost
@@ -129,14 +128,13 @@ class Simulation:
                 self.metrics.add(state, command, precipitation, evapotranspiration, flows)
                 site.step()
             yield tick
-        self._wall_s = time.monotonic() - began
 
     def summary(self) -> dict[str, Any]:
         """Return the content of ``summary.json``; call this after the last tick."""
         state = self.site.state
         return summary.make_summary(
             self._run, self.metrics.results(state), self.metrics.weekly_deviations(state),
-            self.metrics.events(state), wall_s=self._wall_s,
+            self.metrics.events(state), wall_s=time.monotonic() - self._began,
             solver=read_statistics(self._controller),
         )
 

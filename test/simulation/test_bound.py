@@ -8,7 +8,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -31,7 +30,7 @@ from paper import (
 
 from greenroof_ros.commands import bound as module
 from greenroof_ros.commands.bound import main
-from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.controllers.registry import choose_class
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.simulation.bound import (
@@ -233,14 +232,13 @@ SITE = site_with(
 )
 
 
-class AnyCommands:
+class AnyCommands(OnOff):
     """Commands pumps and valve at random, and keeps them for up to 200 ticks."""
 
-    parameters: ClassVar[tuple[Parameter, ...]] = ()
     outlet = 0.0
     seed = 0
 
-    def __init__(self, site: object) -> None:
+    def __init__(self, site: Site, **_: float) -> None:
         self._random, self._left, self._pump = np.random.default_rng(self.seed), 0, 0.0
 
     def command(self, *_: object) -> float:
@@ -251,12 +249,6 @@ class AnyCommands:
             self.outlet = float(self._random.choice([0.0, 1.0, self._random.random()]))
         self._left -= 1
         return self._pump
-
-    def skip(self) -> None:
-        """Go on with the same commands."""
-
-    def statistics(self) -> None:
-        """Return nothing."""
 
 
 def random_run(seed: int) -> Run:
