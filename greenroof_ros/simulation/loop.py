@@ -21,7 +21,7 @@ from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.physics.parameters import Flows
 from greenroof_ros.physics.virtual_site import VirtualSite
-from greenroof_ros.recording.trajectory import Trajectory, recorded_columns
+from greenroof_ros.recording.trajectory import COLUMNS, Trajectory, recorded_columns
 from greenroof_ros.results.metrics import Metrics
 from greenroof_ros.simulation import summary
 from greenroof_ros.simulation.run import Run
@@ -31,11 +31,6 @@ from greenroof_ros.simulation.season import KEPT, Case, SeasonWeather, simulate_
 _new = tuple.__new__
 # Ticks between two reports of progress.
 _REPORTED = 64
-# The values of a trajectory as attributes of a tick.
-_KEPT_OF_TICK = (
-    "x1", "x2", "precipitation", "evapotranspiration", "command", "flows.pump", "flows.outflow",
-    "flows.drainage", "frost", "layer", "outlet", "flows.low_outlet",
-)
 
 
 class Tick(NamedTuple):
@@ -148,7 +143,8 @@ def record(run: Run, ticks: Iterable[Tick], every: int = 1) -> Trajectory:
         every: interval between the ticks that are kept (ticks); the last tick of the run is always
             kept.
     """
-    values, rows = attrgetter(*_KEPT_OF_TICK), array("d")
+    names = (column.tick for column in COLUMNS if (column.attribute or column.tick) in KEPT)
+    values, rows = attrgetter(*names), array("d")
     for tick in ticks:
         if tick.k % every == 0 or tick.k == run.steps:
             rows.extend(values(tick))

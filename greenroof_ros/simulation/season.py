@@ -131,7 +131,7 @@ KEPT = (
     "cistern", "roof", "precipitation", "evapotranspiration", "command", "pump_flow", "outflow",
     "drainage", "frost", "layer", "outlet", "low_outlet",
 )
-"""values that are kept of a tick, in this order, under their names in :class:`.Trajectory`"""
+"""values that are kept of a tick, under their names and in the order of :data:`.COLUMNS`"""
 
 
 class Control(NamedTuple):
