@@ -157,7 +157,7 @@ def _end(
     if status == summary.DONE:
         result = summary.make_summary(run, **graph.results, **notes)
         summary.write(result, directory)
-        screen.show(result, directory, as_json=as_json)
+        screen.show_summary(result, directory, as_json=as_json)
         return
     _print_bag_contents(directory, count_ticks(directory / "bag"))
     tick = graph.tick

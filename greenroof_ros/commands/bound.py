@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from typing import Any
-
-from rich.console import Console
-from rich.table import Table
 
 from greenroof_ros.common.command_line import (
     EXIT_DONE,
@@ -22,13 +18,14 @@ from greenroof_ros.common.times import hours_minutes_seconds
 from greenroof_ros.simulation.bound import (
     BLOCK_S,
     NoBoundError,
+    bound_discharge,
     clairvoyant_bound,
     simulate_plan,
 )
-from greenroof_ros.simulation.discharge_bound import simulate_frontier
+from greenroof_ros.simulation.loop import simulate
 from greenroof_ros.simulation.options import add_site_arguments, build_run
 from greenroof_ros.simulation.run import Run, count_ticks
-from greenroof_ros.simulation.screen import grid, print_notes, setting_rows
+from greenroof_ros.simulation.screen import setting_rows, show
 from greenroof_ros.simulation.summary import describe_setting
 
 
@@ -47,9 +44,9 @@ def _result(
     }
 
 
-def _table(result: dict[str, Any]) -> Table:
+def _rows(result: dict[str, Any]) -> tuple[tuple[str, str, str], ...]:
     gap = result["gap"]
-    rows = (
+    return (
         *setting_rows(result),
         ("bound", f"{result['bound_m3']:.2f}", "m3, total deviation that no controller can beat"),
         (
@@ -72,7 +69,6 @@ def _table(result: dict[str, Any]) -> Table:
             "length of the blocks of ticks that share one variable",
         ),
     )
-    return grid("Clairvoyant optimum", rows)
 
 
 def make_parser() -> Parser:
@@ -112,28 +108,22 @@ def make_parser() -> Parser:
     return parser
 
 
-def _report_failure(error: NoBoundError) -> int:
-    print(f"error: no bound found; the solver reports: {error}", file=sys.stderr)
-    return EXIT_FAILED
-
-
 def _print_frontier(run: Run, as_json: bool) -> None:
     """Print the minimum discharge in wet weather for every amount of mains water."""
     with ProgressBar() as bar:
-        def show(share: float) -> None:
+        def report(share: float) -> None:
             check_interrupts()
             bar.show(hours_minutes_seconds(share * run.steps * run.site.tau), share)
 
-        frontier = simulate_frontier(run, progress=show)
+        summary, trajectory = simulate(run, every=1, progress=report)
+    assert trajectory is not None
+    points = bound_discharge(run, trajectory)
     result = {
-        **describe_setting(run), "wet_discharge_m3": frontier.wet_discharge_m3,
-        "mains_m3": frontier.mains_m3, "frontier": [point._asdict() for point in frontier.points],
+        **describe_setting(run), "wet_discharge_m3": summary["wet_discharge_m3"],
+        "mains_m3": summary.get("mains_m3", 0.0),
+        "frontier": [point._asdict() for point in points],
     }
-    if as_json:
-        print(json.dumps(result, indent=2, allow_nan=False))
-        return
     about = "m3 in wet weather, with {:.2f} m3 of mains water".format
-    points = frontier.points
     if run.site.mains_level is None:  # so its cost makes no difference
         about, points = "m3 in wet weather".format, points[:1]
     rows = (
@@ -142,13 +132,21 @@ def _print_frontier(run: Run, as_json: bool) -> None:
             ("bound", f"{point.wet_discharge_m3:.2f}", about(point.mains_m3)) for point in points
         ),
         (
-            "on/off", f"{frontier.wet_discharge_m3:.2f}",
-            f"{about(frontier.mains_m3)}; the bound uses the same irrigation",
+            "on/off", f"{result['wet_discharge_m3']:.2f}",
+            f"{about(result['mains_m3'])}; the bound uses the same irrigation",
         ),
     )
-    console = Console()
-    print_notes(console, result)
-    console.print(grid("Minimum discharge", rows))
+    show("Minimum discharge", rows, result, as_json=as_json)
+
+
+def _print_bound(run: Run, block: float | None, max_command: float, as_json: bool) -> None:
+    """Print the minimum total deviation, and that of a simulated plan."""
+    block_s = max(1, round(BLOCK_S / run.site.tau)) * run.site.tau
+    if block is not None:
+        block_s = count_ticks(run.site, block, "--block", unit_s=1.0) * run.site.tau
+    bound_m3 = clairvoyant_bound(run, block_s, max_command)
+    result = _result(run, max_command, bound_m3, simulate_plan(run, max_command), block_s)
+    show("Clairvoyant optimum", _rows(result), result, as_json=as_json)
 
 
 @command
@@ -159,25 +157,12 @@ def main() -> int:
     if arguments.of == "discharge" and (arguments.block, arguments.max_command) != (None, 1.0):
         parser.error("--block and --max-command cannot be used with --of discharge")
     run = build_run(arguments)
-    if arguments.of == "discharge":
-        try:
-            _print_frontier(run, arguments.json)
-        except NoBoundError as error:
-            return _report_failure(error)
-        return EXIT_DONE
-    block_s = max(1, round(BLOCK_S / run.site.tau)) * run.site.tau
-    if arguments.block is not None:
-        block_s = count_ticks(run.site, arguments.block, "--block", unit_s=1.0) * run.site.tau
     try:
-        bound_m3 = clairvoyant_bound(run, block_s, arguments.max_command)
+        if arguments.of == "discharge":
+            _print_frontier(run, arguments.json)
+        else:
+            _print_bound(run, arguments.block, arguments.max_command, arguments.json)
     except NoBoundError as error:
-        return _report_failure(error)
-    plan = simulate_plan(run, arguments.max_command)
-    result = _result(run, arguments.max_command, bound_m3, plan, block_s)
-    if arguments.json:
-        print(json.dumps(result, indent=2, allow_nan=False))
-    else:
-        console = Console()
-        print_notes(console, result)
-        console.print(_table(result))
+        print(f"error: no bound found; the solver reports: {error}", file=sys.stderr)
+        return EXIT_FAILED
     return EXIT_DONE

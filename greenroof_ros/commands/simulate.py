@@ -96,7 +96,7 @@ def main() -> None:
             else:
                 result = _simulate_at_once(run, every, directory / CSV, position, progress)
         summary.write(result, directory)
-    screen.show(result, directory, as_json=arguments.json)
+    screen.show_summary(result, directory, as_json=arguments.json)
     check_interrupts()
 
 

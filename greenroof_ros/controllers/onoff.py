@@ -54,6 +54,11 @@ class OnOff:
         self.fraction = fraction
         self.level = level
 
+    def fits(self, site: Site) -> bool:
+        """Return whether a controller of another site would issue the same commands."""
+        own = self._site.z_veg, self._site.suction_level
+        return own == (site.z_veg, site.suction_level)
+
     def command(
         self,
         cistern_level: float,

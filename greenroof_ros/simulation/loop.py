@@ -9,23 +9,23 @@ from __future__ import annotations
 import time
 from array import array
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from greenroof_ros.controllers.decide import decide, read_statistics
 from greenroof_ros.controllers.onoff import OnOff
-from greenroof_ros.controllers.outlet import OutletPolicy
 from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.physics.parameters import Flows
 from greenroof_ros.physics.virtual_site import VirtualSite
-from greenroof_ros.recording.trajectory import Trajectory, recorded_columns
+from greenroof_ros.recording.trajectory import COLUMNS, Trajectory, recorded_columns
 from greenroof_ros.results.metrics import Metrics
 from greenroof_ros.simulation import summary
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.simulation.season import KEPT, Batch, SeasonWeather, simulate_season
+from greenroof_ros.simulation.season import KEPT, Case, SeasonWeather, simulate_season
 
 # Makes a named tuple from a tuple in half the time of its own class.
 _new = tuple.__new__
@@ -70,34 +70,30 @@ class Simulation:
         metrics: metrics of the ticks that have been simulated.
     """
 
-    def __init__(
-        self, run: Run, controller: Controller | None = None, outlet: OutletPolicy | None = None,
-    ) -> None:
+    def __init__(self, run: Run, controller: Controller | None = None) -> None:
         """Begin with tick 0.
 
         Args:
             run: run to simulate.
             controller: controller to use; if None, a new controller of the run's class.
-            outlet: policy of the outlet valve to use; if None, the run's own policy.
         """
         self._run = run
         self._controller = run.make_controller() if controller is None else controller
-        self._outlet = run.make_outlet(self._controller) if outlet is None else outlet
+        self._outlet = run.make_outlet(self._controller)
         self._own_steps = run.controller.count_own_steps(run.site, run.parameters)
         self.site = VirtualSite(
             run.site, run.x1, run.x2, run.time_ns(0), run.sensor_and_pump, run.steps + 1
         )
         self.metrics = Metrics(run.site, run.steps, run.time_ns(0) / 1e9, run.without_rain_s)
-        self._wall_s = 0.0
+        self._began = time.monotonic()
 
     def ticks(self) -> Iterator[Tick]:
-        """Run the ticks from the current tick to N, and yield each tick after its step."""
-        began = time.monotonic()
-        run, site, controller, until = self._run, self.site, self._controller, self.site.tick
+        """Run all ticks, and yield each tick after its step."""
+        run, site, controller, until = self._run, self.site, self._controller, 0
         policy, outlet, own_steps = self._outlet, 1.0, self._own_steps
         closes, irrigated = run.site.valve_closed_in_frost, run.site.irrigated
         forecast, has_quiet_hours = run.forecast, run.site.quiet is not None
-        for k in range(until, run.steps + 1):
+        for k in range(run.steps + 1):
             if k == until:
                 precipitation, evapotranspiration, frost, until = run.series.at(k)
                 site.frost = frost
@@ -127,14 +123,13 @@ class Simulation:
                 self.metrics.add(state, command, precipitation, evapotranspiration, flows)
                 site.step()
             yield tick
-        self._wall_s = time.monotonic() - began
 
     def summary(self) -> dict[str, Any]:
         """Return the content of ``summary.json``; call this after the last tick."""
         state = self.site.state
         return summary.make_summary(
             self._run, self.metrics.results(state), self.metrics.weekly_deviations(state),
-            self.metrics.events(state), wall_s=self._wall_s,
+            self.metrics.events(state), wall_s=time.monotonic() - self._began,
             solver=read_statistics(self._controller),
         )
 
@@ -148,29 +143,26 @@ def record(run: Run, ticks: Iterable[Tick], every: int = 1) -> Trajectory:
         every: interval between the ticks that are kept (ticks); the last tick of the run is always
             kept.
     """
-    recorded = recorded_columns(run.site)
-    values = attrgetter("k", "layer", *(column.tick for column in recorded))
-    rows = array("d")
+    names = (column.tick for column in COLUMNS if (column.attribute or column.tick) in KEPT)
+    values, rows = attrgetter(*names), array("d")
     for tick in ticks:
         if tick.k % every == 0 or tick.k == run.steps:
             rows.extend(values(tick))
-    names = "k", "layer", *(column.attribute for column in recorded)
-    columns = np.frombuffer(rows).reshape(-1, len(names)).T
-    return _make_trajectory(run, dict(zip(names, columns, strict=True)))
+    return _make_trajectory(run, np.frombuffer(rows).reshape(-1, len(KEPT)), every)
 
 
-def _make_trajectory(run: Run, columns: Mapping[str, Any]) -> Trajectory:
-    """Make a trajectory from its columns and the numbers of their ticks, ``k``, by name."""
-    names = "layer", *(column.attribute for column in recorded_columns(run.site))
-    return Trajectory(
-        start=run.start, time=run.site.tau * columns["k"],
-        **{name: columns[name] for name in names},
-    )
+def _make_trajectory(run: Run, rows: NDArray[np.float64], every: int) -> Trajectory:
+    """Make a trajectory from the values :data:`.KEPT` of every n-th tick, and of the last one."""
+    own = {"layer", *(column.attribute for column in recorded_columns(run.site))}
+    ticks = np.minimum(every * np.arange(len(rows)), run.steps)
+    return Trajectory(start=run.start, time=run.site.tau * ticks, **{
+        name: values for name, values in zip(KEPT, rows.T, strict=True) if name in own
+    })
 
 
 def simulate(
     run: Run, controller: Controller | None = None, every: int = 0,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[dict[str, Any], Trajectory | None]:
     """Simulate a run; return the content of its ``summary.json``, and its trajectory if wanted.
 
@@ -182,12 +174,10 @@ def simulate(
             it raises ends the run.
     """
     instance = run.make_controller() if controller is None else controller
-    if type(instance) is OnOff and run.controller.kind is OnOff:
+    if type(instance) is OnOff and run.controller.kind is OnOff and instance.fits(run.site):
         return _simulate_season(run, instance, every, progress)
     simulation = Simulation(run, instance)
-    ticks: Iterable[Tick] = simulation.ticks()
-    if progress is not None:
-        ticks = _reported(ticks, run.steps, progress)
+    ticks = _reported(simulation.ticks(), run.steps, progress)
     trajectory = record(run, ticks, every) if every else None
     deque(ticks, maxlen=0)
     return simulation.summary(), trajectory
@@ -203,26 +193,16 @@ def _reported(
 
 
 def _simulate_season(
-    run: Run, controller: OnOff, every: int, progress: Callable[[float], None] | None
+    run: Run, controller: OnOff, every: int, progress: Callable[[float], None]
 ) -> tuple[dict[str, Any], Trajectory | None]:
     """Simulate a run under on/off control with the compiled plant; see :func:`simulate`."""
     began = time.monotonic()
-    weather = SeasonWeather.of_run(run, 1.0)
     parameters = {**run.parameters, "fraction": controller.fraction, "level": controller.level}
-    result = simulate_season(Batch(
-        [run.site], [weather], np.zeros(1, np.intp), [parameters], np.array([run.x1]),
-        np.array([run.x2]), np.ones(1), sensor_and_pump=run.sensor_and_pump,
-    ), every, progress)
-    made = summary.make_summary(
-        run, result.metrics[0], result.weeks[0], result.events[0],
-        wall_s=time.monotonic() - began, solver=None,
+    case = Case(run.site, parameters, SeasonWeather(run), run.x1, run.x2)
+    ((metrics, weeks, events, kept),), _ = simulate_season(
+        [case], sensor_and_pump=run.sensor_and_pump, every=every, progress=progress
     )
-    if not every:
-        return made, None
-    ticks = np.minimum(every * np.arange(result.kept.shape[1]), run.steps)
-    return made, _make_trajectory(run, {
-        "k": ticks, "precipitation": weather.rain[ticks],
-        "evapotranspiration": weather.evapotranspiration[ticks],
-        "frost": weather.frost[ticks].astype(float),
-        **dict(zip(KEPT, result.kept[0].T, strict=True)),
-    })
+    made = summary.make_summary(
+        run, metrics, weeks, events, wall_s=time.monotonic() - began, solver=None
+    )
+    return made, _make_trajectory(run, kept, every) if every else None

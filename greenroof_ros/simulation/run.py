@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import duration, epoch_ns, to_minutes
@@ -29,6 +30,8 @@ from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.plain_keys import LITRES_PER_HOUR
 from greenroof_ros.site.site import Site, format_place, measure_distance
 from greenroof_ros.weather.series import Weather, WeatherSeries
+
+Values = NDArray[np.float64]
 
 # A weather file from this distance or further does not represent the site (km): rain and wind
 # differ even within a city.
@@ -87,6 +90,29 @@ class Run:
     def time_ns(self, tick: int) -> int:
         """Return the time of a tick on the graph's clock (ns since 1970)."""
         return epoch_ns(self.start) + tick * round(self.site.tau * 1e9)
+
+    def read_ticks(
+        self, first: int, last: int, site: Site
+    ) -> tuple[Values, Values, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return what holds in the ticks from one to another (exclusive), each in an array.
+
+        Args:
+            first: first tick.
+            last: end of the ticks.
+            site: site with this weather, whose quiet hours apply.
+
+        Returns:
+            Rain (m/s), evapotranspiration of the run's bed (m3/s), whether there is frost, and
+            whether the tick is in the quiet hours.
+        """
+        series, quiet = self.series, np.zeros(last - first, np.bool_)
+        rain, evapotranspiration, frost = (
+            np.frombuffer(values[first:last])
+            for values in (series.precipitation, series.evapotranspiration, series.frost)
+        )
+        if site.quiet is not None:
+            quiet = site.quiet.quiet_ticks(self.time_ns(first), round(site.tau * 1e9), last - first)
+        return rain, evapotranspiration, frost != 0, quiet
 
     def count_ticks_between(self, every_s: float) -> int:
         """Return the interval between kept ticks (ticks) for a given time (s), rounded."""

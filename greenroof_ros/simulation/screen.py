@@ -148,12 +148,6 @@ def setting_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     )
 
 
-def print_notes(console: Console, summary: Mapping[str, Any]) -> None:
-    """Print the notes that a reader should see before the results."""
-    for note in summary["notes"]:
-        console.print(f"note: {note}", soft_wrap=True, highlight=False, markup=False)
-
-
 def _listed(values: Mapping[str, Any]) -> str:
     return ", ".join(
         f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
@@ -161,14 +155,31 @@ def _listed(values: Mapping[str, Any]) -> str:
     )
 
 
-def show(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:
-    """Print a summary as a table, with the run's directory, or as JSON."""
+def show(
+    title: str, lines: Iterable[tuple[str, str, str]], result: Mapping[str, Any], *, as_json: bool,
+    end: str = "",
+) -> None:
+    """Print a result as a table, after the notes that a reader should see first, or as JSON.
+
+    Args:
+        title: title of the table.
+        lines: rows of the table, as for :func:`grid`.
+        result: the result with its ``notes``.
+        as_json: whether to print the result as JSON.
+        end: a sentence after the table.
+    """
     if as_json:
-        print(json.dumps(summary, indent=2, allow_nan=False))
-    else:
-        console = Console()
-        print_notes(console, summary)
-        console.print(grid("Result", rows(summary)))
-        console.print(
-            f"{summary['status']}; written to {directory}", soft_wrap=True, highlight=False
-        )
+        print(json.dumps(result, indent=2, allow_nan=False))
+        return
+    console = Console()
+    for note in result["notes"]:
+        console.print(f"note: {note}", soft_wrap=True, highlight=False, markup=False)
+    console.print(grid(title, lines))
+    if end:
+        console.print(end, soft_wrap=True, highlight=False)
+
+
+def show_summary(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:
+    """Print a summary as a table, with the run's directory, or as JSON."""
+    end = f"{summary['status']}; written to {directory}"
+    show("Result", rows(summary), summary, as_json=as_json, end=end)

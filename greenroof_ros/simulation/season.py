@@ -1,16 +1,19 @@
 """Runs under on/off control and the policies of the valve: compiled, for one site or for many.
 
 The results equal those of :class:`.loop.Simulation` bit for bit, whatever the site: the same
-functions of numbers decide, step the plant and add up the sums. Threads share the sites of a batch.
+functions of numbers decide, step the plant and add up the sums. Threads share the sites.
+
+Sites with the same weather and the same clock are simulated together. What their ticks have in
+common is read in blocks, so that a season of seconds needs no more memory than one of minutes.
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
+from itertools import pairwise, starmap
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +25,7 @@ from greenroof_ros.controllers.outlet import OPEN, PLAN, POLICIES, outlet_share
 from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, PlannedLevels, find_levels
 from greenroof_ros.forecast.resampling import Forecast, make_forecast
 from greenroof_ros.physics.compiled import compiled, note_if_slow, pays_to_compile, records
-from greenroof_ros.physics.parameters import PlantParameters, State, plant_parameters
+from greenroof_ros.physics.parameters import State, plant_parameters
 from greenroof_ros.physics.sensor_and_pump import (
     SensorAndPump,
     min_ticks,
@@ -41,12 +44,94 @@ from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import COMPUTED
 
 Values = NDArray[np.float64]
-Rows = NDArray[np.intp]
-Flags = NDArray[np.bool_]
 
-# Ticks between two reports of progress, and number of parts into which sites are divided, whatever
-# the number of threads, so that sums over sites do not depend on it.
+# Ticks that are read together, and number of parts into which sites are divided, whatever the
+# number of threads, so that sums over sites do not depend on it.
 _BLOCK, _PARTS = 43_200, 8
+
+
+@dataclass(frozen=True, eq=False)
+class SeasonWeather:
+    """The weather of a run, for sites with the same number of ticks.
+
+    Attributes:
+        run: the run.
+        bed: area of a bed that evaporates as much as the run's (m2), from :func:`find_bed`; 1 to
+            keep the evapotranspiration of the run's bed.
+        with_forecast: whether plans use the forecasts of the run; otherwise the plans know the
+            evapotranspiration and the current rain, and expect no further rain.
+    """
+
+    run: Run
+    bed: float = 1.0
+    with_forecast: bool = True
+
+    @cached_property
+    def forecast(self) -> Forecast:
+        """The weather forecasts that the plans use."""
+        run = self.run
+        return make_forecast(
+            run.weather, run.series, run.site, run.start, 0.0, run.forecast_choice,
+            all_members=True, outlet_horizon=HORIZON_H,
+        )
+
+    def foresee(self, tick: int) -> tuple[Values, Values]:
+        """Return the forecast that plans use in a tick.
+
+        Returns:
+            Rain (m/s), shape (members, steps), and evapotranspiration of 1 m2 (m3/s), shape
+            (steps,).
+        """
+        rain = np.atleast_2d(np.asarray(self.forecast.precipitation(tick)))
+        if not self.with_forecast:
+            rain = rain[:1].copy()
+            rain[:, 1:] = 0.0
+        return rain, np.asarray(self.forecast.evapotranspiration(tick)) / self.bed
+
+
+def find_bed(method: str, site: Site) -> float:
+    """Return the area (m2) that, with a crop coefficient of 1, evaporates as much as a site's bed.
+
+    A crop coefficient applies only to computed evapotranspiration; values from a column of a file
+    are used unchanged.
+    """
+    return site.a2 * site.crop_coefficient if method in COMPUTED else site.a2
+
+
+class Case(NamedTuple):
+    """A site in a season."""
+
+    site: Site
+    parameters: Mapping[str, Any]
+    """every parameter of the controller, ``onoff``, and of the outlet valve, if there is one"""
+    weather: SeasonWeather
+    x1: float
+    x2: float
+    """initial volumes in the cistern and on the roof (m3)"""
+    bed: float = 1.0
+    """area to which the evapotranspiration of the weather applies (m2)"""
+    group: int = 0
+    """group of sites for which a hydrograph is made"""
+
+
+class CaseResult(NamedTuple):
+    """The results of a site in a season."""
+
+    metrics: dict[str, float]
+    """metrics by their names in :data:`.metrics.METRICS`"""
+    weeks: list[float]
+    """deviation in each week (m3)"""
+    events: list[Event]
+    """rain events; empty if more than one site is simulated"""
+    kept: Values
+    """values of the kept ticks, shape (ticks, values), see :data:`KEPT`"""
+
+
+KEPT = (
+    "cistern", "roof", "precipitation", "evapotranspiration", "command", "pump_flow", "outflow",
+    "drainage", "frost", "layer", "outlet", "low_outlet",
+)
+"""values that are kept of a tick, under their names and in the order of :data:`.COLUMNS`"""
 
 
 class Control(NamedTuple):
@@ -67,449 +152,301 @@ class Control(NamedTuple):
     """time after rain that counts as wet weather (s)"""
     bed: float
     """area to which the weather's evapotranspiration applies (m2)"""
-    weather: float
-    """row of the site's weather"""
-    clock: float
-    """row of the site's clock"""
 
 
-KEPT = (
-    "cistern", "roof", "command", "outflow", "pump_flow", "drainage", "outlet", "low_outlet",
-    "layer",
-)
-"""values that are kept of a tick, in this order, under their names in :class:`.Trajectory`"""
+class Ticks(NamedTuple):
+    """What consecutive ticks have in common for sites; sequences have shape (ticks,)."""
+
+    first: int
+    """number of the first tick"""
+    rain: Any
+    """rain rate (m/s)"""
+    potential: Any
+    """evapotranspiration of a bed of 1 m2 (m3/s)"""
+    frost: Any
+    """whether there is frost"""
+    without_rain: Any
+    """time without rain until the end of each tick (s)"""
+    quiet: Any
+    """whether each tick is in the quiet hours"""
+    new_day: Any
+    """whether each tick is the first of a day of the clock"""
+    errors: Any
+    """error of the roof's sensor (m), or shape (0,) without errors"""
+
+    def cut(self, first: int, last: int) -> Ticks:
+        """Return the ticks from one to another (exclusive)."""
+        own = slice(first - self.first, last - self.first)
+        return Ticks(first, *(each[own] for each in self[1:]))
 
 
-def run_ticks(
-    parameters: Any, numbers: Any, controls: Any, groups: Any, levels: Any, state: Any,
-    switches: Any, sums: Any, weeks: Any, events: Any, kept: Any, rain: Any, potential: Any,
-    frost: Any, without_rain: Any, quiet: Any, new_day: Any, errors: Any, hydrograph: Any,
-    every: int, first: int, last: int, steps: int,
-) -> None:
-    """Simulate sites, one after the other, from a tick to another (exclusive).
+class Sites(NamedTuple):
+    """Sites that are simulated together; sequences have an entry for each of n sites."""
+
+    parameters: Any
+    """:class:`.PlantParameters`"""
+    numbers: Any
+    """:class:`.SumParameters`"""
+    controls: Any
+    """:class:`Control`"""
+    groups: Any
+    """rows of the hydrograph"""
+    levels: Any
+    """volumes to which the valves drain the cisterns in dry weather (m3)"""
+    state: Any
+    """water in cistern, roof and layer (m3), shape (n, 3)"""
+    switches: Any
+    """switches of the pumps, see :mod:`.sensor_and_pump`, shape (n, 3)"""
+    sums: Any
+    """sums of the runs, shape (n, places)"""
+    weeks: Any
+    """deviation in each week (m3), shape (n, weeks)"""
+    events: Any
+    """rain events, shape (n, events, columns)"""
+    kept: Any
+    """values of some ticks and of the last one, see :data:`KEPT`, shape (n, ticks, values)"""
+
+
+def run_ticks(sites: Any, ticks: Any, hydrograph: Any, every: int, steps: int) -> None:
+    """Simulate sites, one after the other, in some ticks.
 
     Args:
-        parameters: :class:`.PlantParameters` of n sites.
-        numbers: :class:`.SumParameters` of n sites.
-        controls: :class:`Control` of n sites.
-        groups: row of each site's hydrograph, shape (n,).
-        levels: volumes to which the valves drain the cisterns in dry weather (m3), shape (n,).
-        state: water in cistern, roof and layer (m3), shape (n, 3).
-        switches: switches of the pumps, see :mod:`.sensor_and_pump`, shape (n, 3).
-        sums: sums of the runs, shape (n, places).
-        weeks: deviation in each week (m3), shape (n, weeks).
-        events: rain events, shape (n, events, columns).
-        kept: values of some ticks and of the last one, see :data:`KEPT`, shape (n, ticks, values),
-            or (n, 0, 0).
-        rain: rain rate of each weather (m/s), shape (m, steps + 1).
-        potential: evapotranspiration of each weather (m3/s for a bed of 1 m2), of the same shape.
-        frost: whether there is frost, of the same shape.
-        without_rain: time without rain until the end of each tick (s), of the same shape.
-        quiet: whether each tick is in the quiet hours of each clock, shape (c, steps + 1).
-        new_day: whether each tick is the first of a day of each clock, shape (c, steps + 1).
-        errors: error of the roof's sensor (m), shape (steps + 1,), or (0,) without errors.
+        sites: :class:`Sites`.
+        ticks: :class:`Ticks`.
         hydrograph: discharge and its part through low outlets in each interval (m3), to which
             those of the sites are added, shape (groups, 2, intervals).
         every: interval between the ticks that are kept (ticks).
-        first: first tick.
-        last: end of the ticks, at most steps + 1; the run ends in the state of tick ``steps``.
-        steps: N.
+        steps: N; the run ends in the state of this tick.
     """
-    for row in range(len(parameters)):
-        p, q, c = parameters[row], numbers[row], controls[row]
-        weather, clock, of_group = int(c.weather), int(c.clock), hydrograph[groups[row]]
-        falls, evaporates, frozen = rain[weather], potential[weather], frost[weather]
-        dry, hushed, days = without_rain[weather], quiet[clock], new_day[clock]
-        switch, own, own_weeks, own_events = switches[row], sums[row], weeks[row], events[row]
-        now, level = State(state[row][0], state[row][1], state[row][2]), levels[row]
-        for k in range(first, last):
-            wet, cistern = is_wet(dry[k], p.tau, c.wet_after), now.cistern / p.a1
+    first, rain, potential, frost, without_rain, quiet, new_day, errors = ticks
+    for row in range(len(sites.state)):
+        p, q, c = sites.parameters[row], sites.numbers[row], sites.controls[row]
+        switch, sums, weeks, events = (
+            sites.switches[row], sites.sums[row], sites.weeks[row], sites.events[row]
+        )
+        state, kept, of_group = sites.state[row], sites.kept[row], hydrograph[sites.groups[row]]
+        now, level = State(state[0], state[1], state[2]), float(sites.levels[row])
+        for n in range(len(rain)):
+            k, falls, frozen, demand = first + n, rain[n], frost[n], potential[n] * c.bed
+            wet, cistern = is_wet(without_rain[n], p.tau, c.wet_after), now.cistern / p.a1
             roof = now.roof / p.a2
             if len(errors) > 0:
-                roof = max(0.0, roof + errors[k])
-            may_run, command = p.b > 0 and not (frozen[k] or hushed[k]), 0.0
+                roof = max(0.0, roof + errors[n])
+            may_run, command = p.b > 0 and not (frozen or quiet[n]), 0.0
             if may_run:
                 command = onoff_command(c.fraction, c.level, p.suction_level, cistern, roof)
             switched = switch_pump(switch, c.min_on, c.min_off, command, may_run)
             outlet = outlet_share(p, c.policy, wet, level, cistern)
-            if frozen[k] and c.closed_in_frost:
+            if frozen and c.closed_in_frost:
                 outlet = 0.0
-            demand = evaporates[k] * c.bed
-            after, flows = step(p, now, falls[k], demand, switched, outlet, OWN_PUMPS)
+            after, flows = step(p, now, falls, demand, switched, outlet, OWN_PUMPS)
             observe_pump(switch, flows.pump)
-            if len(kept[row]) > 0 and (k % every == 0 or k == steps):
-                place = kept[row][(k + every - 1) // every]
-                place[0], place[1], place[2] = now.cistern, now.roof, command
-                place[3], place[4], place[5] = flows.outflow, flows.pump, flows.drainage
-                place[6], place[7], place[8] = outlet, flows.low_outlet, now.layer
+            if len(kept) > 0 and (k % every == 0 or k == steps):
+                kept[(k + every - 1) // every][:] = (
+                    now.cistern, now.roof, falls, demand, command, flows.pump, flows.outflow,
+                    flows.drainage, 1.0 if frozen else 0.0, now.layer, outlet, flows.low_outlet,
+                )
             if k == steps:
                 break
-            add(
-                q, own, own_weeks, own_events, now, command, falls[k], demand, flows, wet, days[k]
-            )
-            interval = int(k // q.interval_ticks)
-            of_group[0][interval] += p.tau * (flows.outflow + q.to_sewer * flows.drainage)
-            of_group[1][interval] += p.tau * flows.low_outlet
+            add(q, sums, weeks, events, now, command, falls, demand, flows, wet, new_day[n])
+            if flows.outflow > 0 or flows.drainage > 0:
+                interval = int(k // q.interval_ticks)
+                of_group[0][interval] += p.tau * (flows.outflow + q.to_sewer * flows.drainage)
+                of_group[1][interval] += p.tau * flows.low_outlet
             now = after
-        state[row][0], state[row][1], state[row][2] = now.cistern, now.roof, now.layer
+        state[0], state[1], state[2] = now.cistern, now.roof, now.layer
 
 
-def count_rain(rain: Any, tau: float, before: float, result: Any) -> None:
-    """Write the time without rain until the end of each tick (s) into an array.
+def count_rain(rain: Any, tau: float, before: float) -> Any:
+    """Return the time without rain until the end of each tick (s), shape (n,).
 
     Args:
         rain: rain rate in each tick (m/s), shape (n,).
         tau: duration of a tick (s).
         before: time without rain at the start (s).
-        result: array of shape (n,).
     """
+    result = np.empty(len(rain))
     for k in range(len(rain)):
         before = time_without_rain(before, rain[k], tau)
         result[k] = before
-
-
-@dataclass(frozen=True, eq=False)
-class SeasonWeather:
-    """Weather, tick by tick, for sites with the same weather; arrays have shape (steps + 1,).
-
-    Attributes:
-        run: run with this weather; the plans use its forecasts.
-        bed: area of the bed of the run, as for :meth:`of_run` (m2).
-        rain: rain rate (m/s).
-        evapotranspiration: evapotranspiration of 1 m2 of such a bed (m3/s).
-        frost: whether there is frost.
-        without_rain: time without rain until the end of each tick (s).
-    """
-
-    run: Run
-    bed: float
-    rain: Values
-    evapotranspiration: Values
-    frost: Flags
-    without_rain: Values
-
-    @classmethod
-    def of_run(cls, run: Run, bed: float) -> SeasonWeather:
-        """Return the weather of a run.
-
-        Args:
-            run: the run.
-            bed: area of a bed that evaporates as much as the run's (m2), from :func:`find_bed`; 1
-                to keep the evapotranspiration of the run's bed.
-        """
-        series, ticks = run.series, slice(0, run.steps + 1)
-        rain, evaporated, frost = (
-            np.array(values[ticks])
-            for values in (series.precipitation, series.evapotranspiration, series.frost)
-        )
-        without_rain = np.empty_like(rain)
-        count = compiled(count_rain) if pays_to_compile(run.steps) else count_rain
-        count(rain, run.site.tau, run.without_rain_s, without_rain)
-        return cls(run, bed, rain, evaporated / bed, frost != 0, without_rain)
-
-    @cached_property
-    def forecast(self) -> Forecast:
-        """The weather forecasts that the plans use."""
-        run = self.run
-        return make_forecast(
-            run.weather, run.series, run.site, run.start, 0.0, run.forecast_choice,
-            all_members=True, outlet_horizon=HORIZON_H,
-        )
-
-    def foresee(self, tick: int, with_rain: bool) -> tuple[Values, Values]:
-        """Return the forecast of a tick.
-
-        Args:
-            tick: number of the tick.
-            with_rain: whether the forecast contains future rain; otherwise only the current rain is
-                known.
-
-        Returns:
-            Rain (m/s), shape (members, steps), and evapotranspiration of 1 m2 (m3/s), shape
-            (steps,).
-        """
-        rain = np.atleast_2d(np.asarray(self.forecast.precipitation(tick)))
-        if not with_rain:
-            rain = rain[:1].copy()
-            rain[:, 1:] = 0.0
-        return rain, np.asarray(self.forecast.evapotranspiration(tick)) / self.bed
-
-
-def find_bed(method: str, site: Site) -> float:
-    """Return the area (m2) that, with a crop coefficient of 1, evaporates as much as a site's bed.
-
-    A crop coefficient applies only to computed evapotranspiration; values from a column of a file
-    are used unchanged.
-    """
-    return site.a2 * site.crop_coefficient if method in COMPUTED else site.a2
-
-
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """Sites that are simulated under on/off control.
-
-    Attributes:
-        sites: n sites with the same tau.
-        weather: weather of the sites; all entries have the same number of steps, but their start
-            times may differ.
-        weather_of: index of each site's weather, shape (n,).
-        parameters: every parameter of each site's controller, ``onoff``, and of its outlet valve,
-            if it has one.
-        x1: initial volume in each cistern (m3), shape (n,).
-        x2: initial volume on each roof (m3), shape (n,).
-        beds: areas to which the evapotranspiration of the weather applies (m2), shape (n,).
-        with_forecast: whether plans use the forecasts of the weather's run; otherwise the plans
-            know the evapotranspiration and the current rain, and expect no further rain.
-        groups: group of each site, for which a hydrograph is made; None for one of all sites.
-        sensor_and_pump: errors of the roofs' sensors and of the pumps.
-    """
-
-    sites: Sequence[Site]
-    weather: Sequence[SeasonWeather]
-    weather_of: Rows
-    parameters: Sequence[Mapping[str, Any]]
-    x1: Values
-    x2: Values
-    beds: Values
-    with_forecast: bool = True
-    groups: Rows | None = None
-    sensor_and_pump: SensorAndPump = field(default_factory=SensorAndPump)
-
-
-@dataclass(frozen=True, eq=False)
-class SeasonResult:
-    """The results of a batch.
-
-    Attributes:
-        metrics: metrics of each site by their names in :data:`.metrics.METRICS`.
-        weeks: deviation of each site in each week (m3).
-        events: rain events of each site; empty for more than one site.
-        hydrograph: discharge of each group and its part through low outlets in each interval of
-            :func:`.storm_water.interval_seconds` (m3), shape (groups, 2, intervals).
-        kept: values of the kept ticks, see :data:`KEPT`, shape (sites, ticks, values).
-    """
-
-    metrics: list[dict[str, float]]
-    weeks: list[list[float]]
-    events: list[list[Event]]
-    hydrograph: Values
-    kept: Values
+    return result
 
 
 def simulate_season(
-    batch: Batch, every: int = 0, progress: Callable[[float], None] | None = None,
-    threads: int = 1,
-) -> SeasonResult:
-    """Simulate a batch.
+    cases: Sequence[Case], *, sensor_and_pump: SensorAndPump | None = None, every: int = 0,
+    progress: Callable[[float], None] = lambda share: None, threads: int = 1,
+) -> tuple[list[CaseResult], Values]:
+    """Simulate sites under on/off control.
 
     Args:
-        batch: the batch.
+        cases: the sites, which have the same tau and number of steps.
+        sensor_and_pump: errors of the roofs' sensors and of the pumps; by default, there are none.
         every: interval between the ticks that are kept (ticks); 0 to keep none.
         progress: callback that regularly receives the completed share of the work (1); an error
             that it raises ends the simulation.
         threads: number of threads that share the sites.
 
+    Returns:
+        The results of each site; and the discharge of each group and its part through low outlets
+        in each interval of :func:`.storm_water.interval_seconds` (m3), shape (groups, 2,
+        intervals).
+
     Raises:
         ConfigurationError: if the sites differ in tau or in their number of steps.
     """
-    steps, count, done = batch.weather[0].run.steps, len(batch.sites), 0
-    if len({site.tau for site in batch.sites}) > 1 or any(
-        each.run.steps != steps for each in batch.weather
-    ):
+    steps, count, done = cases[0].weather.run.steps, len(cases), 0
+    if any((each.site.tau, each.weather.run.steps) != (cases[0].site.tau, steps) for each in cases):
         raise ConfigurationError("all sites in a batch must have the same tau and number of steps")
     note_if_slow(steps * count)
-    planned = np.array([batch.parameters[row].get("outlet") == PLAN for row in range(count)])
-    groups = np.zeros(count, np.intp) if batch.groups is None else batch.groups
-    # Sites that stop for plans come last. Those of a group are adjacent, so that few parts have the
-    # group's hydrograph.
-    order = np.lexsort((groups, planned))
-    rows = order.tolist()
-    season = _Season(replace(
-        batch, sites=[batch.sites[row] for row in rows], weather_of=batch.weather_of[order],
-        parameters=[batch.parameters[row] for row in rows], x1=batch.x1[order],
-        x2=batch.x2[order], beds=batch.beds[order],
-    ), groups[order], every)
-    hydrograph = np.zeros((groups.max() + 1, 2, season.intervals))
-    first_planned = count - int(planned.sum())
+    together: dict[Any, list[int]] = {}
+    # Those of a group are adjacent, so that few parts have the group's hydrograph.
+    for row in sorted(range(count), key=lambda row: cases[row].group):
+        site, planned = cases[row].site, cases[row].parameters.get("outlet") == PLAN
+        plan = site.wet_after if planned else None
+        key = plan, cases[row].weather, site.zone, site.quiet_hours
+        together.setdefault(key, []).append(row)
+    intervals = -(-steps // int(s.sum_parameters(cases[0].site).interval_ticks))
+    hydrograph = np.zeros((1 + max(case.group for case in cases), 2, intervals))
+    results: dict[int, CaseResult] = {}
     with ThreadPoolExecutor(threads) as pool:
-        for begin, end, due in (
-            (0, first_planned, set[int]()), (first_planned, count, season.due)
-        ):
-            parts, first = season.divide(begin, end), 0
-            for last in sorted({*due, *range(_BLOCK, steps, _BLOCK), steps + 1}):
-                if first in due:
-                    season.plan(first)
-                # A thread of its own would take longer to wake than a site needs from plan to plan.
-                run = partial(season.run, first=first, last=last)
-                list(pool.map(run, parts) if threads > 1 else map(run, parts))
-                done, first = done + (last - first) * (end - begin), last
-                if progress is not None:
-                    progress(min(1.0, done / (steps + 1) / count))
-            for part in parts:
-                hydrograph[part.groups] += part.hydrograph
-    places = np.argsort(order)
-    metrics, weeks, events = zip(*map(season.finish, places.tolist()), strict=True)
-    return SeasonResult([*metrics], [*weeks], [*events], hydrograph, season.kept[places])
-
-
-class _Part(NamedTuple):
-    """Adjacent sites, which a thread simulates one after the other."""
-
-    rows: slice
-    groups: Rows
-    """groups of the sites, shape (groups,)"""
-    hydrograph: Values
-    """as :attr:`SeasonResult.hydrograph`, for these groups"""
-
-
-class _Plan(NamedTuple):
-    """Sites whose plans are made in the same ticks."""
-
-    rows: list[int]
-    weather: SeasonWeather
-    due: set[int]
-    """ticks in which plans are made"""
-    areas: Values
-    """areas of the cisterns and of the roofs (m2), shape (2, sites)"""
-    levels: PlannedLevels
+        # A thread of its own would take longer to wake than a site needs from plan to plan.
+        spread: Any = pool.map if threads > 1 else map
+        for rows in together.values():
+            season = _Season(
+                [cases[row] for row in rows], sensor_and_pump or SensorAndPump(), every, intervals,
+                count,
+            )
+            for ticks in season.ticks():
+                list(spread(partial(season.run, ticks), season.parts))
+                done += len(ticks.rain) * len(rows)
+                progress(min(1.0, done / (steps + 1) / count))
+            for _, groups, of_part in season.parts:
+                hydrograph[groups] += of_part
+            results |= zip(rows, season.results(), strict=True)
+    return [results[row] for row in range(count)], hydrograph
 
 
 class _Season:
-    """A batch in the form in which :func:`run_ticks` takes it.
+    """Sites with the same weather, clock and times of plans, as :func:`run_ticks` takes them.
 
     Attributes:
-        intervals: number of intervals of a hydrograph.
-        due: ticks in which plans are made.
-        kept: as :attr:`SeasonResult.kept`.
+        parts: adjacent sites, which a thread simulates one after the other; each with its groups
+            and their hydrographs.
     """
 
-    def __init__(self, batch: Batch, groups: Rows, every: int) -> None:
-        self._batch, self._groups, self._every = batch, groups, max(1, every)
-        sites, self._steps = batch.sites, batch.weather[0].run.steps
-        steps = self._steps
-        self._compiles = pays_to_compile(steps * len(sites))
-        self._numbers = numbers = [s.sum_parameters(site) for site in sites]
-        clocks: dict[Any, tuple[int, Site, Run]] = {}
-        controls, together = list[Control](), dict[tuple[int, float], list[int]]()
-        for row, site in enumerate(sites):
-            weather = int(batch.weather_of[row])
-            run = batch.weather[weather].run
-            clock, *_ = clocks.setdefault(
-                (site.zone, site.quiet_hours, run.start), (len(clocks), site, run)
-            )
-            controls.append(_control(batch, row, clock))
-            if batch.parameters[row].get("outlet") == PLAN:
-                together.setdefault((weather, site.wet_after), []).append(row)
-        plants = [plant_parameters(site) for site in sites]
-        self._plans = [
-            _make_plan(batch, plants, rows, self._compiles) for rows in together.values()
-        ]
-        self.due = {tick for plan in self._plans for tick in plan.due}
-        count, self.intervals = len(sites), -(-steps // int(numbers[0].interval_ticks))
-        events = max(s.count_events(q, steps) for q in numbers) if count == 1 else 0
-        self._events = np.zeros((count, events, s.EVENT_COLUMNS))
-        self.kept = np.zeros((count, -(-steps // every) + 1 if every else 0, len(KEPT)))
-        self._group_of = np.zeros(count, np.intp)
-        self._levels = np.array([each.get("outlet_reserve", 0.0) for each in batch.parameters])
-        layers = [site.initial_layer for site in sites]
-        self._state, switches, self._sums, self._weeks = map(self._as_taken, (
-            np.column_stack((batch.x1, batch.x2, layers)),
-            np.array([[0.0, control.min_off, 0.0] for control in controls]),
-            np.zeros((count, max(map(s.count_places, numbers)))),
-            np.zeros((count, max(s.count_weeks(q, steps) for q in numbers))),
-        ))
-        self._of_rows = (
-            *(records(each) if self._compiles else each for each in (plants, numbers, controls)),
-            self._group_of, self._levels,
-            self._state, switches, self._sums, self._weeks, self._events, self.kept,
+    def __init__(
+        self, cases: Sequence[Case], sensor_and_pump: SensorAndPump, every: int, intervals: int,
+        total: int,
+    ) -> None:
+        self._cases, self._every, count = cases, max(1, every), len(cases)
+        self._weather, self._site = cases[0].weather, cases[0].site
+        run = cases[0].weather.run
+        self._steps = steps = run.steps
+        self._compiles = pays_to_compile(steps * total)
+        self._errors = read_errors(sensor_and_pump, steps + 1)
+        self._new_days = find_new_days(self._site, run.time_ns(0) / 1e9, steps)
+        self._before, self._clock = run.without_rain_s, PlanClock(self._site.tau)
+        min_on, min_off = (
+            min_ticks(seconds, self._site.tau)
+            for seconds in (sensor_and_pump.pump_min_on, sensor_and_pump.pump_min_off)
         )
-        self._errors = read_errors(batch.sensor_and_pump, steps + 1)
-        flags = [_read_clock(site, run) for _, site, run in clocks.values()]
-        self._shared = [*map(self._as_taken, (
-            *(np.array([getattr(each, name) for each in batch.weather]) for name in (
-                "rain", "evapotranspiration", "frost", "without_rain",
-            )), *map(np.array, zip(*flags, strict=True)), self._errors,
-        ))]
+        plants = [plant_parameters(case.site) for case in cases]
+        self._numbers = numbers = [s.sum_parameters(case.site) for case in cases]
+        controls = [Control(
+            case.parameters["fraction"], case.parameters["level"] * case.site.z_veg, min_on,
+            min_off, POLICIES.index(case.parameters.get("outlet", OPEN)),
+            case.site.valve_closed_in_frost, case.site.wet_after * HOUR_S, case.bed,
+        ) for case in cases]
+        groups = np.array([case.group for case in cases])
+        events = max(s.count_events(q, steps) for q in numbers) if total == 1 else 0
+        kept = -(-steps // every) + 1 if every else 0
+        parameters, q, c = (
+            records(each) if self._compiles else each for each in (plants, numbers, controls)
+        )
+        state, switches, sums, weeks = map(self._as_taken, (
+            np.array([(case.x1, case.x2, case.site.initial_layer) for case in cases]),
+            np.tile((0.0, min_off, 0.0), (count, 1)),
+            np.zeros((count, max(map(s.count_places, numbers)))),
+            np.zeros((count, max(s.count_weeks(each, steps) for each in numbers))),
+        ))
+        reserves, prices, reaches = (
+            np.array([case.parameters.get(name, 0.0) for case in cases])
+            for name in ("outlet_reserve", "outlet_price", "outlet_reach")
+        )
+        self._sites = Sites(
+            parameters, q, c, np.zeros(count, np.intp), reserves, state, switches, sums, weeks,
+            np.zeros((count, events, s.EVENT_COLUMNS)), np.zeros((count, kept, len(KEPT))),
+        )
+        self.parts: list[tuple[slice, NDArray[np.intp], Any]] = []
+        bounds = np.unique(np.linspace(0, count, _PARTS + 1).astype(int)).tolist()
+        for rows in starmap(slice, pairwise(bounds)):
+            own, self._sites.groups[rows] = np.unique(groups[rows], return_inverse=True)
+            self.parts.append((rows, own, self._as_taken(np.zeros((len(own), 2, intervals)))))
+        self._plan = None if cases[0].parameters.get("outlet") != PLAN else PlannedLevels(
+            self._sites.parameters, self._site.wet_after,
+            look_ahead_ends(run.site, 0.0, HORIZON_H), reserves.copy(), prices, reaches,
+            np.array([case.bed for case in cases]),
+            compiled(find_levels) if self._compiles else find_levels,
+        )
 
     def _as_taken(self, array: NDArray[Any]) -> Any:
         """Return an array as :func:`run_ticks` takes it; plain Python is faster with lists."""
         return array if self._compiles else array.tolist()
 
-    def divide(self, begin: int, end: int) -> list[_Part]:
-        """Return the sites from a row to another (exclusive) in parts."""
-        parts, bounds = [], np.unique(np.linspace(begin, end, _PARTS + 1).astype(int)).tolist()
-        for rows in itertools.starmap(slice, itertools.pairwise(bounds)):
-            groups, self._group_of[rows] = np.unique(self._groups[rows], return_inverse=True)
-            parts.append(_Part(rows, groups, np.zeros((len(groups), 2, self.intervals))))
-        return parts
+    def ticks(self) -> Iterator[Ticks]:
+        """Yield all ticks, and make the plans that are due before those that follow."""
+        for first in range(0, self._steps + 1, _BLOCK):
+            block, due = self._read(first, min(first + _BLOCK, self._steps + 1)), set[int]()
+            if self._plan is not None:
+                after = self._site.wet_after * HOUR_S
+                due = {
+                    tick for tick, dry in enumerate(block.without_rain, first)
+                    if self._clock.is_due(is_wet(dry, self._site.tau, after))
+                }
+            for begin, end in pairwise(sorted({first, *due, first + len(block.rain)})):
+                if begin in due:
+                    self._renew_levels(begin)
+                yield block.cut(begin, end)
 
-    def run(self, part: _Part, first: int, last: int) -> None:
-        """Simulate a part from a tick to another (exclusive)."""
+    def _read(self, first: int, last: int) -> Ticks:
+        """Return the ticks from one to another (exclusive), which must be the next ones."""
+        rain, evaporated, frost, quiet = self._weather.run.read_ticks(first, last, self._site)
+        count = compiled(count_rain) if self._compiles else count_rain
+        without_rain = count(self._as_taken(rain), self._site.tau, self._before)
+        self._before = float(without_rain[-1])
+        return Ticks(first, *map(self._as_taken, (
+            rain, evaporated / self._weather.bed, frost, without_rain, quiet,
+            np.isin(np.arange(first, last), self._new_days), self._errors[first:last],
+        )))
+
+    def _renew_levels(self, tick: int) -> None:
+        """Make the plan that is due in a tick."""
+        assert self._plan is not None
+        a1, a2 = np.array([(case.site.a1, case.site.a2) for case in self._cases]).T
+        x1, x2, _ = np.asarray(self._sites.state).T
+        roof = x2 / a2
+        if len(self._errors):
+            roof = np.maximum(0.0, roof + self._errors[tick])
+        self._plan.plan(x1 / a1 * a1, roof * a2, *self._weather.foresee(tick))
+        self._sites.levels[:] = self._plan.levels
+
+    def run(self, ticks: Ticks, part: tuple[slice, Any, Any]) -> None:
+        """Simulate a part of the sites in some ticks."""
+        rows, _, hydrograph = part
         function: Any = compiled(run_ticks) if self._compiles else run_ticks
-        function(
-            *(each[part.rows] for each in self._of_rows), *self._shared, part.hydrograph,
-            self._every, first, last, self._steps,
-        )
+        sites = Sites(*(each[rows] for each in self._sites))
+        function(sites, ticks, hydrograph, self._every, self._steps)
 
-    def plan(self, tick: int) -> None:
-        """Make the plans that are due in a tick."""
-        for rows, weather, due, (a1, a2), plan in self._plans:
-            if tick in due:
-                x1, x2, _ = np.asarray(self._state)[rows].T
-                roof = x2 / a2
-                if len(self._errors):
-                    roof = np.maximum(0.0, roof + self._errors[tick])
-                forecast = weather.foresee(tick, self._batch.with_forecast)
-                plan.plan(x1 / a1 * a1, roof * a2, *forecast)
-                self._levels[rows] = plan.levels
-
-    def finish(self, row: int) -> tuple[dict[str, float], list[float], list[Event]]:
-        """Return the metrics, the weeks and the events of a site."""
-        site, q, events = self._batch.sites[row], self._numbers[row], self._events[row]
-        state = State(*map(float, self._state[row]))
-        s.finish(q, self._sums[row], self._weeks[row], events, state)
-        sums, weeks = [*map(float, self._sums[row])], [*map(float, self._weeks[row])]
-        return (
-            compute_metrics(site, sums), weeks[: s.count_weeks(q, self._steps)],
-            list_events(site, sums, events) if len(events) else [],
-        )
-
-
-def _control(batch: Batch, row: int, clock: int) -> Control:
-    site, parameters, errors = batch.sites[row], batch.parameters[row], batch.sensor_and_pump
-    return Control(
-        parameters["fraction"], parameters["level"] * site.z_veg,
-        min_ticks(errors.pump_min_on, site.tau), min_ticks(errors.pump_min_off, site.tau),
-        POLICIES.index(parameters.get("outlet", OPEN)), site.valve_closed_in_frost,
-        site.wet_after * HOUR_S, float(batch.beds[row]), int(batch.weather_of[row]), clock,
-    )
-
-
-def _make_plan(
-    batch: Batch, plants: Sequence[PlantParameters], rows: list[int], compiles: bool
-) -> _Plan:
-    site, weather = batch.sites[rows[0]], batch.weather[batch.weather_of[rows[0]]]
-    clock, own = PlanClock(site.tau), [plants[row] for row in rows]
-    due = {
-        tick for tick, without_rain in enumerate(weather.without_rain.tolist())
-        if clock.is_due(is_wet(without_rain, site.tau, site.wet_after * HOUR_S))
-    }
-    reserves, prices, reaches = (
-        np.array([batch.parameters[row][name] for row in rows])
-        for name in ("outlet_reserve", "outlet_price", "outlet_reach")
-    )
-    ends = look_ahead_ends(weather.run.site, 0.0, HORIZON_H)
-    areas = np.array([(p.a1, p.a2) for p in own]).T
-    return _Plan(rows, weather, due, areas, PlannedLevels(
-        records(own) if compiles else own, site.wet_after, ends, reserves, prices, reaches,
-        batch.beds[rows], compiled(find_levels) if compiles else find_levels,
-    ))
-
-
-def _read_clock(site: Site, run: Run) -> tuple[Flags, Flags]:
-    """Return whether each tick is in the quiet hours, and whether it is the first of a day."""
-    quiet, new_day = np.zeros((2, run.steps + 1), bool)
-    if site.quiet is not None:
-        quiet = site.quiet.quiet_ticks(run.time_ns(0), round(site.tau * 1e9), run.steps + 1)
-    new_day[find_new_days(site, run.time_ns(0) / 1e9, run.steps)] = True
-    return quiet, new_day
+    def results(self) -> Iterator[CaseResult]:
+        """Yield the results of each site after the last tick."""
+        sites = self._sites
+        for case, q, state, sums, weeks, events, kept in zip(
+            self._cases, self._numbers, sites.state, sites.sums, sites.weeks, sites.events,
+            sites.kept, strict=True,
+        ):
+            s.finish(q, sums, weeks, events, State(*map(float, state)))
+            sums, weeks = [*map(float, sums)], [*map(float, weeks)]
+            yield CaseResult(
+                compute_metrics(case.site, sums), weeks[: s.count_weeks(q, self._steps)],
+                list_events(case.site, sums, events) if len(events) else [], kept,
+            )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import signal
 import subprocess
@@ -17,6 +18,7 @@ from graphs import environment
 
 import greenroof_ros as gr
 from greenroof_ros.simulation.directory import make_run_directory
+from greenroof_ros.simulation.summary import format_versions, versions
 
 
 def run_in_shell(command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -109,3 +111,16 @@ def test_a_run_whose_controller_fails_says_so(tmp_path: Path) -> None:
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert done.returncode == 2
     assert summary["status"] == "failed" and "Tired" in summary["reason"]
+
+
+def test_the_source_is_a_hash_and_the_version_reports_it() -> None:
+    """A hash of the names and contents of all Python files, in order; not a commit."""
+    package = Path(gr.__file__).resolve().parent
+    digest = hashlib.sha256()
+    for file in sorted(package.rglob("*.py")):
+        digest.update(file.relative_to(package).as_posix().encode() + file.read_bytes())
+    by_name = versions()
+    assert by_name["source"] == digest.hexdigest()[:12]
+    assert format_versions(by_name).startswith(
+        f"greenroof_ros {gr.__version__}, hash of its source files {by_name['source']}, "
+    )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -16,13 +17,14 @@ from paper import field_capacity_sites, metrics_of, run_of_hours, sites, weather
 from places import CONFIG, DATA
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.physics import compiled as compilation
 from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.loop import Simulation, record, simulate
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.simulation.season import Batch, SeasonWeather, simulate_season
+from greenroof_ros.simulation.season import Case, SeasonWeather, simulate_season
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 
@@ -122,19 +124,25 @@ def test_any_site(
     assert metrics_of(run).items() <= simulate(run)[0].items()
 
 
+def test_a_controller_of_another_site() -> None:
+    """It fills this roof to the target of its own site, as tick by tick."""
+    run, other = run_of(VALVE, outlet="closed", roof=1.0), OnOff(PAPERS, 1.0)
+    assert metrics_of(run, other).items() <= simulate(run, other)[0].items()
+    assert metrics_of(run, other)["pumped_m3"] != simulate(run)[0]["pumped_m3"]
+
+
 # --- a batch -------------------------------------------------------------------------------------
 
 
-def batch_of(runs: Sequence[Run], **choice: Any) -> Batch:
-    """Return runs as a batch; those of the same start share the weather of the first."""
-    first = {run.start: run for run in reversed(runs)}
-    weather = [SeasonWeather.of_run(run, run.site.a2) for run in first.values()]
-    return Batch(
-        [run.site for run in runs], weather,
-        np.array([list(first).index(run.start) for run in runs]),
-        [run.parameters for run in runs], np.array([run.x1 for run in runs]),
-        np.array([run.x2 for run in runs]), np.array([run.site.a2 for run in runs]), **choice,
-    )
+def cases_of(runs: Sequence[Run], groups: Sequence[int] = (0,), **choice: bool) -> list[Case]:
+    """Return runs as cases; those of the same start share the weather of the first."""
+    weather: dict[Any, SeasonWeather] = {}
+    for run in runs:
+        weather.setdefault(run.start, SeasonWeather(run, run.site.a2, **choice))
+    return [
+        Case(run.site, run.parameters, weather[run.start], run.x1, run.x2, run.site.a2, group)
+        for run, group in zip(runs, cycle(groups), strict=False)
+    ]
 
 
 LARGE = replace(VALVE, a2=100.0, x2_star=3.9, z_cap=100.0 / VALVE.a2 * VALVE.z_cap)
@@ -150,9 +158,8 @@ def test_a_batch_has_the_results_of_its_runs() -> None:
     Evapotranspiration is scaled from the bed of the first site, so the last bits differ.
     """
     runs = [run_of(site, **given) for site, given in BATCH]
-    groups = np.arange(len(runs)) % 2
-    result = simulate_season(batch_of(runs, groups=groups), threads=2)
-    for run, of, weeks in zip(runs, result.metrics, result.weeks, strict=True):
+    results, hydrograph = simulate_season(cases_of(runs, (0, 1)), threads=2)
+    for run, (of, weeks, *_) in zip(runs, results, strict=True):
         alone = simulate(run)[0]
         assert of == pytest.approx({name: alone[name] for name in of}, rel=1e-9, abs=1e-9)
         assert weeks == pytest.approx(alone["weekly_deviation_m3"], rel=1e-9)
@@ -160,12 +167,12 @@ def test_a_batch_has_the_results_of_its_runs() -> None:
         kept = of["final_cistern_m3"] + of["final_roof_m3"] + of.get("final_layer_m3", 0.0)
         lost = of["discharge_m3"] + of["evapotranspiration_m3"]
         assert gained == pytest.approx(kept + lost, rel=1e-12)
-    some = simulate_season(batch_of([runs[row] for row in (4, 0, 2)], groups=np.array([2, 0, 1])))
-    assert some.metrics == [result.metrics[row] for row in (4, 0, 2)]
+    some, of_some = simulate_season(cases_of([runs[row] for row in (4, 0, 2)], (2, 0, 1)))
+    assert [each.metrics for each in some] == [results[row].metrics for row in (4, 0, 2)]
     # The hydrographs of groups add up those of their sites.
-    assert result.hydrograph[0] == pytest.approx(some.hydrograph.sum(axis=0), abs=1e-12)
-    for group, (discharge, low) in enumerate(result.hydrograph.sum(axis=2).tolist()):
-        own = result.metrics[group::2]
+    assert hydrograph[0] == pytest.approx(of_some.sum(axis=0), abs=1e-12)
+    for group, (discharge, low) in enumerate(hydrograph.sum(axis=2).tolist()):
+        own = [each.metrics for each in results[group::2]]
         assert discharge == pytest.approx(sum(of["discharge_m3"] for of in own))
         assert low == pytest.approx(sum(of["outflow_m3"] - of["overflow_m3"] for of in own))
 
@@ -175,12 +182,12 @@ def test_plan_without_a_forecast() -> None:
     run = run_of(replace(SMALL, drainage_to_cistern=0.0), outlet="plan", cistern=1.9)
     expected = metrics_of(with_forecasts(run, "always dry"))
     assert expected["overflow_m3"] > 1.1 * metrics_of(run)["overflow_m3"]
-    (found,) = simulate_season(batch_of([run], with_forecast=False)).metrics
-    assert found == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    (found,), _ = simulate_season(cases_of([run], with_forecast=False))
+    assert found.metrics == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
 def test_a_batch_that_does_not_fit_together() -> None:
     day = {"start": "2021-07-06T00:00", "hours": 24}
     for other in (run_of(VALVE, **day), run_of(replace(VALVE, tau=30.0), **day)):
         with pytest.raises(ConfigurationError, match="number of steps"):
-            simulate_season(batch_of([run_of(VALVE), other]))
+            simulate_season(cases_of([run_of(VALVE), other]))

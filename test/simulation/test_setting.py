@@ -6,6 +6,7 @@ import os
 import re
 import shlex
 import sys
+import warnings
 from itertools import accumulate
 from pathlib import Path
 
@@ -14,14 +15,18 @@ from commands import run_command
 from paper import paper_run
 from places import CHECKOUT, CONFIG
 
+import greenroof_ros as gr
 from greenroof_ros.bringup import simulated
 from greenroof_ros.commands import simulate
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.simulation.loop import Simulation
 from greenroof_ros.simulation.options import build_run
+from greenroof_ros.simulation.run import note_pumps
+from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import format_place, measure_distance
 
 BERLIN = (52.52, 13.41)
+LITRE = {"pump_flow": 3600.0, "roof_area": 40.0, "z_veg": 0.01575}
 HEADER = "time,precipitation [mm/h],published evapotranspiration [mm/day]\n"
 
 
@@ -47,24 +52,19 @@ def table(*lines: str) -> list[list[str]]:
     return rows
 
 
-@pytest.mark.parametrize(("options", "length", "ahead", "end"), [
-    (("--controller", "lookahead"), "12 h", "120 h", "2021-07-07T14:00-05:00"),
-    (("--controller", "mpc", "--hours", "0.0025", "--start", "2021-07-08T09:00"),
-     "9 s", "10 s", "2021-07-08T09:00-05:00"),
+@pytest.mark.parametrize(("options", "times"), [
+    ("--controller lookahead", [("12 h", "120 h", "2021-07-07T14:00-05:00")]),
+    ("--controller mpc --hours 0.0025 --start 2021-07-08T09:00",
+     [("9 s", "10 s", "2021-07-08T09:00-05:00")]),
+    ("--controller lookahead --horizon 12", []), ("--controller mpc", []),
 ])
 def test_a_run_shorter_than_the_look_ahead_reports_it(
-    options: tuple[str, ...], length: str, ahead: str, end: str
+    options: str, times: list[tuple[str, str, str]]
 ) -> None:
-    (note,) = paper_run(*options).notes()
-    assert note == (
+    assert paper_run(*options.split()).notes() == [
         f"the run of {length} is shorter than the look-ahead of {ahead}, so the controller also "
-        f"plans beyond the end of the run at {end}"
-    )
-
-
-def test_no_such_note_where_it_is_long_enough() -> None:
-    assert paper_run("--controller", "lookahead", "--horizon", "12").notes() == []
-    assert paper_run("--controller", "mpc").notes() == []
+        f"plans beyond the end of the run at {end}" for length, ahead, end in times
+    ]
 
 
 @pytest.mark.parametrize("command", ["simulate", "bound"])
@@ -126,6 +126,45 @@ def test_distances(
 ) -> None:
     assert measure_distance(here, there) == pytest.approx(distance, rel=1e-3)
     assert format_place(-33.87, 151.21) == "33.87 S, 151.21 E"
+
+
+@pytest.mark.parametrize(("name", "changes", "notes"), [
+    # 8 l/s on 40 m2 are 720 mm/h; the limit, 0.6 mm/min, is 1440 l/h there.
+    ("site_neubrandenburg.yaml", {"pump_flow": 28_800.0, "roof_area": 40.0},
+     [["8 l/s, or 720 mm/h on 40 m2 of roof", "to absorb 36 mm/h; the excess"]]),
+    ("site_neubrandenburg.yaml", {"pump_flow": 1450.0, "roof_area": 40.0}, [["0.403 l/s, or 36"]]),
+    ("site_neubrandenburg.yaml", {"pump_flow": 1430.0, "roof_area": 40.0}, []),
+    # 1 l/s on 40 m2 moves 63 l in 63 s, a tenth of 40 m2 times 15.75 mm; Table I's soil.
+    ("site.yaml", {**LITRE, "tau": 60.0}, []), ("site.yaml", {**LITRE, "tau": 62.0}, []),
+    ("site.yaml", {**LITRE, "tau": 64.0}, [
+        ["in a tick of 64 s the pumps can deliver 10% of the target", "ticks of at most 63 s"]
+    ]),
+    # The paper's run has no note; with a real soil its pump has, by Eqs. (3):
+    # sqrt((55.2 - 16 + 3) / (578000 + (3.56 * 18.4 / 0.2 + 0.6) / (2 g a_pump^2))) m3/s.
+    ("site.yaml", {}, []),
+    ("site_neubrandenburg.yaml", {}, [["8.42 l/s, or 441 mm/h on 68.8 m2 of roof"]]),
+    ("site_catchment.yaml", {}, [["8.42 l/s, or 441 mm/h on 68.8 m2 of roof"]]),
+    # 300 s of 8.32 l/s are 2.497 m3 of 2.683 m3.
+    ("site_valve.yaml", {"tau": 300.0},
+     [["8.32 l/s"], ["in a tick of 300 s the pumps can deliver 93%"]]),
+])
+def test_pumps_that_are_too_large(
+    name: str, changes: dict[str, float], notes: list[list[str]]
+) -> None:
+    """For the roof, or for the tick."""
+    found = [*note_pumps(read_site(CONFIG / name, changes))]
+    for note, words in zip(found, notes, strict=True):
+        assert all(word in note for word in words)
+
+
+def test_where_notes_are_seen() -> None:
+    """In Python as a warning, and in the summary of a run, as those of a study have."""
+    with pytest.warns(UserWarning, match="441 mm/h on 68.8 m2"):
+        result = gr.simulate("onoff", site=CONFIG / "site_catchment.yaml", hours=0.1)
+    assert any("441 mm/h" in note for note in result.summary["notes"])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        gr.simulate("onoff", hours=0.1)
 
 
 def examples() -> list[str]:

@@ -21,8 +21,7 @@ from greenroof_ros.common.errors import ConfigurationError, describe_choices, re
 from greenroof_ros.common.files import read_lines, read_yaml, shared_directory
 from greenroof_ros.common.processes import refuse_forked_polars
 from greenroof_ros.controllers.protocol import Controller
-from greenroof_ros.simulation.bound import BLOCK_S, clairvoyant_bound
-from greenroof_ros.simulation.discharge_bound import bound_discharge
+from greenroof_ros.simulation.bound import BLOCK_S, bound_discharge, clairvoyant_bound
 from greenroof_ros.simulation.inputs import INPUTS
 
 if TYPE_CHECKING:

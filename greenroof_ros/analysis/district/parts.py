@@ -22,10 +22,9 @@ from greenroof_ros.analysis.district.district_file import (
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.onoff import LEVEL
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.physics.start import find_state
 from greenroof_ros.physics.storm_water import connected_area
-from greenroof_ros.simulation.season import Batch, SeasonWeather, find_bed, simulate_season
+from greenroof_ros.simulation.season import Case, SeasonWeather, find_bed, simulate_season
 from greenroof_ros.site.file import SiteFile, check_site
 from greenroof_ros.site.site import Site
 
@@ -95,7 +94,7 @@ def _read_weather(file: Path) -> SeasonWeather:
 
 def simulate_part(
     directory: Path, part: Part, threads: int = 1,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> PartResult:
     """Simulate a part.
 
@@ -127,30 +126,24 @@ def simulate_part(
     if not variants:
         return PartResult(_areas(sites), {}, {})
     places = np.concatenate([*simulated.values()])
-    cells, weather_of = np.unique(buildings.cells[places], return_inverse=True)
-    weather = [_read_weather(directory / weather_file(cell)) for cell in cells.tolist()]
-    result = simulate_season(
-        Batch(
-            [variant.site for variant in variants], weather, weather_of,
-            [variant.parameters for variant in variants],
-            np.array([variant.state[0] for variant in variants]),
-            np.array([variant.state[1] for variant in variants]),
-            np.array([
-                find_bed(weather[cell].run.weather.method, variant.site)
-                for cell, variant in zip(weather_of.tolist(), variants, strict=True)
-            ]),
-            part.district.forecast == PERFECT, np.concatenate(groups),
-        ),
-        progress=progress, threads=threads,
-    )
-    made, metrics = iter(result.metrics), {}
+    results, hydrograph = simulate_season([
+        Case(
+            variant.site, variant.parameters, weather, *variant.state,
+            find_bed(weather.run.weather.method, variant.site), group,
+        )
+        for variant, cell, group in zip(
+            variants, buildings.cells[places].tolist(), np.concatenate(groups).tolist(), strict=True
+        )
+        for weather in [_read_weather(directory / weather_file(cell))]
+    ], progress=progress, threads=threads)
+    made, metrics = iter(results), {}
     for outlet, places in simulated.items():
         values = np.full((len(METRICS), len(buildings)), np.nan)
         for place in places.tolist():
-            of_site = next(made)
+            of_site = next(made).metrics
             values[:, place] = [of_site.get(name, np.nan) for name in METRICS]
         metrics[outlet] = dict(zip(METRICS, values, strict=True))
-    hydrographs = {outlet: result.hydrograph[own] for outlet, own in rows.items()}
+    hydrographs = {outlet: hydrograph[own] for outlet, own in rows.items()}
     return PartResult(_areas(sites), hydrographs, metrics)
 
 

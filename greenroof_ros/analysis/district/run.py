@@ -33,10 +33,11 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping
 from greenroof_ros.common.processes import scratch_directory
 from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.physics.storm_water import HOUR_S, interval_seconds, is_wet
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.simulation.season import SeasonWeather, find_bed
+from greenroof_ros.simulation.season import SeasonWeather, count_rain, find_bed
 from greenroof_ros.site.file import merge_site_file
 from greenroof_ros.site.site import Site
 
@@ -73,7 +74,9 @@ class DistrictRun:
     def weather(self) -> list[SeasonWeather]:
         """The weather of each cell."""
         return [
-            SeasonWeather.of_run(run, find_bed(run.weather.method, run.site)) for run in self.runs
+            SeasonWeather(
+                run, find_bed(run.weather.method, run.site), self.district.forecast == PERFECT
+            ) for run in self.runs
         ]
 
     @property
@@ -93,16 +96,17 @@ class DistrictRun:
             self.site.tau, HOUR_S * self.site.wet_after, interval_seconds(self.site)
         )
         firsts = np.arange(0, self.runs[0].steps, round(seconds / tau))
-        rain = tau * np.array([weather.rain[:-1] for weather in self.weather])
+        rain = np.array([run.series.precipitation[: run.steps] for run in self.runs])
         wet = [
             any(is_wet(without_rain, tau, after) for without_rain in of_cells)
-            for of_cells in zip(
-                *(weather.without_rain[:-1].tolist() for weather in self.weather), strict=True
-            )
+            for of_cells in zip(*(
+                count_rain(of_cell, tau, run.without_rain_s)
+                for of_cell, run in zip(rain.tolist(), self.runs, strict=True)
+            ), strict=True)
         ]
         return Totals(
             self.buildings, self.adoption, self.outlets, seconds,
-            np.add.reduceat(rain, firsts, axis=1), np.logical_or.reduceat(wet, firsts),
+            np.add.reduceat(tau * rain, firsts, axis=1), np.logical_or.reduceat(wet, firsts),
             self.district.sewer_capacity,
         )
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from greenroof_ros.analysis.sizing.designs import Design
 from greenroof_ros.results.metrics import METRICS
+from greenroof_ros.simulation import season
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.simulation.season import Batch, SeasonWeather, simulate_season
 
 Values = NDArray[np.float64]
 
@@ -40,16 +40,14 @@ def simulate_cases(
         progress: callback that receives the completed share of the work (1); an error that it
             raises ends the runs.
     """
-    result = simulate_season(Batch(
-        sites=[case.design.site for case in cases],
-        weather=[SeasonWeather.of_run(run, 1.0) for run in seasons],
-        weather_of=np.array([case.season for case in cases]),
-        parameters=[case.design.parameters for case in cases],
-        x1=np.array([case.filled * case.design.volume for case in cases]),
-        x2=np.array([case.design.site.x2_star for case in cases]),
-        beds=np.ones(len(cases)), with_forecast=False,
-    ), progress=progress, threads=threads)
+    weather = [season.SeasonWeather(run, with_forecast=False) for run in seasons]
+    results, _ = season.simulate_season([
+        season.Case(
+            case.design.site, case.design.parameters, weather[case.season],
+            case.filled * case.design.volume, case.design.site.x2_star,
+        ) for case in cases
+    ], progress=progress, threads=threads)
     return {
-        metric.name: np.array([made.get(metric.name, np.nan) for made in result.metrics])
+        metric.name: np.array([made.get(metric.name, np.nan) for made, *_ in results])
         for metric in METRICS
     }

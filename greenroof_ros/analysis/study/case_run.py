@@ -12,8 +12,7 @@ from greenroof_ros.controllers.outlet import PRICE
 from greenroof_ros.recording.events_table import EVENTS, format_events
 from greenroof_ros.recording.results_table import summary_columns
 from greenroof_ros.recording.trajectory import TRAJECTORY
-from greenroof_ros.simulation.bound import clairvoyant_bound
-from greenroof_ros.simulation.discharge_bound import simulate_frontier
+from greenroof_ros.simulation import bound
 from greenroof_ros.simulation.loop import simulate
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.weather.reading import read_weather
@@ -69,7 +68,7 @@ def bound_case(directory: Path, case: Case) -> float:
 
     See :func:`greenroof_ros.simulation.bound.clairvoyant_bound`.
     """
-    return clairvoyant_bound(_build(directory, case), case.bound_block)
+    return bound.clairvoyant_bound(_build(directory, case), case.bound_block)
 
 
 def bound_discharge(directory: Path, case: Case) -> dict[str, float]:
@@ -79,6 +78,8 @@ def bound_discharge(directory: Path, case: Case) -> dict[str, float]:
     assumes. The mains water is left out if the site has no mains top-up.
     """
     run = _build(directory, case.plain)
-    (point,) = simulate_frontier(run, [PRICE]).points
+    _, trajectory = simulate(run, every=1)
+    assert trajectory is not None
+    (point,) = bound.bound_discharge(run, trajectory, [PRICE])
     bounds = {"bound_wet_discharge_m3": point.wet_discharge_m3}
     return bounds if run.site.mains_level is None else bounds | {"bound_mains_m3": point.mains_m3}
