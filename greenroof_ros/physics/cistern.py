@@ -190,6 +190,8 @@ def flows_in_long_tick(
         x1 -= upper + low
         out += upper + low
         let += low
+        if volume == arrives == mains == upper + low == 0:
+            break  # nothing can happen in the other steps, either
     return out / tau, let / tau, lifted / tau, came / tau, limited
 
 
