@@ -9,17 +9,16 @@ import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from datetime import date, datetime
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from greenroof_ros.physics.parameters import Flows, State
+from greenroof_ros.physics.parameters import Flows, State, plant_parameters
 from greenroof_ros.physics.pump import RUNNING_SHARE
 from greenroof_ros.physics.storm_water import (
     HOUR_S,
     Event,
     connected_area,
-    interval_seconds,
     is_wet,
     time_without_rain,
 )
@@ -42,9 +41,10 @@ class Metric:
         unit: unit in tables; 1 for a dimensionless number.
         label: name in tables.
         meaning: short description.
-        compute: function that computes the metric from the site and the sums of a run, or returns
-            None if the metric is undefined for the run.
-        form: format of the number in tables.
+        value: place of the metric's sum, in the unit or, for a unit of h, in ticks; or a function
+            that computes the metric from the site and the sums of a run, or returns None if the
+            metric is undefined for the run.
+        form: format of the number in tables; ``d`` for a whole number.
         max: highest acceptable value; higher values are shown as warnings.
         needs: what a record must contain.
     """
@@ -53,7 +53,7 @@ class Metric:
     unit: str
     label: str
     meaning: str
-    compute: Callable[[Site, Any], Any]
+    value: int | Callable[[Site, Any], float | None]
     form: str = ".4g"
     max: float = math.inf
     needs: str = ""
@@ -62,18 +62,6 @@ class Metric:
     def description(self) -> str:
         """Unit and meaning, as shown in tables next to the number."""
         return self.meaning if self.unit == "1" else f"{self.unit}, {self.meaning}"
-
-
-def _sum(place: int, factor: float = 1.0) -> Callable[[Site, Any], float]:
-    return lambda site, sums: sums[place] * factor
-
-
-def _count(place: int) -> Callable[[Site, Any], int]:
-    return lambda site, sums: int(sums[place])
-
-
-def _hours(place: int) -> Callable[[Site, Any], float]:
-    return lambda site, sums: sums[place] * site.tau / HOUR_S
 
 
 def _ratio(part: float, whole: float) -> float | None:
@@ -100,35 +88,29 @@ def _demand_met(site: Site, sums: Any) -> float | None:
     return _without(from_mains + max(0.0, fallen - sums[s.OUTFLOW]), sums[s.PUMPED])
 
 
-def _peak(
-    place: int, seconds: float, factor: Callable[[Site], float]
-) -> Callable[[Site, Any], float]:
-    return lambda site, sums: factor(site) * sums[place] / seconds
-
-
 def _peaks(unit: str, label: str, meaning: str, factor: Callable[[Site], float]) -> list[Metric]:
     """Return the peaks in a unit: the factor times m3/s."""
-    return [
-        Metric(
-            f"peak_discharge_{minutes}min_{unit.replace('/', '_').lower()}", unit,
-            f"{label}, {minutes} min", meaning.format(minutes),
-            _peak(place, 60 * minutes, factor),
-            needs=DISCHARGE,
+
+    def peak(place: int, minutes: int) -> Metric:
+        name = f"peak_discharge_{minutes}min_{unit.replace('/', '_').lower()}"
+        return Metric(
+            name, unit, f"{label}, {minutes} min", meaning.format(minutes),
+            lambda site, sums: factor(site) * sums[place] / (60 * minutes), needs=DISCHARGE,
         )
-        for minutes, place in zip(PEAKS_MIN, (s.PEAK_5, s.PEAK_15, s.PEAK_60), strict=True)
-    ]
+
+    return [peak(s.PEAK_5 + number, minutes) for number, minutes in enumerate(PEAKS_MIN)]
 
 
 METRICS = (
     Metric(
         "total_deviation_m3", "m3", "total deviation",
         "absolute deviation of the water on the roof from its target, summed over the time steps",
-        _sum(s.DEVIATION), form=".2f",
+        s.DEVIATION, form=".2f",
     ),
     Metric(
         "near_target_hours", "h", "near the target",
         f"time during which the water on the roof is within {NEAR_TARGET:.0%} of its target",
-        _hours(s.NEAR), form=".2f",
+        s.NEAR, form=".2f",
     ),
     Metric(
         "mean_deviation_mm", "mm", "mean deviation",
@@ -139,7 +121,7 @@ METRICS = (
         "stress_hours", "h", "water stress",
         "time during which the plants lack water: the stress coefficient K_s of FAO-56 is below "
         "1, or the roof contains no water",
-        _hours(s.STRESSED), form=".2f",
+        s.STRESSED, form=".2f",
     ),
     Metric(
         "evapotranspiration_ratio", "1", "evapotranspiration ratio",
@@ -176,11 +158,11 @@ METRICS = (
     Metric(
         "final_cistern_m3",
         "m3", "cistern at the end", "water volume in the cistern at the end of the run",
-        _sum(s.CISTERN), ".6g",
+        s.CISTERN, ".6g",
     ),
     Metric(
         "final_roof_m3", "m3", "roof at the end", "water volume on the roof at the end of the run",
-        _sum(s.ROOF), ".6g",
+        s.ROOF, ".6g",
     ),
     Metric(
         "final_layer_m3", "m3", "drainage layer at the end",
@@ -188,23 +170,23 @@ METRICS = (
         lambda site, sums: None if site.drainage_storage is None else sums[s.LAYER], ".6g",
     ),
     Metric(
-        "pumped_m3", "m3", "pumped", "water pumped from the cistern to the roof", _sum(s.PUMPED),
+        "pumped_m3", "m3", "pumped", "water pumped from the cistern to the roof", s.PUMPED,
     ),
     Metric(
         "outflow_m3", "m3", "outflow", "water that flowed from the cistern to the sewer",
-        _sum(s.OUTFLOW),
+        s.OUTFLOW,
     ),
-    Metric("drainage_m3", "m3", "drainage", "water that drained off the roof", _sum(s.DRAINED)),
+    Metric("drainage_m3", "m3", "drainage", "water that drained off the roof", s.DRAINED),
     Metric(
         "discharge_m3", "m3", "discharge",
         "water that reached the sewer: the outflow, and the drainage that did not flow into the "
         "cistern",
-        _sum(s.DISCHARGE), needs=DISCHARGE,
+        s.DISCHARGE, needs=DISCHARGE,
     ),
     Metric(
         "wet_discharge_m3", "m3", "discharge in wet weather",
         "water that reached the sewer during rain or within wet_after hours after rain",
-        _sum(s.WET_DISCHARGE), needs=DISCHARGE,
+        s.WET_DISCHARGE, needs=DISCHARGE,
     ),
     *_peaks("L/s", "peak discharge", "highest mean discharge over {} min", lambda site: 1000.0),
     *_peaks(
@@ -216,13 +198,13 @@ METRICS = (
     Metric(
         "overflow_m3",
         "m3", "overflow", "water that left the cistern through its upper outlet",
-        _sum(s.OVERFLOW), needs=LOW_OUTLET,
+        s.OVERFLOW, needs=LOW_OUTLET,
     ),
     Metric(
         "overflow_days", "1", "days of overflow",
         "number of calendar days, on the site's clock, with an overflow of at least 0.1 mm over "
         "the connected area",
-        _count(s.OVERFLOW_DAYS), "d", needs=LOW_OUTLET,
+        s.OVERFLOW_DAYS, "d", needs=LOW_OUTLET,
     ),
     Metric(
         "retention_share", "1", "retention",
@@ -247,45 +229,45 @@ METRICS = (
     Metric(
         "evapotranspiration_m3", "m3", "evapotranspiration",
         "water that evaporated from the soil and the plants",
-        _sum(s.EVAPORATED),
+        s.EVAPORATED,
     ),
     Metric(
         "max_command", "1", "maximum command", "highest command, as a share of the maximum flow",
-        _sum(s.MAX_COMMAND), ".6g", max=1,
+        s.MAX_COMMAND, ".6g", max=1,
     ),
     Metric(
         "beyond_hours", "h", "beyond the pump", "time during which the command is above 1",
-        _hours(s.BEYOND), form=".4f", max=0,
+        s.BEYOND, form=".4f", max=0,
     ),
     Metric(
         "limited_steps", "1", "limited ticks",
         "time steps in which a tank contained less water than was demanded",
-        _count(s.LIMITED), "d", max=0, needs=LIMITED,
+        s.LIMITED, "d", max=0, needs=LIMITED,
     ),
     Metric(
         "pump_starts", "1", "pump starts",
-        f"number of times that the flow of the pumps rose {_RUNS}", _count(s.STARTS), "d",
+        f"number of times that the flow of the pumps rose {_RUNS}", s.STARTS, "d",
     ),
     Metric(
         "busiest_hour_starts",
         "1", "starts in an hour", "maximum number of pump starts in 60 minutes",
-        _count(s.BUSIEST_HOUR), "d",
+        s.BUSIEST_HOUR, "d",
     ),
     Metric(
         "excess_starts", "1", "too many starts",
         "number of pump starts in excess of starts_per_hour, counted over the hour "
         "before each start",
-        _count(s.EXCESS_STARTS), "d", max=0,
+        s.EXCESS_STARTS, "d", max=0,
     ),
     Metric(
         "pump_hours", "h", "pump running", f"time during which the flow of the pumps is {_RUNS}",
-        _hours(s.PUMP_TICKS), form=".3f",
+        s.PUMP_TICKS, form=".3f",
     ),
     Metric(
         "hydraulic_energy_kwh", "kWh", "hydraulic energy",
         "energy that the pumps add to the water: the product of density, gravitational "
         "acceleration, flow and head, integrated over time",
-        _sum(s.ENERGY_J, 1 / _JOULES_PER_KWH),
+        lambda site, sums: sums[s.ENERGY_J] * (1 / _JOULES_PER_KWH),
     ),
     Metric(
         "electric_energy_kwh", "kWh", "electric energy",
@@ -305,45 +287,13 @@ def compute_metrics(
         sums: sums of the run after :func:`.sums.finish`.
         unknown: what a record lacks; metrics that need it are left out.
     """
-    values = (
-        (metric, metric.compute(site, sums)) for metric in METRICS if metric.needs not in unknown
-    )
-    return {
-        metric.name: value if metric.form == "d" else float(value)
-        for metric, value in values if value is not None
-    }
-
-
-def list_events(site: Site, sums: Any, events: Any) -> list[Event]:
-    """Return the rain events of a run in chronological order, excluding traces below 0.1 mm.
-
-    Args:
-        site: parameters of the site.
-        sums: sums of the run after :func:`.sums.finish`.
-        events: table of the events.
-    """
-    seconds, area = interval_seconds(site), connected_area(site)
-    per_hour = 1000 * HOUR_S
-    result = []
-    for row in np.asarray(events)[: int(sums[s.EVENTS])].tolist():
-        heaviest, peak = row[s.MAX_5] / 300, row[s.PEAK] / 300
-        delay = row[s.DELAY] * seconds / 60
-        result.append(Event(
-            start_h=row[s.BEGIN] * seconds / HOUR_S,
-            hours=(row[s.END] - row[s.BEGIN]) * seconds / HOUR_S,
-            rain_mm=1000 * row[s.DEPTH],
-            max_rain_5min_mm_h=per_hour * heaviest,
-            max_rain_60min_mm_h=1000 * row[s.MAX_60],
-            discharge_m3=row[s.VOLUME],
-            wet_discharge_m3=row[s.WET_VOLUME],
-            peak_l_s=1000 * peak,
-            peak_mm_h=per_hour * peak / area,
-            volume_reduction=1 - row[s.WET_VOLUME] / (row[s.DEPTH] * area),
-            peak_reduction=1 - peak / (heaviest * area),
-            peak_delay_min=None if math.isnan(delay) else delay,
-            complete=row[s.COMPLETE] > 0,
-        ))
-    return result
+    metrics: dict[str, float] = {}
+    for metric in METRICS:
+        value = metric.value(site, sums) if callable(metric.value) else sums[metric.value]
+        if value is not None and metric.needs not in unknown:
+            value = value * site.tau / HOUR_S if metric.unit == "h" else value
+            metrics[metric.name] = int(value) if metric.form == "d" else float(value)
+    return metrics
 
 
 def find_new_days(site: Site, start: float, ticks: int) -> list[int]:
@@ -368,6 +318,38 @@ def find_new_days(site: Site, start: float, ticks: int) -> list[int]:
     return [math.ceil((midnight - middle) / site.tau) for midnight in midnights]
 
 
+class Results(NamedTuple):
+    """What a run leaves."""
+
+    metrics: dict[str, float]
+    """metrics by name"""
+    weeks: list[float]
+    """total deviation of each week (m3), see :func:`.sums.read_weeks`"""
+    events: list[Event]
+    """rain events in chronological order, excluding traces below 0.1 mm"""
+
+
+def end_run(
+    site: Site, sums: Any, events: Any, state: State, unknown: Collection[str] = ()
+) -> Results:
+    """End a run, and return its results.
+
+    Args:
+        site: parameters of the site.
+        sums: sums of the run.
+        events: table of the events.
+        state: state after the last tick.
+        unknown: as for :func:`compute_metrics`.
+    """
+    p = plant_parameters(site)
+    s.finish(p, sums, events, state)
+    rows = np.asarray(events)[: int(sums[s.EVENTS])].tolist()
+    return Results(compute_metrics(site, sums, unknown), s.read_weeks(p, sums), [
+        Event._make((*values, None if math.isnan(delay) else delay, complete > 0))
+        for *values, delay, complete in rows
+    ])
+
+
 class Metrics:
     """The metrics of a run in progress."""
 
@@ -382,49 +364,25 @@ class Metrics:
             start: start of the run (s since 1970).
             without_rain: time without rain at the start (s).
         """
-        self._site, self._numbers = site, s.sum_parameters(site)
-        self._sums: list[float] = [0.0] * s.count_places(self._numbers)
-        self._weeks = [0.0] * s.count_weeks(self._numbers, ticks)
-        self._events = np.zeros((s.count_events(self._numbers, ticks), s.EVENT_COLUMNS))
+        self._site, self._parameters = site, plant_parameters(site)
+        self._sums = [0.0] * s.count_places(self._parameters, ticks)
+        self._events = np.zeros((s.count_events(self._parameters, ticks), len(Event._fields)))
         self._new_days = set(find_new_days(site, start, ticks))
         self._tick, self._without_rain = 0, without_rain
-        self._tau, self._wet_after = site.tau, site.wet_after * HOUR_S
 
     def add(
         self, state: State, command: float, rain: float, potential: float, flows: Flows
     ) -> None:
         """Add the next tick; see :func:`.sums.add`."""
-        self._without_rain = time_without_rain(self._without_rain, rain, self._tau)
-        wet = is_wet(self._without_rain, self._tau, self._wet_after)
+        tau = self._site.tau
+        self._without_rain = time_without_rain(self._without_rain, rain, tau)
+        wet = is_wet(self._without_rain, tau, self._site.wet_after * HOUR_S)
         s.add(
-            self._numbers, self._sums, self._weeks, self._events, state, command, rain, potential,
-            flows, wet, self._tick in self._new_days,
+            self._parameters, self._sums, self._events, state, command, rain, potential, flows,
+            wet, self._tick in self._new_days,
         )
         self._tick += 1
 
-    def results(self, state: State, unknown: Collection[str] = ()) -> dict[str, float]:
-        """Return all metrics by name, as if the run ended in a state.
-
-        Args:
-            state: state after the last tick.
-            unknown: as for :func:`compute_metrics`.
-        """
-        return compute_metrics(self._site, self._finish(state)[0], unknown)
-
-    def weekly_deviations(self, state: State) -> list[float]:
-        """Return every week's total deviation (m3), as if the run ended in a state.
-
-        The sum of a season would conceal a bad fortnight. The last week can be shorter; it includes
-        the final state, so that the weeks add up to the total.
-        """
-        return self._finish(state)[1]
-
-    def events(self, state: State) -> list[Event]:
-        """Return the rain events, as if the run ended in a state."""
-        sums, _, events = self._finish(state)
-        return list_events(self._site, sums, events)
-
-    def _finish(self, state: State) -> tuple[list[float], list[float], Any]:
-        sums, weeks, events = [*self._sums], [*self._weeks], self._events.copy()
-        s.finish(self._numbers, sums, weeks, events, state)
-        return sums, weeks, events
+    def results(self, state: State) -> Results:
+        """Return the results, as if the run ended in a state."""
+        return end_run(self._site, [*self._sums], self._events.copy(), state)

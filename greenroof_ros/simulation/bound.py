@@ -273,7 +273,7 @@ def simulate_plan(run: Run, max_command: float = 1.0) -> dict[str, float]:
     simulation = Simulation(known, _PlanController(run, max_command))
     for _ in simulation.ticks():
         pass
-    return simulation.metrics.results(simulation.site.state)
+    return simulation.metrics.results(simulation.site.state).metrics
 
 
 class _PlanController:

@@ -131,10 +131,8 @@ class Simulation:
 
     def summary(self) -> dict[str, Any]:
         """Return the content of ``summary.json``; call this after the last tick."""
-        state = self.site.state
         return summary.make_summary(
-            self._run, self.metrics.results(state), self.metrics.weekly_deviations(state),
-            self.metrics.events(state), wall_s=self._wall_s,
+            self._run, *self.metrics.results(self.site.state), wall_s=self._wall_s,
             solver=read_statistics(self._controller),
         )
 

@@ -33,7 +33,7 @@ from greenroof_ros.physics.sensor_and_pump import (
 from greenroof_ros.physics.storm_water import HOUR_S, Event, is_wet, time_without_rain
 from greenroof_ros.physics.tick import OWN_PUMPS, step
 from greenroof_ros.results import sums as s
-from greenroof_ros.results.metrics import compute_metrics, find_new_days, list_events
+from greenroof_ros.results.metrics import Results, end_run, find_new_days
 from greenroof_ros.results.sums import add
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.horizon import look_ahead_ends
@@ -81,23 +81,20 @@ KEPT = (
 
 
 def run_ticks(
-    parameters: Any, numbers: Any, controls: Any, groups: Any, levels: Any, state: Any,
-    switches: Any, sums: Any, weeks: Any, events: Any, kept: Any, rain: Any, potential: Any,
-    frost: Any, without_rain: Any, quiet: Any, new_day: Any, errors: Any, hydrograph: Any,
-    every: int, first: int, last: int, steps: int,
+    parameters: Any, controls: Any, groups: Any, levels: Any, state: Any, switches: Any, sums: Any,
+    events: Any, kept: Any, rain: Any, potential: Any, frost: Any, without_rain: Any, quiet: Any,
+    new_day: Any, errors: Any, hydrograph: Any, every: int, first: int, last: int, steps: int,
 ) -> None:
     """Simulate sites, one after the other, from a tick to another (exclusive).
 
     Args:
         parameters: :class:`.PlantParameters` of n sites.
-        numbers: :class:`.SumParameters` of n sites.
         controls: :class:`Control` of n sites.
         groups: row of each site's hydrograph, shape (n,).
         levels: volumes to which the valves drain the cisterns in dry weather (m3), shape (n,).
         state: water in cistern, roof and layer (m3), shape (n, 3).
         switches: switches of the pumps, see :mod:`.sensor_and_pump`, shape (n, 3).
         sums: sums of the runs, shape (n, places).
-        weeks: deviation in each week (m3), shape (n, weeks).
         events: rain events, shape (n, events, columns).
         kept: values of some ticks and of the last one, see :data:`KEPT`, shape (n, ticks, values),
             or (n, 0, 0).
@@ -116,11 +113,11 @@ def run_ticks(
         steps: N.
     """
     for row in range(len(parameters)):
-        p, q, c = parameters[row], numbers[row], controls[row]
+        p, c = parameters[row], controls[row]
         weather, clock, of_group = int(c.weather), int(c.clock), hydrograph[groups[row]]
         falls, evaporates, frozen = rain[weather], potential[weather], frost[weather]
         dry, hushed, days = without_rain[weather], quiet[clock], new_day[clock]
-        switch, own, own_weeks, own_events = switches[row], sums[row], weeks[row], events[row]
+        switch, own, own_events = switches[row], sums[row], events[row]
         now, level = State(state[row][0], state[row][1], state[row][2]), levels[row]
         for k in range(first, last):
             wet, cistern = is_wet(dry[k], p.tau, c.wet_after), now.cistern / p.a1
@@ -144,11 +141,10 @@ def run_ticks(
                 place[6], place[7], place[8] = outlet, flows.low_outlet, now.layer
             if k == steps:
                 break
-            add(
-                q, own, own_weeks, own_events, now, command, falls[k], demand, flows, wet, days[k]
-            )
-            interval = int(k // q.interval_ticks)
-            of_group[0][interval] += p.tau * (flows.outflow + q.to_sewer * flows.drainage)
+            add(p, own, own_events, now, command, falls[k], demand, flows, wet, days[k])
+            interval = int(k // p.interval_ticks)
+            to_sewer = 1 - p.drainage_to_cistern
+            of_group[0][interval] += p.tau * (flows.outflow + to_sewer * flows.drainage)
             of_group[1][interval] += p.tau * flows.low_outlet
             now = after
         state[row][0], state[row][1], state[row][2] = now.cistern, now.roof, now.layer
@@ -388,7 +384,6 @@ class _Season:
         sites, self._steps = batch.sites, batch.weather[0].run.steps
         steps = self._steps
         self._compiles = pays_to_compile(steps * len(sites))
-        self._numbers = numbers = [s.sum_parameters(site) for site in sites]
         clocks: dict[Any, tuple[int, Site, Run]] = {}
         controls, together = list[Control](), dict[tuple[int, float], list[int]]()
         for row, site in enumerate(sites):
@@ -405,23 +400,22 @@ class _Season:
             _make_plan(batch, plants, rows, self._compiles) for rows in together.values()
         ]
         self.due = {tick for plan in self._plans for tick in plan.due}
-        count, self.intervals = len(sites), -(-steps // int(numbers[0].interval_ticks))
-        events = max(s.count_events(q, steps) for q in numbers) if count == 1 else 0
-        self._events = np.zeros((count, events, s.EVENT_COLUMNS))
+        count, self.intervals = len(sites), -(-steps // int(plants[0].interval_ticks))
+        events = s.count_events(plants[0], steps) if count == 1 else 0
+        self._events = np.zeros((count, events, len(Event._fields)))
         self.kept = np.zeros((count, -(-steps // every) + 1 if every else 0, len(KEPT)))
         self._group_of = np.zeros(count, np.intp)
         self._levels = np.array([each.get("outlet_reserve", 0.0) for each in batch.parameters])
         layers = [site.initial_layer for site in sites]
-        self._state, switches, self._sums, self._weeks = map(self._as_taken, (
+        self._state, switches, self._sums = map(self._as_taken, (
             np.column_stack((batch.x1, batch.x2, layers)),
             np.array([[0.0, control.min_off, 0.0] for control in controls]),
-            np.zeros((count, max(map(s.count_places, numbers)))),
-            np.zeros((count, max(s.count_weeks(q, steps) for q in numbers))),
+            np.zeros((count, s.count_places(plants[0], steps))),
         ))
         self._of_rows = (
-            *(records(each) if self._compiles else each for each in (plants, numbers, controls)),
+            *(records(each) if self._compiles else each for each in (plants, controls)),
             self._group_of, self._levels,
-            self._state, switches, self._sums, self._weeks, self._events, self.kept,
+            self._state, switches, self._sums, self._events, self.kept,
         )
         self._errors = read_errors(batch.sensor_and_pump, steps + 1)
         flags = [_read_clock(site, run) for _, site, run in clocks.values()]
@@ -463,16 +457,10 @@ class _Season:
                 plan.plan(x1 / a1 * a1, roof * a2, *forecast)
                 self._levels[rows] = plan.levels
 
-    def finish(self, row: int) -> tuple[dict[str, float], list[float], list[Event]]:
-        """Return the metrics, the weeks and the events of a site."""
-        site, q, events = self._batch.sites[row], self._numbers[row], self._events[row]
-        state = State(*map(float, self._state[row]))
-        s.finish(q, self._sums[row], self._weeks[row], events, state)
-        sums, weeks = [*map(float, self._sums[row])], [*map(float, self._weeks[row])]
-        return (
-            compute_metrics(site, sums), weeks[: s.count_weeks(q, self._steps)],
-            list_events(site, sums, events) if len(events) else [],
-        )
+    def finish(self, row: int) -> Results:
+        """Return the results of a site."""
+        state, sums = (tuple(map(float, each[row])) for each in (self._state, self._sums))
+        return end_run(self._batch.sites[row], [*sums], self._events[row], State(*state))
 
 
 def _control(batch: Batch, row: int, clock: int) -> Control:
