@@ -52,9 +52,9 @@ class Metric:
     name: str
     unit: str
     label: str
-    meaning: str
+    form: str
     value: int | Callable[[Site, Any], float | None]
-    form: str = ".4g"
+    meaning: str
     max: float = math.inf
     needs: str = ""
 
@@ -94,8 +94,9 @@ def _peaks(unit: str, label: str, meaning: str, factor: Callable[[Site], float])
     def peak(place: int, minutes: int) -> Metric:
         name = f"peak_discharge_{minutes}min_{unit.replace('/', '_').lower()}"
         return Metric(
-            name, unit, f"{label}, {minutes} min", meaning.format(minutes),
-            lambda site, sums: factor(site) * sums[place] / (60 * minutes), needs=DISCHARGE,
+            name, unit, f"{label}, {minutes} min", ".4g",
+            lambda site, sums: factor(site) * sums[place] / (60 * minutes),
+            meaning.format(minutes), needs=DISCHARGE,
         )
 
     return [peak(s.PEAK_5 + number, minutes) for number, minutes in enumerate(PEAKS_MIN)]
@@ -103,90 +104,85 @@ def _peaks(unit: str, label: str, meaning: str, factor: Callable[[Site], float])
 
 METRICS = (
     Metric(
-        "total_deviation_m3", "m3", "total deviation",
+        "total_deviation_m3", "m3", "total deviation", ".2f", s.DEVIATION,
         "absolute deviation of the water on the roof from its target, summed over the time steps",
-        s.DEVIATION, form=".2f",
     ),
     Metric(
-        "near_target_hours", "h", "near the target",
+        "near_target_hours", "h", "near the target", ".2f", s.NEAR,
         f"time during which the water on the roof is within {NEAR_TARGET:.0%} of its target",
-        s.NEAR, form=".2f",
     ),
     Metric(
-        "mean_deviation_mm", "mm", "mean deviation",
+        "mean_deviation_mm", "mm", "mean deviation", ".2f",
+        lambda site, sums: 1000 * sums[s.DEVIATION] / (sums[s.TICKS] + 1) / site.a2,
         "mean absolute deviation of the water on the roof from its target, as a depth",
-        lambda site, sums: 1000 * sums[s.DEVIATION] / (sums[s.TICKS] + 1) / site.a2, form=".2f",
     ),
     Metric(
-        "stress_hours", "h", "water stress",
+        "stress_hours", "h", "water stress", ".2f", s.STRESSED,
         "time during which the plants lack water: the stress coefficient K_s of FAO-56 is below "
         "1, or the roof contains no water",
-        s.STRESSED, form=".2f",
     ),
     Metric(
-        "evapotranspiration_ratio", "1", "evapotranspiration ratio",
+        "evapotranspiration_ratio", "1", "evapotranspiration ratio", ".1%",
+        lambda site, sums: _ratio(sums[s.EVAPORATED], sums[s.POTENTIAL]),
         "actual evapotranspiration divided by potential evapotranspiration",
-        lambda site, sums: _ratio(sums[s.EVAPORATED], sums[s.POTENTIAL]), ".1%",
     ),
     Metric(
-        "rain_kept_share", "1", "rain kept", "share of the rain on the roof that did not drain",
-        lambda site, sums: _without(sums[s.LOST], sums[s.RAIN] * site.a2), ".1%",
+        "rain_kept_share", "1", "rain kept", ".1%",
+        lambda site, sums: _without(sums[s.LOST], sums[s.RAIN] * site.a2),
+        "share of the rain on the roof that did not drain",
     ),
     Metric(
-        "rain_kept_share_hour", "1", "rain kept in hours with more than 20 mm",
+        "rain_kept_share_hour", "1", "rain kept in hours with more than 20 mm", ".1%",
+        lambda site, sums: _without(sums[s.HOUR_LOST], sums[s.HOUR_RAIN]),
         "share of the rain that did not drain in the same hour, over all hours with more than 20 "
         "mm of rain",
-        lambda site, sums: _without(sums[s.HOUR_LOST], sums[s.HOUR_RAIN]), ".1%",
     ),
     Metric(
-        "rain_kept_share_day", "1", "rain kept in 24 h periods with more than 10 mm",
+        "rain_kept_share_day", "1", "rain kept in 24 h periods with more than 10 mm", ".1%",
+        lambda site, sums: _without(sums[s.DAY_LOST], sums[s.DAY_RAIN]),
         "share of the rain that did not drain within these periods, over all periods of 24 hours "
         "with more than 10 mm of rain",
-        lambda site, sums: _without(sums[s.DAY_LOST], sums[s.DAY_RAIN]), ".1%",
     ),
     Metric(
-        "mains_m3", "m3", "mains water used",
-        "mains water that flowed into the cistern, if the site has a mains supply",
+        "mains_m3", "m3", "mains water used", ".4g",
         lambda site, sums: None if site.mains_level is None else sums[s.MAINS],
+        "mains water that flowed into the cistern, if the site has a mains supply",
     ),
     Metric(
-        "demand_met_share", "1", "irrigation with rain",
+        "demand_met_share", "1", "irrigation with rain", ".1%", _demand_met,
         "share of the pumped water that was neither mains water nor in the cistern at the start, "
         "if the site has a mains supply",
-        _demand_met, ".1%",
     ),
     Metric(
-        "final_cistern_m3",
-        "m3", "cistern at the end", "water volume in the cistern at the end of the run",
-        s.CISTERN, ".6g",
+        "final_cistern_m3", "m3", "cistern at the end", ".6g", s.CISTERN,
+        "water volume in the cistern at the end of the run",
     ),
     Metric(
-        "final_roof_m3", "m3", "roof at the end", "water volume on the roof at the end of the run",
-        s.ROOF, ".6g",
+        "final_roof_m3", "m3", "roof at the end", ".6g", s.ROOF,
+        "water volume on the roof at the end of the run",
     ),
     Metric(
-        "final_layer_m3", "m3", "drainage layer at the end",
+        "final_layer_m3", "m3", "drainage layer at the end", ".6g",
+        lambda site, sums: None if site.drainage_storage is None else sums[s.LAYER],
         "water volume in the drainage layer at the end of the run, for a field-capacity soil",
-        lambda site, sums: None if site.drainage_storage is None else sums[s.LAYER], ".6g",
     ),
     Metric(
-        "pumped_m3", "m3", "pumped", "water pumped from the cistern to the roof", s.PUMPED,
+        "pumped_m3", "m3", "pumped", ".4g", s.PUMPED, "water pumped from the cistern to the roof",
     ),
     Metric(
-        "outflow_m3", "m3", "outflow", "water that flowed from the cistern to the sewer",
-        s.OUTFLOW,
+        "outflow_m3", "m3", "outflow", ".4g", s.OUTFLOW,
+        "water that flowed from the cistern to the sewer",
     ),
-    Metric("drainage_m3", "m3", "drainage", "water that drained off the roof", s.DRAINED),
+    Metric("drainage_m3", "m3", "drainage", ".4g", s.DRAINED, "water that drained off the roof"),
     Metric(
-        "discharge_m3", "m3", "discharge",
+        "discharge_m3", "m3", "discharge", ".4g", s.DISCHARGE,
         "water that reached the sewer: the outflow, and the drainage that did not flow into the "
-        "cistern",
-        s.DISCHARGE, needs=DISCHARGE,
+        "cistern", needs=DISCHARGE,
     ),
     Metric(
-        "wet_discharge_m3", "m3", "discharge in wet weather",
+        "wet_discharge_m3", "m3", "discharge in wet weather", ".4g", s.WET_DISCHARGE,
         "water that reached the sewer during rain or within wet_after hours after rain",
-        s.WET_DISCHARGE, needs=DISCHARGE,
+        needs=DISCHARGE,
     ),
     *_peaks("L/s", "peak discharge", "highest mean discharge over {} min", lambda site: 1000.0),
     *_peaks(
@@ -196,83 +192,76 @@ METRICS = (
         lambda site: 1000 * HOUR_S / connected_area(site),
     ),
     Metric(
-        "overflow_m3",
-        "m3", "overflow", "water that left the cistern through its upper outlet",
-        s.OVERFLOW, needs=LOW_OUTLET,
+        "overflow_m3", "m3", "overflow", ".4g", s.OVERFLOW,
+        "water that left the cistern through its upper outlet", needs=LOW_OUTLET,
     ),
     Metric(
-        "overflow_days", "1", "days of overflow",
+        "overflow_days", "1", "days of overflow", "d", s.OVERFLOW_DAYS,
         "number of calendar days, on the site's clock, with an overflow of at least 0.1 mm over "
-        "the connected area",
-        s.OVERFLOW_DAYS, "d", needs=LOW_OUTLET,
+        "the connected area", needs=LOW_OUTLET,
     ),
     Metric(
-        "retention_share", "1", "retention",
-        "share of the rain on the roof and the catchment that did not reach the sewer; below 0 if "
-        "more water reached the sewer than fell, such as mains water",
+        "retention_share", "1", "retention", ".1%",
         lambda site, sums: _without(sums[s.DISCHARGE], sums[s.RAIN] * connected_area(site)),
-        ".1%", needs=DISCHARGE,
+        "share of the rain on the roof and the catchment that did not reach the sewer; below 0 if "
+        "more water reached the sewer than fell, such as mains water", needs=DISCHARGE,
     ),
     Metric(
-        "rain_m3", "m3", "rain", "rain that flowed into the cistern or fell on the roof",
-        lambda site, sums: sums[s.RAIN] * connected_area(site),
+        "rain_m3", "m3", "rain", ".4g", lambda site, sums: sums[s.RAIN] * connected_area(site),
+        "rain that flowed into the cistern or fell on the roof",
     ),
     Metric(
-        "rain_cistern_m3",
-        "m3", "rain into the cistern", "rain that flowed into the cistern from the catchment",
+        "rain_cistern_m3", "m3", "rain into the cistern", ".4g",
         lambda site, sums: sums[s.RAIN] * site.effective_catchment,
+        "rain that flowed into the cistern from the catchment",
     ),
     Metric(
-        "rain_roof_m3", "m3", "rain on the roof", "rain that fell on the whole roof",
-        lambda site, sums: sums[s.RAIN] * site.a2,
+        "rain_roof_m3", "m3", "rain on the roof", ".4g", lambda site, sums: sums[s.RAIN] * site.a2,
+        "rain that fell on the whole roof",
     ),
     Metric(
-        "evapotranspiration_m3", "m3", "evapotranspiration",
+        "evapotranspiration_m3", "m3", "evapotranspiration", ".4g", s.EVAPORATED,
         "water that evaporated from the soil and the plants",
-        s.EVAPORATED,
     ),
     Metric(
-        "max_command", "1", "maximum command", "highest command, as a share of the maximum flow",
-        s.MAX_COMMAND, ".6g", max=1,
+        "max_command", "1", "maximum command", ".6g", s.MAX_COMMAND,
+        "highest command, as a share of the maximum flow", max=1,
     ),
     Metric(
-        "beyond_hours", "h", "beyond the pump", "time during which the command is above 1",
-        s.BEYOND, form=".4f", max=0,
+        "beyond_hours", "h", "beyond the pump", ".4f", s.BEYOND,
+        "time during which the command is above 1", max=0,
     ),
     Metric(
-        "limited_steps", "1", "limited ticks",
-        "time steps in which a tank contained less water than was demanded",
-        s.LIMITED, "d", max=0, needs=LIMITED,
+        "limited_steps", "1", "limited ticks", "d", s.LIMITED,
+        "time steps in which a tank contained less water than was demanded", max=0, needs=LIMITED,
     ),
     Metric(
-        "pump_starts", "1", "pump starts",
-        f"number of times that the flow of the pumps rose {_RUNS}", s.STARTS, "d",
+        "pump_starts", "1", "pump starts", "d", s.STARTS,
+        f"number of times that the flow of the pumps rose {_RUNS}",
     ),
     Metric(
-        "busiest_hour_starts",
-        "1", "starts in an hour", "maximum number of pump starts in 60 minutes",
-        s.BUSIEST_HOUR, "d",
+        "busiest_hour_starts", "1", "starts in an hour", "d", s.BUSIEST_HOUR,
+        "maximum number of pump starts in 60 minutes",
     ),
     Metric(
-        "excess_starts", "1", "too many starts",
-        "number of pump starts in excess of starts_per_hour, counted over the hour "
-        "before each start",
-        s.EXCESS_STARTS, "d", max=0,
+        "excess_starts", "1", "too many starts", "d", s.EXCESS_STARTS,
+        "number of pump starts in excess of starts_per_hour, counted over the hour before each "
+        "start", max=0,
     ),
     Metric(
-        "pump_hours", "h", "pump running", f"time during which the flow of the pumps is {_RUNS}",
-        s.PUMP_TICKS, form=".3f",
+        "pump_hours", "h", "pump running", ".3f", s.PUMP_TICKS,
+        f"time during which the flow of the pumps is {_RUNS}",
     ),
     Metric(
-        "hydraulic_energy_kwh", "kWh", "hydraulic energy",
+        "hydraulic_energy_kwh", "kWh", "hydraulic energy", ".4g",
+        lambda site, sums: sums[s.ENERGY_J] * (1 / _JOULES_PER_KWH),
         "energy that the pumps add to the water: the product of density, gravitational "
         "acceleration, flow and head, integrated over time",
-        lambda site, sums: sums[s.ENERGY_J] * (1 / _JOULES_PER_KWH),
     ),
     Metric(
-        "electric_energy_kwh", "kWh", "electric energy",
-        "electric energy of the pumps: hydraulic energy divided by pump_efficiency",
+        "electric_energy_kwh", "kWh", "electric energy", ".4g",
         lambda site, sums: sums[s.ENERGY_J] / _JOULES_PER_KWH / site.pump_efficiency,
+        "electric energy of the pumps: hydraulic energy divided by pump_efficiency",
     ),
 )
 

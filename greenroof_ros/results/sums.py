@@ -49,14 +49,22 @@ _FIRST = 1 + 1e-9  # of equal peaks, the first one counts
     HOUR_LOST, DAY_RAIN, DAY_LOST, EVENTS, FIRST_CISTERN, CISTERN, ROOF, LAYER, _HOUR,
     _WEEK_DEVIATION, _DAY_OVERFLOW, _RUNNING, _FIRST_START, _HOUR_RAIN, _HOUR_PUMPED,
     _HOUR_DRAINED, _EVENT_OPEN, _EVENT_BEGIN, _EVENT_END, _EVENT_GAP, _EVENT_DISCHARGE, _EVENT_WET,
-    _EVENT_RAIN, _EVENT_MAX_5, _EVENT_AT_5, _EVENT_MAX_60, _EVENT_PEAK, _EVENT_PEAK_AT, _PLACES,
-) = range(57)
+    _EVENT_RAIN, _EVENT_MAX_5, _EVENT_AT_5, _EVENT_PEAK, _EVENT_PEAK_AT, _EVENT_MAX_60,
+    _EVENT_AT_60, _PLACES,
+) = range(58)
 # Buffers: sums of discharge, of discharge in wet weather and of rain at the ends of the last
 # intervals; rain, pumped water, drainage of rain, and whether the hour's rain is counted.
 _RING = 64
 _FLOW, _WET, _FALLEN = _PLACES, _PLACES + _RING, _PLACES + 2 * _RING
 _HOURS = _PLACES + 3 * _RING
 _STARTS = _HOURS + 4 * _DAY_H
+# Windows of an event: places of the maximum and its start, of the buffer and of the sum before the
+# event, and the width (min).
+_WINDOWS = (
+    (_EVENT_MAX_5, _EVENT_AT_5, _FALLEN, _EVENT_RAIN, 5),
+    (_EVENT_PEAK, _EVENT_PEAK_AT, _WET, _EVENT_WET, 5),
+    (_EVENT_MAX_60, _EVENT_AT_60, _FALLEN, _EVENT_RAIN, 60),
+)
 
 
 def _find_weeks(p: PlantParameters) -> int:
@@ -216,15 +224,10 @@ def _end_interval(p: PlantParameters, sums: Any, events: Any) -> None:
             sums[PEAK_5 + number] = max(sums[PEAK_5 + number], volume)
     if sums[_EVENT_OPEN] == 0:
         return
-    volume, at = _find_maximum(p, sums, _FALLEN, sums[_EVENT_RAIN], now, 5)
-    if volume > sums[_EVENT_MAX_5] * _FIRST:
-        sums[_EVENT_MAX_5], sums[_EVENT_AT_5] = volume, at
-    volume, at = _find_maximum(p, sums, _WET, sums[_EVENT_WET], now, 5)
-    if volume > sums[_EVENT_PEAK] * _FIRST:
-        sums[_EVENT_PEAK], sums[_EVENT_PEAK_AT] = volume, at
-    volume, _ = _find_maximum(p, sums, _FALLEN, sums[_EVENT_RAIN], now, 60)
-    if volume > sums[_EVENT_MAX_60] * _FIRST:
-        sums[_EVENT_MAX_60] = volume
+    for maximum, at, ring, before, minutes in _WINDOWS:
+        volume, start = _find_maximum(p, sums, ring, sums[before], now, minutes)
+        if volume > sums[maximum] * _FIRST:
+            sums[maximum], sums[at] = volume, start
     if now - sums[_EVENT_END] >= p.dry_intervals:
         _end_event(p, sums, events, True)
 
@@ -267,7 +270,7 @@ def _begin_event(sums: Any, interval: float) -> None:
     sums[_EVENT_GAP] = interval - sums[_EVENT_END]
     sums[_EVENT_DISCHARGE], sums[_EVENT_WET] = sums[DISCHARGE], sums[WET_DISCHARGE]
     sums[_EVENT_RAIN] = sums[RAIN]
-    for place in range(_EVENT_MAX_5, _EVENT_PEAK_AT + 1):
+    for place in range(_EVENT_MAX_5, _EVENT_AT_60 + 1):
         sums[place] = 0.0
 
 
