@@ -26,7 +26,8 @@ class PlantParameters(NamedTuple):
     """The numbers of a site that determine the plant and its metrics, named as in :class:`.Site`.
 
     A part that the site does not have is a number without effect: no mains supply is a flow of 0, a
-    cistern without a low outlet has one of coefficient 0, and a site without pumps has b = 0.
+    cistern without a low outlet has one of coefficient 0 at the level of its overflow, a roof
+    without a drainage layer has one of storage 0, and a site without pumps has b = 0.
     """
 
     tau: float
@@ -36,7 +37,6 @@ class PlantParameters(NamedTuple):
     z_o: float
     z_veg: float
     x2_star: float
-    min_outlet_level: float
     low_outlet_level: float
     suction_level: float
     c_out: float
@@ -56,6 +56,8 @@ class PlantParameters(NamedTuple):
     layer_storage: float
     drainage_time: float
     drainage_to_cistern: float
+    epsilon: float
+    always_drains: bool
     pipe_resistance: float
     g: float
     starts_per_hour: float
@@ -67,8 +69,6 @@ class PlantParameters(NamedTuple):
     """intervals without rain that separate two events"""
     has_field_capacity: bool
     """whether the soil is a field-capacity soil, rather than that of Table I"""
-    has_layer: bool
-    """whether there is a drainage layer below the soil"""
     has_short_ticks: bool
     """whether Euler's method is accurate enough for a tick, as it is in Table I"""
     overdraws: bool
@@ -117,6 +117,7 @@ def plant_parameters(site: Site) -> PlantParameters:
     overdrawn = (site.tau * max(site.c_out, site.c_low) / site.a1) ** 2
     has_field_capacity, interval = site.field_capacity is not None, interval_ticks(site.tau)
     numbers: dict[str, Any] = {
+        "low_outlet_level": site.min_outlet_level,
         "stress_volume": (
             site.wilting_volume + site.stress_onset * site.available_volume
             if has_field_capacity else 0.0
@@ -124,7 +125,6 @@ def plant_parameters(site: Site) -> PlantParameters:
         "interval_ticks": interval,
         "dry_intervals": max(1, round(site.event_separation * HOUR_S / (site.tau * interval))),
         "has_field_capacity": has_field_capacity,
-        "has_layer": site.drainage_storage is not None,
         "has_short_ticks": pumped <= SHORT_SHARE * site.x2_star and overdrawn <= _SHORT_HEAD,
         "overdraws": 2 * site.K * site.tau > _MAX_OVERDRAWN_M,
     }

@@ -168,7 +168,7 @@ def layer_outflow(p: PlantParameters, layer: float, inflow: float, seconds: floa
         inflow: percolation during the tick (m3/s).
         seconds: duration of the tick (s).
     """
-    if not p.has_layer or (inflow == 0 and layer == 0):
+    if p.layer_storage == 0 or (inflow == 0 and layer == 0):
         return inflow
     k = 1 / (p.layer_storage * p.drainage_time)
     rate = math.sqrt(inflow * k)

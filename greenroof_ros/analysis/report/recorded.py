@@ -90,9 +90,8 @@ def add_samples(
             ),
             is_wet(without_rain, p.tau, wet_after), new_day[k],
         )
-        if p.has_layer:
-            drained = layer_outflow(p, layer, percolated, p.tau)
-            layer = max(0.0, layer + p.tau * (percolated - drained))
+        drained = layer_outflow(p, layer, percolated, p.tau)
+        layer = max(0.0, layer + p.tau * (percolated - drained))
     return layer
 
 
