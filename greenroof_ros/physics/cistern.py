@@ -164,16 +164,15 @@ def flows_in_long_tick(
         flow, lowest, min_run = pumped, 0.0, 0.0
     elif missing > 0:
         flow = command * maximum_pump_flow(p, x1)
-    supplied, steps = p.a1 * p.mains_level, 1
-    overflows = max(x1, supplied) + tau * collected > let_out_above(p, outlet)
-    if overflows or tau * flow > SHORT_SHARE * p.x2_star:
+    supplied, drains, steps = p.a1 * p.mains_level, let_out_above(p, outlet), 1
+    if max(x1, supplied) + tau * collected > drains or tau * flow > SHORT_SHARE * p.x2_star:
         steps = math.ceil(tau / MAX_STEP_S)
     elif flow == 0 and (p.mains_flow == 0 or x1 >= supplied):
         return 0.0, 0.0, 0.0, 0.0, False
     seconds, running, limited = tau / steps, False, False
     out = let = lifted = came = 0.0  # m3
-    for _ in range(steps):
-        if own:
+    for number in range(steps):
+        if own and number > 0:
             flow = command * maximum_pump_flow(p, x1) if missing > 0 else 0.0
         volume = min(flow * seconds, missing * flow / (flow + rise)) if flow > 0 else 0.0
         min_volume = 0.0 if running else flow * min(seconds, min_run)
@@ -191,11 +190,12 @@ def flows_in_long_tick(
         x1 += arrives + mains - volume
         lifted += volume
         came += mains
-        upper, low = let_out(p, x1, outlet, seconds)
-        x1 -= upper + low
-        out += upper + low
-        let += low
-        if volume == arrives == mains == upper + low == 0:
+        if x1 > drains:
+            upper, low = let_out(p, x1, outlet, seconds)
+            x1 -= upper + low
+            out += upper + low
+            let += low
+        elif volume == arrives == mains == 0:
             break  # nothing can happen in the other steps, either
     return out / tau, let / tau, lifted / tau, came / tau, limited
 

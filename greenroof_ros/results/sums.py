@@ -110,6 +110,7 @@ def add(
         new_day: whether the tick is the first of a day of the site's clock.
     """
     tau, ticks, roof = p.tau, sums[TICKS], state.roof
+    outflow, pump, drainage, evaporated, limited, mains, low_outlet = flows
     if ticks == 0:
         sums[FIRST_CISTERN] = state.cistern
     if (ticks + 0.5) * tau >= (sums[_HOUR] + 1) * HOUR_S:
@@ -124,35 +125,35 @@ def add(
         sums[NEAR] += 1
     if roof < p.stress_volume or roof <= 0:
         sums[STRESSED] += 1
-    sums[EVAPORATED] += tau * flows.evapotranspiration
+    sums[EVAPORATED] += tau * evaporated
     sums[POTENTIAL] += tau * potential
     if rain > 0:
         if sums[_EVENT_OPEN] == 0:
             _begin_event(sums, ticks // p.interval_ticks)
         sums[RAIN] += tau * rain
         sums[_EVENT_END] = ticks // p.interval_ticks + 1
-    discharge = (1 - p.drainage_to_cistern) * flows.drainage
-    if flows.drainage > 0:
-        sums[DRAINED] += tau * flows.drainage
-    if flows.outflow > 0:
-        discharge += flows.outflow
-        over = tau * (flows.outflow - flows.low_outlet)
-        sums[OUTFLOW] += tau * flows.outflow
+    discharge = (1 - p.drainage_to_cistern) * drainage
+    if drainage > 0:
+        sums[DRAINED] += tau * drainage
+    if outflow > 0:
+        discharge += outflow
+        over = tau * (outflow - low_outlet)
+        sums[OUTFLOW] += tau * outflow
         sums[OVERFLOW] += over
         sums[_DAY_OVERFLOW] += over
     if discharge > 0:
         sums[DISCHARGE] += tau * discharge
         if wet:
             sums[WET_DISCHARGE] += tau * discharge
-    if flows.mains > 0:
-        sums[MAINS] += tau * flows.mains
-    if flows.limited:
+    if mains > 0:
+        sums[MAINS] += tau * mains
+    if limited:
         sums[LIMITED] += 1
     if command > sums[MAX_COMMAND]:
         sums[MAX_COMMAND] = command
     if command > 1:
         sums[BEYOND] += 1
-    if flows.pump > 0:
+    if pump > 0:
         _add_pump(p, sums, state, command, rain, flows)
     else:
         sums[_RUNNING] = 0.0

@@ -23,7 +23,6 @@ from greenroof_ros.physics.soil import (
     layer_outflow,
     percolation,
     retained_share,
-    stress_volume,
     water_stress,
     water_to_raise,
 )
@@ -58,7 +57,7 @@ def test_shares_by_hand(
     found = filled_share(SOIL, x2), retained_share(SOIL, x2), retained_share(third, x2)
     assert found == pytest.approx((filled, retained, cubed), abs=1e-15)
     assert water_stress(SOIL, x2) == pytest.approx(stress, abs=1e-15)
-    assert (x2 < stress_volume(SOIL)) == (stress < 1)
+    assert (x2 < SOIL.stress_volume) == (stress < 1)
     assert (retained_share(PAPER_SOIL, x2), water_stress(PAPER_SOIL, x2)) == (1.0, 1.0)
 
 
