@@ -50,14 +50,14 @@ _FIRST = 1 + 1e-9  # of equal peaks, the first one counts
     _WEEK_DEVIATION, _DAY_OVERFLOW, _RUNNING, _FIRST_START, _HOUR_RAIN, _HOUR_PUMPED,
     _HOUR_DRAINED, _EVENT_OPEN, _EVENT_BEGIN, _EVENT_END, _EVENT_GAP, _EVENT_DISCHARGE, _EVENT_WET,
     _EVENT_RAIN, _EVENT_MAX_5, _EVENT_AT_5, _EVENT_PEAK, _EVENT_PEAK_AT, _EVENT_MAX_60,
-    _EVENT_AT_60, _PLACES,
-) = range(58)
+    _EVENT_AT_60, _COUNTED, _PLACES,
+) = range(59)
 # Buffers: sums of discharge, of discharge in wet weather and of rain at the ends of the last
-# intervals; rain, pumped water, drainage of rain, and whether the hour's rain is counted.
+# intervals; rain, pumped water and drainage of rain in the last hours (m3).
 _RING = 64
 _FLOW, _WET, _FALLEN = _PLACES, _PLACES + _RING, _PLACES + 2 * _RING
 _HOURS = _PLACES + 3 * _RING
-_STARTS = _HOURS + 4 * _DAY_H
+_STARTS = _HOURS + 3 * _DAY_H
 # Windows of an event: places of the maximum and its start, of the buffer and of the sum before the
 # event, and the width (min).
 _WINDOWS = (
@@ -319,34 +319,29 @@ def _end_hour(p: PlantParameters, sums: Any) -> None:
     hour; in hours with much rain; and in every hour of a period of 24 hours with much rain.
     """
     hour = int(sums[_HOUR])
-    place = _HOURS + 4 * (hour % _DAY_H)
-    rain = (sums[RAIN] - sums[_HOUR_RAIN]) * p.a2
-    sums[place], sums[place + 1] = rain, sums[PUMPED] - sums[_HOUR_PUMPED]
-    drained = sums[DRAINED] - sums[_HOUR_DRAINED]
+    place, drained = _HOURS + 3 * (hour % _DAY_H), sums[DRAINED] - sums[_HOUR_DRAINED]
+    rain, pumped = (sums[RAIN] - sums[_HOUR_RAIN]) * p.a2, sums[PUMPED] - sums[_HOUR_PUMPED]
+    sums[place], sums[place + 1], sums[_HOUR_DRAINED] = rain, pumped, sums[DRAINED]
     sums[_HOUR_RAIN], sums[_HOUR_PUMPED] = sums[RAIN], sums[PUMPED]
-    sums[_HOUR_DRAINED] = sums[DRAINED]
-    sums[place + 2] = sums[place + 3] = 0.0
     fallen = came = of_day = 0.0
     for before in range(_DAY_H):
-        earlier = _HOURS + 4 * ((hour - before) % _DAY_H)
+        earlier = _HOURS + 3 * ((hour - before) % _DAY_H)
         of_day += sums[earlier]
         if before < _DRAINS_H:
             fallen += sums[earlier]
             came += sums[earlier] + sums[earlier + 1]
-    if fallen > 0:
-        lost = fallen / came * drained
-        sums[place + 2] = lost
-        sums[LOST] += lost
-        if rain / p.a2 * 1000 > _STORM_HOUR_MM + _ROUNDING_MM:
-            sums[HOUR_RAIN] += rain
-            sums[HOUR_LOST] += lost
+    lost = fallen / came * drained if fallen > 0 else 0.0
+    sums[place + 2] = lost
+    sums[LOST] += lost
+    if rain / p.a2 * 1000 > _STORM_HOUR_MM + _ROUNDING_MM:
+        sums[HOUR_RAIN] += rain
+        sums[HOUR_LOST] += lost
     if of_day / p.a2 * 1000 > _STORM_DAY_MM + _ROUNDING_MM:
-        for before in range(_DAY_H):
-            earlier = _HOURS + 4 * ((hour - before) % _DAY_H)
-            if sums[earlier + 3] == 0:
-                sums[earlier + 3] = 1.0
-                sums[DAY_RAIN] += sums[earlier]
-                sums[DAY_LOST] += sums[earlier + 2]
+        for before in range(min(_DAY_H, hour + 1 - int(sums[_COUNTED]))):
+            earlier = _HOURS + 3 * ((hour - before) % _DAY_H)
+            sums[DAY_RAIN] += sums[earlier]
+            sums[DAY_LOST] += sums[earlier + 2]
+        sums[_COUNTED] = hour + 1
     sums[_HOUR] += 1
     sums[_find_weeks(p) + hour // _WEEK_H] = sums[_WEEK_DEVIATION]
     if sums[_HOUR] % _WEEK_H == 0:
