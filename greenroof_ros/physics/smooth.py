@@ -17,32 +17,25 @@ from greenroof_ros.physics.parameters import PlantParameters
 from greenroof_ros.physics.soil import filled_share, retained_share, water_stress
 
 
-class SoilSlopes(NamedTuple):
-    """The response of the soil to water at a volume x2, and its derivatives in x2 (per m3)."""
-
-    retained: float
-    """share of the arriving water that stays in the soil (1)"""
-    retained_2: float
-    stress: float
-    """share of the potential evapotranspiration that the soil yields (1)"""
-    stress_2: float
-    drained: float
-    """drainage in addition to the arriving water that does not stay (m3/s)"""
-    drained_2: float
-
-
-def linearise_soil(p: PlantParameters, x2: float) -> SoilSlopes:
+def linearise_soil(
+    p: PlantParameters, x2: float
+) -> tuple[float, float, float, float, float, float]:
     """Return the response of the soil at x2 (m3); :func:`q_drain` replaces Eq. (4).
 
     A field-capacity soil is not smoothed. At the wilting point, the onset of stress and field
     capacity, its slopes are one-sided.
+
+    Returns:
+        The share of the arriving water that stays in the soil (1), the share of the potential
+        evapotranspiration that the soil yields (1), and the drainage in addition to the arriving
+        water that does not stay (m3/s), each followed by its slope in x2 (per m3).
     """
     if not p.has_field_capacity:
-        return SoilSlopes(1.0, 0.0, 1.0, 0.0, *q_drain(p, x2))
+        return 1.0, 0.0, 1.0, 0.0, *q_drain(p, x2)
     filled, stress, exponent = filled_share(p, x2), water_stress(p, x2), p.percolation_exponent
     filled_2 = 1 / p.available_volume if p.wilting_volume <= x2 < p.z_cap else 0.0
     excess = max(0.0, x2 - p.z_cap)
-    return SoilSlopes(
+    return (
         retained_share(p, x2), -exponent * filled ** (exponent - 1) * filled_2,
         stress, filled_2 / p.stress_onset if stress < 1 else 0.0,
         excess / p.tau, 1 / p.tau if excess else 0.0,
@@ -51,7 +44,7 @@ def linearise_soil(p: PlantParameters, x2: float) -> SoilSlopes:
 
 def f(
     p: PlantParameters, x1: float, w_r: float, w_e: float, out: float, pumped: float,
-    soil: SoilSlopes,
+    retained: float, stress: float, drained: float,
 ) -> tuple[float, float]:
     """Return f^epsilon: the rates of change of the two volumes (m3/s), Eq. (5).
 
@@ -62,10 +55,12 @@ def f(
         w_e: evapotranspiration (m3/s).
         out: q_out, Eq. (7) (m3/s).
         pumped: q_pump, Eq. (8) (m3/s).
-        soil: slopes of the soil, including q_drain, Eq. (9).
+        retained: share of the arriving water that stays in the soil (1).
+        stress: share of the potential evapotranspiration that the soil yields (1).
+        drained: q_drain, Eq. (9) (m3/s).
     """
     f1 = w_r * p.effective_catchment + mains_inflow(p, x1, 0.0, p.tau) - out - pumped
-    return f1, (w_r * p.a2 + pumped) * soil.retained - w_e * soil.stress - soil.drained
+    return f1, (w_r * p.a2 + pumped) * retained - w_e * stress - drained
 
 
 def psi(y: float, epsilon: float) -> tuple[float, float]:
@@ -157,24 +152,19 @@ def linearise(
         w_r: precipitation (m/s).
         w_e: evapotranspiration (m3/s).
     """
-    tau, soil = p.tau, linearise_soil(p, x2)
+    tau = p.tau
+    retained, retained_2, stress, stress_2, drained, drained_2 = linearise_soil(p, x2)
     out, out_1 = q_out(p, x1)
     pumped, pumped_1, pumped_2, pumped_u = q_pump(p, x1, x2, u)
-    f1, f2 = f(p, x1, w_r, w_e, out, pumped, soil)
+    f1, f2 = f(p, x1, w_r, w_e, out, pumped, retained, stress, drained)
     into_roof = w_r * p.a2 + pumped
-    f2_2 = (
-        pumped_2 * soil.retained + into_roof * soil.retained_2
-        - w_e * soil.stress_2 - soil.drained_2
-    )
+    f2_2 = pumped_2 * retained + into_roof * retained_2 - w_e * stress_2 - drained_2
     return Linearisation(
         A=(
             (1 + tau * (-out_1 - pumped_1), tau * -pumped_2),
-            (tau * pumped_1 * soil.retained, 1 + tau * f2_2),
+            (tau * pumped_1 * retained, 1 + tau * f2_2),
         ),
-        B=(tau * -pumped_u, tau * pumped_u * soil.retained),
-        C=(
-            (tau * p.effective_catchment, 0.0),
-            (tau * p.a2 * soil.retained, -tau * soil.stress),
-        ),
+        B=(tau * -pumped_u, tau * pumped_u * retained),
+        C=((tau * p.effective_catchment, 0.0), (tau * p.a2 * retained, -tau * stress)),
         b=(tau * f1, tau * f2),
     )
