@@ -106,13 +106,13 @@ def _called_by(
 
 
 def _describe(function: FunctionType) -> tuple[Any, ...]:
-    """Return the code of a function, and the values and fields of the globals that it uses."""
+    """Return the code of a function, and the globals that it uses: values, fields and names."""
     code, names = function.__code__, function.__globals__
-    used = [names[name] for name in code.co_names if not isinstance(names.get(name), FunctionType)
-            and name in names]
+    used = [names[name] for name in code.co_names if name in names]
     return (
         function.__qualname__, code.co_code, code.co_consts, code.co_names, code.co_varnames,
-        function.__defaults__, [getattr(value, "_fields", value) for value in used],
+        function.__defaults__,
+        [getattr(value, "_fields", getattr(value, "__qualname__", value)) for value in used],
     )
 
 
