@@ -198,7 +198,7 @@ def metrics_of(run: Run, controller: Any = None) -> dict[str, float]:
     """Return the metrics of a run, with its own controller or with the given one."""
     simulation = Simulation(run, controller)
     deque(simulation.ticks(), maxlen=0)
-    return simulation.metrics.results(simulation.site.state)
+    return simulation.metrics.results(simulation.site.state).metrics
 
 
 def deviation_of(run: Run, controller: Any = None) -> float:

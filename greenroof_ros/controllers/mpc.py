@@ -164,9 +164,7 @@ class Mpc:
         rain_mean = self._rain_sum / self._ticks if self._ticks else 0.0
         evapotranspiration_mean = self._evapotranspiration_sum / self._ticks if self._ticks else 0.0
         # Steps 1 and 2.
-        model = linearise(
-            site, self._p, x1, x2, self._command, rain_mean, evapotranspiration_mean
-        )
+        model = linearise(self._p, x1, x2, self._command, rain_mean, evapotranspiration_mean)
         (a11, a12), (a21, a22) = model.A
         b1, b2 = model.B
         (c11, c12), (c21, c22) = model.C

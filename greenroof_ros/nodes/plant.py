@@ -201,7 +201,7 @@ class PlantNode(SimulationNode):
             self._publish_flows(flows)
             self._wall_s = time.monotonic() - self._began
             self.finish()
-            deviation = self._metrics.results(site.state)["total_deviation_m3"]
+            deviation = self._metrics.results(site.state).metrics["total_deviation_m3"]
             self.get_logger().info(
                 f"finished {self._run_length} ticks in {self._wall_s:.1f} s; total deviation "
                 f"{deviation:.2f} m3"
@@ -294,9 +294,7 @@ class PlantNode(SimulationNode):
     def summary(self) -> dict[str, Any]:
         """Return the metrics, weeks, events and duration (s of wall time) of the run."""
         return {
-            "metrics": self._metrics.results(self._site.state),
-            "weeks": self._metrics.weekly_deviations(self._site.state),
-            "events": self._metrics.events(self._site.state),
+            **self._metrics.results(self._site.state)._asdict(),
             "wall_s": self._wall_s,
         }
 

@@ -61,11 +61,6 @@ def let_out(
 ) -> tuple[float, float]:
     """Return the volumes that leave through the upper and the low outlet in a step (m3).
 
-    The backward Euler method is used, so that an outlet does not drain more than the water above
-    it. The head after a step, s^2, follows from the quadratic equation
-
-        a1 s^2 + c t s = volume above the outlet before its flow is subtracted.
-
     The upper outlet is computed first: while water flows through it, the head of the low outlet
     hardly changes.
 
@@ -75,21 +70,31 @@ def let_out(
         outlet: opening of the low outlet's valve, 0 to 1.
         seconds: duration of the step (s).
     """
-    upper = low = 0.0
-    above = x1 - p.a1 * p.z_o
-    if above > 0:
-        drop = p.c_out * seconds
-        upper = drop * 2 * above / (drop + math.sqrt(drop * drop + 4 * p.a1 * above))
-    above = x1 - upper - p.a1 * p.low_outlet_level
-    if p.c_low > 0 and outlet > 0 and above > 0:
-        drop = outlet * p.c_low * seconds
-        low = drop * 2 * above / (drop + math.sqrt(drop * drop + 4 * p.a1 * above))
-    return upper, low
+    upper = _drain(p.a1, x1 - p.a1 * p.z_o, p.c_out * seconds)
+    return upper, _drain(p.a1, x1 - upper - p.a1 * p.low_outlet_level, outlet * p.c_low * seconds)
+
+
+def _drain(a1: float, above: float, drop: float) -> float:
+    """Return the volume (m3) that leaves a cistern through an outlet in a step.
+
+    The backward Euler method is used, so that an outlet does not drain more than the water above
+    it. The head after a step, s^2, follows from the quadratic equation
+
+        a1 s^2 + c t s = volume above the outlet before its flow is subtracted.
+
+    Args:
+        a1: area of the cistern's base (m2).
+        above: this volume (m3).
+        drop: c t, the coefficient of the outlet times the duration of the step (m^2.5).
+    """
+    if above <= 0 or drop <= 0:
+        return 0.0
+    return drop * 2 * above / (drop + math.sqrt(drop * drop + 4 * a1 * above))
 
 
 def let_out_above(p: PlantParameters, outlet: float) -> float:
     """Return the volume in the cistern above which water flows to the sewer (m3)."""
-    return p.a1 * (p.min_outlet_level if outlet > 0 else p.z_o)
+    return p.a1 * (p.low_outlet_level if outlet > 0 else p.z_o)
 
 
 def flows_in_short_tick(
@@ -117,7 +122,7 @@ def flows_in_short_tick(
     pump, outflow, low = pumped, 0.0, 0.0
     if math.isnan(pumped):
         pump = pump_flow(p, x1, x2, command)
-    if x1 / p.a1 > p.min_outlet_level:
+    if x1 / p.a1 > p.low_outlet_level:
         low = outlet * low_outlet_flow(p, x1)
         outflow = overflow(p, x1) + low
     demand = outflow + pump
@@ -159,16 +164,15 @@ def flows_in_long_tick(
         flow, lowest, min_run = pumped, 0.0, 0.0
     elif missing > 0:
         flow = command * maximum_pump_flow(p, x1)
-    supplied, steps = p.a1 * p.mains_level, 1
-    overflows = max(x1, supplied) + tau * collected > let_out_above(p, outlet)
-    if overflows or tau * flow > SHORT_SHARE * p.x2_star:
+    supplied, drains, steps = p.a1 * p.mains_level, let_out_above(p, outlet), 1
+    if max(x1, supplied) + tau * collected > drains or tau * flow > SHORT_SHARE * p.x2_star:
         steps = math.ceil(tau / MAX_STEP_S)
     elif flow == 0 and (p.mains_flow == 0 or x1 >= supplied):
         return 0.0, 0.0, 0.0, 0.0, False
     seconds, running, limited = tau / steps, False, False
     out = let = lifted = came = 0.0  # m3
-    for _ in range(steps):
-        if own:
+    for number in range(steps):
+        if own and number > 0:
             flow = command * maximum_pump_flow(p, x1) if missing > 0 else 0.0
         volume = min(flow * seconds, missing * flow / (flow + rise)) if flow > 0 else 0.0
         min_volume = 0.0 if running else flow * min(seconds, min_run)
@@ -186,10 +190,13 @@ def flows_in_long_tick(
         x1 += arrives + mains - volume
         lifted += volume
         came += mains
-        upper, low = let_out(p, x1, outlet, seconds)
-        x1 -= upper + low
-        out += upper + low
-        let += low
+        if x1 > drains:
+            upper, low = let_out(p, x1, outlet, seconds)
+            x1 -= upper + low
+            out += upper + low
+            let += low
+        elif volume == arrives == mains == 0:
+            break  # nothing can happen in the other steps, either
     return out / tau, let / tau, lifted / tau, came / tau, limited
 
 

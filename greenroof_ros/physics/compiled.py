@@ -6,7 +6,8 @@ results bit for bit. numba is imported only when something is compiled.
 
 numba keeps compiled code in a cache, which does not notice an edit in the file of a function that
 is called. The names under which this package's functions are cached therefore end with a digest of
-all files that take part, which also contain the constants that they use.
+all functions that take part, and of the constants and named tuples that they use, as they are in
+this process: its files may have been edited since it began.
 """
 
 from __future__ import annotations
@@ -14,11 +15,10 @@ from __future__ import annotations
 import functools
 import hashlib
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from importlib.util import find_spec
 from multiprocessing import parent_process
-from pathlib import Path
 from types import FunctionType
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -74,15 +74,12 @@ def compiled(function: _Function) -> _Function:
         return function
     import numba
 
-    together = _called_by(function, {})
-    digest = hashlib.sha256()
-    for module in sorted(_modules_of(together)):
-        digest.update(Path(str(sys.modules[module].__file__)).read_bytes())
-    copies = {}
+    together, copies = _called_by(function, {}), {}
+    digest = hashlib.sha256(repr([*map(_describe, together)]).encode()).hexdigest()[:12]
     for each in together:
         copy = FunctionType(each.__code__, dict(each.__globals__), each.__name__, each.__defaults__)
         copy.__module__ = each.__module__
-        copy.__qualname__ = f"{each.__qualname__}_{digest.hexdigest()[:12]}"
+        copy.__qualname__ = f"{each.__qualname__}_{digest}"
         copies[each] = copy
     made: dict[Any, Any] = {each: numba.njit(nogil=True)(copy) for each, copy in copies.items()}
     for copy in copies.values():
@@ -108,11 +105,15 @@ def _called_by(
     return found
 
 
-def _modules_of(functions: Iterable[FunctionType]) -> set[str]:
-    """Return the modules of this package with functions and the named tuples that they use."""
-    used = (each.__globals__.get(name) for each in functions for name in each.__code__.co_names)
-    modules = {each.__module__ for each in (*functions, *filter(callable, used))}
-    return {module for module in modules if module.startswith(_PACKAGE)}
+def _describe(function: FunctionType) -> tuple[Any, ...]:
+    """Return the code of a function, and the globals that it uses: values, fields and names."""
+    code, names = function.__code__, function.__globals__
+    used = [names[name] for name in code.co_names if name in names]
+    return (
+        function.__qualname__, code.co_code, code.co_consts, code.co_names, code.co_varnames,
+        function.__defaults__,
+        [getattr(value, "_fields", getattr(value, "__qualname__", value)) for value in used],
+    )
 
 
 def records(tuples: Sequence[NamedTuple]) -> Any:

@@ -1,5 +1,7 @@
 """The numbers of the plant: its parameters, made once from a site, its state and its flows.
 
+The same parameters serve the sums of a run (:mod:`greenroof_ros.results.sums`).
+
 The functions of this package take and return nothing but numbers and these named tuples, so that
 the same text runs in Python and compiled (:mod:`greenroof_ros.physics.compiled`).
 """
@@ -7,8 +9,9 @@ the same text runs in Python and compiled (:mod:`greenroof_ros.physics.compiled`
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from greenroof_ros.physics.storm_water import HOUR_S, interval_ticks
 from greenroof_ros.site.site import Site
 
 # A short tick: see plant_parameters.
@@ -20,10 +23,11 @@ _MAX_OVERDRAWN_M = 1e-4
 
 
 class PlantParameters(NamedTuple):
-    """The numbers of a site that determine the plant, under the names of :class:`.site.Site`.
+    """The numbers of a site that determine the plant and its metrics, named as in :class:`.Site`.
 
     A part that the site does not have is a number without effect: no mains supply is a flow of 0, a
-    cistern without a low outlet has one of coefficient 0, and a site without pumps has b = 0.
+    cistern without a low outlet has one of coefficient 0 at the level of its overflow, a roof
+    without a drainage layer has one of storage 0, and a site without pumps has b = 0.
     """
 
     tau: float
@@ -33,7 +37,6 @@ class PlantParameters(NamedTuple):
     z_o: float
     z_veg: float
     x2_star: float
-    min_outlet_level: float
     low_outlet_level: float
     suction_level: float
     c_out: float
@@ -53,10 +56,19 @@ class PlantParameters(NamedTuple):
     layer_storage: float
     drainage_time: float
     drainage_to_cistern: float
+    epsilon: float
+    always_drains: bool
+    pipe_resistance: float
+    g: float
+    starts_per_hour: float
+    stress_volume: float
+    """volume on the roof below which plants lack water: K_s < 1 (m3); 0 for the paper's soil"""
+    interval_ticks: float
+    """length of an interval for peaks and events (ticks)"""
+    dry_intervals: float
+    """intervals without rain that separate two events"""
     has_field_capacity: bool
     """whether the soil is a field-capacity soil, rather than that of Table I"""
-    has_layer: bool
-    """whether there is a drainage layer below the soil"""
     has_short_ticks: bool
     """whether Euler's method is accurate enough for a tick, as it is in Table I"""
     overdraws: bool
@@ -103,21 +115,20 @@ def plant_parameters(site: Site) -> PlantParameters:
     head = site.z_o + site.c_hat - site.d
     pumped = site.tau * site.b * math.sqrt(max(head, 0.0))
     overdrawn = (site.tau * max(site.c_out, site.c_low) / site.a1) ** 2
-    return PlantParameters(
-        tau=site.tau, a1=site.a1, a2=site.a2, effective_catchment=site.effective_catchment,
-        z_o=site.z_o, z_veg=site.z_veg, x2_star=site.x2_star,
-        min_outlet_level=site.min_outlet_level, low_outlet_level=site.min_outlet_level,
-        suction_level=site.suction_level, c_out=site.c_out, c_low=site.c_low, b=site.b,
-        c_hat=site.c_hat, d=site.d, mains_level=site.mains_level or 0.0,
-        mains_flow=site.mains_flow or 0.0, z_cap=site.z_cap, z_soil=site.z_soil, K=site.K,
-        wilting_volume=site.wilting_volume, available_volume=site.available_volume,
-        stress_onset=site.stress_onset, percolation_exponent=site.percolation_exponent,
-        layer_storage=site.layer_storage, drainage_time=site.drainage_time or 0.0,
-        drainage_to_cistern=site.drainage_to_cistern,
-        has_field_capacity=site.field_capacity is not None,
-        has_layer=site.drainage_storage is not None,
-        has_short_ticks=(
-            pumped <= SHORT_SHARE * site.x2_star and overdrawn <= _SHORT_HEAD
+    has_field_capacity, interval = site.field_capacity is not None, interval_ticks(site.tau)
+    numbers: dict[str, Any] = {
+        "low_outlet_level": site.min_outlet_level,
+        "stress_volume": (
+            site.wilting_volume + site.stress_onset * site.available_volume
+            if has_field_capacity else 0.0
         ),
-        overdraws=2 * site.K * site.tau > _MAX_OVERDRAWN_M,
-    )
+        "interval_ticks": interval,
+        "dry_intervals": max(1, round(site.event_separation * HOUR_S / (site.tau * interval))),
+        "has_field_capacity": has_field_capacity,
+        "has_short_ticks": pumped <= SHORT_SHARE * site.x2_star and overdrawn <= _SHORT_HEAD,
+        "overdraws": 2 * site.K * site.tau > _MAX_OVERDRAWN_M,
+    }
+    for name in PlantParameters._fields:
+        if name not in numbers:
+            numbers[name] = getattr(site, name) or 0.0
+    return PlantParameters(**numbers)

@@ -10,34 +10,17 @@ all of the site's pumps together, which run at the same speed.
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 from greenroof_ros.physics.parameters import PlantParameters
+from greenroof_ros.site.site import Site
+
+PumpCurve = PlantParameters | Site
+"""the numbers of a site that determine the flow of its pumps"""
 
 STANDSTILL = 0.02
 """share of the rated speed up to which a pump counts as stopped, because readings are noisy"""
 RUNNING_SHARE = 0.01
 """share of their maximum flow above which the pumps count as running"""
-
-
-class PumpCurve(Protocol):
-    """The numbers of a site that determine the flow of its pumps, as a Site has them, too."""
-
-    @property
-    def a1(self) -> float:
-        """Area of the cistern's base (m2)."""
-
-    @property
-    def b(self) -> float:
-        """Coefficient of the maximum flow in Eq. (3e) (m^2.5/s)."""
-
-    @property
-    def c_hat(self) -> float:
-        """Constant coefficient of the pump curve in Eq. (3b) (m)."""
-
-    @property
-    def d(self) -> float:
-        """Elevation of the vegetation above the cistern's base (m)."""
 
 
 def maximum_pump_flow(p: PumpCurve, x1: float) -> float:

@@ -28,13 +28,11 @@ class SensorAndPump:
 
     roof_noise: float = entry(
         "standard deviation of the noise of the roof's level sensor; the noise of every tick is "
-        "independent", 0.0, 1.0, unit="m",
-        default=0.0,
+        "independent", 0.0, 1.0, unit="m", default=0.0,
     )
     roof_offset: float = entry(
-        "amount by which the reading of the roof's level sensor exceeds the true "
-        "level", -1.0, 1.0, unit="m",
-        default=0.0,
+        "amount by which the reading of the roof's level sensor exceeds the true level", -1.0, 1.0,
+        unit="m", default=0.0,
     )
     noise_seed: int = entry("random seed of the noise", 0, 2**31 - 1, default=0)
     pump_min_on: float = entry(
@@ -44,16 +42,6 @@ class SensorAndPump:
     pump_min_off: float = entry(
         "minimum time for which the pumps stay off", 0.0, 86_400.0, unit="s", default=0.0
     )
-
-    @property
-    def exact_sensor(self) -> bool:
-        """Whether the sensor reads the true level."""
-        return self.roof_noise == 0 and self.roof_offset == 0
-
-    @property
-    def instant_pump(self) -> bool:
-        """Whether the pumps follow every command immediately."""
-        return self.pump_min_on == 0 and self.pump_min_off == 0
 
     def values(self) -> dict[str, float]:
         """Return the values of all :data:`PARAMETERS`, by name."""
@@ -65,7 +53,7 @@ class SensorAndPump:
         Raises:
             ConfigurationError: if minimum times are set.
         """
-        if not self.instant_pump:
+        if self.pump_min_on or self.pump_min_off:
             raise ConfigurationError(
                 "must be set in the pump driver, because the pump is external",
                 key="minimum on and off times",
@@ -81,17 +69,13 @@ def read_errors(sensor: SensorAndPump, ticks: int) -> NDArray[np.float64]:
 
     The noise of a tick depends only on the seed and the tick.
     """
-    if sensor.exact_sensor:
+    if sensor.roof_noise == sensor.roof_offset == 0:
         return np.empty(0)
-    errors = np.full(-(-ticks // _BLOCK) * _BLOCK, sensor.roof_offset)
-    if sensor.roof_noise:
-        for first in range(0, ticks, _BLOCK):
-            errors[first : first + _BLOCK] += sensor.roof_noise * _noise(sensor, first // _BLOCK)
-    return errors[:ticks]
-
-
-def _noise(sensor: SensorAndPump, block: int) -> NDArray[np.float64]:
-    return np.random.default_rng([sensor.noise_seed, block]).standard_normal(_BLOCK)
+    noise = [
+        np.random.default_rng([sensor.noise_seed, block]).standard_normal(_BLOCK)
+        for block in range(math.ceil(ticks / _BLOCK))
+    ]
+    return sensor.roof_offset + sensor.roof_noise * np.concatenate([*noise, np.empty(0)])[:ticks]
 
 
 # A pump switch: whether the pumps are on, the ticks since they were switched, and the command that

@@ -168,7 +168,7 @@ def layer_outflow(p: PlantParameters, layer: float, inflow: float, seconds: floa
         inflow: percolation during the tick (m3/s).
         seconds: duration of the tick (s).
     """
-    if not p.has_layer or (inflow == 0 and layer == 0):
+    if p.layer_storage == 0 or (inflow == 0 and layer == 0):
         return inflow
     k = 1 / (p.layer_storage * p.drainage_time)
     rate = math.sqrt(inflow * k)
@@ -232,10 +232,3 @@ def max_fall_rate(p: PlantParameters, level: float) -> float:
     if p.has_field_capacity:
         return max(0.0, level - p.z_cap / p.a2) / p.tau
     return p.K * (level + p.z_soil) / p.z_soil
-
-
-def stress_volume(p: PlantParameters) -> float:
-    """Return the volume (m3) below which plants lack water: K_s < 1; 0 for the paper's soil."""
-    if not p.has_field_capacity:
-        return 0.0
-    return p.wilting_volume + p.stress_onset * p.available_volume

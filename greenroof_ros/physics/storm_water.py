@@ -118,12 +118,17 @@ def wet_time_left(without_rain: float, wet_after: float) -> float:
     return max(0.0, wet_after - without_rain)
 
 
-def interval_seconds(site: Site) -> float:
-    """Return the duration of an interval (s): a minute, rounded up to a whole number of ticks.
+def interval_ticks(tau: float) -> int:
+    """Return the length of an interval (ticks of tau seconds): a minute, rounded up.
 
     Peaks and events are computed from sums over these intervals.
     """
-    return site.tau * math.ceil(_INTERVAL_S / site.tau - 1e-9)
+    return math.ceil(_INTERVAL_S / tau - 1e-9)
+
+
+def interval_seconds(site: Site) -> float:
+    """Return the duration of an interval (s)."""
+    return site.tau * interval_ticks(site.tau)
 
 
 def connected_area(site: Site) -> float:

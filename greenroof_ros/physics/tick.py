@@ -68,7 +68,7 @@ def step(
         # A limited tank ends at 0, not a bit below it.
         max(0.0, x1 + tau * (into_cistern - outflow - pump)),
         max(0.0, x2 + tau * (fallen + pump - (evaporated + percolated))),
-        max(0.0, layer + tau * (percolated - drained)) if p.has_layer else layer,
+        max(0.0, layer + tau * (percolated - drained)),
     )
     return after, Flows(outflow, pump, drained, evaporated, limited or dry, mains, low)
 

@@ -28,7 +28,6 @@ class VirtualSite:
         tick: number of the current tick.
         frost: 0 without frost in the current tick; any other value, including NaN, means frost. The
             caller sets this attribute.
-        quiet: whether the current tick is within the site's quiet hours.
     """
 
     def __init__(
@@ -46,18 +45,13 @@ class VirtualSite:
             ticks: number of ticks for which the sensor may have errors.
         """
         self.state = State(x1, x2, site.initial_layer)
-        self.tick = 0
-        self.frost = 0.0
-        self._parameters, self._a1, self._a2 = plant_parameters(site), site.a1, site.a2
+        self.tick, self.frost = 0, 0.0
+        self._site, self._parameters, self._step = site, plant_parameters(site), step
         self._start_ns, self._tick_ns = start_ns, round(site.tau * 1e9)
         self._errors = read_errors(sensor_and_pump, ticks).tolist()
         self._min_on = min_ticks(sensor_and_pump.pump_min_on, site.tau)
         self._min_off = min_ticks(sensor_and_pump.pump_min_off, site.tau)
         self._switch = [0.0, self._min_off, 0.0]
-        self._closed_in_frost = site.valve_closed_in_frost
-        self._quiet_hours = site.quiet
-        self.quiet = site.quiet is not None and site.quiet.quiet_at(start_ns)
-        self._step = step
 
     def compile(self) -> None:
         """Compute the following ticks with the compiled plant, which takes a while to load."""
@@ -68,12 +62,17 @@ class VirtualSite:
         """The time of the current tick (ns since 1970)."""
         return self._start_ns + self.tick * self._tick_ns
 
+    @property
+    def quiet(self) -> bool:
+        """Whether the current tick is within the site's quiet hours."""
+        return self._site.quiet is not None and self._site.quiet.quiet_at(self.time_ns)
+
     def levels(self) -> tuple[float, float]:
         """Return the true levels of the cistern and the roof (m).
 
         The level of the roof is that in the substrate, without the water in the drainage layer.
         """
-        return self.state.cistern / self._a1, self.state.roof / self._a2
+        return self.state.cistern / self._parameters.a1, self.state.roof / self._parameters.a2
 
     def observe(self) -> tuple[float, float]:
         """Return the readings of the cistern's and the roof's sensors in the current tick (m)."""
@@ -97,7 +96,7 @@ class VirtualSite:
         """
         may_run = self.frost == 0 and not self.quiet
         switched = switch_pump(self._switch, self._min_on, self._min_off, command, may_run)
-        if self._closed_in_frost and self.frost != 0:
+        if self.frost != 0 and self._site.valve_closed_in_frost:
             outlet = 0.0
         self._after, flows = self._step(
             self._parameters, self.state, precipitation, evapotranspiration, switched, outlet,
@@ -110,5 +109,3 @@ class VirtualSite:
         """Proceed to the next tick, after :meth:`act`."""
         self.state = self._after
         self.tick += 1
-        if self._quiet_hours is not None:
-            self.quiet = self._quiet_hours.quiet_at(self.time_ns)

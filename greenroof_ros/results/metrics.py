@@ -9,17 +9,16 @@ import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from datetime import date, datetime
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from greenroof_ros.physics.parameters import Flows, State
+from greenroof_ros.physics.parameters import Flows, State, plant_parameters
 from greenroof_ros.physics.pump import RUNNING_SHARE
 from greenroof_ros.physics.storm_water import (
     HOUR_S,
     Event,
     connected_area,
-    interval_seconds,
     is_wet,
     time_without_rain,
 )
@@ -42,9 +41,10 @@ class Metric:
         unit: unit in tables; 1 for a dimensionless number.
         label: name in tables.
         meaning: short description.
-        compute: function that computes the metric from the site and the sums of a run, or returns
-            None if the metric is undefined for the run.
-        form: format of the number in tables.
+        value: place of the metric's sum, in the unit or, for a unit of h, in ticks; or a function
+            that computes the metric from the site and the sums of a run, or returns None if the
+            metric is undefined for the run.
+        form: format of the number in tables; ``d`` for a whole number.
         max: highest acceptable value; higher values are shown as warnings.
         needs: what a record must contain.
     """
@@ -52,9 +52,9 @@ class Metric:
     name: str
     unit: str
     label: str
+    form: str
+    value: int | Callable[[Site, Any], float | None]
     meaning: str
-    compute: Callable[[Site, Any], Any]
-    form: str = ".4g"
     max: float = math.inf
     needs: str = ""
 
@@ -62,18 +62,6 @@ class Metric:
     def description(self) -> str:
         """Unit and meaning, as shown in tables next to the number."""
         return self.meaning if self.unit == "1" else f"{self.unit}, {self.meaning}"
-
-
-def _sum(place: int, factor: float = 1.0) -> Callable[[Site, Any], float]:
-    return lambda site, sums: sums[place] * factor
-
-
-def _count(place: int) -> Callable[[Site, Any], int]:
-    return lambda site, sums: int(sums[place])
-
-
-def _hours(place: int) -> Callable[[Site, Any], float]:
-    return lambda site, sums: sums[place] * site.tau / HOUR_S
 
 
 def _ratio(part: float, whole: float) -> float | None:
@@ -100,111 +88,101 @@ def _demand_met(site: Site, sums: Any) -> float | None:
     return _without(from_mains + max(0.0, fallen - sums[s.OUTFLOW]), sums[s.PUMPED])
 
 
-def _peak(
-    place: int, seconds: float, factor: Callable[[Site], float]
-) -> Callable[[Site, Any], float]:
-    return lambda site, sums: factor(site) * sums[place] / seconds
-
-
 def _peaks(unit: str, label: str, meaning: str, factor: Callable[[Site], float]) -> list[Metric]:
     """Return the peaks in a unit: the factor times m3/s."""
-    return [
-        Metric(
-            f"peak_discharge_{minutes}min_{unit.replace('/', '_').lower()}", unit,
-            f"{label}, {minutes} min", meaning.format(minutes),
-            _peak(place, 60 * minutes, factor),
-            needs=DISCHARGE,
+
+    def peak(place: int, minutes: int) -> Metric:
+        name = f"peak_discharge_{minutes}min_{unit.replace('/', '_').lower()}"
+        return Metric(
+            name, unit, f"{label}, {minutes} min", ".4g",
+            lambda site, sums: factor(site) * sums[place] / (60 * minutes),
+            meaning.format(minutes), needs=DISCHARGE,
         )
-        for minutes, place in zip(PEAKS_MIN, (s.PEAK_5, s.PEAK_15, s.PEAK_60), strict=True)
-    ]
+
+    return [peak(s.PEAK_5 + number, minutes) for number, minutes in enumerate(PEAKS_MIN)]
 
 
 METRICS = (
     Metric(
-        "total_deviation_m3", "m3", "total deviation",
+        "total_deviation_m3", "m3", "total deviation", ".2f", s.DEVIATION,
         "absolute deviation of the water on the roof from its target, summed over the time steps",
-        _sum(s.DEVIATION), form=".2f",
     ),
     Metric(
-        "near_target_hours", "h", "near the target",
+        "near_target_hours", "h", "near the target", ".2f", s.NEAR,
         f"time during which the water on the roof is within {NEAR_TARGET:.0%} of its target",
-        _hours(s.NEAR), form=".2f",
     ),
     Metric(
-        "mean_deviation_mm", "mm", "mean deviation",
+        "mean_deviation_mm", "mm", "mean deviation", ".2f",
+        lambda site, sums: 1000 * sums[s.DEVIATION] / (sums[s.TICKS] + 1) / site.a2,
         "mean absolute deviation of the water on the roof from its target, as a depth",
-        lambda site, sums: 1000 * sums[s.DEVIATION] / (sums[s.TICKS] + 1) / site.a2, form=".2f",
     ),
     Metric(
-        "stress_hours", "h", "water stress",
+        "stress_hours", "h", "water stress", ".2f", s.STRESSED,
         "time during which the plants lack water: the stress coefficient K_s of FAO-56 is below "
         "1, or the roof contains no water",
-        _hours(s.STRESSED), form=".2f",
     ),
     Metric(
-        "evapotranspiration_ratio", "1", "evapotranspiration ratio",
+        "evapotranspiration_ratio", "1", "evapotranspiration ratio", ".1%",
+        lambda site, sums: _ratio(sums[s.EVAPORATED], sums[s.POTENTIAL]),
         "actual evapotranspiration divided by potential evapotranspiration",
-        lambda site, sums: _ratio(sums[s.EVAPORATED], sums[s.POTENTIAL]), ".1%",
     ),
     Metric(
-        "rain_kept_share", "1", "rain kept", "share of the rain on the roof that did not drain",
-        lambda site, sums: _without(sums[s.LOST], sums[s.RAIN] * site.a2), ".1%",
+        "rain_kept_share", "1", "rain kept", ".1%",
+        lambda site, sums: _without(sums[s.LOST], sums[s.RAIN] * site.a2),
+        "share of the rain on the roof that did not drain",
     ),
     Metric(
-        "rain_kept_share_hour", "1", "rain kept in hours with more than 20 mm",
+        "rain_kept_share_hour", "1", "rain kept in hours with more than 20 mm", ".1%",
+        lambda site, sums: _without(sums[s.HOUR_LOST], sums[s.HOUR_RAIN]),
         "share of the rain that did not drain in the same hour, over all hours with more than 20 "
         "mm of rain",
-        lambda site, sums: _without(sums[s.HOUR_LOST], sums[s.HOUR_RAIN]), ".1%",
     ),
     Metric(
-        "rain_kept_share_day", "1", "rain kept in 24 h periods with more than 10 mm",
+        "rain_kept_share_day", "1", "rain kept in 24 h periods with more than 10 mm", ".1%",
+        lambda site, sums: _without(sums[s.DAY_LOST], sums[s.DAY_RAIN]),
         "share of the rain that did not drain within these periods, over all periods of 24 hours "
         "with more than 10 mm of rain",
-        lambda site, sums: _without(sums[s.DAY_LOST], sums[s.DAY_RAIN]), ".1%",
     ),
     Metric(
-        "mains_m3", "m3", "mains water used",
-        "mains water that flowed into the cistern, if the site has a mains supply",
+        "mains_m3", "m3", "mains water used", ".4g",
         lambda site, sums: None if site.mains_level is None else sums[s.MAINS],
+        "mains water that flowed into the cistern, if the site has a mains supply",
     ),
     Metric(
-        "demand_met_share", "1", "irrigation with rain",
+        "demand_met_share", "1", "irrigation with rain", ".1%", _demand_met,
         "share of the pumped water that was neither mains water nor in the cistern at the start, "
         "if the site has a mains supply",
-        _demand_met, ".1%",
     ),
     Metric(
-        "final_cistern_m3",
-        "m3", "cistern at the end", "water volume in the cistern at the end of the run",
-        _sum(s.CISTERN), ".6g",
+        "final_cistern_m3", "m3", "cistern at the end", ".6g", s.CISTERN,
+        "water volume in the cistern at the end of the run",
     ),
     Metric(
-        "final_roof_m3", "m3", "roof at the end", "water volume on the roof at the end of the run",
-        _sum(s.ROOF), ".6g",
+        "final_roof_m3", "m3", "roof at the end", ".6g", s.ROOF,
+        "water volume on the roof at the end of the run",
     ),
     Metric(
-        "final_layer_m3", "m3", "drainage layer at the end",
+        "final_layer_m3", "m3", "drainage layer at the end", ".6g",
+        lambda site, sums: None if site.drainage_storage is None else sums[s.LAYER],
         "water volume in the drainage layer at the end of the run, for a field-capacity soil",
-        lambda site, sums: None if site.drainage_storage is None else sums[s.LAYER], ".6g",
     ),
     Metric(
-        "pumped_m3", "m3", "pumped", "water pumped from the cistern to the roof", _sum(s.PUMPED),
+        "pumped_m3", "m3", "pumped", ".4g", s.PUMPED, "water pumped from the cistern to the roof",
     ),
     Metric(
-        "outflow_m3", "m3", "outflow", "water that flowed from the cistern to the sewer",
-        _sum(s.OUTFLOW),
+        "outflow_m3", "m3", "outflow", ".4g", s.OUTFLOW,
+        "water that flowed from the cistern to the sewer",
     ),
-    Metric("drainage_m3", "m3", "drainage", "water that drained off the roof", _sum(s.DRAINED)),
+    Metric("drainage_m3", "m3", "drainage", ".4g", s.DRAINED, "water that drained off the roof"),
     Metric(
-        "discharge_m3", "m3", "discharge",
+        "discharge_m3", "m3", "discharge", ".4g", s.DISCHARGE,
         "water that reached the sewer: the outflow, and the drainage that did not flow into the "
-        "cistern",
-        _sum(s.DISCHARGE), needs=DISCHARGE,
+        "cistern", needs=DISCHARGE,
     ),
     Metric(
-        "wet_discharge_m3", "m3", "discharge in wet weather",
+        "wet_discharge_m3", "m3", "discharge in wet weather", ".4g", s.WET_DISCHARGE,
         "water that reached the sewer during rain or within wet_after hours after rain",
-        _sum(s.WET_DISCHARGE), needs=DISCHARGE,
+        needs=DISCHARGE,
     ),
     *_peaks("L/s", "peak discharge", "highest mean discharge over {} min", lambda site: 1000.0),
     *_peaks(
@@ -214,83 +192,76 @@ METRICS = (
         lambda site: 1000 * HOUR_S / connected_area(site),
     ),
     Metric(
-        "overflow_m3",
-        "m3", "overflow", "water that left the cistern through its upper outlet",
-        _sum(s.OVERFLOW), needs=LOW_OUTLET,
+        "overflow_m3", "m3", "overflow", ".4g", s.OVERFLOW,
+        "water that left the cistern through its upper outlet", needs=LOW_OUTLET,
     ),
     Metric(
-        "overflow_days", "1", "days of overflow",
+        "overflow_days", "1", "days of overflow", "d", s.OVERFLOW_DAYS,
         "number of calendar days, on the site's clock, with an overflow of at least 0.1 mm over "
-        "the connected area",
-        _count(s.OVERFLOW_DAYS), "d", needs=LOW_OUTLET,
+        "the connected area", needs=LOW_OUTLET,
     ),
     Metric(
-        "retention_share", "1", "retention",
-        "share of the rain on the roof and the catchment that did not reach the sewer; below 0 if "
-        "more water reached the sewer than fell, such as mains water",
+        "retention_share", "1", "retention", ".1%",
         lambda site, sums: _without(sums[s.DISCHARGE], sums[s.RAIN] * connected_area(site)),
-        ".1%", needs=DISCHARGE,
+        "share of the rain on the roof and the catchment that did not reach the sewer; below 0 if "
+        "more water reached the sewer than fell, such as mains water", needs=DISCHARGE,
     ),
     Metric(
-        "rain_m3", "m3", "rain", "rain that flowed into the cistern or fell on the roof",
-        lambda site, sums: sums[s.RAIN] * connected_area(site),
+        "rain_m3", "m3", "rain", ".4g", lambda site, sums: sums[s.RAIN] * connected_area(site),
+        "rain that flowed into the cistern or fell on the roof",
     ),
     Metric(
-        "rain_cistern_m3",
-        "m3", "rain into the cistern", "rain that flowed into the cistern from the catchment",
+        "rain_cistern_m3", "m3", "rain into the cistern", ".4g",
         lambda site, sums: sums[s.RAIN] * site.effective_catchment,
+        "rain that flowed into the cistern from the catchment",
     ),
     Metric(
-        "rain_roof_m3", "m3", "rain on the roof", "rain that fell on the whole roof",
-        lambda site, sums: sums[s.RAIN] * site.a2,
+        "rain_roof_m3", "m3", "rain on the roof", ".4g", lambda site, sums: sums[s.RAIN] * site.a2,
+        "rain that fell on the whole roof",
     ),
     Metric(
-        "evapotranspiration_m3", "m3", "evapotranspiration",
+        "evapotranspiration_m3", "m3", "evapotranspiration", ".4g", s.EVAPORATED,
         "water that evaporated from the soil and the plants",
-        _sum(s.EVAPORATED),
     ),
     Metric(
-        "max_command", "1", "maximum command", "highest command, as a share of the maximum flow",
-        _sum(s.MAX_COMMAND), ".6g", max=1,
+        "max_command", "1", "maximum command", ".6g", s.MAX_COMMAND,
+        "highest command, as a share of the maximum flow", max=1,
     ),
     Metric(
-        "beyond_hours", "h", "beyond the pump", "time during which the command is above 1",
-        _hours(s.BEYOND), form=".4f", max=0,
+        "beyond_hours", "h", "beyond the pump", ".4f", s.BEYOND,
+        "time during which the command is above 1", max=0,
     ),
     Metric(
-        "limited_steps", "1", "limited ticks",
-        "time steps in which a tank contained less water than was demanded",
-        _count(s.LIMITED), "d", max=0, needs=LIMITED,
+        "limited_steps", "1", "limited ticks", "d", s.LIMITED,
+        "time steps in which a tank contained less water than was demanded", max=0, needs=LIMITED,
     ),
     Metric(
-        "pump_starts", "1", "pump starts",
-        f"number of times that the flow of the pumps rose {_RUNS}", _count(s.STARTS), "d",
+        "pump_starts", "1", "pump starts", "d", s.STARTS,
+        f"number of times that the flow of the pumps rose {_RUNS}",
     ),
     Metric(
-        "busiest_hour_starts",
-        "1", "starts in an hour", "maximum number of pump starts in 60 minutes",
-        _count(s.BUSIEST_HOUR), "d",
+        "busiest_hour_starts", "1", "starts in an hour", "d", s.BUSIEST_HOUR,
+        "maximum number of pump starts in 60 minutes",
     ),
     Metric(
-        "excess_starts", "1", "too many starts",
-        "number of pump starts in excess of starts_per_hour, counted over the hour "
-        "before each start",
-        _count(s.EXCESS_STARTS), "d", max=0,
+        "excess_starts", "1", "too many starts", "d", s.EXCESS_STARTS,
+        "number of pump starts in excess of starts_per_hour, counted over the hour before each "
+        "start", max=0,
     ),
     Metric(
-        "pump_hours", "h", "pump running", f"time during which the flow of the pumps is {_RUNS}",
-        _hours(s.PUMP_TICKS), form=".3f",
+        "pump_hours", "h", "pump running", ".3f", s.PUMP_TICKS,
+        f"time during which the flow of the pumps is {_RUNS}",
     ),
     Metric(
-        "hydraulic_energy_kwh", "kWh", "hydraulic energy",
+        "hydraulic_energy_kwh", "kWh", "hydraulic energy", ".4g",
+        lambda site, sums: sums[s.ENERGY_J] * (1 / _JOULES_PER_KWH),
         "energy that the pumps add to the water: the product of density, gravitational "
         "acceleration, flow and head, integrated over time",
-        _sum(s.ENERGY_J, 1 / _JOULES_PER_KWH),
     ),
     Metric(
-        "electric_energy_kwh", "kWh", "electric energy",
-        "electric energy of the pumps: hydraulic energy divided by pump_efficiency",
+        "electric_energy_kwh", "kWh", "electric energy", ".4g",
         lambda site, sums: sums[s.ENERGY_J] / _JOULES_PER_KWH / site.pump_efficiency,
+        "electric energy of the pumps: hydraulic energy divided by pump_efficiency",
     ),
 )
 
@@ -305,45 +276,13 @@ def compute_metrics(
         sums: sums of the run after :func:`.sums.finish`.
         unknown: what a record lacks; metrics that need it are left out.
     """
-    values = (
-        (metric, metric.compute(site, sums)) for metric in METRICS if metric.needs not in unknown
-    )
-    return {
-        metric.name: value if metric.form == "d" else float(value)
-        for metric, value in values if value is not None
-    }
-
-
-def list_events(site: Site, sums: Any, events: Any) -> list[Event]:
-    """Return the rain events of a run in chronological order, excluding traces below 0.1 mm.
-
-    Args:
-        site: parameters of the site.
-        sums: sums of the run after :func:`.sums.finish`.
-        events: table of the events.
-    """
-    seconds, area = interval_seconds(site), connected_area(site)
-    per_hour = 1000 * HOUR_S
-    result = []
-    for row in np.asarray(events)[: int(sums[s.EVENTS])].tolist():
-        heaviest, peak = row[s.MAX_5] / 300, row[s.PEAK] / 300
-        delay = row[s.DELAY] * seconds / 60
-        result.append(Event(
-            start_h=row[s.BEGIN] * seconds / HOUR_S,
-            hours=(row[s.END] - row[s.BEGIN]) * seconds / HOUR_S,
-            rain_mm=1000 * row[s.DEPTH],
-            max_rain_5min_mm_h=per_hour * heaviest,
-            max_rain_60min_mm_h=1000 * row[s.MAX_60],
-            discharge_m3=row[s.VOLUME],
-            wet_discharge_m3=row[s.WET_VOLUME],
-            peak_l_s=1000 * peak,
-            peak_mm_h=per_hour * peak / area,
-            volume_reduction=1 - row[s.WET_VOLUME] / (row[s.DEPTH] * area),
-            peak_reduction=1 - peak / (heaviest * area),
-            peak_delay_min=None if math.isnan(delay) else delay,
-            complete=row[s.COMPLETE] > 0,
-        ))
-    return result
+    metrics: dict[str, float] = {}
+    for metric in METRICS:
+        value = metric.value(site, sums) if callable(metric.value) else sums[metric.value]
+        if value is not None and metric.needs not in unknown:
+            value = value * site.tau / HOUR_S if metric.unit == "h" else value
+            metrics[metric.name] = int(value) if metric.form == "d" else float(value)
+    return metrics
 
 
 def find_new_days(site: Site, start: float, ticks: int) -> list[int]:
@@ -368,6 +307,38 @@ def find_new_days(site: Site, start: float, ticks: int) -> list[int]:
     return [math.ceil((midnight - middle) / site.tau) for midnight in midnights]
 
 
+class Results(NamedTuple):
+    """What a run leaves."""
+
+    metrics: dict[str, float]
+    """metrics by name"""
+    weeks: list[float]
+    """total deviation of each week (m3), see :func:`.sums.read_weeks`"""
+    events: list[Event]
+    """rain events in chronological order, excluding traces below 0.1 mm"""
+
+
+def end_run(
+    site: Site, sums: Any, events: Any, state: State, unknown: Collection[str] = ()
+) -> Results:
+    """End a run, and return its results.
+
+    Args:
+        site: parameters of the site.
+        sums: sums of the run.
+        events: table of the events.
+        state: state after the last tick.
+        unknown: as for :func:`compute_metrics`.
+    """
+    p = plant_parameters(site)
+    s.finish(p, sums, events, state)
+    rows = np.asarray(events)[: int(sums[s.EVENTS])].tolist()
+    return Results(compute_metrics(site, sums, unknown), s.read_weeks(p, sums), [
+        Event._make((*values, None if math.isnan(delay) else delay, complete > 0))
+        for *values, delay, complete in rows
+    ])
+
+
 class Metrics:
     """The metrics of a run in progress."""
 
@@ -382,49 +353,25 @@ class Metrics:
             start: start of the run (s since 1970).
             without_rain: time without rain at the start (s).
         """
-        self._site, self._numbers = site, s.sum_parameters(site)
-        self._sums: list[float] = [0.0] * s.count_places(self._numbers)
-        self._weeks = [0.0] * s.count_weeks(self._numbers, ticks)
-        self._events = np.zeros((s.count_events(self._numbers, ticks), s.EVENT_COLUMNS))
+        self._site, self._parameters = site, plant_parameters(site)
+        self._sums = [0.0] * s.count_places(self._parameters, ticks)
+        self._events = np.zeros((s.count_events(self._parameters, ticks), len(Event._fields)))
         self._new_days = set(find_new_days(site, start, ticks))
         self._tick, self._without_rain = 0, without_rain
-        self._tau, self._wet_after = site.tau, site.wet_after * HOUR_S
 
     def add(
         self, state: State, command: float, rain: float, potential: float, flows: Flows
     ) -> None:
         """Add the next tick; see :func:`.sums.add`."""
-        self._without_rain = time_without_rain(self._without_rain, rain, self._tau)
-        wet = is_wet(self._without_rain, self._tau, self._wet_after)
+        tau = self._site.tau
+        self._without_rain = time_without_rain(self._without_rain, rain, tau)
+        wet = is_wet(self._without_rain, tau, self._site.wet_after * HOUR_S)
         s.add(
-            self._numbers, self._sums, self._weeks, self._events, state, command, rain, potential,
-            flows, wet, self._tick in self._new_days,
+            self._parameters, self._sums, self._events, state, command, rain, potential, flows,
+            wet, self._tick in self._new_days,
         )
         self._tick += 1
 
-    def results(self, state: State, unknown: Collection[str] = ()) -> dict[str, float]:
-        """Return all metrics by name, as if the run ended in a state.
-
-        Args:
-            state: state after the last tick.
-            unknown: as for :func:`compute_metrics`.
-        """
-        return compute_metrics(self._site, self._finish(state)[0], unknown)
-
-    def weekly_deviations(self, state: State) -> list[float]:
-        """Return every week's total deviation (m3), as if the run ended in a state.
-
-        The sum of a season would conceal a bad fortnight. The last week can be shorter; it includes
-        the final state, so that the weeks add up to the total.
-        """
-        return self._finish(state)[1]
-
-    def events(self, state: State) -> list[Event]:
-        """Return the rain events, as if the run ended in a state."""
-        sums, _, events = self._finish(state)
-        return list_events(self._site, sums, events)
-
-    def _finish(self, state: State) -> tuple[list[float], list[float], Any]:
-        sums, weeks, events = [*self._sums], [*self._weeks], self._events.copy()
-        s.finish(self._numbers, sums, weeks, events, state)
-        return sums, weeks, events
+    def results(self, state: State) -> Results:
+        """Return the results, as if the run ended in a state."""
+        return end_run(self._site, [*self._sums], self._events.copy(), state)

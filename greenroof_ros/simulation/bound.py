@@ -425,7 +425,7 @@ def simulate_plan(run: Run, max_command: float = 1.0) -> dict[str, float]:
     simulation = Simulation(known, controller)
     for _ in simulation.ticks():
         pass
-    return simulation.metrics.results(simulation.site.state)
+    return simulation.metrics.results(simulation.site.state).metrics
 
 
 class _PlanController:

@@ -126,11 +126,9 @@ class Simulation:
 
     def summary(self) -> dict[str, Any]:
         """Return the content of ``summary.json``; call this after the last tick."""
-        state = self.site.state
         return summary.make_summary(
-            self._run, self.metrics.results(state), self.metrics.weekly_deviations(state),
-            self.metrics.events(state), wall_s=time.monotonic() - self._began,
-            solver=read_statistics(self._controller),
+            self._run, *self.metrics.results(self.site.state),
+            wall_s=time.monotonic() - self._began, solver=read_statistics(self._controller),
         )
 
 

@@ -36,7 +36,7 @@ from greenroof_ros.physics.sensor_and_pump import (
 from greenroof_ros.physics.storm_water import HOUR_S, Event, is_wet, time_without_rain
 from greenroof_ros.physics.tick import OWN_PUMPS, step
 from greenroof_ros.results import sums as s
-from greenroof_ros.results.metrics import compute_metrics, find_new_days, list_events
+from greenroof_ros.results.metrics import end_run, find_new_days
 from greenroof_ros.results.sums import add
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.horizon import look_ahead_ends
@@ -185,8 +185,6 @@ class Sites(NamedTuple):
 
     parameters: Any
     """:class:`.PlantParameters`"""
-    numbers: Any
-    """:class:`.SumParameters`"""
     controls: Any
     """:class:`Control`"""
     groups: Any
@@ -199,8 +197,6 @@ class Sites(NamedTuple):
     """switches of the pumps, see :mod:`.sensor_and_pump`, shape (n, 3)"""
     sums: Any
     """sums of the runs, shape (n, places)"""
-    weeks: Any
-    """deviation in each week (m3), shape (n, weeks)"""
     events: Any
     """rain events, shape (n, events, columns)"""
     kept: Any
@@ -220,10 +216,8 @@ def run_ticks(sites: Any, ticks: Any, hydrograph: Any, every: int, steps: int) -
     """
     first, rain, potential, frost, without_rain, quiet, new_day, errors = ticks
     for row in range(len(sites.state)):
-        p, q, c = sites.parameters[row], sites.numbers[row], sites.controls[row]
-        switch, sums, weeks, events = (
-            sites.switches[row], sites.sums[row], sites.weeks[row], sites.events[row]
-        )
+        p, c = sites.parameters[row], sites.controls[row]
+        switch, sums, events = sites.switches[row], sites.sums[row], sites.events[row]
         state, kept, of_group = sites.state[row], sites.kept[row], hydrograph[sites.groups[row]]
         now, level = State(state[0], state[1], state[2]), float(sites.levels[row])
         for n in range(len(rain)):
@@ -248,10 +242,10 @@ def run_ticks(sites: Any, ticks: Any, hydrograph: Any, every: int, steps: int) -
                 )
             if k == steps:
                 break
-            add(q, sums, weeks, events, now, command, falls, demand, flows, wet, new_day[n])
+            add(p, sums, events, now, command, falls, demand, flows, wet, new_day[n])
             if flows.outflow > 0 or flows.drainage > 0:
-                interval = int(k // q.interval_ticks)
-                of_group[0][interval] += p.tau * (flows.outflow + q.to_sewer * flows.drainage)
+                interval, to_sewer = int(k // p.interval_ticks), 1 - p.drainage_to_cistern
+                of_group[0][interval] += p.tau * (flows.outflow + to_sewer * flows.drainage)
                 of_group[1][interval] += p.tau * flows.low_outlet
             now = after
         state[0], state[1], state[2] = now.cistern, now.roof, now.layer
@@ -305,7 +299,7 @@ def simulate_season(
         plan = site.wet_after if planned else None
         key = plan, cases[row].weather, site.zone, site.quiet_hours
         together.setdefault(key, []).append(row)
-    intervals = -(-steps // int(s.sum_parameters(cases[0].site).interval_ticks))
+    intervals = -(-steps // int(plant_parameters(cases[0].site).interval_ticks))
     hydrograph = np.zeros((1 + max(case.group for case in cases), 2, intervals))
     results: dict[int, CaseResult] = {}
     with ThreadPoolExecutor(threads) as pool:
@@ -351,31 +345,27 @@ class _Season:
             for seconds in (sensor_and_pump.pump_min_on, sensor_and_pump.pump_min_off)
         )
         plants = [plant_parameters(case.site) for case in cases]
-        self._numbers = numbers = [s.sum_parameters(case.site) for case in cases]
         controls = [Control(
             case.parameters["fraction"], case.parameters["level"] * case.site.z_veg, min_on,
             min_off, POLICIES.index(case.parameters.get("outlet", OPEN)),
             case.site.valve_closed_in_frost, case.site.wet_after * HOUR_S, case.bed,
         ) for case in cases]
         groups = np.array([case.group for case in cases])
-        events = max(s.count_events(q, steps) for q in numbers) if total == 1 else 0
+        events = s.count_events(plants[0], steps) if total == 1 else 0
         kept = -(-steps // every) + 1 if every else 0
-        parameters, q, c = (
-            records(each) if self._compiles else each for each in (plants, numbers, controls)
-        )
-        state, switches, sums, weeks = map(self._as_taken, (
+        p, c = (records(each) if self._compiles else each for each in (plants, controls))
+        state, switches, sums = map(self._as_taken, (
             np.array([(case.x1, case.x2, case.site.initial_layer) for case in cases]),
             np.tile((0.0, min_off, 0.0), (count, 1)),
-            np.zeros((count, max(map(s.count_places, numbers)))),
-            np.zeros((count, max(s.count_weeks(each, steps) for each in numbers))),
+            np.zeros((count, s.count_places(plants[0], steps))),
         ))
         reserves, prices, reaches = (
             np.array([case.parameters.get(name, 0.0) for case in cases])
             for name in ("outlet_reserve", "outlet_price", "outlet_reach")
         )
         self._sites = Sites(
-            parameters, q, c, np.zeros(count, np.intp), reserves, state, switches, sums, weeks,
-            np.zeros((count, events, s.EVENT_COLUMNS)), np.zeros((count, kept, len(KEPT))),
+            p, c, np.zeros(count, np.intp), reserves, state, switches, sums,
+            np.zeros((count, events, len(Event._fields))), np.zeros((count, kept, len(KEPT))),
         )
         self.parts: list[tuple[slice, NDArray[np.intp], Any]] = []
         bounds = np.unique(np.linspace(0, count, _PARTS + 1).astype(int)).tolist()
@@ -440,13 +430,8 @@ class _Season:
     def results(self) -> Iterator[CaseResult]:
         """Yield the results of each site after the last tick."""
         sites = self._sites
-        for case, q, state, sums, weeks, events, kept in zip(
-            self._cases, self._numbers, sites.state, sites.sums, sites.weeks, sites.events,
-            sites.kept, strict=True,
+        for case, *taken, events, kept in zip(
+            self._cases, sites.state, sites.sums, sites.events, sites.kept, strict=True
         ):
-            s.finish(q, sums, weeks, events, State(*map(float, state)))
-            sums, weeks = [*map(float, sums)], [*map(float, weeks)]
-            yield CaseResult(
-                compute_metrics(case.site, sums), weeks[: s.count_weeks(q, self._steps)],
-                list_events(case.site, sums, events) if len(events) else [], kept,
-            )
+            state, sums = ([*map(float, each)] for each in taken)
+            yield CaseResult(*end_run(case.site, sums, events, State(*state)), kept)

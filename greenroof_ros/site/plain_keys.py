@@ -8,8 +8,9 @@ for the same quantity are an error.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,44 +33,50 @@ SUBSTRATES: dict[str, dict[str, Any]] = {
 """the substrates of ``config/substrates.yaml``, by name"""
 
 
+def _plain(
+    determines: str, meaning: str, low: float = -math.inf, high: float = math.inf, unit: str = "",
+    usual: tuple[float, float] | None = None, choices: tuple[str, ...] = (),
+) -> Any:
+    """Return a field for a plain key, see :func:`.entry`, that determines parameters."""
+    made = entry(meaning, low, high, unit=unit, default=None, usual=usual, choices=choices)
+    return field(default=None, metadata={**made.metadata, "determines": (*determines.split(),)})
+
+
 @dataclass(frozen=True)
 class PlainKeys:
     """The plain keys, each of which is optional."""
 
-    cistern_volume: float | None = entry(
-        "volume of the cistern up to its overflow", 0.01, 1e5, unit="m3", default=None,
-        usual=(1, 50),
+    cistern_volume: float | None = _plain(
+        "a1", "volume of the cistern up to its overflow", 0.01, 1e5, "m3", (1, 50)
     )
-    cistern_height: float | None = entry(
-        "height of the cistern's overflow above its base", 0.1, 50.0, unit="m", default=None,
-        usual=(1, 3),
+    cistern_height: float | None = _plain(
+        "z_o", "height of the cistern's overflow above its base", 0.1, 50.0, "m", (1, 3)
     )
-    catchment_area: float | None = entry(
-        "area that drains to the cistern", 0.1, 1e6, unit="m2", default=None, usual=(50, 2000),
+    catchment_area: float | None = _plain(
+        "a_in", "area that drains to the cistern", 0.1, 1e6, "m2", (50, 2000)
     )
-    roof_area: float | None = entry(
-        "area of the green roof", 0.1, 1e6, unit="m2", default=None, usual=(20, 2000),
+    roof_area: float | None = _plain("a2", "area of the green roof", 0.1, 1e6, "m2", (20, 2000))
+    substrate: str | None = _plain(
+        "field_capacity wilting_point depletion_fraction drainage_storage drainage_time",
+        "name of the green roof's substrate", choices=tuple(SUBSTRATES),
     )
-    substrate: str | None = entry(
-        "name of the green roof's substrate", choices=tuple(SUBSTRATES), default=None,
+    substrate_depth: float | None = _plain(
+        "z_soil", "depth of the substrate", 0.02, 2.0, "m", (0.06, 0.5)
     )
-    substrate_depth: float | None = entry(
-        "depth of the substrate", 0.02, 2.0, unit="m", default=None, usual=(0.06, 0.5),
+    pump_flow: float | None = _plain(
+        "a_hat c_hat", "flow of the pump at full command, independent of the cistern's level", 1.0,
+        1e6, "l/h", (100, 5000),
     )
-    pump_flow: float | None = entry(
-        "flow of the pump at full command, independent of the cistern's level", 1.0, 1e6,
-        unit="l/h", default=None, usual=(100, 5000),
+    irrigation_rate: float | None = _plain(
+        "a_hat c_hat", "flow of the pump at full command, expressed as the depth of water that it "
+        "adds to the roof per hour", 0.1, 1000.0, "mm/h", (2, 10),
     )
-    irrigation_rate: float | None = entry(
-        "flow of the pump at full command, expressed as the depth of water that it adds to the "
-        "roof per hour", 0.1, 1000.0, unit="mm/h", default=None, usual=(2, 10),
+    emitters: int | None = _plain(
+        "a_hat c_hat", "number of drip emitters that the pump supplies at full command, each with "
+        "the flow emitter_flow", 1, 10_000_000, usual=(100, 5000),
     )
-    emitters: int | None = entry(
-        "number of drip emitters that the pump supplies at full command, each with the flow "
-        "emitter_flow", 1, 10_000_000, default=None, usual=(100, 5000),
-    )
-    emitter_flow: float | None = entry(
-        "flow of one drip emitter", 0.1, 100.0, unit="l/h", default=None, usual=(1, 4),
+    emitter_flow: float | None = _plain(
+        "a_hat c_hat", "flow of one drip emitter", 0.1, 100.0, "l/h", (1, 4)
     )
 
 
@@ -77,15 +84,7 @@ PLAIN: dict[str, Parameter] = {each.name: each for each in parameters_of(PlainKe
 """plain keys, by name"""
 
 DETERMINES: dict[str, tuple[str, ...]] = {
-    "cistern_volume": ("a1",), "cistern_height": ("z_o",), "catchment_area": ("a_in",),
-    "roof_area": ("a2",), "substrate_depth": ("z_soil",),
-    "substrate": (
-        "field_capacity", "wilting_point", "depletion_fraction", "drainage_storage",
-        "drainage_time",
-    ),
-    **dict.fromkeys(
-        ("pump_flow", "irrigation_rate", "emitters", "emitter_flow"), ("a_hat", "c_hat")
-    ),
+    each.name: each.metadata["determines"] for each in fields(PlainKeys)
 }
 """the paper's parameters that each plain key determines"""
 # Keys that belong together.

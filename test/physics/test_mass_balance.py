@@ -160,7 +160,7 @@ def test_any_storm_balances(
     valve = {"outlet": policy} if site.low_outlet_valve else {}
     simulation = Simulation(run_in(weather, site, x1, x2, fraction=fraction, **valve))
     ticks = list(simulation.ticks())
-    metrics = simulation.metrics.results(simulation.site.state)
+    metrics = simulation.metrics.results(simulation.site.state).metrics
 
     fallen = sum(hour[0] for hour in hours) / 1000
     collected = fallen * site.a_in * site.runoff_coefficient

@@ -144,7 +144,7 @@ def test_the_controller_sees_the_reading_and_the_sums_the_truth() -> None:
     run = paper_run("--controller", "onoff", "--hours", "0.2", "--roof-offset", "0.004")
     site, simulation = run.site, Simulation(run)
     ticks = list(simulation.ticks())
-    metrics = simulation.metrics.results(simulation.site.state)
+    metrics = simulation.metrics.results(simulation.site.state).metrics
     highest = max(tick.x2 for tick in ticks)
     assert site.x2_star - highest == pytest.approx(0.2752, abs=0.009)
     assert ticks[5].roof_level == ticks[5].x2 / site.a2 + 0.004

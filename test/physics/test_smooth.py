@@ -51,7 +51,7 @@ def test_linear_model_equals_complex_steps(
         missing = abs(site.a1 * site.mains_level - point[0])
         rate = abs(smooth_rates(site, *point)[0])
         assume(missing > site.tau * (rate + site.mains_flow))
-    model = linearise(site, plant_parameters(site), *point)
+    model = linearise(plant_parameters(site), *point)
     slope, B, C, b = linear_model(site, *point)
     computed = np.array(model.A) - np.eye(2)
     # The identity costs A's entries up to two units in the last place of 1.

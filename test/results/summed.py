@@ -8,8 +8,7 @@ from datetime import datetime
 from typing import NamedTuple
 
 from greenroof_ros.physics.parameters import Flows, State
-from greenroof_ros.physics.storm_water import Event
-from greenroof_ros.results.metrics import Metrics
+from greenroof_ros.results.metrics import Metrics, Results
 from greenroof_ros.site.site import Site
 
 STILL, END = Flows(0.0, 0.0, 0.0, 0.0, False, 0.0, 0.0), State(50.0, 1.0, 0.0)
@@ -25,18 +24,10 @@ class Tick(NamedTuple):
     potential: float = 0.0
 
 
-class Summed(NamedTuple):
-    """What a run leaves."""
-
-    results: dict[str, float]
-    weeks: list[float]
-    events: list[Event]
-
-
 def summed(
     site: Site, ticks: Iterable[Tick], end: State = END, start: str = "2021-07-07T00:00-05:00",
     without_rain: float = math.inf,
-) -> Summed:
+) -> Results:
     """Add up ticks.
 
     Args:
@@ -51,4 +42,4 @@ def summed(
     metrics = Metrics(site, len(ticks), time, without_rain)
     for flows, rain, command, state, potential in ticks:
         metrics.add(state, command, rain, potential, flows)
-    return Summed(metrics.results(end), metrics.weekly_deviations(end), metrics.events(end))
+    return metrics.results(end)

@@ -139,7 +139,7 @@ def test_without_pumping_the_bound_is_the_run(
     roofs = [tick.x2 for tick in simulation.ticks()]
     if site.field_capacity is None:
         assume(min(abs(x2 / site.z_cap - 1) for x2 in roofs) > 1e-8)
-    only = simulation.metrics.results(simulation.site.state)["total_deviation_m3"]
+    only = simulation.metrics.results(simulation.site.state).metrics["total_deviation_m3"]
     plan = simulate_plan(run)
     assert (plan["total_deviation_m3"], plan["pumped_m3"]) == (only, 0)
     assert bound == pytest.approx(only, rel=1e-6, abs=1e-6 * site.x2_star)

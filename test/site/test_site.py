@@ -104,6 +104,9 @@ MAINS: dict[str, object] = {"mains_level": 1.0, "mains_flow": 0.001}
 LOW: dict[str, object] = {"low_outlet_level": 1.0, "low_outlet_radius": 0.02}
 OWN: dict[str, object] = {"initial_cistern": 50.0, "initial_roof": 2.0}
 CLIMATE = "monthly_evapotranspiration"
+CLOCK: dict[str, object] = {
+    "quiet_hours": '["22:00-06:00"]', "time_zone": "EST", "utc_offset": -5,
+}
 
 
 @pytest.mark.parametrize(
@@ -134,7 +137,18 @@ CLIMATE = "monthly_evapotranspiration"
         (PAPERS, {CLIMATE: [*MONTHS[:11], 20.1]}, f"{CLIMATE}.12", "a number from 0 to 20 mm/day"),
         (PAPERS, {CLIMATE: 3.0}, CLIMATE, "a list (mean reference evapotranspiration"),
         (PAPERS, {"elevation": ""}, "elevation", "must have a value"),
-        (PAPERS, {"quiet_hours": '["22:00-06:00"]'}, "quiet_hours", "needs time_zone as well"),
+        (CLOCK, {"time_zone": None}, "quiet_hours", "needs time_zone as well"),
+        (CLOCK, {"quiet_hours": "22:00-06:00"}, "quiet_hours", "a list (intervals of the day dur"),
+        *((CLOCK, {"quiet_hours": f'["{hours}"]'}, "quiet_hours", "a list of intervals")
+          for hours in ("22", "24:00-06:00", "06:00-06:00")),
+        (CLOCK, {"quiet_hours": '["00:00-12:00", "12:00-24:00"]'}, "quiet_hours",
+         'a list of intervals of the day, such as ["22:00-06:00", "12:00-13:30"], and must leave '
+         "some time for pumping"),
+        (CLOCK, {"time_zone": "America/Tornto"}, "time_zone", "the IANA name of a time zone"),
+        (CLOCK, {"time_zone": "../secret"}, "time_zone", "the IANA name of a time zone"),
+        # -05:00 never, -04:00 now; in names that begin with Etc/ the sign is reversed.
+        (CLOCK, {"time_zone": "America/Halifax"}, "time_zone", "a time zone whose standard UTC"),
+        (CLOCK, {"time_zone": "Etc/GMT-5"}, "time_zone", "a time zone whose standard UTC offset"),
     ],
 )
 def test_wrong_values(

@@ -23,17 +23,10 @@ from greenroof_ros.physics.sensor_and_pump import (
     read_errors,
     switch_pump,
 )
-from greenroof_ros.physics.storm_water import HOUR_S, is_wet, time_without_rain
+from greenroof_ros.physics.storm_water import HOUR_S, Event, is_wet, time_without_rain
 from greenroof_ros.physics.tick import OWN_PUMPS, step
 from greenroof_ros.results.metrics import compute_metrics, find_new_days
-from greenroof_ros.results.sums import (
-    EVENT_COLUMNS,
-    add,
-    count_places,
-    count_weeks,
-    finish,
-    sum_parameters,
-)
+from greenroof_ros.results.sums import add, count_places, finish
 from greenroof_ros.simulation.loop import Tick
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.weather.series import PerTick
@@ -59,16 +52,15 @@ class Rules(NamedTuple):
 
 
 def follow(
-    parameters: Any, numbers: Any, rules: Any, times: Any, rain: Any, potential: Any, frost: Any,
-    quiet: Any, errors: Any, begins: Any, new_days: Any, commands: Any, state: Any, levels: Any,
-    switches: Any, without_rain: Any, days: Any, sums: Any, weeks: Any, events: Any, ticks: Any,
-    rewards: Any, first_row: int, last_row: int, first: int, last: int,
+    parameters: Any, rules: Any, times: Any, rain: Any, potential: Any, frost: Any, quiet: Any,
+    errors: Any, begins: Any, new_days: Any, commands: Any, state: Any, levels: Any, switches: Any,
+    without_rain: Any, days: Any, sums: Any, events: Any, ticks: Any, rewards: Any, first_row: int,
+    last_row: int, first: int, last: int,
 ) -> None:
     """Simulate sites with constant commands from a tick to another (exclusive).
 
     Args:
         parameters: :class:`.PlantParameters` of all sites, shape (1,).
-        numbers: :class:`.SumParameters` of all sites, shape (1,).
         rules: :class:`Rules` of all sites, shape (1,).
         times: numbers that find a tick in the record, shape (5,).
         rain: rain rate in each step of the record (m/s).
@@ -87,7 +79,6 @@ def follow(
         without_rain: time without rain until now (s), shape (n,).
         days: number of days that have begun, shape (n,).
         sums: sums of the runs, shape (n, places).
-        weeks: deviation in each week (m3), shape (n, weeks).
         events: an empty table of events.
         ticks: values of the last tick in the order of :class:`.Tick`, without its number, shape
             (n, 17).
@@ -98,10 +89,10 @@ def follow(
         first: first tick.
         last: end of the ticks.
     """
-    p, q, c = parameters[0], numbers[0], rules[0]
+    p, c = parameters[0], rules[0]
     tick_ns, step_ns, minute = times[_TICK], times[_STEP], times[_FIRST_MINUTE]
     for row in range(first_row, last_row):
-        switch, own, own_weeks, begin = switches[row], sums[row], weeks[row], begins[row]
+        switch, own, begin = switches[row], sums[row], begins[row]
         now = State(state[row][0], state[row][1], state[row][2])
         dry, day, reward = without_rain[row], days[row], 0.0
         asked, opening, roof = commands[row][0], commands[row][1], levels[row][1]
@@ -127,7 +118,7 @@ def follow(
             new_day = new_days[row][day] == k
             if new_day:
                 day += 1
-            add(q, own, own_weeks, events, now, command, falls, demand, flows, wet, new_day)
+            add(p, own, events, now, command, falls, demand, flows, wet, new_day)
             if k == last - 1:
                 place = ticks[row]
                 place[0], place[1], place[2] = now.cistern, now.roof, now.layer
@@ -145,11 +136,11 @@ def follow(
         without_rain[row], days[row], rewards[row] = dry, day, reward
 
 
-def finish_all(numbers: Any, sums: Any, weeks: Any, events: Any, state: Any) -> None:
+def finish_all(parameters: Any, sums: Any, events: Any, state: Any) -> None:
     """End the runs of all sites; see :func:`.sums.finish` and :func:`follow`."""
     for row in range(len(sums)):
         last = State(state[row][0], state[row][1], state[row][2])
-        finish(numbers[0], sums[row], weeks[row], events, last)
+        finish(parameters[0], sums[row], events, last)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +181,7 @@ class Surroundings:
             min_ticks(sensor.pump_min_on, site.tau), min_ticks(sensor.pump_min_off, site.tau),
             site.valve_closed_in_frost, site.wet_after * HOUR_S,
         )
-        parts = (plant_parameters(site), sum_parameters(site), rules)
+        parts = (plant_parameters(site), rules)
         arrays = (
             np.array(times), rain.values, series.evapotranspiration.values, series.frost.values,
             quiet, read_errors(sensor, run.steps + 1),
@@ -244,7 +235,7 @@ class CommandedSites:
         """
         self._surroundings, run, self.tick = surroundings, surroundings.run, 0
         as_taken = surroundings.as_taken
-        site, numbers, count = run.site, sum_parameters(run.site), len(starts)
+        site, count = run.site, len(starts)
         earlier = [surroundings.find_before(start) for start in starts]
         later = np.array([
             1000 * round((start - run.start) / timedelta(microseconds=1)) for start in starts
@@ -254,7 +245,7 @@ class CommandedSites:
         for row, (_, days) in enumerate(earlier):
             new_days[row, : len(days)] = days
         self._begins = as_taken(np.column_stack((hours, surroundings.rain_offset_ns + later)))
-        self._new_days, self._events = as_taken(new_days), np.zeros((0, EVENT_COLUMNS))
+        self._new_days, self._events = as_taken(new_days), np.zeros((0, len(Event._fields)))
         layers, roof = np.full(count, site.initial_layer), x2 / site.a2
         if len(surroundings.fixed[-1]):
             roof = np.maximum(0.0, roof + surroundings.fixed[-1][0])
@@ -267,9 +258,9 @@ class CommandedSites:
             np.array([before for before, _ in earlier]), np.zeros(count, np.int64),
             np.zeros(count),
         ))
-        self._sums, self._weeks, self._ticks = map(as_taken, (
-            np.zeros((count, count_places(numbers))),
-            np.zeros((count, count_weeks(numbers, run.steps))), np.zeros((count, 17)),
+        self._sums, self._ticks = map(as_taken, (
+            np.zeros((count, count_places(plant_parameters(site), run.steps))),
+            np.zeros((count, 17)),
         ))
 
     def follow(self, last: int, first_row: int, last_row: int) -> None:
@@ -277,13 +268,13 @@ class CommandedSites:
         function: Any = compiled(follow) if self._surroundings.compiles else follow
         function(
             *self._surroundings.fixed, self._begins, self._new_days, self.commands, self._state,
-            self.levels, self._switches, self.without_rain, self._days, self._sums, self._weeks,
-            self._events, self._ticks, self.rewards, first_row, last_row, self.tick, last,
+            self.levels, self._switches, self.without_rain, self._days, self._sums, self._events,
+            self._ticks, self.rewards, first_row, last_row, self.tick, last,
         )
 
     def find_weather(self, tick: int) -> Values:
         """Return the rain (m/s) and evapotranspiration (m3/s) of a tick, shape (2, n)."""
-        times, rain, potential = map(np.asarray, self._surroundings.fixed[3:6])
+        times, rain, potential = map(np.asarray, self._surroundings.fixed[2:5])
         hours, steps = np.asarray(self._begins).T + tick * times[_TICK]
         return np.array([
             rain[np.minimum(steps // times[_STEP], times[_LAST_STEP])],
@@ -298,9 +289,8 @@ class CommandedSites:
 
     def compute_metrics(self) -> list[dict[str, float]]:
         """Return the metrics of every site, as if the runs ended now."""
-        sums, weeks = np.array(self._sums), np.array(self._weeks)
-        numbers, state = self._surroundings.fixed[1], np.asarray(self._state)
+        sums, state = np.array(self._sums), np.asarray(self._state)
         function = compiled(finish_all) if self._surroundings.compiles else finish_all
-        function(numbers, sums, weeks, self._events, state)
+        function(self._surroundings.fixed[0], sums, self._events, state)
         site = self._surroundings.run.site
         return [compute_metrics(site, row) for row in sums.tolist()]

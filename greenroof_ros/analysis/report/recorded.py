@@ -25,11 +25,10 @@ from greenroof_ros.results.metrics import (
     DISCHARGE,
     LIMITED,
     LOW_OUTLET,
-    compute_metrics,
+    end_run,
     find_new_days,
-    list_events,
 )
-from greenroof_ros.results.sums import SumParameters, add
+from greenroof_ros.results.sums import add
 from greenroof_ros.site.site import Site
 
 Values = NDArray[np.float64]
@@ -54,16 +53,14 @@ class Samples(NamedTuple):
 
 
 def add_samples(
-    p: PlantParameters, q: SumParameters, sums: Any, weeks: Any, events: Any, samples: Samples,
-    new_day: Any, layer: float, without_rain: float, wet_after: float,
+    p: PlantParameters, sums: Any, events: Any, samples: Samples, new_day: Any, layer: float,
+    without_rain: float, wet_after: float,
 ) -> float:
     """Add the ticks of a record to the sums of :func:`.sums.add`.
 
     Args:
         p: parameters of the plant.
-        q: numbers of the site.
         sums: as for :func:`.sums.add`.
-        weeks: as for :func:`.sums.add`.
         events: as for :func:`.sums.add`.
         samples: at least two samples; the run ends with the last one.
         new_day: whether each tick is the first of a day of the site's clock, shape (ticks,).
@@ -86,16 +83,15 @@ def add_samples(
         mains = mains_inflow(p, x1, outflow + pump - rain * p.effective_catchment, p.tau)
         without_rain = time_without_rain(without_rain, rain, p.tau)
         add(
-            q, sums, weeks, events, State(x1, x2, layer), samples.command[i], rain, potential,
+            p, sums, events, State(x1, x2, layer), samples.command[i], rain, potential,
             Flows(
                 outflow, pump, samples.drainage[i], evaporated, False, mains,
                 samples.low_outlet[i],
             ),
             is_wet(without_rain, p.tau, wet_after), new_day[k],
         )
-        if p.has_layer:
-            drained = layer_outflow(p, layer, percolated, p.tau)
-            layer = max(0.0, layer + p.tau * (percolated - drained))
+        drained = layer_outflow(p, layer, percolated, p.tau)
+        layer = max(0.0, layer + p.tau * (percolated - drained))
     return layer
 
 
@@ -123,21 +119,19 @@ def compute_results(
         unknown.add(LOW_OUTLET)
     columns = (getattr(trajectory, name) for name in Samples._fields)
     arrays = Samples(*(np.array(nothing if each is None else each) for each in columns))
-    q, steps = s.sum_parameters(site), round(float(trajectory.time[-1]) / site.tau)
+    p, steps = plant_parameters(site), round(float(trajectory.time[-1]) / site.tau)
     new_day = np.zeros(steps, np.bool_)
     new_day[find_new_days(site, trajectory.start.timestamp(), steps)] = True
-    sums: Any = np.zeros(s.count_places(q))
-    weeks: Any = np.zeros(s.count_weeks(q, steps))
-    events = np.zeros((s.count_events(q, steps), s.EVENT_COLUMNS))
+    sums: Any = np.zeros(s.count_places(p, steps))
+    events = np.zeros((s.count_events(p, steps), len(Event._fields)))
     samples, add_all = arrays, compiled(add_samples)
     if steps < _MIN_COMPILED or not can_compile():
-        add_all, sums, weeks = add_samples, sums.tolist(), weeks.tolist()
+        add_all, sums = add_samples, sums.tolist()
         samples = Samples(*(column.tolist() for column in arrays))
     layer = add_all(
-        plant_parameters(site), q, sums, weeks, events, samples, new_day, site.initial_layer,
-        without_rain, site.wet_after * HOUR_S,
+        p, sums, events, samples, new_day, site.initial_layer, without_rain,
+        site.wet_after * HOUR_S,
     )
     last = State(float(samples.cistern[-1]), float(samples.roof[-1]), layer)
-    s.finish(q, sums, weeks, events, last)
-    metrics = compute_metrics(site, [*map(float, sums)], unknown)
-    return metrics, [] if DISCHARGE in unknown else list_events(site, sums, events)
+    metrics, _, rain_events = end_run(site, [*map(float, sums)], events, last, unknown)
+    return metrics, [] if DISCHARGE in unknown else rain_events

@@ -73,14 +73,15 @@ def simulate(controller: str, option: str, initial: str, hours: str = "0.2") -> 
     )
     simulation = Simulation(run)
     trajectory = record(run, simulation.ticks())
+    results = simulation.metrics.results(simulation.site.state)
     return Simulated(trajectory, {
         "site": "site.yaml", "weather": "toronto_2021-07.csv", "start": run.start.isoformat(),
         "hours": hours, "evapotranspiration": "published", "forecast": "perfect",
         "controller": controller, "initial": initial, "cistern_m3": run.x1, "roof_m3": run.x2,
         f"parameter:{key}": option, "status": "done", "error": "",
-        **simulation.metrics.results(simulation.site.state),
+        **results.metrics,
         "frost_hours": 0.0,
-    }, run, simulation.metrics.events(simulation.site.state))
+    }, run, results.events)
 
 
 def write_study(
