@@ -34,9 +34,9 @@ _WATER_NODES = 12
 class Policy:
     """Decisions for every step and every volume on the roof, computed by :class:`OrderUpTo`.
 
+    The attributes up to ``flow`` are the arguments of :meth:`OrderUpTo.solve`.
+
     Attributes:
-        edges: boundaries of the steps (s since the policy was made), starting at 0, shape (n +
-            1,).
         fill_to: volume to which the roof is filled and at which it is held (m3), or -1 if the roof
             is left alone; one array for each step, shape (groups of the step, S, nodes up to the
             target).
@@ -45,6 +45,11 @@ class Policy:
     """
 
     edges: Array
+    x1: float
+    x2: float
+    rain: Array
+    evapotranspiration: Array
+    flow: Array
     fill_to: list[Array]
     group_of: list[Indices]
     cost: float
@@ -128,9 +133,6 @@ class OrderUpTo:
     **Water.** If the cistern can run short, V depends on a second variable s, which is the usable
     water plus the water needed to fill an empty roof to its current volume. Filling does not change
     s. If there is always enough water, s has one node.
-
-    Attributes:
-        cistern: balance of the cistern's usable water.
     """
 
     def __init__(self, site: Site, fine: tuple[int, int] = (900, 300)) -> None:
@@ -144,7 +146,7 @@ class OrderUpTo:
         self._site = site
         self._fine = fine
         self._soil = RoofPrediction(plant_parameters(site))
-        self.cistern = Cistern(site)
+        self._cistern = Cistern(site)
 
     def _place(self, below: int, above: int) -> None:
         """Place the nodes at x* plus or minus (k / n)^2 of the range."""
@@ -158,8 +160,20 @@ class OrderUpTo:
         self._per_node = below**2 / self._target, above**2 / room
         self._contents = self._content(self._nodes)
 
-    def levels(self, policy: Policy, step: int, group: Any, usable: Any, x2: Any) -> Any:
-        """Return the volumes up to which roofs are filled (m3); a fuller roof is left alone.
+    def level(self, policy: Policy, age: float, x1: float, x2: float) -> float:
+        """Return the volume up to which the roof is filled now (m3); a fuller one is left alone.
+
+        Args:
+            policy: policy from the last call to :meth:`solve`.
+            age: time since this call (s), before members can be distinguished.
+            x1: volume in the cistern (m3).
+            x2: volume on the roof (m3).
+        """
+        step = int(policy.edges[1:-1].searchsorted(age, side="right"))
+        return float(self._levels(policy.fill_to[step], 0, self._cistern.usable(x1), x2))
+
+    def _levels(self, table: Array, group: Any, usable: Any, x2: Any) -> Any:
+        """Return the volumes up to which roofs are filled (m3), or -1.
 
         Between two nodes of the roof's volume, the decision at the lower node applies. Between two
         nodes of the water, the volume is interpolated; if the decision at either node is to leave
@@ -167,14 +181,12 @@ class OrderUpTo:
         water to be pumped, although there is no water at the node below.
 
         Args:
-            policy: policy from the last call to :meth:`solve`.
-            step: index of a step of the policy.
+            table: ``fill_to`` of a step.
             group: index of a group of the step, either one for each roof or one for all roofs.
             usable: usable water in the cistern (m3), either one value for each roof or one for all
                 roofs.
             x2: volume on each roof (m3).
         """
-        table = policy.fill_to[step]
         node = self._nodes[1 : table.shape[2]].searchsorted(x2, side="right")
         if len(self._water) == 1:
             return table[group, 0, node]
@@ -203,7 +215,7 @@ class OrderUpTo:
         lengths = np.diff(edges)
         full = float(self._content(self._target))
         demand = full + float((evapotranspiration * lengths).sum())
-        scarce = self.cistern.scarce(x1, demand, float(edges[-1]))
+        scarce = self._cistern.scarce(x1, demand, float(edges[-1]))
         self._place(*(self._fine if members == 1 and not scarce else _COARSE))
         self._water = np.zeros(1)
         if scarce:
@@ -233,25 +245,18 @@ class OrderUpTo:
             )
             fill_to.append(levels)
             group_of.append(of_members)
-        stored = np.full((1, 1, 1), self.cistern.usable(x1) + self._content(x2))
+        stored = np.full((1, 1, 1), self._cistern.usable(x1) + self._content(x2))
         now = self._at(value, np.full((1, 1, 1), x2), stored)
         return Policy(
-            edges, fill_to[::-1], group_of[::-1], float(now.mean()) / float(edges[-1])
+            edges, x1, x2, rain, evapotranspiration, flow, fill_to[::-1], group_of[::-1],
+            float(now.mean()) / float(edges[-1]),
         )
 
-    def simulate(
-        self, policy: Policy, x1: float, x2: float, rain: Array, evapotranspiration: Array,
-        flow: Array, member: int | None = None,
-    ) -> tuple[Array, Array, Array]:
-        """Simulate a policy; return the pump flow and the volumes on the roof, step by step.
+    def simulate(self, policy: Policy, member: int | None = None) -> tuple[Array, Array, Array]:
+        """Simulate the last policy; return the pump flow and the volumes on the roof, step by step.
 
         Args:
-            policy: policy that :meth:`solve` found for the other arguments.
-            x1: volume in the cistern (m3).
-            x2: volume on the roof (m3).
-            rain: rain in every step (m/s), shape (members, n).
-            evapotranspiration: evapotranspiration from the whole bed (m3/s), shape (n,).
-            flow: maximum pump flow in every step (m3/s), shape (n,).
+            policy: the policy; its rain may be replaced by that of other members.
             member: index of the member whose decisions are followed; None if each member follows
                 its own.
 
@@ -259,19 +264,20 @@ class OrderUpTo:
             The pump flow (m3/s), the volume on the roof at the end of the step (m3), and the volume
             to which the roof is filled (m3), or 0 if it is left alone; each of shape (members, n).
         """
-        roof = np.full(len(rain), x2)
-        water = np.full(len(rain), self.cistern.usable(x1))
+        rain = policy.rain
+        roof = np.full(len(rain), policy.x2)
+        water = np.full(len(rain), self._cistern.usable(policy.x1))
         mains = self._site.mains_flow or 0.0
         pumped, volumes, aimed = np.empty_like(rain), np.empty_like(rain), np.empty_like(rain)
         for step, seconds in enumerate(np.diff(policy.edges).tolist()):
             groups = policy.group_of[step] if member is None else policy.group_of[step][member]
-            level = self.levels(policy, step, groups, water, roof)
+            level = self._levels(policy.fill_to[step], groups, water, roof)
             aimed[:, step] = np.where(level >= roof, level, 0.0)
-            max_pumped = np.minimum(flow[step], water / seconds + mains)
             roof, uptake = self._move(
-                level, roof, rain[:, step], float(evapotranspiration[step]), max_pumped, seconds
+                level, roof, rain[:, step], float(policy.evapotranspiration[step]),
+                np.minimum(policy.flow[step], water / seconds + mains), seconds,
             )
-            water = self.cistern.predict_usable(water - uptake, rain[:, step], seconds)
+            water = self._cistern.predict_usable(water - uptake, rain[:, step], seconds)
             pumped[:, step], volumes[:, step] = uptake / seconds, roof
         return pumped, volumes, aimed
 
@@ -324,7 +330,7 @@ class OrderUpTo:
         Returns:
             V before the step, and the levels of :class:`Policy`, shape (groups, S, nodes to x*).
         """
-        soil, cistern, dry = self._soil, self.cistern, slice(self._below + 1)
+        soil, cistern, dry = self._soil, self._cistern, slice(self._below + 1)
         nodes, roof = self._nodes, self._nodes[dry]
         scarce = len(self._water) > 1
         reach = roof if strong else soil.predict_volume(roof, flow * seconds, potential, seconds)

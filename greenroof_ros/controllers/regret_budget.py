@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.physics.parameters import State, plant_parameters
@@ -107,15 +106,6 @@ class RegretBudget:
         self.onoff_cost = 0.0
         self.exhausted = False
 
-    @property
-    def learned(self) -> dict[str, float]:
-        """L and D (m3 s), which must survive a restart of a live controller."""
-        return {"waiting_loss_m3_s": self.loss, "onoff_cost_m3_s": self.onoff_cost}
-
-    @learned.setter
-    def learned(self, values: Mapping[str, float]) -> None:
-        self.loss, self.onoff_cost = (values[name] for name in self.learned)
-
     def judge(self, x1: float, x2: float, fraction: float) -> bool:
         """Count the current tick, and return whether forecasts of rain are to be ignored.
 
@@ -156,8 +146,8 @@ class RegretBudget:
     def move(
         self, x1: float, x2: float, fraction: float, command: float,
         precipitation: float = 0.0, evapotranspiration: float = 0.0,
-    ) -> None:
-        """Advance the comparison by one tick.
+    ) -> State:
+        """Advance the comparison by one tick; return the water in the plant after the tick.
 
         Args:
             x1: volume in the cistern (m3).
@@ -171,14 +161,12 @@ class RegretBudget:
         outlet = float(self._site.always_drains)
         theirs = State(max(0.0, x1 + self._stored), max(0.0, x2 + self._more), self._layers[0])
         theirs, ours = (
-            step(
-                self._p, state, precipitation, evapotranspiration, share, outlet, OWN_PUMPS
-            )[0] for state, share in (
-                (theirs, fraction), (State(x1, x2, self._layers[1]), command)
-            )
+            step(self._p, state, precipitation, evapotranspiration, share, outlet, OWN_PUMPS)[0]
+            for state, share in ((theirs, fraction), (State(x1, x2, self._layers[1]), command))
         )
         self._stored, self._more = theirs.cistern - ours.cistern, theirs.roof - ours.roof
         self._layers = theirs.layer, ours.layer
+        return ours
 
     def _filling(self, x2: float, behind: float, flow: float) -> float:
         """Return the cost (m3 s) of filling the roof to the target later than on/off control."""

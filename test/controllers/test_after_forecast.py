@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from paper import PAPER_SITE, site_with
 
-from greenroof_ros.controllers.after_forecast import AfterForecast
+from greenroof_ros.controllers.anticipating import AfterForecast
 from greenroof_ros.site.horizon import growing_steps
 
 EDGES = growing_steps(12)
@@ -34,7 +34,7 @@ def test_after_the_forecast_the_roof_dries_slowly() -> None:
     mean = float(np.mean(day))
     ends = []
     for hour in range(240):
-        after.pass_tick(np.full(STEPS, day[hour % 24]))
+        after.read(np.zeros(STEPS), np.full(STEPS, day[hour % 24]), 1)
         rain, evaporated = after.lengthen(np.full((2, STEPS), 1e-6), np.full(STEPS, 3e-6))
         assert rain.shape == (2, STEPS + 10) and not rain[:, STEPS:].any()
         assert evaporated[:STEPS].tolist() == [3e-6] * STEPS
@@ -52,6 +52,6 @@ def test_after_the_forecast_the_first_mean_is_the_forecasts_own() -> None:
     after = AfterForecast(PAPER_SITE, 48, 10)
     forecast = np.where(edges[1:] <= 86_400, 2e-6, 9e-6)
     forecast[np.searchsorted(edges, 86_400) - 1] = 2e-6
-    after.pass_tick(forecast)
+    after.read(0 * forecast, forecast, 1)
     _, evaporated = after.lengthen(np.zeros((1, after.steps)), forecast)
     assert evaporated[-1] == pytest.approx(0.3 * 2e-6, rel=1e-4)

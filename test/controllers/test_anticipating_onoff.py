@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from paper import PAPER_SITE, lookahead, metrics_of, paper_run, rain_scaled, site_file
 from places import DATA
 
-from greenroof_ros.controllers.after_forecast import AfterForecast
+from greenroof_ros.controllers.anticipating import AfterForecast
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
 from greenroof_ros.forecast.models import PerfectModel
 from greenroof_ros.forecast.resampling import SteppedForecast
@@ -29,7 +29,10 @@ Array = NDArray[np.float64]
 
 def anticipating(fraction: float = 1.0) -> AnticipatingOnOff:
     """Return a controller that uses readings unfiltered and waits for rain without limit."""
-    return AnticipatingOnOff(PAPER_SITE, 12, 10, fraction, 0.0, math.inf, 0.0)
+    return AnticipatingOnOff(
+        PAPER_SITE, fraction, horizon=12, days_after=10, observer_time_constant=0.0,
+        waiting_budget=math.inf, waiting_share=0.0,
+    )
 
 
 def medians(values: Array, weights: Array) -> list[float]:
@@ -54,9 +57,10 @@ def test_it_pumps_the_first_volume_of_the_isotonic_regression(
     controller = anticipating(0.8)
     command = controller.command(2.3, roof, rain, evaporated)
     after = AfterForecast(PAPER_SITE, 12, 10)
-    after.pass_tick(np.array(evaporated))
-    (all_rain,), drying = after.lengthen(np.array([rain]), np.array(evaporated))
-    lengths = np.diff(after.edges)
+    forecast = after.read(rain, evaporated, 1)
+    assert forecast is not None
+    (all_rain,), drying = after.lengthen(*forecast)
+    lengths = after.lengths
     ends = np.concatenate([[0.0], np.cumsum((all_rain * PAPER_SITE.a2 - drying) * lengths)])
     course = roof * PAPER_SITE.a2 + (ends[1:] + ends[:-1]) / 2
     first = min(medians(PAPER_SITE.x2_star - course, lengths))

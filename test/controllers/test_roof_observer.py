@@ -13,6 +13,7 @@ from paper import PAPER_SITE, lookahead, paper_run
 from places import CONFIG
 
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
+from greenroof_ros.controllers.regret_budget import RegretBudget
 from greenroof_ros.controllers.roof_observer import RoofObserver
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.simulation.loop import Simulation
@@ -28,11 +29,12 @@ def test_estimate_is_the_truth_where_model_and_sensor_are_exact(options: tuple[s
     run = paper_run(
         "--controller", "onoff", "--start", "2021-07-08T05:00", "--hours", "2", *options
     )
-    estimate = RoofObserver(run.site, 300.0)
+    estimate, budget = RoofObserver(run.site, 300.0), RegretBudget(run.site, 1.0, 0.0)
     for tick in Simulation(run).ticks():
         x2 = estimate.correct(tick.roof_level)
         assert x2 == pytest.approx(tick.x2, abs=1e-9)
-        estimate.predict(x2, tick.precipitation, tick.evapotranspiration, tick.flows.pump)
+        now = tick.precipitation, tick.evapotranspiration
+        estimate.predicted = budget.move(tick.x1, x2, 1.0, tick.command, *now).roof
 
 
 def test_it_begins_with_the_mean() -> None:
@@ -40,8 +42,7 @@ def test_it_begins_with_the_mean() -> None:
     estimate = RoofObserver(PAPER_SITE, 300.0)
     readings = 0.04 + 0.0005 * np.random.default_rng(2).standard_normal(300)
     for number, reading in enumerate(readings, start=1):
-        x2 = estimate.correct(float(reading))
-        estimate.predict(x2, 0.0, 0.0, 0.0)
+        estimate.predicted = x2 = estimate.correct(float(reading))
         assert PAPER_SITE.roof_level(x2) == pytest.approx(readings[:number].mean(), abs=1e-12)
 
 
@@ -52,8 +53,7 @@ def test_noise_of_any_size_is_noise(tau: float) -> None:
     estimate = RoofObserver(site, 300.0)
     errors = []
     for deviate in np.random.default_rng(3).standard_normal(43_200 // int(tau)):
-        x2 = estimate.correct(0.06 + noise * float(deviate))
-        estimate.predict(x2, 0.0, 0.0, 0.0)
+        estimate.predicted = x2 = estimate.correct(0.06 + noise * float(deviate))
         errors.append(site.roof_level(x2) - 0.06)
     gain = tau / 300
     expected = noise * math.sqrt(gain / (2 - gain))
@@ -61,7 +61,10 @@ def test_noise_of_any_size_is_noise(tau: float) -> None:
 
 
 CONTROLLERS = {
-    "anticipating_onoff": lambda: AnticipatingOnOff(PAPER_SITE, 12, 10, 1.0, 300.0, math.inf, 0.0),
+    "anticipating_onoff": lambda: AnticipatingOnOff(
+        PAPER_SITE, 1.0, horizon=12, days_after=10, observer_time_constant=300.0,
+        waiting_budget=math.inf, waiting_share=0.0,
+    ),
     "lookahead": lambda: lookahead(observer_time_constant=300.0),
 }
 
