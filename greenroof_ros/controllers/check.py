@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice, product
 from typing import Any
@@ -63,17 +63,33 @@ class _Trial:
         rates[:, 0] = 0.0
         return rates if self.choice.ensemble else rates[0].tolist()
 
-    def inputs(self, stride: int = 1) -> Iterator[tuple[float, float, Any, Any]]:
-        """Yield every ``stride``-th combination of levels and forecasts."""
-        for cistern, roof, rain, evaporated in islice(trial_values(self.site), 0, None, stride):
-            yield cistern, roof, self.forecast(rain), [evaporated] * self.steps
-
     def make(self, **changes: float) -> Controller:
         return self.choice.make(self.site, {**self.choice.defaults(self.site), **changes})
 
-    def request_commands(self, controller: Controller, stride: int = 1) -> list[float]:
-        """Request commands at every ``stride``-th combination of levels and forecasts."""
-        return [_check_command(controller, *inputs) for inputs in self.inputs(stride)]
+    def inputs(self, stride: int = 1) -> Iterator[tuple[float, float, Any, Any]]:
+        """Yield every ``stride``-th combination of levels and forecasts."""
+        for *levels, rain, evaporated in islice(trial_values(self.site), 0, None, stride):
+            yield *levels, self.forecast(rain), [evaporated] * self.steps
+
+    def ticks(self, controller: Controller, stride: int = 1, skips: int = 0) -> Iterator[float]:
+        """Yield the commands for :meth:`inputs`, and 0 for each tick that is skipped.
+
+        Args:
+            controller: the controller.
+            stride: as for :meth:`inputs`.
+            skips: number of ticks that are skipped before each command.
+        """
+        for inputs in self.inputs(stride):
+            for _ in range(skips):
+                controller.skip()
+                yield 0.0
+            yield _check_command(controller, *inputs)
+
+    def decided(self) -> Controller:
+        """Return a new controller after its first command."""
+        controller = self.make()
+        next(self.ticks(controller))
+        return controller
 
 
 def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
@@ -149,38 +165,27 @@ def _whole_range(trial: _Trial) -> None:
         for value in (parameter.low, parameter.high):
             controller = trial.make(**{parameter.name: value})
             try:
-                trial.request_commands(controller, stride=7)
+                list(trial.ticks(controller, stride=7))
                 if not trial.choice.of_valve:
                     OfController(controller).command()
             except (_BrokenRuleError, ControllerError) as error:
                 raise _BrokenRuleError(f"with {parameter.name} = {value:g}, {error}") from None
 
 
-def _deterministic(trial: _Trial) -> None:
-    one, other = (trial.request_commands(trial.make()) for _ in range(2))
-    for first, second in zip(one, other, strict=True):
+def _agree(what: str, request: Callable[[], Iterable[float]]) -> None:
+    for first, second in zip(request(), request(), strict=True):
         if first != second:
             raise _BrokenRuleError(
-                f"two instances return the commands {first!r} and {second!r} for the same inputs"
+                f"two instances {what} {first!r} and {second!r} for the same inputs"
             )
 
 
 def _inputs_unchanged(trial: _Trial) -> None:
     controller = trial.make()
-    for inputs in trial.inputs():
-        before = [np.array(forecast) for forecast in inputs[2:]]
-        _check_command(controller, *inputs)
-        if not all(map(np.array_equal, before, inputs[2:])):
+    for given, same in zip(trial.inputs(), trial.inputs(), strict=True):
+        _check_command(controller, *given)
+        if not all(map(np.array_equal, given, same)):
             raise _BrokenRuleError("command() modifies the forecasts passed to it; copy them first")
-
-
-def _skip(trial: _Trial) -> None:
-    controller = trial.make()
-    controller.skip()
-    for inputs in trial.inputs(stride=5):
-        _check_command(controller, *inputs)
-        controller.skip()
-        controller.skip()
 
 
 def _wrong_forecasts(trial: _Trial) -> None:
@@ -191,15 +196,13 @@ def _wrong_forecasts(trial: _Trial) -> None:
         (empty, []), (trial.forecast(0.0), [0.0] * (steps + 1)),
         (trial.forecast(math.nan), [math.nan] * steps),
     ):
-        controller = trial.make()
         try:
-            _check_command(controller, *levels, rain, evaporated)
+            _check_command(trial.make(), *levels, rain, evaporated)
         except ConfigurationError:
-            if choice.needs_forecast or rain is not empty:
-                continue
-            raise _BrokenRuleError(
-                "command() raises an error without a forecast, although needs_forecast is False"
-            ) from None
+            if not choice.needs_forecast and rain is empty:
+                raise _BrokenRuleError(
+                    "command() raises an error without a forecast, although needs_forecast is False"
+                ) from None
     if choice.ensemble:
         controller = trial.make()
         for members in (1, 3):
@@ -217,12 +220,11 @@ def _may_change(trial: _Trial) -> None:
             )
         for value in (parameter.low, parameter.high):
             setattr(controller, name, value)
-            trial.request_commands(controller, stride=11)
+            list(trial.ticks(controller, stride=11))
 
 
 def _outputs(trial: _Trial) -> None:
-    controller = trial.make()
-    _check_command(controller, *next(trial.inputs()))
+    controller = trial.decided()
     for topic, attribute in optional_topics(trial.choice.outputs):
         value, expected = getattr(controller, attribute, None), "number"
         right = isinstance(value, (int, float))
@@ -239,38 +241,22 @@ def _outputs(trial: _Trial) -> None:
 
 def _outlet(trial: _Trial) -> None:
     """Also check the outlet after skipped ticks, because the valve operates in frost as well."""
-    if trial.choice.of_valve:
-        controller = trial.make()
-        _check_command(controller, *next(trial.inputs()))
-        if hasattr(controller, "outlet"):
-            raise _BrokenRuleError(
-                "the object has an attribute outlet, but its class does not; define it in the "
-                "class as well, for example outlet = 0.0"
-            )
-        return
 
     def request_shares() -> Iterator[float]:
         controller = trial.make()
-        valve = OfController(controller)
-        controller.skip()
-        yield valve.command()
-        for inputs in trial.inputs():
-            _check_command(controller, *inputs)
-            yield valve.command()
-            controller.skip()
-            yield valve.command()
+        return (OfController(controller).command() for _ in trial.ticks(controller, skips=1))
 
-    for first, second in zip(request_shares(), request_shares(), strict=True):
-        if first != second:
-            raise _BrokenRuleError(
-                f"two instances open the valve to {first!r} and {second!r} for the same inputs"
-            )
+    if not trial.choice.of_valve:
+        _agree("open the valve to", request_shares)
+    elif hasattr(trial.decided(), "outlet"):
+        raise _BrokenRuleError(
+            "the object has an attribute outlet, but its class does not; define it in the class "
+            "as well, for example outlet = 0.0"
+        )
 
 
 def _statistics(trial: _Trial) -> None:
-    controller = trial.make()
-    _check_command(controller, *next(trial.inputs()))
-    statistics = controller.statistics()
+    statistics = trial.decided().statistics()
     figures = TickTimes().statistics(0, 0)
     if statistics is not None and statistics.keys() != figures.keys():
         raise _BrokenRuleError(
@@ -285,11 +271,13 @@ _CHECKS: dict[str, Callable[[_Trial], object]] = {
         _parameters,
     "it can be constructed with the site and a value for each parameter": _Trial.make,
     "its commands are finite and not negative, at all levels and for all forecasts":
-        lambda trial: trial.request_commands(trial.make()),
+        lambda trial: list(trial.ticks(trial.make())),
     "its commands are also valid with each parameter at either end of its range": _whole_range,
-    "two instances give the same commands for the same inputs": _deterministic,
+    "two instances give the same commands for the same inputs":
+        lambda trial: _agree("return the commands", lambda: trial.ticks(trial.make())),
     "it does not modify the forecasts passed to it": _inputs_unchanged,
-    "its commands remain valid if ticks are skipped, at the start or later": _skip,
+    "its commands remain valid if ticks are skipped, at the start or later":
+        lambda trial: list(trial.ticks(trial.make(), stride=5, skips=2)),
     "a missing or invalid forecast leads only to a valid command or a ConfigurationError":
         _wrong_forecasts,
     "each parameter that can change during a run is an attribute that can be set": _may_change,

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.controllers.roof_prediction import RoofPrediction
-from greenroof_ros.physics.parameters import plant_parameters
+from greenroof_ros.controllers.roof_prediction import RoofPrediction, drain
+from greenroof_ros.physics.parameters import PlantParameters, plant_parameters
 from greenroof_ros.site.site import Site
 
 Array = NDArray[np.float64]
@@ -62,14 +62,13 @@ class Cistern:
     for rain that refills the cistern.
     """
 
-    def __init__(self, site: Site) -> None:
-        self._site = site
-        suction = site.cistern_volume(site.suction_level)
-        self._capacity = site.cistern_volume(site.z_o) - suction
+    def __init__(self, site: Site, p: PlantParameters) -> None:
+        self._p, self._always_drains = p, site.always_drains
+        self._suction = site.cistern_volume(site.suction_level)
+        self._capacity = site.cistern_volume(site.z_o) - self._suction
         lowest = site.min_outlet_level if site.always_drains else site.z_o
-        self._low = site.cistern_volume(lowest) - suction
-        self._mains = site.cistern_volume(site.mains_level or 0.0) - suction
-        self._suction = suction
+        self._low = site.cistern_volume(lowest) - self._suction
+        self._mains = site.cistern_volume(p.mains_level) - self._suction
 
     def usable(self, x1: float) -> float:
         """Return the usable part of x1 (m3): without water above the outlet, which soon drains."""
@@ -83,28 +82,22 @@ class Cistern:
             demand: maximum demand for water from the cistern (m3).
             seconds: period during which the demand can occur (s).
         """
-        supplied = (self._site.mains_flow or 0.0) * seconds
-        if min(self.usable(x1), self._low) + supplied >= demand:
+        if min(self.usable(x1), self._low) + self._p.mains_flow * seconds >= demand:
             return 0.0
         return self._capacity if self._low < self._capacity else min(demand, self._capacity)
 
     def predict_usable(self, water: Array, rain: Array, seconds: float) -> Array:
         """Return the usable water (m3) after a step with rain (m/s), from Eq. (2) without pumping.
 
-        Rain and mains water are added first. Then the low outlet drains the cistern, and the square
-        root of the head falls linearly with time.
+        Rain and mains water are added first. Then the low outlet drains the cistern.
         """
-        site = self._site
-        water = water + rain * (site.effective_catchment * seconds)
-        if site.mains_flow is not None:
-            topped_up = np.minimum(water + site.mains_flow * seconds, self._mains)
-            water = np.maximum(water, topped_up)
+        p = self._p
+        water = water + rain * (p.effective_catchment * seconds)
+        water = np.maximum(water, np.minimum(water + p.mains_flow * seconds, self._mains))
         water = np.minimum(water, self._capacity)
-        if not site.always_drains:
-            return water
-        root = np.sqrt(np.maximum(water - self._low, 0.0) / site.a1)
-        root = np.maximum(root - site.c_low * seconds / (2 * site.a1), 0.0)
-        return np.minimum(water, self._low + site.a1 * root**2)
+        if self._always_drains:
+            water = drain(p, water + self._suction, seconds) - self._suction
+        return water
 
 
 class OrderUpTo:
@@ -142,11 +135,8 @@ class OrderUpTo:
             site: parameters of the site.
             fine: numbers of nodes below and above the target, for a single forecast.
         """
-        self._target = site.x2_star
-        self._site = site
-        self._fine = fine
-        self._soil = RoofPrediction(plant_parameters(site))
-        self._cistern = Cistern(site)
+        self._p, self._target, self._fine = plant_parameters(site), site.x2_star, fine
+        self._soil, self._cistern = RoofPrediction(self._p), Cistern(site, self._p)
 
     def _place(self, below: int, above: int) -> None:
         """Place the nodes at x* plus or minus (k / n)^2 of the range."""
@@ -214,7 +204,8 @@ class OrderUpTo:
         members, steps = rain.shape
         lengths = np.diff(edges)
         full = float(self._content(self._target))
-        demand = full + float((evapotranspiration * lengths).sum())
+        potential = evapotranspiration * lengths
+        demand = full + float(potential.sum())
         scarce = self._cistern.scarce(x1, demand, float(edges[-1]))
         self._place(*(self._fine if members == 1 and not scarce else _COARSE))
         self._water = np.zeros(1)
@@ -225,26 +216,16 @@ class OrderUpTo:
         value = np.zeros((1, len(self._water), len(self._nodes)))
         fill_to: list[Array] = []
         group_of: list[Indices] = []
-        max_pumped, potential = flow * lengths, evapotranspiration * lengths
-        # Neither pumps nor water are a limit: even the driest roof can be filled within the step.
-        filled = self._soil.predict_volume(np.zeros(steps), max_pumped, potential, lengths)
-        strong = np.zeros(steps, dtype=bool) if scarce else filled >= self._target
         for step in reversed(range(steps)):
             if step < wet and len(value) < members:
                 value = np.repeat(value, members, axis=0)
-            labels = groups[: len(value), step]
-            together: list[Any] = [slice(None)]
-            of_members = np.zeros(members, dtype=np.intp)
-            if (labels != labels[0]).any():
-                together = [np.flatnonzero(labels == label) for label in dict.fromkeys(labels)]
-                for index, alike in enumerate(together):
-                    of_members[alike] = index
+            _, group = np.unique(groups[: len(value), step], return_inverse=True)
             value, levels = self._before(
                 value, rain[: len(value), step, None, None], float(potential[step]),
-                float(flow[step]), float(lengths[step]), bool(strong[step]), together,
+                float(flow[step]), float(lengths[step]), group,
             )
             fill_to.append(levels)
-            group_of.append(of_members)
+            group_of.append(np.broadcast_to(group, members))
         stored = np.full((1, 1, 1), self._cistern.usable(x1) + self._content(x2))
         now = self._at(value, np.full((1, 1, 1), x2), stored)
         return Policy(
@@ -264,49 +245,27 @@ class OrderUpTo:
             The pump flow (m3/s), the volume on the roof at the end of the step (m3), and the volume
             to which the roof is filled (m3), or 0 if it is left alone; each of shape (members, n).
         """
-        rain = policy.rain
+        soil, rain, content = self._soil, policy.rain, self._content
         roof = np.full(len(rain), policy.x2)
         water = np.full(len(rain), self._cistern.usable(policy.x1))
-        mains = self._site.mains_flow or 0.0
         pumped, volumes, aimed = np.empty_like(rain), np.empty_like(rain), np.empty_like(rain)
         for step, seconds in enumerate(np.diff(policy.edges).tolist()):
             groups = policy.group_of[step] if member is None else policy.group_of[step][member]
             level = self._levels(policy.fill_to[step], groups, water, roof)
             aimed[:, step] = np.where(level >= roof, level, 0.0)
-            roof, uptake = self._move(
-                level, roof, rain[:, step], float(policy.evapotranspiration[step]),
-                np.minimum(policy.flow[step], water / seconds + mains), seconds,
-            )
+            lifted = np.minimum(policy.flow[step] * seconds, water + self._p.mains_flow * seconds)
+            potential = float(policy.evapotranspiration[step]) * seconds
+            reached = soil.predict_volume(roof, lifted, potential, seconds)
+            filled = np.maximum(roof, np.minimum(level, reached))
+            fallen = rain[:, step] * self._p.a2 * seconds
+            alone = soil.predict_volume(filled, fallen, potential, seconds)
+            held = np.minimum(filled, soil.predict_volume(filled, lifted, potential, seconds))
+            held = np.where(level >= filled, np.maximum(alone, held), alone)
+            uptake = content(filled) - content(roof) + content(held) - content(alone)
+            uptake, roof = np.minimum(uptake, lifted), held
             water = self._cistern.predict_usable(water - uptake, rain[:, step], seconds)
             pumped[:, step], volumes[:, step] = uptake / seconds, roof
         return pumped, volumes, aimed
-
-    def _move(
-        self, level: Array, roof: Array, rain: Array, evapotranspiration: float, flow: Array,
-        seconds: float,
-    ) -> tuple[Array, Array]:
-        """Advance roofs by a step in which each roof is filled to a level and held there.
-
-        Args:
-            level: volume to which each roof is filled (m3); -1 to leave the roof alone.
-            roof: volume on each roof (m3).
-            rain: rain on each roof in the step (m/s).
-            evapotranspiration: evapotranspiration from the whole bed (m3/s).
-            flow: maximum pump flow for each roof (m3/s).
-            seconds: length of the step (s).
-
-        Returns:
-            The volume on each roof at the end of the step, and the volume pumped onto it (m3).
-        """
-        soil, max_pumped, potential = self._soil, flow * seconds, evapotranspiration * seconds
-        reached = soil.predict_volume(roof, max_pumped, potential, seconds)
-        filled = np.maximum(roof, np.minimum(level, reached))
-        alone = soil.predict_volume(filled, rain * self._site.a2 * seconds, potential, seconds)
-        ended = np.minimum(filled, soil.predict_volume(filled, max_pumped, potential, seconds))
-        ended = np.where(level >= filled, np.maximum(alone, ended), alone)
-        uptake = self._content(filled) - self._content(roof)
-        uptake += self._content(ended) - self._content(alone)
-        return ended, np.minimum(uptake, max_pumped)
 
     def _content(self, x2: Any) -> Any:
         """Return the water (m3) needed to fill an empty roof to x2 or x*, whichever is less."""
@@ -314,7 +273,7 @@ class OrderUpTo:
 
     def _before(
         self, value: Array, rain: Array, potential: float, flow: float, seconds: float,
-        strong: bool, groups: list[Any],
+        group: Indices,
     ) -> tuple[Array, Array]:
         """Compute V before a step from V after it.
 
@@ -324,8 +283,7 @@ class OrderUpTo:
             potential: evapotranspiration from the whole bed in the step (m3).
             flow: flow of the pumps (m3/s).
             seconds: length of the step (s).
-            strong: whether neither the pumps nor the available water can limit the filling.
-            groups: indices of the members in each group.
+            group: index of the group of each member.
 
         Returns:
             V before the step, and the levels of :class:`Policy`, shape (groups, S, nodes to x*).
@@ -333,11 +291,11 @@ class OrderUpTo:
         soil, cistern, dry = self._soil, self._cistern, slice(self._below + 1)
         nodes, roof = self._nodes, self._nodes[dry]
         scarce = len(self._water) > 1
-        reach = roof if strong else soil.predict_volume(roof, flow * seconds, potential, seconds)
+        reach = soil.predict_volume(roof, flow * seconds, potential, seconds)
         # Left alone: computed once if it is the same for all members.
         if not rain.any():
             rain = rain[:1]
-        alone = soil.predict_volume(nodes, rain * (self._site.a2 * seconds), potential, seconds)
+        alone = soil.predict_volume(nodes, rain * (self._p.a2 * seconds), potential, seconds)
         stored = remaining = self._water
         if scarce:
             remaining = np.maximum(self._water[:, None] - self._contents, 0.0)
@@ -345,43 +303,35 @@ class OrderUpTo:
         free = seconds * self._deviation(nodes, alone) + self._at(value, alone, stored)
         # Held.
         alone = alone[..., dry]
-        if strong:
-            holding = seconds * (self._target - roof) + value[..., dry]
-            holding = np.where(alone < roof, holding, free[..., dry])
-        else:
-            held = np.maximum(alone, np.minimum(roof, reach))
-            if scarce:
-                first = self._content(alone)
-                uptake = np.minimum(self._content(held) - first, remaining[..., dry])
-                uptake = np.maximum(uptake, 0.0)
-                held = np.where(uptake > 0, soil.fill_empty(first + uptake), alone)
-                stored = cistern.predict_usable(remaining[..., dry] - uptake, rain, seconds)
-                stored = stored + first + uptake
-            holding = seconds * self._deviation(roof, held) + self._at(value, held, stored)
+        held = np.maximum(alone, np.minimum(roof, reach))
+        if scarce:
+            first = self._content(alone)
+            uptake = np.minimum(self._content(held) - first, remaining[..., dry])
+            uptake = np.maximum(uptake, 0.0)
+            held = np.where(uptake > 0, soil.fill_empty(first + uptake), alone)
+            stored = cistern.predict_usable(remaining[..., dry] - uptake, rain, seconds)
+            stored = stored + first + uptake
+        holding = seconds * self._deviation(roof, held) + self._at(value, held, stored)
         # Filled.
         within = np.maximum(reach, roof)[None]
         if scarce:
             within = np.minimum(within, soil.fill_empty(self._water)[:, None])
             within = np.maximum(within, roof)
-        levels = np.empty((len(groups), len(self._water), len(roof)))
+        levels = np.empty((group.max() + 1, len(self._water), len(roof)))
         result = free
-        for index, members in enumerate(groups):
-            ours = holding[members]
-            best = _find_minimum_onward(ours.mean(axis=0))
-            filled = level = roof[best]
-            if strong:
-                costs, contents = ours[..., best[0]], self._contents[best]
-            else:
-                filled = np.minimum(level, within)
-                costs = self._at(ours, filled[None], self._water[:, None])
-                # Exact if nothing is filled: rounding must not make holding look like a gain.
-                costs = np.where(filled > roof, costs, ours)
-                contents = self._content(filled)
+        for index, level in enumerate(levels):
+            members = group == index
+            ours, waiting = holding[members], free[members][..., dry]
+            best = roof[_find_minimum_onward(ours.mean(axis=0))]
+            filled = np.minimum(best, within)
+            costs = self._at(ours, filled[None], self._water[:, None])
+            # Exact if nothing is filled: rounding must not make holding look like a gain.
+            costs = np.where(filled > roof, costs, ours)
             if flow > 0:
-                costs = costs + (filled - roof) * (contents - self._contents[dry]) / (2 * flow)
-            waiting = free[members][..., dry]
+                uptake = self._content(filled) - self._contents[dry]
+                costs = costs + (filled - roof) * uptake / (2 * flow)
             fills = costs.mean(axis=0) < waiting.mean(axis=0)
-            levels[index] = np.where(fills, level, -1.0)
+            level[:] = np.where(fills, best, -1.0)
             result[members, :, dry] = np.where(fills, costs, waiting)
         return result, levels
 

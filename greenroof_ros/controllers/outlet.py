@@ -15,10 +15,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import HangError, describe_value
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.ranges import Range
-from greenroof_ros.controllers.decide import ControllerError, find_place, locate_error
+from greenroof_ros.controllers.decide import OwnCode, invalid
 from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, PlannedLevels
 from greenroof_ros.physics.cistern import low_outlet_flow
 from greenroof_ros.physics.parameters import PlantParameters, plant_parameters
@@ -92,21 +91,11 @@ class OfController:
                 raised an error.
         """
         kind = type(self._controller)
-        try:
+        with OwnCode(kind):
             share = self._controller.outlet
-        except HangError:
-            raise
-        except (Exception, SystemExit) as error:
-            raise locate_error(kind, error) from error
         if share in SHARE:
             return float(share)
-        place = find_place(kind, "outlet")
-        file, line = place if place[0] is not None else find_place(kind, "command")
-        raise ControllerError(
-            f"{SHARE.expected(share)} (greenroof check-controller detects this before a run)",
-            file=file, line=line,
-            key=f"the attribute outlet of {kind.__name__} = {describe_value(share)}",
-        )
+        raise invalid(kind, "outlet", "the attribute outlet", share, SHARE.expected(share))
 
 
 def outlet_share(

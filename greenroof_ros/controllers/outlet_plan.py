@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.controllers.roof_prediction import ABOVE_M
+from greenroof_ros.controllers.roof_prediction import ABOVE_M, drain
 from greenroof_ros.physics.parameters import PlantParameters
 from greenroof_ros.physics.storm_water import is_wet, time_without_rain
 
@@ -110,10 +110,10 @@ def solve(
     """
     full = p.a1 * p.z_o
     nodes = floor + (full - floor) / (_NODES - 1) * np.arange(_NODES)
-    drained = drain_hour(p, nodes)
+    drained = drain(p, nodes, _HOUR_S)
     first = int(np.searchsorted(nodes, p.a1 * p.low_outlet_level))  # no node below is reached
     volume = min(max(x1, floor), full)
-    left = np.minimum(np.maximum(nodes, drain_hour(p, volume)), volume)
+    left = np.minimum(np.maximum(nodes, drain(p, volume, _HOUR_S)), volume)
     costs = np.zeros(_NODES)
     for member in range(len(rain)):
         flows = find_flows(p, x2, rain[member], evaporated)
@@ -150,21 +150,6 @@ def find_hourly(rates: Any, ends: Any, hours: int) -> Any:
             if end == ends[step + 1]:
                 break
     return totals
-
-
-def drain_hour(p: PlantParameters, volumes: Any) -> Any:
-    """Return the volumes that remain after the valve has been open for an hour (m3).
-
-    The square root of the head above the outlet falls linearly with time.
-
-    Args:
-        p: numbers of the site.
-        volumes: a volume in the cistern (m3), or an array of volumes.
-    """
-    outlet = p.a1 * p.low_outlet_level
-    root = np.sqrt(np.maximum(volumes - outlet, 0.0) / p.a1)
-    root = np.maximum(root - p.c_low / (2 * p.a1) * _HOUR_S, 0.0)
-    return np.minimum(volumes, outlet + p.a1 * root * root)
 
 
 def find_flows(p: PlantParameters, x2: float, rain: Any, evaporated: Any) -> Any:

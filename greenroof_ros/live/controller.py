@@ -245,11 +245,13 @@ class LiveControllerNode(LiveNode):
     def _decide(self, decides: bool) -> float:
         controller = self._settings.controller
         set_optional(controller, time_ns=self._time_ns, gauge_rain=self._measured_rain())
-        usable = decides and self._rain.good and self._evapotranspiration.good
+        rain, evapotranspiration, forecast = self._rain, self._evapotranspiration, ((), ())
+        if decides and rain.good and evapotranspiration.good:
+            forecast = self._choice.own_forecast(
+                None, rain.value, evapotranspiration.value, rain.name
+            )
         return decide(
-            controller, decides, self._cistern.value, self._roof.value,
-            self._choice.shape_rain(self._rain.value, self._rain.name) if usable else (),
-            self._evapotranspiration.value if usable else (), self._quiet,
+            controller, decides, self._cistern.value, self._roof.value, *forecast, self._quiet
         )
 
     def _update_stand_in(self) -> None:
@@ -338,7 +340,7 @@ class LiveControllerNode(LiveNode):
         had a forecast, nothing is reported.
         """
         needs = self._choice.needs_forecast
-        if not needs and not (self._choice.uses_forecast and self._rain.received):
+        if not needs and not ("horizon" in self._choice.parameters and self._rain.received):
             return
         problem = self._bad_forecasts()
         if not problem:

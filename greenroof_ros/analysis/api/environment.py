@@ -219,8 +219,7 @@ class Environment:
         run, tick = self._run, self._sites.tick
         rain, evaporated = run.forecast.precipitation(tick), run.forecast.evapotranspiration(tick)
         own_steps = run.controller.count_own_steps(self.site, run.parameters)
-        if own_steps is not None:
-            rain, evaporated = run.controller.cut_forecast(own_steps, rain, evaporated)
+        rain, evaporated = run.controller.own_forecast(own_steps, rain, evaporated)
         return ForecastSteps(np.asarray(rain), np.asarray(evaporated), self._ends)
 
     @property
