@@ -14,13 +14,8 @@ import numpy as np
 from greenroof_ros.common.command_line import CheckResult
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
-from greenroof_ros.controllers.decide import (
-    ControllerError,
-    TickTimes,
-    is_finite_number,
-    locate_error,
-)
-from greenroof_ros.controllers.outlet import OfController
+from greenroof_ros.controllers.decide import COMMANDS, ControllerError, TickTimes, locate_error
+from greenroof_ros.controllers.outlet import requested_share
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.site.horizon import look_ahead_ends
@@ -130,7 +125,7 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
 
 def _check_command(controller: Controller, *inputs: Any) -> float:
     command = controller.command(*inputs)
-    if not (is_finite_number(command) and command >= 0):
+    if command not in COMMANDS:
         cistern, roof = inputs[:2]
         raise _BrokenRuleError(
             f"command() returns {command!r} at levels of {cistern:g} m in the cistern and {roof:g} "
@@ -167,7 +162,7 @@ def _whole_range(trial: _Trial) -> None:
             try:
                 list(trial.ticks(controller, stride=7))
                 if not trial.choice.of_valve:
-                    OfController(controller).command()
+                    requested_share(controller)
             except (_BrokenRuleError, ControllerError) as error:
                 raise _BrokenRuleError(f"with {parameter.name} = {value:g}, {error}") from None
 
@@ -244,7 +239,7 @@ def _outlet(trial: _Trial) -> None:
 
     def request_shares() -> Iterator[float]:
         controller = trial.make()
-        return (OfController(controller).command() for _ in trial.ticks(controller, skips=1))
+        return (requested_share(controller) for _ in trial.ticks(controller, skips=1))
 
     if not trial.choice.of_valve:
         _agree("open the valve to", request_shares)

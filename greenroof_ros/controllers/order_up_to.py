@@ -356,19 +356,18 @@ class OrderUpTo:
         place = np.sqrt(np.abs(above) * np.where(above < 0, *self._per_node))
         node = (np.copysign(place, above) + self._below).astype(np.intp)
         node = np.minimum(node, count - 2)
-        x2 = np.minimum(x2, self._nodes[count - 1])
-        # V = base + slope x from a node to the next.
-        slope = (value[..., 1:] - value[..., :-1]) / self._widths[: count - 1]
-        base = value[..., :-1] - slope * self._nodes[: count - 1]
-        start = np.arange(members)[:, None, None] * (rows * (count - 1)) + node
+        part = np.minimum((x2 - self._nodes[node]) / self._widths[node], 1.0)
+
+        def along(row: Any) -> Array:
+            start = (np.arange(members)[:, None, None] * rows + row) * count + node
+            low = value.take(start)
+            return np.asarray(low + part * (value.take(start + 1) - low))
+
         if rows == 1:
-            return np.asarray(base.take(start) + slope.take(start) * x2)
-        row, part = _between(self._water, water)
-        start = start + row * (count - 1)
-        low = base.take(start) + slope.take(start) * x2
-        start = start + (count - 1)
-        high = base.take(start) + slope.take(start) * x2
-        return np.asarray(low + part * (high - low))
+            return along(0)
+        row, share = _between(self._water, water)
+        low = along(row)
+        return np.asarray(low + share * (along(row + 1) - low))
 
 
 def _between(nodes: Array, values: Any) -> tuple[Any, Any]:

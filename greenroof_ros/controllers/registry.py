@@ -11,7 +11,7 @@ from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -20,9 +20,9 @@ from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.parameter_sections import read_sections
 from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.decide import OwnCode, not_imported
-from greenroof_ros.controllers.outlet import OfController, OutletPolicy
+from greenroof_ros.controllers.outlet import OutletPolicy, requested_share
 from greenroof_ros.controllers.own_code import digest_own_code
-from greenroof_ros.controllers.protocol import Controller, ControllerClass, set_optional
+from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.site.horizon import MAX_HORIZON, look_ahead_ends
 from greenroof_ros.site.site import Site
 
@@ -95,7 +95,7 @@ class ControllerChoice:
 
     name: str
     reference: str
-    given: ControllerClass | None = None
+    given: Any = None
 
     @property
     def path(self) -> str:
@@ -103,13 +103,13 @@ class ControllerChoice:
         return _PATHS.get(self.reference, self.reference)
 
     @functools.cached_property
-    def kind(self) -> ControllerClass:
+    def kind(self) -> Any:
         """The class, imported on first use; only :meth:`make` imports the library of a solver.
 
         Raises:
             ConfigurationError: if the class cannot be imported, or is not a controller.
         """
-        kind: Any = self._import_class() if self.given is None else self.given
+        kind = self._import_class() if self.given is None else self.given
         needed = "parameters", "command", "skip", "statistics"
         lacking, problem = [name for name in needed if not hasattr(kind, name)], ""
         if lacking or not all(isinstance(parameter, Parameter) for parameter in kind.parameters):
@@ -129,7 +129,7 @@ class ControllerChoice:
         outlet.PARAMETERS[0].read(
             _policy_of(kind), key=f"the attribute outlet_policy of {self.reference}"
         )
-        return cast(ControllerClass, kind)
+        return kind
 
     def _import_class(self) -> Any:
         module_name, _, class_name = self.path.partition(":")
@@ -174,7 +174,7 @@ class ControllerChoice:
         """
         if self.reference in BUILT_IN:
             return ""
-        return digest_own_code([self.path.partition(":")[0], cast(type, self.kind).__module__])
+        return digest_own_code([self.path.partition(":")[0], self.kind.__module__])
 
     def make(self, site: Site, parameters: dict[str, Any]) -> Controller:
         """Make the controller; a valve that is always open is treated as if there were none.
@@ -189,7 +189,7 @@ class ControllerChoice:
         own = {name: value for name, value in parameters.items() if name not in of_valve}
         with OwnCode(kind):
             try:
-                controller = kind(site, **own)
+                controller: Controller = kind(site, **own)
             except ImportError as error:
                 raise not_imported(self.reference, error) from error
             ends = look_ahead_ends(site, parameters.get("horizon", 0.0))
@@ -214,7 +214,7 @@ class ControllerChoice:
         if not site.low_outlet_valve:
             return None
         if not self.of_valve:
-            return OfController(controller)
+            return functools.partial(requested_share, controller)
         if hasattr(controller, "outlet"):
             raise ConfigurationError(
                 "must also be an attribute of the class, for example outlet = 0.0; the controller "
@@ -224,7 +224,7 @@ class ControllerChoice:
             site, parameters.get("horizon", 0.0), outlet.find_horizon(parameters)
         )
         of_valve = {parameter.name: parameters[parameter.name] for parameter in self.of_valve}
-        return outlet.Policy(site, ends, without_rain, **of_valve)
+        return outlet.Policy(site, ends, without_rain, **of_valve).command
 
     def count_own_steps(self, site: Site, parameters: Mapping[str, Any]) -> int | None:
         """Return the number of forecast steps that the controller itself takes; None for all.

@@ -123,8 +123,11 @@ class RegretBudget:
         # Volume to pump to catch up with on/off, or to reach the target.
         behind = max(0.0, min(self._more, site.x2_star - x2))
         flow = fraction * maximum_pump_flow(self._p, x1)
-        drained = self._drained(x1, x2)
-        cost = self.loss + self._filling(x2, behind, flow) + drained
+        drained, stays = self._drained(x1, x2), retained_share(self._p, x2) * flow
+        cost = self.loss + drained
+        if stays > 0:  # filling the roof to the target later than on/off control
+            missing = max(0.0, site.x2_star - x2 - self._more)  # on the roof with on/off
+            cost += behind * (missing + behind / 2) / stays
         if cost > self._budget + self._share * self.onoff_cost:
             self.exhausted = True
             if self._budget > 0 and not drained and not self._warned:
@@ -167,14 +170,6 @@ class RegretBudget:
         self._stored, self._more = theirs.cistern - ours.cistern, theirs.roof - ours.roof
         self._layers = theirs.layer, ours.layer
         return ours
-
-    def _filling(self, x2: float, behind: float, flow: float) -> float:
-        """Return the cost (m3 s) of filling the roof to the target later than on/off control."""
-        stays = retained_share(self._p, x2) * flow
-        if behind <= 0 or stays <= 0:
-            return 0.0
-        missing = max(0.0, self._site.x2_star - x2 - self._more)  # missing on the roof with on/off
-        return behind * (missing + behind / 2) / stays
 
     def _drained(self, x1: float, x2: float) -> float:
         """Return the cost (m3 s) of drained water that on/off control would have pumped."""

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.disk import NumberFile
@@ -24,15 +24,15 @@ from greenroof_ros.common.processes import time_limit
 from greenroof_ros.common.states import ENDED
 from greenroof_ros.common.times import from_epoch_ns, to_people
 from greenroof_ros.controllers.decide import (
+    FINITE,
     ControllerError,
     decide,
     find_place,
-    is_finite_number,
     locate_error,
     may_decide,
 )
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
-from greenroof_ros.controllers.protocol import ControllerClass, set_optional
+from greenroof_ros.controllers.protocol import set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.graph.controller_parameters import ControllerParameters, of_reference
 from greenroof_ros.graph.parameters import declare, site_file
@@ -223,7 +223,7 @@ class LiveControllerNode(LiveNode):
         learned = getattr(controller, "learned", None)
         if learned is None:
             return None
-        if isinstance(learned, dict) and all(map(is_finite_number, learned.values())):
+        if isinstance(learned, dict) and all(value in FINITE for value in learned.values()):
             return {name: float(value) for name, value in learned.items()}
         kind = type(controller)
         file, line = find_place(kind, "learned")
@@ -362,7 +362,7 @@ class LiveControllerNode(LiveNode):
         return {**self._settings.changes(), **self._values}
 
 
-def _given_up(why: str) -> ControllerClass:
+def _given_up(why: str) -> type[OnOff]:
     """Return a controller class that cannot be instantiated, for the given reason."""
 
     class GivenUp(OnOff):
@@ -371,7 +371,7 @@ def _given_up(why: str) -> ControllerClass:
         def __init__(self, site: Site) -> None:
             raise ConfigurationError(why)
 
-    return cast(ControllerClass, GivenUp)
+    return GivenUp
 
 
 def make_node(controller: str) -> LiveControllerNode:

@@ -86,9 +86,9 @@ class ControllerNode(SimulationNode):
         if self._outlet is not None:
             share = 0.0
             if self.good:  # the policy must not learn from a rejected input: it would be a 0
-                share = self._outlet.command(*levels, rain, evapotranspiration)
+                share = self._outlet(*levels, rain, evapotranspiration)
             elif not self._rain.good:
-                self._outlet.command(*levels, (), ())  # unknown rain counts as wet weather
+                self._outlet(*levels, (), ())  # unknown rain counts as wet weather
             closed = self._site.valve_closed_in_frost and self._frost.value
             self.publish("/outlet/command", 0.0 if closed else share)
         for topic, attribute in self._optional:

@@ -111,7 +111,7 @@ class Simulation:
             )
             if policy is not None:
                 # Also called in frost, because it counts the time without rain.
-                outlet = policy.command(cistern_level, roof_level, rain, evaporated)
+                outlet = policy(cistern_level, roof_level, rain, evaporated)
                 if closes and frost:
                     outlet = 0.0
             state = site.state

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.onoff import onoff_command
 from greenroof_ros.controllers.outlet import OPEN, PLAN, POLICIES, outlet_share
-from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, PlannedLevels, find_levels
+from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, find_levels, plan_levels
 from greenroof_ros.forecast.resampling import Forecast, make_forecast
 from greenroof_ros.physics.compiled import compiled, note_if_slow, pays_to_compile, records
 from greenroof_ros.physics.parameters import PlantParameters, State, plant_parameters
@@ -371,7 +371,8 @@ class _Plan(NamedTuple):
     """ticks in which plans are made"""
     areas: Values
     """areas of the cisterns and of the roofs (m2), shape (2, sites)"""
-    levels: PlannedLevels
+    find: Callable[..., Values]
+    """:func:`.plan_levels` for these sites"""
 
 
 class _Season:
@@ -453,15 +454,14 @@ class _Season:
 
     def plan(self, tick: int) -> None:
         """Make the plans that are due in a tick."""
-        for rows, weather, due, (a1, a2), plan in self._plans:
+        for rows, weather, due, (a1, a2), find in self._plans:
             if tick in due:
                 x1, x2, _ = np.asarray(self._state)[rows].T
                 roof = x2 / a2
                 if len(self._errors):
                     roof = np.maximum(0.0, roof + self._errors[tick])
                 forecast = weather.foresee(tick, self._batch.with_forecast)
-                plan.plan(x1 / a1 * a1, roof * a2, *forecast)
-                self._levels[rows] = plan.levels
+                self._levels[rows] = find(x1 / a1 * a1, roof * a2, *forecast)
 
     def finish(self, row: int) -> tuple[dict[str, float], list[float], list[Event]]:
         """Return the metrics, the weeks and the events of a site."""
@@ -494,15 +494,14 @@ def _make_plan(
         tick for tick, without_rain in enumerate(weather.without_rain.tolist())
         if clock.is_due(is_wet(without_rain, site.tau, site.wet_after * HOUR_S))
     }
-    reserves, prices, reaches = (
-        np.array([batch.parameters[row][name] for row in rows])
-        for name in ("outlet_reserve", "outlet_price", "outlet_reach")
-    )
-    ends = look_ahead_ends(weather.run.site, 0.0, HORIZON_H)
-    areas = np.array([(p.a1, p.a2) for p in own]).T
-    return _Plan(rows, weather, due, areas, PlannedLevels(
-        records(own) if compiles else own, site.wet_after, ends, reserves, prices, reaches,
-        batch.beds[rows], compiled(find_levels) if compiles else find_levels,
+    names = "outlet_reserve", "outlet_price", "outlet_reach"
+    options = np.array([
+        [*(batch.parameters[row][name] for name in names), batch.beds[row]] for row in rows
+    ])
+    return _Plan(rows, weather, due, np.array([(p.a1, p.a2) for p in own]).T, partial(
+        plan_levels, compiled(find_levels) if compiles else find_levels,
+        records(own) if compiles else own, options, site.wet_after * HOUR_S,
+        look_ahead_ends(weather.run.site, 0.0, HORIZON_H),
     ))
 
 

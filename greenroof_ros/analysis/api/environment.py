@@ -148,7 +148,7 @@ class Environment:
             forecast, tick = self._run.forecast, self._sites.tick
             cistern, roof = map(float, self._sites.levels[0])
             # The policy is called in every tick, because it counts the time without rain.
-            opening = self._policy.command(
+            opening = self._policy(
                 cistern, roof, forecast.precipitation(tick), forecast.evapotranspiration(tick)
             )
             opening = opening if given is None else given
