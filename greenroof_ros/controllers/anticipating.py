@@ -167,7 +167,8 @@ class Anticipating:
         self._after = AfterForecast(site, horizon, days_after)
         self._observer = RoofObserver(site, observer_time_constant)
         self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
-        self._tick, self._quiet, self.gauge_rain = 0, False, 0.0
+        self._tick, self._last = 0, -1  # the current tick, and the last one with a reading
+        self._quiet, self.gauge_rain = False, 0.0
 
     @property
     def learned(self) -> dict[str, float]:
@@ -199,8 +200,9 @@ class Anticipating:
         if lost or not math.isfinite(x1 + roof_level):
             self.skip()
             return 0.0
-        x2 = self._observer.correct(roof_level)
-        rain_counts = not self._regret_budget.judge(x1, x2, self.fraction)
+        seconds, self._last = self._seconds_since(self._last), self._tick
+        x2 = self._observer.correct(roof_level, seconds)
+        rain_counts = not self._regret_budget.judge(x1, x2, self.fraction, seconds)
         now = self.gauge_rain, self._after.mean
         if forecast is not None:
             now = float(forecast[0][0, 0]), float(forecast[1][0])
@@ -228,8 +230,6 @@ class Anticipating:
 
     def skip(self) -> None:
         """Skip a tick without a reading."""
-        self._observer.skip()
-        self._regret_budget.skip()
         self._tick += 1
 
     def _seconds_since(self, tick: float) -> float:

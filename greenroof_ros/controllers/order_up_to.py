@@ -37,10 +37,10 @@ class Policy:
     The attributes up to ``flow`` are the arguments of :meth:`OrderUpTo.solve`.
 
     Attributes:
-        fill_to: volume to which the roof is filled and at which it is held (m3), or -1 if the roof
-            is left alone; one array for each step, shape (groups of the step, S, nodes up to the
-            target).
-        group_of: index of each member's group; one array for each step, shape (members,).
+        steps: two arrays for each step. The first one contains the volume to which the roof is
+            filled and at which it is held (m3), or -1 if the roof is left alone, shape (groups of
+            the step, S, nodes up to the target); the second one the index of each member's group,
+            shape (members,).
         cost: minimum mean deviation over all steps and members (m3).
     """
 
@@ -50,8 +50,7 @@ class Policy:
     rain: Array
     evapotranspiration: Array
     flow: Array
-    fill_to: list[Array]
-    group_of: list[Indices]
+    steps: list[tuple[Array, Indices]]
     cost: float
 
 
@@ -160,7 +159,7 @@ class OrderUpTo:
             x2: volume on the roof (m3).
         """
         step = int(policy.edges[1:-1].searchsorted(age, side="right"))
-        return float(self._levels(policy.fill_to[step], 0, self._cistern.usable(x1), x2))
+        return float(self._levels(policy.steps[step][0], 0, self._cistern.usable(x1), x2))
 
     def _levels(self, table: Array, group: Any, usable: Any, x2: Any) -> Any:
         """Return the volumes up to which roofs are filled (m3), or -1.
@@ -171,7 +170,7 @@ class OrderUpTo:
         water to be pumped, although there is no water at the node below.
 
         Args:
-            table: ``fill_to`` of a step.
+            table: volumes of a step of the policy.
             group: index of a group of the step, either one for each roof or one for all roofs.
             usable: usable water in the cistern (m3), either one value for each roof or one for all
                 roofs.
@@ -214,22 +213,20 @@ class OrderUpTo:
         # Steps after the last rain are the same for all members.
         wet = int(np.flatnonzero(rain.any(axis=0)).max(initial=-1)) + 1
         value = np.zeros((1, len(self._water), len(self._nodes)))
-        fill_to: list[Array] = []
-        group_of: list[Indices] = []
+        decisions: list[tuple[Array, Indices]] = []
         for step in reversed(range(steps)):
             if step < wet and len(value) < members:
                 value = np.repeat(value, members, axis=0)
             _, group = np.unique(groups[: len(value), step], return_inverse=True)
             value, levels = self._before(
-                value, rain[: len(value), step, None, None], float(potential[step]),
-                float(flow[step]), float(lengths[step]), group,
+                value, rain[: len(value), step, None, None], potential[step], flow[step],
+                lengths[step], group,
             )
-            fill_to.append(levels)
-            group_of.append(np.broadcast_to(group, members))
+            decisions.append((levels, np.broadcast_to(group, members)))
         stored = np.full((1, 1, 1), self._cistern.usable(x1) + self._content(x2))
         now = self._at(value, np.full((1, 1, 1), x2), stored)
         return Policy(
-            edges, x1, x2, rain, evapotranspiration, flow, fill_to[::-1], group_of[::-1],
+            edges, x1, x2, rain, evapotranspiration, flow, decisions[::-1],
             float(now.mean()) / float(edges[-1]),
         )
 
@@ -250,8 +247,8 @@ class OrderUpTo:
         water = np.full(len(rain), self._cistern.usable(policy.x1))
         pumped, volumes, aimed = np.empty_like(rain), np.empty_like(rain), np.empty_like(rain)
         for step, seconds in enumerate(np.diff(policy.edges).tolist()):
-            groups = policy.group_of[step] if member is None else policy.group_of[step][member]
-            level = self._levels(policy.fill_to[step], groups, water, roof)
+            levels, groups = policy.steps[step]
+            level = self._levels(levels, groups if member is None else groups[member], water, roof)
             aimed[:, step] = np.where(level >= roof, level, 0.0)
             lifted = np.minimum(policy.flow[step] * seconds, water + self._p.mains_flow * seconds)
             potential = float(policy.evapotranspiration[step]) * seconds

@@ -100,24 +100,23 @@ class RegretBudget:
         self._more = 0.0  # volume on the roof with on/off minus the actual volume (m3)
         self._stored = 0.0  # the same in the cistern (m3)
         self._layers = site.initial_layer, site.initial_layer  # with on/off, and actually (m3)
-        self._unseen = 0
         self._warned = False
         self.loss = 0.0
         self.onoff_cost = 0.0
         self.exhausted = False
 
-    def judge(self, x1: float, x2: float, fraction: float) -> bool:
+    def judge(self, x1: float, x2: float, fraction: float, seconds: float) -> bool:
         """Count the current tick, and return whether forecasts of rain are to be ignored.
 
         Args:
             x1: volume in the cistern (m3).
             x2: volume on the roof (m3).
             fraction: v, the command of on/off control while pumping (share of the maximum flow).
+            seconds: time since the last call (s), in which skipped ticks count, too.
         """
         site = self._site
         theirs = abs(x2 + self._more - site.x2_star)
         excess = abs(x2 - site.x2_star) - theirs
-        seconds, self._unseen = (1 + self._unseen) * site.tau, 0
         self.onoff_cost += seconds * theirs
         self.loss += seconds * excess
         # Volume to pump to catch up with on/off, or to reach the target.
@@ -141,10 +140,6 @@ class RegretBudget:
         elif behind <= site.tau * flow / 2:
             self.exhausted = False
         return self.exhausted
-
-    def skip(self) -> None:
-        """Account for a tick without pumping and without a decision."""
-        self._unseen += 1
 
     def move(
         self, x1: float, x2: float, fraction: float, command: float,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from statistics import fmean
 
@@ -58,15 +57,19 @@ class RoofObserver:
         self._surprises: deque[float] = deque(  # the last readings minus their predictions (m3)
             maxlen=max(_LOST_READINGS, round(_LOST_S / site.tau))
         )
-        self._gap = math.inf  # since the last reading (s)
 
-    def correct(self, roof_level: float) -> float:
-        """Return the volume (m3) in the current tick, given the sensor's level (m)."""
+    def correct(self, roof_level: float, seconds: float) -> float:
+        """Return the volume (m3) in the current tick.
+
+        Args:
+            roof_level: level that the sensor reads (m).
+            seconds: time since the last reading (s), one tick if none was skipped.
+        """
         reading, last = self._site.roof_volume(roof_level), self._surprises
-        if self._gap > _GAP_S:
+        if not self._readings or seconds - self._site.tau > _GAP_S:
             self.predicted, self._readings = reading, 0
             last.clear()
-        self._gap, self._readings = 0.0, self._readings + 1
+        self._readings += 1
         surprise = reading - self.predicted
         last.append(surprise)
         gain = max(self._gain, 1 / self._readings)
@@ -77,7 +80,3 @@ class RoofObserver:
             excess, self._readings = surprise - fmean(last), len(last)
             last.clear()
         return max(0.0, reading - excess)
-
-    def skip(self) -> None:
-        """Skip a tick without a reading and without pumping."""
-        self._gap += self._site.tau
