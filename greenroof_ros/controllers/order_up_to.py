@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.controllers.roof_prediction import RoofPrediction, drain
-from greenroof_ros.physics.parameters import PlantParameters, plant_parameters
+from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.site.site import Site
 
 Array = NDArray[np.float64]
@@ -54,51 +54,6 @@ class Policy:
     cost: float
 
 
-class Cistern:
-    """Step-by-step balance of a cistern's usable water (m3), the water above the suction level.
-
-    A valve on the low outlet is assumed to be closed, because the water that it releases makes room
-    for rain that refills the cistern.
-    """
-
-    def __init__(self, site: Site, p: PlantParameters) -> None:
-        self._p, self._always_drains = p, site.always_drains
-        self._suction = site.cistern_volume(site.suction_level)
-        self._capacity = site.cistern_volume(site.z_o) - self._suction
-        lowest = site.min_outlet_level if site.always_drains else site.z_o
-        self._low = site.cistern_volume(lowest) - self._suction
-        self._mains = site.cistern_volume(p.mains_level) - self._suction
-
-    def usable(self, x1: float) -> float:
-        """Return the usable part of x1 (m3): without water above the outlet, which soon drains."""
-        return min(max(x1 - self._suction, 0.0), self._capacity)
-
-    def scarce(self, x1: float, demand: float, seconds: float) -> float:
-        """Return the maximum relevant volume of water (m3); 0 if there will always be enough.
-
-        Args:
-            x1: volume in the cistern (m3).
-            demand: maximum demand for water from the cistern (m3).
-            seconds: period during which the demand can occur (s).
-        """
-        if min(self.usable(x1), self._low) + self._p.mains_flow * seconds >= demand:
-            return 0.0
-        return self._capacity if self._low < self._capacity else min(demand, self._capacity)
-
-    def predict_usable(self, water: Array, rain: Array, seconds: float) -> Array:
-        """Return the usable water (m3) after a step with rain (m/s), from Eq. (2) without pumping.
-
-        Rain and mains water are added first. Then the low outlet drains the cistern.
-        """
-        p = self._p
-        water = water + rain * (p.effective_catchment * seconds)
-        water = np.maximum(water, np.minimum(water + p.mains_flow * seconds, self._mains))
-        water = np.minimum(water, self._capacity)
-        if self._always_drains:
-            water = drain(p, water + self._suction, seconds) - self._suction
-        return water
-
-
 class OrderUpTo:
     r"""Dynamic program for the minimum mean of \|x2 - x2*\|, solved backwards from the last step.
 
@@ -124,7 +79,9 @@ class OrderUpTo:
 
     **Water.** If the cistern can run short, V depends on a second variable s, which is the usable
     water plus the water needed to fill an empty roof to its current volume. Filling does not change
-    s. If there is always enough water, s has one node.
+    s. If there is always enough water, s has one node. Usable is the water above the suction level.
+    A valve on the low outlet is assumed to be closed, because the water that it releases makes room
+    for rain that refills the cistern.
     """
 
     def __init__(self, site: Site, fine: tuple[int, int] = (900, 300)) -> None:
@@ -135,7 +92,15 @@ class OrderUpTo:
             fine: numbers of nodes below and above the target, for a single forecast.
         """
         self._p, self._target, self._fine = plant_parameters(site), site.x2_star, fine
-        self._soil, self._cistern = RoofPrediction(self._p), Cistern(site, self._p)
+        self._soil, self._always_drains = RoofPrediction(self._p), site.always_drains
+        # Usable water of a cistern that is full, at its lowest open outlet, and at its mains valve.
+        self._suction = site.cistern_volume(site.suction_level)
+        self._capacity, self._low, self._mains = (
+            site.cistern_volume(level) - self._suction for level in (
+                site.z_o, site.min_outlet_level if site.always_drains else site.z_o,
+                self._p.mains_level,
+            )
+        )
 
     def _place(self, below: int, above: int) -> None:
         """Place the nodes at x* plus or minus (k / n)^2 of the range."""
@@ -149,6 +114,23 @@ class OrderUpTo:
         self._per_node = below**2 / self._target, above**2 / room
         self._contents = self._content(self._nodes)
 
+    def _usable(self, x1: float) -> float:
+        """Return the usable part of x1 (m3): without water above the outlet, which soon drains."""
+        return min(max(x1 - self._suction, 0.0), self._capacity)
+
+    def _predict_usable(self, water: Array, rain: Array, seconds: float) -> Array:
+        """Return the usable water (m3) after a step with rain (m/s), from Eq. (2) without pumping.
+
+        Rain and mains water are added first. Then the low outlet drains the cistern.
+        """
+        p = self._p
+        water = water + rain * (p.effective_catchment * seconds)
+        water = np.maximum(water, np.minimum(water + p.mains_flow * seconds, self._mains))
+        water = np.minimum(water, self._capacity)
+        if self._always_drains:
+            water = drain(p, water + self._suction, seconds) - self._suction
+        return water
+
     def level(self, policy: Policy, age: float, x1: float, x2: float) -> float:
         """Return the volume up to which the roof is filled now (m3); a fuller one is left alone.
 
@@ -159,7 +141,7 @@ class OrderUpTo:
             x2: volume on the roof (m3).
         """
         step = int(policy.edges[1:-1].searchsorted(age, side="right"))
-        return float(self._levels(policy.steps[step][0], 0, self._cistern.usable(x1), x2))
+        return float(self._levels(policy.steps[step][0], 0, self._usable(x1), x2))
 
     def _levels(self, table: Array, group: Any, usable: Any, x2: Any) -> Any:
         """Return the volumes up to which roofs are filled (m3), or -1.
@@ -205,7 +187,10 @@ class OrderUpTo:
         full = float(self._content(self._target))
         potential = evapotranspiration * lengths
         demand = full + float(potential.sum())
-        scarce = self._cistern.scarce(x1, demand, float(edges[-1]))
+        supplied = min(self._usable(x1), self._low) + self._p.mains_flow * float(edges[-1])
+        scarce = 0.0  # the maximum relevant volume of water; 0 if there will always be enough
+        if supplied < demand:
+            scarce = self._capacity if self._low < self._capacity else min(demand, self._capacity)
         self._place(*(self._fine if members == 1 and not scarce else _COARSE))
         self._water = np.zeros(1)
         if scarce:
@@ -223,7 +208,7 @@ class OrderUpTo:
                 lengths[step], group,
             )
             decisions.append((levels, np.broadcast_to(group, members)))
-        stored = np.full((1, 1, 1), self._cistern.usable(x1) + self._content(x2))
+        stored = np.full((1, 1, 1), self._usable(x1) + self._content(x2))
         now = self._at(value, np.full((1, 1, 1), x2), stored)
         return Policy(
             edges, x1, x2, rain, evapotranspiration, flow, decisions[::-1],
@@ -244,7 +229,7 @@ class OrderUpTo:
         """
         soil, rain, content = self._soil, policy.rain, self._content
         roof = np.full(len(rain), policy.x2)
-        water = np.full(len(rain), self._cistern.usable(policy.x1))
+        water = np.full(len(rain), self._usable(policy.x1))
         pumped, volumes, aimed = np.empty_like(rain), np.empty_like(rain), np.empty_like(rain)
         for step, seconds in enumerate(np.diff(policy.edges).tolist()):
             levels, groups = policy.steps[step]
@@ -260,7 +245,7 @@ class OrderUpTo:
             held = np.where(level >= filled, np.maximum(alone, held), alone)
             uptake = content(filled) - content(roof) + content(held) - content(alone)
             uptake, roof = np.minimum(uptake, lifted), held
-            water = self._cistern.predict_usable(water - uptake, rain[:, step], seconds)
+            water = self._predict_usable(water - uptake, rain[:, step], seconds)
             pumped[:, step], volumes[:, step] = uptake / seconds, roof
         return pumped, volumes, aimed
 
@@ -285,7 +270,7 @@ class OrderUpTo:
         Returns:
             V before the step, and the levels of :class:`Policy`, shape (groups, S, nodes to x*).
         """
-        soil, cistern, dry = self._soil, self._cistern, slice(self._below + 1)
+        soil, dry = self._soil, slice(self._below + 1)
         nodes, roof = self._nodes, self._nodes[dry]
         scarce = len(self._water) > 1
         reach = soil.predict_volume(roof, flow * seconds, potential, seconds)
@@ -296,7 +281,7 @@ class OrderUpTo:
         stored = remaining = self._water
         if scarce:
             remaining = np.maximum(self._water[:, None] - self._contents, 0.0)
-            stored = cistern.predict_usable(remaining, rain, seconds) + self._content(alone)
+            stored = self._predict_usable(remaining, rain, seconds) + self._content(alone)
         free = seconds * self._deviation(nodes, alone) + self._at(value, alone, stored)
         # Held.
         alone = alone[..., dry]
@@ -306,7 +291,7 @@ class OrderUpTo:
             uptake = np.minimum(self._content(held) - first, remaining[..., dry])
             uptake = np.maximum(uptake, 0.0)
             held = np.where(uptake > 0, soil.fill_empty(first + uptake), alone)
-            stored = cistern.predict_usable(remaining[..., dry] - uptake, rain, seconds)
+            stored = self._predict_usable(remaining[..., dry] - uptake, rain, seconds)
             stored = stored + first + uptake
         holding = seconds * self._deviation(roof, held) + self._at(value, held, stored)
         # Filled.
