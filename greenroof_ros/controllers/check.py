@@ -33,6 +33,11 @@ class _BrokenRuleError(Exception):
     """Error raised when a controller breaks a rule; the message describes the fault."""
 
 
+def _require(holds: bool, problem: str) -> None:
+    if not holds:
+        raise _BrokenRuleError(problem)
+
+
 def trial_values(site: Site) -> Iterator[tuple[float, float, float, float]]:
     """Yield levels (m), rain (m/s) and evapotranspiration (m3/s) for sites from dry to flooded."""
     for cistern, roof, rain, evaporated in product(_CISTERN, _ROOF, _RAIN, _EVAPOTRANSPIRATION):
@@ -125,32 +130,28 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
 
 def _check_command(controller: Controller, *inputs: Any) -> float:
     command = controller.command(*inputs)
-    if command not in COMMANDS:
-        cistern, roof = inputs[:2]
-        raise _BrokenRuleError(
-            f"command() returns {command!r} at levels of {cistern:g} m in the cistern and {roof:g} "
-            "m on the roof; the command must be finite and not negative"
-        )
+    _require(
+        command in COMMANDS, f"command() returns {command!r} at levels of {inputs[0]:g} m in the "
+        f"cistern and {inputs[1]:g} m on the roof; the command must be finite and not negative",
+    )
     return float(command)
 
 
 def _parameters(trial: _Trial) -> None:
     names = [parameter.name for parameter in trial.choice.kind.parameters]
-    if len(set(names)) < len(names):
-        raise _BrokenRuleError(f"two parameters have the same name: {', '.join(names)}")
+    _require(
+        len(set(names)) == len(names), f"two parameters have the same name: {', '.join(names)}"
+    )
     for parameter in trial.choice.kind.parameters:
-        if not parameter.name.isidentifier() or parameter.name != parameter.name.lower():
-            raise _BrokenRuleError(
-                f"{parameter.name!r} is not a valid name: use a-z, 0-9 and _, and do not begin "
-                "with a digit"
-            )
-        if not (parameter.unit and parameter.meaning):
-            raise _BrokenRuleError(f"{parameter.name} lacks a unit ('1' for none) or a meaning")
-        if parameter.default not in parameter.range:
-            raise _BrokenRuleError(
-                f"the default of {parameter.name}, {parameter.default:g}, "
-                f"{parameter.range.expected(parameter.default)}"
-            )
+        name, default = parameter.name, parameter.default
+        _require(
+            name.isidentifier() and name == name.lower(), f"{name!r} is not a valid name: use a-z, "
+            "0-9 and _, and do not begin with a digit",
+        )
+        described = bool(parameter.unit and parameter.meaning)
+        _require(described, f"{name} lacks a unit ('1' for none) or a meaning")
+        expected = parameter.range.expected(default)
+        _require(default in parameter.range, f"the default of {name}, {default}, {expected}")
 
 
 def _whole_range(trial: _Trial) -> None:
@@ -168,19 +169,16 @@ def _whole_range(trial: _Trial) -> None:
 
 
 def _agree(what: str, request: Callable[[], Iterable[float]]) -> None:
-    for first, second in zip(request(), request(), strict=True):
-        if first != second:
-            raise _BrokenRuleError(
-                f"two instances {what} {first!r} and {second!r} for the same inputs"
-            )
+    for one, other in zip(request(), request(), strict=True):
+        _require(one == other, f"two instances {what} {one!r} and {other!r} for the same inputs")
 
 
 def _inputs_unchanged(trial: _Trial) -> None:
     controller = trial.make()
     for given, same in zip(trial.inputs(), trial.inputs(), strict=True):
         _check_command(controller, *given)
-        if not all(map(np.array_equal, given, same)):
-            raise _BrokenRuleError("command() modifies the forecasts passed to it; copy them first")
+        unchanged = all(map(np.array_equal, given, same))
+        _require(unchanged, "command() modifies the forecasts passed to it; copy them first")
 
 
 def _wrong_forecasts(trial: _Trial) -> None:
@@ -194,10 +192,10 @@ def _wrong_forecasts(trial: _Trial) -> None:
         try:
             _check_command(trial.make(), *levels, rain, evaporated)
         except ConfigurationError:
-            if not choice.needs_forecast and rain is empty:
-                raise _BrokenRuleError(
-                    "command() raises an error without a forecast, although needs_forecast is False"
-                ) from None
+            _require(
+                choice.needs_forecast or rain is not empty,
+                "command() raises an error without a forecast, although needs_forecast is False",
+            )
     if choice.ensemble:
         controller = trial.make()
         for members in (1, 3):
@@ -209,10 +207,9 @@ def _may_change(trial: _Trial) -> None:
         if not parameter.may_change:
             continue
         name, controller = parameter.name, trial.make()
-        if getattr(controller, name, None) != trial.choice.defaults(trial.site)[name]:
-            raise _BrokenRuleError(
-                f"the object has no attribute {name} with the value of the parameter"
-            )
+        value = trial.choice.defaults(trial.site)[name]
+        has_value = getattr(controller, name, None) == value
+        _require(has_value, f"the object has no attribute {name} with the value of the parameter")
         for value in (parameter.low, parameter.high):
             setattr(controller, name, value)
             list(trial.ticks(controller, stride=11))
@@ -229,9 +226,7 @@ def _outputs(trial: _Trial) -> None:
             right = isinstance(value, np.ndarray) and (
                 (value.dtype, value.shape[1:]) == (float, shape)
             )
-        if not right:
-            problem = f"{topic.name}: the attribute {attribute} must be a {expected}"
-            raise _BrokenRuleError(problem)
+        _require(right, f"{topic.name}: the attribute {attribute} must be a {expected}")
 
 
 def _outlet(trial: _Trial) -> None:
@@ -243,20 +238,20 @@ def _outlet(trial: _Trial) -> None:
 
     if not trial.choice.of_valve:
         _agree("open the valve to", request_shares)
-    elif hasattr(trial.decided(), "outlet"):
-        raise _BrokenRuleError(
-            "the object has an attribute outlet, but its class does not; define it in the class "
-            "as well, for example outlet = 0.0"
-        )
+        return
+    _require(
+        not hasattr(trial.decided(), "outlet"), "the object has an attribute outlet, but its class "
+        "does not; define it in the class as well, for example outlet = 0.0",
+    )
 
 
 def _statistics(trial: _Trial) -> None:
     statistics = trial.decided().statistics()
     figures = TickTimes().statistics(0, 0)
-    if statistics is not None and statistics.keys() != figures.keys():
-        raise _BrokenRuleError(
-            f"statistics() must return None, or a value for each of {', '.join(sorted(figures))}"
-        )
+    _require(
+        statistics is None or statistics.keys() == figures.keys(),
+        f"statistics() must return None, or a value for each of {', '.join(sorted(figures))}",
+    )
 
 
 # Every check, by what it shows, in the order in which a user should fix failures. A check that

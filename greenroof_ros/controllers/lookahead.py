@@ -138,8 +138,7 @@ class Lookahead(Anticipating):
         self._planned = self._checked = 0  # ticks of the policy and of the last comparison
         # What the policy was made for: whether rain counts, quiet hours, number of members.
         self._basis = True, False, 0
-        self._planned_rain: Array = np.zeros(0)  # total over the forecast, by member (m)
-        self._fallen = 0.0  # rain since the plan (m)
+        self._coming: Array = np.zeros(0)  # rain that the policy still expects, by member (m)
         self._runs, self._started = False, -math.inf  # the pumps, and the tick of their last start
         self._steady = math.inf  # maximum command during ``min_on`` after a start
         self._rows: Callable[[], Array] = _UNDECIDED.copy
@@ -175,7 +174,7 @@ class Lookahead(Anticipating):
             if self._policy is None or old or basis != self._basis or self._is_wrong(forecast[0]):
                 self._basis = basis
                 self._plan(x1, x2, *forecast)
-        self._fallen += now[0] * site.tau
+        self._coming = self._coming - now[0] * site.tau
         level = -1.0
         if not self._quiet:
             age, policy = self._seconds_since(self._planned), self._policy
@@ -189,15 +188,14 @@ class Lookahead(Anticipating):
         return share
 
     def _is_wrong(self, rain: Array) -> bool:
-        """Return whether a forecast's rain, plus the rain since the plan, is not what was planned.
+        """Return whether a forecast's total rain is not what the policy still expects.
 
         This is checked once a minute.
         """
         if self._seconds_since(self._checked) < _CHECK_S:
             return False
         self._checked = self._tick
-        changes = self._total(rain) + self._fallen - self._planned_rain
-        return float(np.abs(changes).max()) > _CHANGED_M
+        return float(np.abs(self._total(rain) - self._coming).max()) > _CHANGED_M
 
     def _total(self, rain: Array) -> Array:
         """Return the total rain in the forecast (m), shape (members,)."""
@@ -205,7 +203,7 @@ class Lookahead(Anticipating):
 
     def _plan(self, x1: float, x2: float, rain: Array, evaporated: Array) -> None:
         """Make a plan that is bit-identical regardless of the order of the forecast's members."""
-        self._planned, self._fallen, self._planned_rain = self._tick, 0.0, self._total(rain)
+        self._planned, self._coming = self._tick, self._total(rain)
         chosen = self._plan_edges[len(rain) > 1]
         edges = self._after.edges[chosen]
         if not self._basis[0]:

@@ -350,22 +350,21 @@ def find_controller(reference: str) -> ControllerChoice:
         ConfigurationError: if there is no such controller, or if the name of its node is already in
             use.
     """
-    if reference in _PATHS:
-        return ControllerChoice(reference, reference)
+    name, problem = reference, ""
     if ":" not in reference:
-        expected = describe_choices(BUILT_IN, reference, ", or package.module:Class")
-        raise ConfigurationError(expected, key="controller", value=reference)
-    if not re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", reference):
-        raise ConfigurationError(
-            "must be of the form package.module:Class", key="controller", value=reference
-        )
-    name = _node_name(reference.partition(":")[2])
-    if name in BUILT_IN or name in _OTHER_NODES:
-        raise ConfigurationError(
-            f"the controller's node would have the same name as another node, {name}; rename the "
-            "class",
-            key="controller", value=reference,
-        )
+        if reference not in _PATHS:
+            problem = describe_choices(BUILT_IN, reference, ", or package.module:Class")
+    elif not re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", reference):
+        problem = "must be of the form package.module:Class"
+    else:
+        name = _node_name(reference.partition(":")[2])
+        if name in BUILT_IN or name in _OTHER_NODES:
+            problem = (
+                f"the controller's node would have the same name as another node, {name}; rename "
+                "the class"
+            )
+    if problem:
+        raise ConfigurationError(problem, key="controller", value=reference)
     return ControllerChoice(name, reference)
 
 
