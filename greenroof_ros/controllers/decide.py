@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import importlib
-import sys
+import math
 import traceback
 from collections import deque
 from collections.abc import Sequence
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +15,10 @@ import numpy as np
 
 import greenroof_ros
 from greenroof_ros.common.errors import ConfigurationError, HangError, describe_value
-from greenroof_ros.common.ranges import Range
 from greenroof_ros.controllers.protocol import Controller
 
 # Places that are not a user's code: this package, and what Python uses to import.
 _NO_USERS = str(Path(greenroof_ros.__file__).parent), importlib.__file__, "<frozen importlib"
-FINITE = Range(-sys.float_info.max, sys.float_info.max)
-COMMANDS = Range(0.0, sys.float_info.max)
-"""the commands to the pumps"""
 # Number of ticks that the percentile of the wall times covers.
 _CAPACITY = 65_536
 
@@ -69,13 +66,14 @@ def decide(
             controller.skip()
             return 0.0
         command = controller.command(cistern_level, roof_level, precipitation, evapotranspiration)
-    if command in COMMANDS:
+    if is_finite_number(command) and command >= 0:
         return 0.0 if quiet else float(command)
-    raise invalid(type(controller), "command", "the command", command, COMMANDS)
+    expected = "must be a finite number and not negative"
+    raise invalid(type(controller), "command", "the command", command, expected)
 
 
 def invalid(
-    kind: Any, member: str, subject: str, value: object, valid: Range
+    kind: Any, member: str, subject: str, value: object, expected: str
 ) -> ControllerError:
     """Return the error for an invalid value that a class returned.
 
@@ -84,13 +82,23 @@ def invalid(
         member: method or property that returned the value.
         subject: name of the value.
         value: the value.
-        valid: valid values.
+        expected: description of valid values.
     """
     file, line = find_place(kind, member, "command")
     return ControllerError(
-        f"{valid.expected(value)} (greenroof check-controller detects this before a run)",
-        file=file, line=line, key=f"{subject} of {kind.__name__} = {describe_value(value)}",
+        f"{expected} (greenroof check-controller detects this before a run)", file=file, line=line,
+        key=f"{subject} of {kind.__name__} = {describe_value(value)}",
     )
+
+
+def is_finite_number(value: Any) -> bool:
+    """Return whether a value is a real Python or numpy number that is finite as a float."""
+    try:
+        # Float first: checking for Real alone takes a tenth of a simulated tick.
+        is_number = isinstance(value, (float, Real)) and not isinstance(value, bool)
+        return is_number and math.isfinite(value)
+    except OverflowError:
+        return False
 
 
 def read_statistics(controller: Controller) -> dict[str, float] | None:

@@ -96,7 +96,7 @@ def requested_share(controller: Any, *_: object) -> float:
         share = controller.outlet
     if share in SHARE:
         return float(share)
-    raise invalid(kind, "outlet", "the attribute outlet", share, SHARE)
+    raise invalid(kind, "outlet", "the attribute outlet", share, SHARE.expected(share))
 
 
 def outlet_share(

@@ -24,10 +24,10 @@ from greenroof_ros.common.processes import time_limit
 from greenroof_ros.common.states import ENDED
 from greenroof_ros.common.times import from_epoch_ns, to_people
 from greenroof_ros.controllers.decide import (
-    FINITE,
     ControllerError,
     decide,
     find_place,
+    is_finite_number,
     locate_error,
     may_decide,
 )
@@ -223,7 +223,7 @@ class LiveControllerNode(LiveNode):
         learned = getattr(controller, "learned", None)
         if learned is None:
             return None
-        if isinstance(learned, dict) and all(value in FINITE for value in learned.values()):
+        if isinstance(learned, dict) and all(map(is_finite_number, learned.values())):
             return {name: float(value) for name, value in learned.items()}
         kind = type(controller)
         file, line = find_place(kind, "learned")

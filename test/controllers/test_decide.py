@@ -52,7 +52,17 @@ def test_a_command_is_passed_on_unless_the_tick_is_skipped(answer: Any) -> None:
     assert controller.skipped == 1
 
 
-@pytest.mark.parametrize("answer", [-0.5, math.nan, math.inf, 10**400, True, "0.5", None])
+def test_quiet_hours() -> None:
+    """A controller that uses the time is called, but not obeyed; any other one skips the tick."""
+    for knows in (False, True):
+        controller = Answering(0.5)
+        if knows:
+            controller.time_ns = 0  # type: ignore[attr-defined]
+        assert decide(controller, True, 2.0, 0.03, [0.0], [0.0], quiet=True) == 0.0
+        assert controller.skipped == (not knows)
+
+
+@pytest.mark.parametrize("answer", [-0.5, math.nan, np.float32("inf"), 10**400, True, "0.5", None])
 def test_what_is_no_command_ends_the_run(answer: Any) -> None:
     """It could pump water out of the roof, or fail in the middle of the plant."""
     with pytest.raises(ConfigurationError, match=r"the command of Answering.*must be a finite num"):
