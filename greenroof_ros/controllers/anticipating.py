@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,8 @@ OF_FORECAST = (
 OF_WAITING = (OBSERVER_TIME_CONSTANT, WAITING_BUDGET, WAITING_SHARE)
 
 Array = NDArray[np.float64]
+Forecasts: TypeAlias = tuple[Array, Array]
+"""rain (m/s), shape (members, steps), and evapotranspiration (m3/s), shape (steps,)"""
 
 
 class AfterForecast:
@@ -88,7 +90,7 @@ class AfterForecast:
 
     def read(
         self, rain: Sequence[Any], evapotranspiration: Sequence[float], max_members: int
-    ) -> tuple[Array, Array] | None:
+    ) -> Forecasts | None:
         """Return the forecasts of this tick as arrays, without copying, and update the mean.
 
         Args:
@@ -97,8 +99,7 @@ class AfterForecast:
             max_members: maximum number of members.
 
         Returns:
-            Arrays of shape (members, steps) and (steps,); None without a forecast, or if a value
-            is missing.
+            The forecasts; None without a forecast, or if a value is missing.
 
         Raises:
             ConfigurationError: if the shape of a forecast is wrong, or if there are too many
@@ -169,6 +170,8 @@ class Anticipating:
         self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
         self._tick, self._last = 0, -1  # the current tick, and the last one with a reading
         self._quiet, self.gauge_rain = False, 0.0
+        # Rain (m/s) and evapotranspiration (m3/s) now, and whether forecasts of rain are used.
+        self._now, self._rain_counts = (0.0, 0.0), True
 
     @property
     def learned(self) -> dict[str, float]:
@@ -202,30 +205,19 @@ class Anticipating:
             return 0.0
         seconds, self._last = self._seconds_since(self._last), self._tick
         x2 = self._observer.correct(roof_level, seconds)
-        rain_counts = not self._regret_budget.judge(x1, x2, self.fraction, seconds)
-        now = self.gauge_rain, self._after.mean
+        self._rain_counts = not self._regret_budget.judge(x1, x2, self.fraction, seconds)
+        self._now = self.gauge_rain, self._after.mean
         if forecast is not None:
-            now = float(forecast[0][0, 0]), float(forecast[1][0])
-        command = self._decide(x1, x2, forecast, now, rain_counts)
+            self._now = float(forecast[0][0, 0]), float(forecast[1][0])
+        command = self._decide(x1, x2, forecast)
         onoff = 0.0 if self._quiet else self.fraction
-        after = self._regret_budget.move(x1, x2, onoff, command, *now)
+        after = self._regret_budget.move(x1, x2, onoff, command, *self._now)
         self._observer.predicted = after.roof
         self._tick += 1
         return command
 
-    def _decide(
-        self, x1: float, x2: float, forecast: tuple[Array, Array] | None,
-        now: tuple[float, float], rain_counts: bool,
-    ) -> float:
-        """Return the command for the current tick.
-
-        Args:
-            x1: volume in the cistern (m3).
-            x2: volume on the roof (m3).
-            forecast: as :meth:`AfterForecast.read` returns it.
-            now: rain (m/s) and evapotranspiration (m3/s) in the current tick.
-            rain_counts: whether forecasts of rain are to be used.
-        """
+    def _decide(self, x1: float, x2: float, forecast: Forecasts | None) -> float:
+        """Return the command for the volumes in the cistern and on the roof (m3)."""
         raise NotImplementedError
 
     def skip(self) -> None:

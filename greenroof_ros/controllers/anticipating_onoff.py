@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.anticipating import OF_FORECAST, OF_WAITING, Anticipating
+from greenroof_ros.controllers.anticipating import OF_FORECAST, OF_WAITING, Anticipating, Forecasts
 from greenroof_ros.controllers.onoff import FRACTION
 from greenroof_ros.controllers.roof_prediction import RoofPrediction
 from greenroof_ros.site.site import Site
@@ -76,13 +76,10 @@ class AnticipatingOnOff(Anticipating):
         self._roof = RoofPrediction(self._p)
         self._waits_since = -math.inf  # tick of the last check that found that it should wait
 
-    def _decide(
-        self, x1: float, x2: float, forecast: tuple[Array, Array] | None,
-        now: tuple[float, float], rain_counts: bool,
-    ) -> float:
+    def _decide(self, x1: float, x2: float, forecast: Forecasts | None) -> float:
         site = self._site
         dry = x2 < site.x2_star and x1 / site.a1 >= site.suction_level
-        if dry and rain_counts and forecast is not None:
+        if dry and self._rain_counts and forecast is not None:
             checks = self._seconds_since(self._waits_since) >= _CHECK_S
             dry = checks and self._stays_dry(x2, *forecast)
             if checks and not dry:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.anticipating import OF_FORECAST, OF_WAITING, Anticipating
+from greenroof_ros.controllers.anticipating import OF_FORECAST, OF_WAITING, Anticipating, Forecasts
 from greenroof_ros.controllers.decide import TickTimes
 from greenroof_ros.controllers.order_up_to import BELOW_M3, OrderUpTo, Policy, halve_by_rain
 from greenroof_ros.controllers.outlet import PLAN
@@ -158,23 +158,20 @@ class Lookahead(Anticipating):
         self.solve_seconds.append(time.perf_counter() - began)
         return command
 
-    def _decide(
-        self, x1: float, x2: float, forecast: tuple[Array, Array] | None,
-        now: tuple[float, float], rain_counts: bool,
-    ) -> float:
+    def _decide(self, x1: float, x2: float, forecast: Forecasts | None) -> float:
         site = self._site
         self._rows = _NO_NEW_PLAN.copy
         self._quiet = site.quiet is not None and site.quiet.quiet_at(self.time_ns)
         old = self._seconds_since(self._planned) >= self._max_age
         if forecast is None:
-            if old or rain_counts != self._basis[0]:
+            if old or self._rain_counts != self._basis[0]:
                 self._policy = None
         else:
-            basis = rain_counts, self._quiet, len(forecast[0])
+            basis = self._rain_counts, self._quiet, len(forecast[0])
             if self._policy is None or old or basis != self._basis or self._is_wrong(forecast[0]):
                 self._basis = basis
                 self._plan(x1, x2, *forecast)
-        self._coming = self._coming - now[0] * site.tau
+        self._coming = self._coming - self._now[0] * site.tau
         level = -1.0
         if not self._quiet:
             age, policy = self._seconds_since(self._planned), self._policy
@@ -183,7 +180,7 @@ class Lookahead(Anticipating):
         if level >= x2:
             self.fill_to = site.roof_level(level)
             if x1 / site.a1 >= site.suction_level:
-                share = self._share(command_to(self._p, x1, x2, level - BELOW_M3, *now))
+                share = self._share(command_to(self._p, x1, x2, level - BELOW_M3, *self._now))
         self._runs = share > 0
         return share
 
@@ -206,7 +203,7 @@ class Lookahead(Anticipating):
         self._planned, self._coming = self._tick, self._total(rain)
         chosen = self._plan_edges[len(rain) > 1]
         edges = self._after.edges[chosen]
-        if not self._basis[0]:
+        if not self._rain_counts:
             rain = np.hstack((rain[:, :1], np.zeros_like(rain[:, 1:])))
         rain, evaporated = (
             np.add.reduceat(rates * self._after.lengths, chosen[:-1], axis=-1) / np.diff(edges)

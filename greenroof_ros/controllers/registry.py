@@ -118,7 +118,8 @@ class ControllerChoice:
                 "see \"Your controller\" in the documentation"
             )
         else:
-            of_node = _OF_EVERY_NODE.union(parameter.name for parameter in _of_valve(kind))
+            of_valve = () if hasattr(kind, "outlet") else outlet.PARAMETERS
+            of_node = _OF_EVERY_NODE.union(parameter.name for parameter in of_valve)
             for name in of_node.intersection(parameter.name for parameter in kind.parameters):
                 problem = (
                     f"has a parameter {name}, but its node already has a parameter of this name; "
@@ -126,9 +127,6 @@ class ControllerChoice:
                 )
         if problem:
             raise ConfigurationError(problem, key="controller", value=self.reference)
-        outlet.PARAMETERS[0].read(
-            _policy_of(kind), key=f"the attribute outlet_policy of {self.reference}"
-        )
         return kind
 
     def _import_class(self) -> Any:
@@ -146,10 +144,21 @@ class ControllerChoice:
         """The parameters of the controller and of the outlet valve, by name."""
         return {parameter.name: parameter for parameter in (*self.kind.parameters, *self.of_valve)}
 
-    @property
+    @functools.cached_property
     def of_valve(self) -> tuple[Parameter, ...]:
-        """The parameters of the outlet valve; none if the controller commands the valve itself."""
-        return _of_valve(self.kind)
+        """The parameters of the outlet valve; none if the controller commands the valve itself.
+
+        Raises:
+            ConfigurationError: if the class names a policy that does not exist.
+        """
+        if hasattr(self.kind, "outlet"):
+            return ()
+        policy, *others = outlet.PARAMETERS
+        default = policy.read(
+            getattr(self.kind, "outlet_policy", policy.default),
+            key=f"the attribute outlet_policy of {self.reference}",
+        )
+        return replace(policy, default=default), *others
 
     @property
     def ensemble(self) -> bool:
@@ -375,19 +384,6 @@ def choose_class(kind: Any) -> ControllerChoice:
         if path == own:
             return ControllerChoice(name, name)
     return ControllerChoice(_node_name(kind.__name__), path, kind)
-
-
-def _of_valve(kind: Any) -> tuple[Parameter, ...]:
-    """Return the parameters of the outlet valve; none if a class commands the valve itself."""
-    if hasattr(kind, "outlet"):
-        return ()
-    policy, *others = outlet.PARAMETERS
-    return replace(policy, default=_policy_of(kind)), *others
-
-
-def _policy_of(kind: Any) -> Any:
-    """Return the name of the policy that commands the valve by default."""
-    return getattr(kind, "outlet_policy", outlet.DRAIN)
 
 
 def _node_name(class_name: str) -> str:
