@@ -283,17 +283,22 @@ class OrderUpTo:
             remaining = np.maximum(self._water[:, None] - self._contents, 0.0)
             stored = self._predict_usable(remaining, rain, seconds) + self._content(alone)
         free = seconds * self._deviation(nodes, alone) + self._at(value, alone, stored)
-        # Held.
+        # Held; directly if neither the pumps nor the water limit the filling.
         alone = alone[..., dry]
-        held = np.maximum(alone, np.minimum(roof, reach))
-        if scarce:
-            first = self._content(alone)
-            uptake = np.minimum(self._content(held) - first, remaining[..., dry])
-            uptake = np.maximum(uptake, 0.0)
-            held = np.where(uptake > 0, soil.fill_empty(first + uptake), alone)
-            stored = self._predict_usable(remaining[..., dry] - uptake, rain, seconds)
-            stored = stored + first + uptake
-        holding = seconds * self._deviation(roof, held) + self._at(value, held, stored)
+        strong = not scarce and bool((reach >= self._target).all())
+        if strong:
+            held = seconds * (self._target - roof) + value[..., dry]
+            holding = np.where(alone < roof, held, free[..., dry])
+        else:
+            held = np.maximum(alone, np.minimum(roof, reach))
+            if scarce:
+                first = self._content(alone)
+                uptake = np.minimum(self._content(held) - first, remaining[..., dry])
+                uptake = np.maximum(uptake, 0.0)
+                held = np.where(uptake > 0, soil.fill_empty(first + uptake), alone)
+                stored = self._predict_usable(remaining[..., dry] - uptake, rain, seconds)
+                stored = stored + first + uptake
+            holding = seconds * self._deviation(roof, held) + self._at(value, held, stored)
         # Filled.
         within = np.maximum(reach, roof)[None]
         if scarce:
@@ -304,14 +309,18 @@ class OrderUpTo:
         for index, level in enumerate(levels):
             members = group == index
             ours, waiting = holding[members], free[members][..., dry]
-            best = roof[_find_minimum_onward(ours.mean(axis=0))]
+            place = _find_minimum_onward(ours.mean(axis=0))
+            best = roof[place]
             filled = np.minimum(best, within)
-            costs = self._at(ours, filled[None], self._water[:, None])
-            # Exact if nothing is filled: rounding must not make holding look like a gain.
-            costs = np.where(filled > roof, costs, ours)
+            if strong:
+                costs, contents = ours[..., place[0]], self._contents[place]
+            else:
+                costs = self._at(ours, filled[None], self._water[:, None])
+                # Exact if nothing is filled: rounding must not make holding look like a gain.
+                costs = np.where(filled > roof, costs, ours)
+                contents = self._content(filled)
             if flow > 0:
-                uptake = self._content(filled) - self._contents[dry]
-                costs = costs + (filled - roof) * uptake / (2 * flow)
+                costs = costs + (filled - roof) * (contents - self._contents[dry]) / (2 * flow)
             fills = costs.mean(axis=0) < waiting.mean(axis=0)
             level[:] = np.where(fills, best, -1.0)
             result[members, :, dry] = np.where(fills, costs, waiting)
