@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice, product
 from typing import Any
@@ -20,7 +20,7 @@ from greenroof_ros.controllers.decide import (
     is_finite_number,
     locate_error,
 )
-from greenroof_ros.controllers.outlet import OfController
+from greenroof_ros.controllers.outlet import requested_share
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.site.horizon import look_ahead_ends
@@ -36,6 +36,11 @@ _EVAPOTRANSPIRATION = (0.0, 3e-6)
 
 class _BrokenRuleError(Exception):
     """Error raised when a controller breaks a rule; the message describes the fault."""
+
+
+def _require(holds: bool, problem: str) -> None:
+    if not holds:
+        raise _BrokenRuleError(problem)
 
 
 def trial_values(site: Site) -> Iterator[tuple[float, float, float, float]]:
@@ -63,17 +68,33 @@ class _Trial:
         rates[:, 0] = 0.0
         return rates if self.choice.ensemble else rates[0].tolist()
 
-    def inputs(self, stride: int = 1) -> Iterator[tuple[float, float, Any, Any]]:
-        """Yield every ``stride``-th combination of levels and forecasts."""
-        for cistern, roof, rain, evaporated in islice(trial_values(self.site), 0, None, stride):
-            yield cistern, roof, self.forecast(rain), [evaporated] * self.steps
-
     def make(self, **changes: float) -> Controller:
         return self.choice.make(self.site, {**self.choice.defaults(self.site), **changes})
 
-    def request_commands(self, controller: Controller, stride: int = 1) -> list[float]:
-        """Request commands at every ``stride``-th combination of levels and forecasts."""
-        return [_check_command(controller, *inputs) for inputs in self.inputs(stride)]
+    def inputs(self, stride: int = 1) -> Iterator[tuple[float, float, Any, Any]]:
+        """Yield every ``stride``-th combination of levels and forecasts."""
+        for *levels, rain, evaporated in islice(trial_values(self.site), 0, None, stride):
+            yield *levels, self.forecast(rain), [evaporated] * self.steps
+
+    def ticks(self, controller: Controller, stride: int = 1, skips: int = 0) -> Iterator[float]:
+        """Yield the commands for :meth:`inputs`, and 0 for each tick that is skipped.
+
+        Args:
+            controller: the controller.
+            stride: as for :meth:`inputs`.
+            skips: number of ticks that are skipped before each command.
+        """
+        for inputs in self.inputs(stride):
+            for _ in range(skips):
+                controller.skip()
+                yield 0.0
+            yield _check_command(controller, *inputs)
+
+    def decided(self) -> Controller:
+        """Return a new controller after its first command."""
+        controller = self.make()
+        next(self.ticks(controller))
+        return controller
 
 
 def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
@@ -114,32 +135,29 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
 
 def _check_command(controller: Controller, *inputs: Any) -> float:
     command = controller.command(*inputs)
-    if not (is_finite_number(command) and command >= 0):
-        cistern, roof = inputs[:2]
-        raise _BrokenRuleError(
-            f"command() returns {command!r} at levels of {cistern:g} m in the cistern and {roof:g} "
-            "m on the roof; the command must be finite and not negative"
-        )
+    _require(
+        is_finite_number(command) and command >= 0, f"command() returns {command!r} at levels of "
+        f"{inputs[0]:g} m in the cistern and {inputs[1]:g} m on the roof; the command must be "
+        "finite and not negative",
+    )
     return float(command)
 
 
 def _parameters(trial: _Trial) -> None:
     names = [parameter.name for parameter in trial.choice.kind.parameters]
-    if len(set(names)) < len(names):
-        raise _BrokenRuleError(f"two parameters have the same name: {', '.join(names)}")
+    _require(
+        len(set(names)) == len(names), f"two parameters have the same name: {', '.join(names)}"
+    )
     for parameter in trial.choice.kind.parameters:
-        if not parameter.name.isidentifier() or parameter.name != parameter.name.lower():
-            raise _BrokenRuleError(
-                f"{parameter.name!r} is not a valid name: use a-z, 0-9 and _, and do not begin "
-                "with a digit"
-            )
-        if not (parameter.unit and parameter.meaning):
-            raise _BrokenRuleError(f"{parameter.name} lacks a unit ('1' for none) or a meaning")
-        if parameter.default not in parameter.range:
-            raise _BrokenRuleError(
-                f"the default of {parameter.name}, {parameter.default:g}, "
-                f"{parameter.range.expected(parameter.default)}"
-            )
+        name, default = parameter.name, parameter.default
+        _require(
+            name.isidentifier() and name == name.lower(), f"{name!r} is not a valid name: use a-z, "
+            "0-9 and _, and do not begin with a digit",
+        )
+        described = bool(parameter.unit and parameter.meaning)
+        _require(described, f"{name} lacks a unit ('1' for none) or a meaning")
+        expected = parameter.range.expected(default)
+        _require(default in parameter.range, f"the default of {name}, {default}, {expected}")
 
 
 def _whole_range(trial: _Trial) -> None:
@@ -149,38 +167,24 @@ def _whole_range(trial: _Trial) -> None:
         for value in (parameter.low, parameter.high):
             controller = trial.make(**{parameter.name: value})
             try:
-                trial.request_commands(controller, stride=7)
+                list(trial.ticks(controller, stride=7))
                 if not trial.choice.of_valve:
-                    OfController(controller).command()
+                    requested_share(controller)
             except (_BrokenRuleError, ControllerError) as error:
                 raise _BrokenRuleError(f"with {parameter.name} = {value:g}, {error}") from None
 
 
-def _deterministic(trial: _Trial) -> None:
-    one, other = (trial.request_commands(trial.make()) for _ in range(2))
-    for first, second in zip(one, other, strict=True):
-        if first != second:
-            raise _BrokenRuleError(
-                f"two instances return the commands {first!r} and {second!r} for the same inputs"
-            )
+def _agree(what: str, request: Callable[[], Iterable[float]]) -> None:
+    for one, other in zip(request(), request(), strict=True):
+        _require(one == other, f"two instances {what} {one!r} and {other!r} for the same inputs")
 
 
 def _inputs_unchanged(trial: _Trial) -> None:
     controller = trial.make()
-    for inputs in trial.inputs():
-        before = [np.array(forecast) for forecast in inputs[2:]]
-        _check_command(controller, *inputs)
-        if not all(map(np.array_equal, before, inputs[2:])):
-            raise _BrokenRuleError("command() modifies the forecasts passed to it; copy them first")
-
-
-def _skip(trial: _Trial) -> None:
-    controller = trial.make()
-    controller.skip()
-    for inputs in trial.inputs(stride=5):
-        _check_command(controller, *inputs)
-        controller.skip()
-        controller.skip()
+    for given, same in zip(trial.inputs(), trial.inputs(), strict=True):
+        _check_command(controller, *given)
+        unchanged = all(map(np.array_equal, given, same))
+        _require(unchanged, "command() modifies the forecasts passed to it; copy them first")
 
 
 def _wrong_forecasts(trial: _Trial) -> None:
@@ -191,15 +195,13 @@ def _wrong_forecasts(trial: _Trial) -> None:
         (empty, []), (trial.forecast(0.0), [0.0] * (steps + 1)),
         (trial.forecast(math.nan), [math.nan] * steps),
     ):
-        controller = trial.make()
         try:
-            _check_command(controller, *levels, rain, evaporated)
+            _check_command(trial.make(), *levels, rain, evaporated)
         except ConfigurationError:
-            if choice.needs_forecast or rain is not empty:
-                continue
-            raise _BrokenRuleError(
-                "command() raises an error without a forecast, although needs_forecast is False"
-            ) from None
+            _require(
+                choice.needs_forecast or rain is not empty,
+                "command() raises an error without a forecast, although needs_forecast is False",
+            )
     if choice.ensemble:
         controller = trial.make()
         for members in (1, 3):
@@ -211,18 +213,16 @@ def _may_change(trial: _Trial) -> None:
         if not parameter.may_change:
             continue
         name, controller = parameter.name, trial.make()
-        if getattr(controller, name, None) != trial.choice.defaults(trial.site)[name]:
-            raise _BrokenRuleError(
-                f"the object has no attribute {name} with the value of the parameter"
-            )
+        value = trial.choice.defaults(trial.site)[name]
+        has_value = getattr(controller, name, None) == value
+        _require(has_value, f"the object has no attribute {name} with the value of the parameter")
         for value in (parameter.low, parameter.high):
             setattr(controller, name, value)
-            trial.request_commands(controller, stride=11)
+            list(trial.ticks(controller, stride=11))
 
 
 def _outputs(trial: _Trial) -> None:
-    controller = trial.make()
-    _check_command(controller, *next(trial.inputs()))
+    controller = trial.decided()
     for topic, attribute in optional_topics(trial.choice.outputs):
         value, expected = getattr(controller, attribute, None), "number"
         right = isinstance(value, (int, float))
@@ -232,50 +232,32 @@ def _outputs(trial: _Trial) -> None:
             right = isinstance(value, np.ndarray) and (
                 (value.dtype, value.shape[1:]) == (float, shape)
             )
-        if not right:
-            problem = f"{topic.name}: the attribute {attribute} must be a {expected}"
-            raise _BrokenRuleError(problem)
+        _require(right, f"{topic.name}: the attribute {attribute} must be a {expected}")
 
 
 def _outlet(trial: _Trial) -> None:
     """Also check the outlet after skipped ticks, because the valve operates in frost as well."""
-    if trial.choice.of_valve:
-        controller = trial.make()
-        _check_command(controller, *next(trial.inputs()))
-        if hasattr(controller, "outlet"):
-            raise _BrokenRuleError(
-                "the object has an attribute outlet, but its class does not; define it in the "
-                "class as well, for example outlet = 0.0"
-            )
-        return
 
     def request_shares() -> Iterator[float]:
         controller = trial.make()
-        valve = OfController(controller)
-        controller.skip()
-        yield valve.command()
-        for inputs in trial.inputs():
-            _check_command(controller, *inputs)
-            yield valve.command()
-            controller.skip()
-            yield valve.command()
+        return (requested_share(controller) for _ in trial.ticks(controller, skips=1))
 
-    for first, second in zip(request_shares(), request_shares(), strict=True):
-        if first != second:
-            raise _BrokenRuleError(
-                f"two instances open the valve to {first!r} and {second!r} for the same inputs"
-            )
+    if not trial.choice.of_valve:
+        _agree("open the valve to", request_shares)
+        return
+    _require(
+        not hasattr(trial.decided(), "outlet"), "the object has an attribute outlet, but its class "
+        "does not; define it in the class as well, for example outlet = 0.0",
+    )
 
 
 def _statistics(trial: _Trial) -> None:
-    controller = trial.make()
-    _check_command(controller, *next(trial.inputs()))
-    statistics = controller.statistics()
+    statistics = trial.decided().statistics()
     figures = TickTimes().statistics(0, 0)
-    if statistics is not None and statistics.keys() != figures.keys():
-        raise _BrokenRuleError(
-            f"statistics() must return None, or a value for each of {', '.join(sorted(figures))}"
-        )
+    _require(
+        statistics is None or statistics.keys() == figures.keys(),
+        f"statistics() must return None, or a value for each of {', '.join(sorted(figures))}",
+    )
 
 
 # Every check, by what it shows, in the order in which a user should fix failures. A check that
@@ -285,11 +267,13 @@ _CHECKS: dict[str, Callable[[_Trial], object]] = {
         _parameters,
     "it can be constructed with the site and a value for each parameter": _Trial.make,
     "its commands are finite and not negative, at all levels and for all forecasts":
-        lambda trial: trial.request_commands(trial.make()),
+        lambda trial: list(trial.ticks(trial.make())),
     "its commands are also valid with each parameter at either end of its range": _whole_range,
-    "two instances give the same commands for the same inputs": _deterministic,
+    "two instances give the same commands for the same inputs":
+        lambda trial: _agree("return the commands", lambda: trial.ticks(trial.make())),
     "it does not modify the forecasts passed to it": _inputs_unchanged,
-    "its commands remain valid if ticks are skipped, at the start or later": _skip,
+    "its commands remain valid if ticks are skipped, at the start or later":
+        lambda trial: list(trial.ticks(trial.make(), stride=5, skips=2)),
     "a missing or invalid forecast leads only to a valid command or a ConfigurationError":
         _wrong_forecasts,
     "each parameter that can change during a run is an attribute that can be set": _may_change,

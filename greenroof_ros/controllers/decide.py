@@ -61,22 +61,33 @@ def decide(
         ControllerError: if the controller raised an error or returned an invalid command.
         ConfigurationError: if the controller cannot use the forecast.
     """
-    try:
+    with OwnCode(type(controller)):
         if not may_decide(controller, allowed, quiet):
             controller.skip()
             return 0.0
         command = controller.command(cistern_level, roof_level, precipitation, evapotranspiration)
-    except (ConfigurationError, HangError):
-        raise
-    except (Exception, SystemExit) as error:
-        raise locate_error(type(controller), error) from error
     if is_finite_number(command) and command >= 0:
         return 0.0 if quiet else float(command)
-    file, line = find_place(type(controller), "command")
-    raise ControllerError(
-        "must be a finite number and not negative (greenroof check-controller detects this before "
-        "a run)", file=file, line=line,
-        key=f"the command of {type(controller).__name__} = {describe_value(command)}",
+    expected = "must be a finite number and not negative"
+    raise invalid(type(controller), "command", "the command", command, expected)
+
+
+def invalid(
+    kind: Any, member: str, subject: str, value: object, expected: str
+) -> ControllerError:
+    """Return the error for an invalid value that a class returned.
+
+    Args:
+        kind: the class.
+        member: method or property that returned the value.
+        subject: name of the value.
+        value: the value.
+        expected: description of valid values.
+    """
+    file, line = find_place(kind, member, "command")
+    return ControllerError(
+        f"{expected} (greenroof check-controller detects this before a run)", file=file, line=line,
+        key=f"{subject} of {kind.__name__} = {describe_value(value)}",
     )
 
 
@@ -96,10 +107,28 @@ def read_statistics(controller: Controller) -> dict[str, float] | None:
     Raises:
         ControllerError: if the controller's code raised an error.
     """
-    try:
+    with OwnCode(type(controller)):
         return controller.statistics()
-    except Exception as error:
-        raise locate_error(type(controller), error) from error
+
+
+class OwnCode:
+    """A block that runs the code of a class; its errors name the file and the line.
+
+    An error of this package that the code lets through is raised unchanged.
+    """
+
+    def __init__(self, kind: Any) -> None:
+        """Set the class."""
+        self._kind = kind
+
+    def __enter__(self) -> None:
+        """Begin the block."""
+
+    def __exit__(self, _: object, error: BaseException | None, *__: object) -> None:
+        """Raise an error with its place."""
+        known = isinstance(error, (ConfigurationError, HangError))
+        if isinstance(error, (Exception, SystemExit)) and not known:
+            raise locate_error(self._kind, error) from error
 
 
 def locate_error(kind: Any, error: BaseException) -> ConfigurationError | HangError:
@@ -111,34 +140,29 @@ def locate_error(kind: Any, error: BaseException) -> ConfigurationError | HangEr
     arguments, the file and the line are those of the method that the message names.
     """
     name = getattr(kind, "__name__", str(kind))
-    file, line = None, None
-    last = _last_frame(error)
+    file, line, function = _find_frame(error)
     if isinstance(error, (ControllerError, HangError)) or (
-        last is None and isinstance(error, ConfigurationError)
+        file is None and isinstance(error, ConfigurationError)
     ):
         return error
     try:
         text = str(error)
     except Exception:  # its class may be a user's, too
         text = "the error message cannot be read"
-    if last is None and kind.__module__.startswith("greenroof_ros."):
-        last = traceback.extract_tb(error.__traceback__)[-1]
-    if last is not None:
-        file, line, name = last.filename, last.lineno, f"{name}.{last.name}"
-    else:
-        for method in ("__init__", "command", "skip", "statistics"):
-            if f"{method}()" in text:
-                file, line = find_place(kind, method)
-                name = f"{name}.{method}"
+    if file is None and kind.__module__.startswith("greenroof_ros."):
+        file, line, function, _ = traceback.extract_tb(error.__traceback__)[-1]
+    named = [name for name in ("__init__", "command", "skip", "statistics") if f"{name}()" in text]
+    if file is None and named:
+        (file, line), function = find_place(kind, named[0]), named[0]
     return ControllerError(
-        f"raises {type(error).__name__}: {text}", file=file, line=line, key=name
+        f"raises {type(error).__name__}: {text}", file=file, line=line,
+        key=f"{name}.{function}" if function else name,
     )
 
 
 def not_imported(reference: str, error: BaseException) -> ConfigurationError:
     """Return the error for a controller that cannot be imported, with file and line if known."""
-    last = _last_frame(error)
-    file, line = (None, None) if last is None else (last.filename, last.lineno)
+    file, line, _ = _find_frame(error)
     if isinstance(error, SyntaxError):
         file, line = error.filename, error.lineno
     return ConfigurationError(
@@ -147,23 +171,30 @@ def not_imported(reference: str, error: BaseException) -> ConfigurationError:
     )
 
 
-def _last_frame(error: BaseException) -> traceback.FrameSummary | None:
-    """Return the last frame of an error in the first user file through which it passed, if any."""
+def _find_frame(error: BaseException) -> tuple[str | None, int | None, str]:
+    """Return file, line and function of the last frame in the first user file on an error's way.
+
+    If the error passed through no user file, there is no file and no line.
+    """
     frames = [
-        frame for frame in traceback.extract_tb(error.__traceback__)
+        (frame.filename, frame.lineno, frame.name)
+        for frame in traceback.extract_tb(error.__traceback__)
         if not frame.filename.startswith(_NO_USERS)
     ]
-    return next((each for each in reversed(frames) if each.filename == frames[0].filename), None)
+    return next((each for each in reversed(frames) if each[0] == frames[0][0]), (None, None, ""))
 
 
-def find_place(kind: Any, method: str) -> tuple[str | None, int | None]:
-    """Return the file and line of a method or property; None for both if it is not in a file.
+def find_place(kind: Any, *members: str) -> tuple[str | None, int | None]:
+    """Return the file and line of the first method or property that is in a file, or else None.
 
     If a class wraps a function as ``__wrapped__``, the location of this function is returned.
     """
-    member = getattr(kind, "__wrapped__", getattr(kind, method, None))
-    code = getattr(getattr(member, "fget", member), "__code__", None)
-    return (None, None) if code is None else (code.co_filename, code.co_firstlineno)
+    for name in members:
+        member = getattr(kind, "__wrapped__", getattr(kind, name, None))
+        code = getattr(getattr(member, "fget", member), "__code__", None)
+        if code is not None:
+            return code.co_filename, code.co_firstlineno
+    return None, None
 
 
 class TickTimes:

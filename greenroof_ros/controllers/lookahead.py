@@ -5,28 +5,21 @@ from __future__ import annotations
 import functools
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.after_forecast import DAYS_AFTER, HORIZON, AfterForecast
+from greenroof_ros.controllers.anticipating import OF_FORECAST, OF_WAITING, Anticipating, Forecasts
 from greenroof_ros.controllers.decide import TickTimes
-from greenroof_ros.controllers.order_up_to import (
-    BELOW_M3,
-    OrderUpTo,
-    Policy,
-    halve_by_rain,
-)
+from greenroof_ros.controllers.order_up_to import BELOW_M3, OrderUpTo, Policy, halve_by_rain
 from greenroof_ros.controllers.outlet import PLAN
-from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE, RegretBudget
-from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
-from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.physics.tick import command_to
-from greenroof_ros.site.horizon import MAX_HORIZON, MAX_MEMBERS
+from greenroof_ros.site.horizon import MAX_HORIZON
 from greenroof_ros.site.site import Site
 
 _HOUR_S = 3600.0
@@ -49,12 +42,12 @@ Array = NDArray[np.float64]
 _NO_NEW_PLAN, _UNDECIDED = np.empty((0, 4)), np.full((1, 4), np.nan)
 
 
-class Lookahead:
+class Lookahead(Anticipating):
     """Fills the roof to the level that best suits the coming rain, and holds it there.
 
     :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` finds this level, for all members of
     an ensemble of forecasts or for a single forecast, over steps of increasing length and the days
-    after the forecast (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`).
+    after the forecast (:class:`~greenroof_ros.controllers.anticipating.AfterForecast`).
     :func:`~greenroof_ros.controllers.order_up_to.halve_by_rain` describes the assumption about when
     members turn out to be wrong. Without a forecast, the controller fills the roof to its target
     and holds it there, which is the best strategy if no rain falls. If the forecast is lost for a
@@ -100,8 +93,7 @@ class Lookahead:
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        HORIZON,
-        DAYS_AFTER,
+        *OF_FORECAST,
         Parameter(
             "max_command", 1.0, "1", _MIN_COMMAND, math.inf,
             "maximum command; a real pump cannot exceed 1",
@@ -116,9 +108,7 @@ class Lookahead:
             "least pump_min_on); filling is planned to take at least this long, so that the "
             "pumps do not keep running afterwards",
         ),
-        OBSERVER_TIME_CONSTANT,
-        WAITING_BUDGET,
-        WAITING_SHARE,
+        *OF_WAITING,
     )
     ensemble: ClassVar[bool] = True
     outlet_policy: ClassVar[str] = PLAN
@@ -130,134 +120,137 @@ class Lookahead:
     }
 
     def __init__(
-        self,
-        site: Site,
-        horizon: float,
-        days_after: float,
-        max_command: float,
-        recourse: float,
-        min_on: float,
-        observer_time_constant: float,
-        waiting_budget: float,
-        waiting_share: float,
+        self, site: Site, max_command: float, recourse: float, min_on: float, **waiting: float,
     ) -> None:
         """Set the site and the parameters; see :attr:`parameters` for their units and meanings."""
-        self._site, self._p = site, plant_parameters(site)
-        self.horizon, self._max_command = horizon, max_command
+        super().__init__(site, min(max_command, 1.0), **waiting)
+        self._max_command, self._recourse = max_command, recourse * _HOUR_S
         self._min_on = max(min_on, site.tau)
-        self._recourse = recourse * _HOUR_S
-        self._after = AfterForecast(site, horizon, days_after)
-        self._lengths = np.diff(self._after.edges)
-        self._max_age = min(_MAX_PLAN_S, _MAX_PLAN_SHARE * horizon * _HOUR_S)
-        edges = self._after.edges
-        forecast_edges, days = (
-            edges[: self._after.steps + 1], range(self._after.steps + 1, len(edges))
-        )
+        self._max_age = min(_MAX_PLAN_S, _MAX_PLAN_SHARE * self.horizon * _HOUR_S)
+        edges, steps = self._after.edges, self._after.steps
         self._plan_edges = [
-            [*_merge_steps(forecast_edges, site.tau, 0.0), *days],
-            [*_merge_steps(forecast_edges, max(site.tau, _MIN_STEP_S), _MIN_SHARE), *days],
+            [*_merge_steps(edges[: steps + 1], max(site.tau, length), share),
+             *range(steps + 1, len(edges))]
+            for length, share in ((0.0, 0.0), (_MIN_STEP_S, _MIN_SHARE))
         ]
         self._program = OrderUpTo(site)
-        self._observer = RoofObserver(site, observer_time_constant)
-        self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
         self._policy: Policy | None = None
-        self._age = 0.0  # age of the policy (s)
-        self._rain_counts = True  # whether it counts in the policy
-        self._unchecked = 0.0  # time since the forecast was last compared (s)
-        self._planned_rain: Array = np.zeros(0)  # total over the forecast, by member (m)
-        self._fallen = 0.0  # rain since the plan (m)
-        self._flow = 0.0  # flow commanded in the last tick (m3/s)
-        self._since_start = math.inf  # time since the pumps started (s)
+        self._planned = self._checked = 0  # ticks of the policy and of the last comparison
+        # What the policy was made for: whether rain counts, quiet hours, number of members.
+        self._basis = True, False, 0
+        self._coming: Array = np.zeros(0)  # rain that the policy still expects, by member (m)
+        self._runs, self._started = False, -math.inf  # the pumps, and the tick of their last start
         self._steady = math.inf  # maximum command during ``min_on`` after a start
-        self._quiet_when_planned = False
-        self.time_ns = 0
-        self.gauge_rain = 0.0
-        self.fill_to = math.nan
-        self._rows: Array | Callable[[], Array] = _UNDECIDED
-        self.planned_deviation = math.nan
-        self.solves = 0
+        self._rows: Callable[[], Array] = _UNDECIDED.copy
+        self.time_ns, self.solves = 0, 0
+        self.fill_to = self.planned_deviation = math.nan
         self.solve_seconds = TickTimes()
-
-    @property
-    def learned(self) -> dict[str, float]:
-        """The costs of waiting and of plain on/off control so far."""
-        return self._regret_budget.learned
-
-    @learned.setter
-    def learned(self, values: Mapping[str, float]) -> None:
-        self._regret_budget.learned = values
 
     @property
     def plan(self) -> Array:
         """The plan, which is computed only when it is read."""
-        if not isinstance(self._rows, np.ndarray):
-            self._rows = self._rows()
-        return self._rows
+        return self._rows()
 
-    def command(
-        self,
-        cistern_level: float,
-        roof_level: float,
-        precipitation: Sequence[Any],
-        evapotranspiration: Sequence[float],
-    ) -> float:
-        """Follow the levels of the last plan, or make a new plan.
+    def command(self, *inputs: Any) -> float:
+        """Follow the levels of the last plan, or make a new plan; see :class:`.Anticipating`."""
+        began = time.perf_counter()
+        command = super().command(*inputs)
+        self.solve_seconds.append(time.perf_counter() - began)
+        return command
 
-        See :class:`greenroof_ros.controllers.protocol.Controller`.
-
-        The forecasts are means over the steps of
-        :func:`greenroof_ros.site.horizon.growing_steps`; rain has shape (members, steps).
-        """
-        started = time.perf_counter()
+    def _decide(self, x1: float, x2: float, forecast: Forecasts | None) -> float:
         site = self._site
-        rain, evaporated = np.empty((1, 0)), np.empty(0)
-        if np.size(precipitation) or np.size(evapotranspiration):
-            forecast = precipitation, evapotranspiration
-            rain, evaporated = self._after.check(*forecast, MAX_MEMBERS)
-        x1 = site.cistern_volume(cistern_level)
-        if not math.isfinite(x1 + roof_level):
-            self.skip()
-            return 0.0
-        self._rows = _NO_NEW_PLAN
-        quiet = site.quiet is not None and site.quiet.quiet_at(self.time_ns)
-        x2 = self._observer.correct(roof_level)
-        fraction = min(self._max_command, 1.0)
-        rain_counts = not self._regret_budget.judge(x1, x2, fraction)
-        plans = evaporated.size > 0 and (
-            self._must_plan(rain, rain_counts) or quiet != self._quiet_when_planned
-        )
-        now = self.gauge_rain, self._after.mean
-        if evaporated.size and math.isfinite(float(rain.sum() + evaporated.sum())):
-            now = float(rain[0, 0]), float(evaporated[0])
-            self._after.pass_tick(evaporated)
-            if plans:
-                self._rain_counts, self._quiet_when_planned = rain_counts, quiet
-                self._planned_rain = self._total(rain)
-                if not rain_counts:
-                    rain = np.hstack((rain[:, :1], np.zeros_like(rain[:, 1:])))
-                self._plan(x1, x2, *self._after.lengthen(rain, evaporated))
-        elif self._age >= self._max_age or rain_counts != self._rain_counts:
-            self._policy = None
-        self._fallen += now[0] * site.tau
-        level = -1.0 if quiet else self._level(x1, x2)
-        share = 0.0
-        if level >= x2 and cistern_level >= site.suction_level:
-            share = self._share(x1, x2, level, *now)
-        self.fill_to = site.roof_level(level) if level >= x2 else math.nan
-        self._flow = share * maximum_pump_flow(self._p, x1) if share else 0.0
-        self._observer.predict(x2, *now, self._flow)
-        self._regret_budget.move(x1, x2, 0.0 if quiet else fraction, share, *now)
-        self._pass_tick()
-        self.solve_seconds.append(time.perf_counter() - started)
+        self._rows = _NO_NEW_PLAN.copy
+        self._quiet = site.quiet is not None and site.quiet.quiet_at(self.time_ns)
+        old = self._seconds_since(self._planned) >= self._max_age
+        if forecast is None:
+            if old or self._rain_counts != self._basis[0]:
+                self._policy = None
+        else:
+            basis = self._rain_counts, self._quiet, len(forecast[0])
+            if self._policy is None or old or basis != self._basis or self._is_wrong(forecast[0]):
+                self._basis = basis
+                self._plan(x1, x2, *forecast)
+        self._coming = self._coming - self._now[0] * site.tau
+        level = -1.0
+        if not self._quiet:
+            age, policy = self._seconds_since(self._planned), self._policy
+            level = self._program.level(policy, age, x1, x2) if policy else site.x2_star
+        share, self.fill_to = 0.0, math.nan
+        if level >= x2:
+            self.fill_to = site.roof_level(level)
+            if x1 / site.a1 >= site.suction_level:
+                share = self._share(command_to(self._p, x1, x2, level - BELOW_M3, *self._now))
+        self._runs = share > 0
         return share
+
+    def _is_wrong(self, rain: Array) -> bool:
+        """Return whether a forecast's total rain is not what the policy still expects.
+
+        This is checked once a minute.
+        """
+        if self._seconds_since(self._checked) < _CHECK_S:
+            return False
+        self._checked = self._tick
+        return float(np.abs(self._total(rain) - self._coming).max()) > _CHANGED_M
+
+    def _total(self, rain: Array) -> Array:
+        """Return the total rain in the forecast (m), shape (members,)."""
+        return np.asarray(np.add.reduce(rain * self._after.lengths[: self._after.steps], axis=1))
+
+    def _plan(self, x1: float, x2: float, rain: Array, evaporated: Array) -> None:
+        """Make a plan that is bit-identical regardless of the order of the forecast's members."""
+        self._planned, self._coming = self._tick, self._total(rain)
+        chosen = self._plan_edges[len(rain) > 1]
+        edges = self._after.edges[chosen]
+        if not self._rain_counts:
+            rain = np.hstack((rain[:, :1], np.zeros_like(rain[:, 1:])))
+        rain, evaporated = (
+            np.add.reduceat(rates * self._after.lengths, chosen[:-1], axis=-1) / np.diff(edges)
+            for rates in self._after.lengthen(rain[np.lexsort(rain.T[::-1])], evaporated)
+        )
+        # If commands have no bound: the flow that fills the whole soil in a second.
+        full = maximum_pump_flow(self._p, x1)
+        flow = np.full(len(edges) - 1, full and min(self._max_command * full, self._site.z_cap))
+        if self._site.quiet is not None:
+            flow *= self._site.quiet.pumping_shares(self.time_ns, edges)
+        groups = halve_by_rain(rain, edges, self._recourse)
+        self._policy = self._program.solve(edges, x1, x2, rain, evaporated, flow, groups)
+        self.solves += 1
+        self.planned_deviation = self._policy.cost
+        self._rows = functools.partial(self._make_rows, self._policy)
+
+    def _make_rows(self, policy: Policy) -> Array:
+        """Return :attr:`plan` for a policy."""
+        flows, roofs, _ = self._program.simulate(policy)
+        driest = int((policy.rain @ np.diff(policy.edges)).argmin())
+        dry = replace(policy, rain=np.zeros_like(policy.rain[:1]))
+        _, _, (aims,) = self._program.simulate(dry, driest)
+        depths = roofs.mean(axis=0) / self._site.a2, aims / self._site.a2
+        rows = np.column_stack((policy.edges[1:], flows.mean(axis=0), *depths))
+        return np.asarray(rows[rows[:, 0] <= self._after.edges[self._after.steps]])
+
+    def _share(self, share: float) -> float:
+        """Return a command within its bounds; 0 if the pumps must not start yet."""
+        if share < _MIN_COMMAND:
+            return 0.0
+        if not self._runs:
+            # Half a tick less: the sum of the ticks is rounded.
+            waited, tau = self._seconds_since(self._started), self._site.tau
+            self._steady = share * tau / self._min_on
+            if waited < _HOUR_S / self._site.starts_per_hour - tau / 2 or (
+                self._steady < _MIN_COMMAND
+            ):
+                return 0.0
+            self._started = self._tick
+        if self._seconds_since(self._started) < self._min_on:
+            share = min(share, self._steady)
+        return min(share, self._max_command)
 
     def skip(self) -> None:
         """Skip a tick without a reading."""
-        self._observer.skip()
-        self._regret_budget.skip()
-        self._rows, self.fill_to = _UNDECIDED, math.nan
-        self._flow = 0.0
-        self._pass_tick()
+        super().skip()
+        self._rows, self.fill_to, self._runs = _UNDECIDED.copy, math.nan, False
 
     def statistics(self) -> dict[str, float]:
         """Return the number of plans, and statistics of the wall times.
@@ -265,111 +258,6 @@ class Lookahead:
         See :class:`greenroof_ros.controllers.protocol.Controller`.
         """
         return self.solve_seconds.statistics(self.solves, 0)
-
-    def _must_plan(self, rain: Array, rain_counts: bool) -> bool:
-        """Return whether the plan is too old, or the forecast has changed."""
-        if self._policy is None or self._age >= self._max_age:
-            return True
-        if rain_counts != self._rain_counts or len(rain) != len(self._planned_rain):
-            return True
-        if self._unchecked < _CHECK_S:
-            return False
-        self._unchecked = 0.0
-        total = self._total(rain) + self._fallen
-        return float(np.abs(total - self._planned_rain).max()) > _CHANGED_M
-
-    def _total(self, rain: Array) -> Array:
-        """Return the total rain in the forecast (m), shape (members,)."""
-        return np.asarray(np.add.reduce(rain * self._lengths[: self._after.steps], axis=1))
-
-    def _plan(self, x1: float, x2: float, rain: Array, evaporated: Array) -> None:
-        """Make a plan that is bit-identical regardless of the order of the forecast's members."""
-        chosen = self._plan_edges[len(rain) > 1]
-        edges = self._after.edges[chosen]
-        rain = self._means(rain[np.lexsort(rain.T[::-1])], chosen)
-        evaporated = self._means(evaporated, chosen)
-        flow = np.full(len(edges) - 1, self._max_flow(x1))
-        if self._site.quiet is not None:
-            flow *= self._site.quiet.pumping_shares(self.time_ns, edges)
-        groups = halve_by_rain(rain, edges, self._recourse)
-        self._policy = self._program.solve(edges, x1, x2, rain, evaporated, flow, groups)
-        self._age = self._fallen = 0.0
-        self.solves += 1
-        self.planned_deviation = self._policy.cost
-        inputs = x1, x2, rain, evaporated, flow
-        self._rows = functools.partial(self._plan_of, self._policy, inputs)
-
-    def _plan_of(
-        self, policy: Policy, inputs: tuple[float, float, Array, Array, Array]
-    ) -> Array:
-        x1, x2, rain, evaporated, flow = inputs
-        flows, roofs, _ = self._program.simulate(policy, *inputs)
-        driest = int((rain @ np.diff(policy.edges)).argmin())
-        dry = x1, x2, np.zeros_like(rain[:1]), evaporated, flow
-        _, _, (aims,) = self._program.simulate(policy, *dry, driest)
-        depths = roofs.mean(axis=0) / self._site.a2, aims / self._site.a2
-        rows = policy.edges[1:], flows.mean(axis=0), *depths
-        horizon = self._after.edges[self._after.steps]
-        return np.asarray(np.column_stack(rows)[policy.edges[1:] <= horizon])
-
-    def _means(self, rates: Array, chosen: list[int]) -> Array:
-        """Average rates over the steps of a plan, along the last axis."""
-        amounts = np.add.reduceat(rates * self._lengths, chosen[:-1], axis=-1)
-        return np.asarray(amounts / np.diff(self._after.edges[chosen]))
-
-    def _max_flow(self, x1: float) -> float:
-        """Return the maximum pump flow (m3/s) from a cistern that holds x1 (m3)."""
-        # If commands have no bound: the flow that fills the whole soil in a second.
-        full = maximum_pump_flow(self._p, x1)
-        return min(self._max_command * full, self._site.z_cap) if full else 0.0
-
-    def _level(self, x1: float, x2: float) -> float:
-        """Return the volume up to which the roof is filled (m3); a fuller roof is left alone.
-
-        Args:
-            x1: volume in the cistern (m3).
-            x2: volume on the roof (m3).
-        """
-        policy = self._policy
-        if policy is None:
-            return self._site.x2_star
-        step = int(policy.edges[1:-1].searchsorted(self._age, side="right"))
-        return float(self._program.levels(policy, step, 0, self._program.cistern.usable(x1), x2))
-
-    def _share(
-        self, x1: float, x2: float, level: float, rain: float, evaporated: float
-    ) -> float:
-        """Return the command that fills the roof to a level; 0 if the pumps must not start yet.
-
-        Args:
-            x1: volume in the cistern (m3).
-            x2: volume on the roof (m3).
-            level: volume to which the roof is filled (m3).
-            rain: rain in the current tick (m/s).
-            evaporated: evapotranspiration in the current tick (m3/s).
-        """
-        share = command_to(
-            self._p, x1, x2, level - BELOW_M3, rain, evaporated
-        )
-        if share < _MIN_COMMAND:
-            return 0.0
-        if not self._flow:
-            # Half a tick less: the sum of the ticks is rounded.
-            if self._since_start < _HOUR_S / self._site.starts_per_hour - self._site.tau / 2:
-                return 0.0
-            self._steady = share * self._site.tau / self._min_on
-            if self._steady < _MIN_COMMAND:
-                return 0.0
-            self._since_start = 0.0
-        if self._since_start < self._min_on:
-            share = min(share, self._steady)
-        return min(share, self._max_command)
-
-    def _pass_tick(self) -> None:
-        self._age += self._site.tau
-        self._unchecked += self._site.tau
-        self._since_start += self._site.tau
-
 
 def _merge_steps(edges: Array, min_length: float, share: float) -> list[int]:
     """Return the indices of the boundaries that remain when short steps are merged.

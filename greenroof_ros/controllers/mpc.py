@@ -109,8 +109,7 @@ class Mpc:
         self.solve_seconds = TickTimes()
         self._command = 0.0
         self._max_command = max_command
-        self._rain_sum = 0.0
-        self._evapotranspiration_sum = 0.0
+        self._rain_sum = self._evapotranspiration_sum = 0.0
         self._ticks = 0
 
         size = site.M

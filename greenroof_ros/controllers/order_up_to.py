@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.controllers.roof_prediction import RoofPrediction
+from greenroof_ros.controllers.roof_prediction import RoofPrediction, drain
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.site.site import Site
 
@@ -34,72 +34,24 @@ _WATER_NODES = 12
 class Policy:
     """Decisions for every step and every volume on the roof, computed by :class:`OrderUpTo`.
 
+    The attributes up to ``flow`` are the arguments of :meth:`OrderUpTo.solve`.
+
     Attributes:
-        edges: boundaries of the steps (s since the policy was made), starting at 0, shape (n +
-            1,).
-        fill_to: volume to which the roof is filled and at which it is held (m3), or -1 if the roof
-            is left alone; one array for each step, shape (groups of the step, S, nodes up to the
-            target).
-        group_of: index of each member's group; one array for each step, shape (members,).
+        steps: two arrays for each step. The first one contains the volume to which the roof is
+            filled and at which it is held (m3), or -1 if the roof is left alone, shape (groups of
+            the step, S, nodes up to the target); the second one the index of each member's group,
+            shape (members,).
         cost: minimum mean deviation over all steps and members (m3).
     """
 
     edges: Array
-    fill_to: list[Array]
-    group_of: list[Indices]
+    x1: float
+    x2: float
+    rain: Array
+    evapotranspiration: Array
+    flow: Array
+    steps: list[tuple[Array, Indices]]
     cost: float
-
-
-class Cistern:
-    """Step-by-step balance of a cistern's usable water (m3), the water above the suction level.
-
-    A valve on the low outlet is assumed to be closed, because the water that it releases makes room
-    for rain that refills the cistern.
-    """
-
-    def __init__(self, site: Site) -> None:
-        self._site = site
-        suction = site.cistern_volume(site.suction_level)
-        self._capacity = site.cistern_volume(site.z_o) - suction
-        lowest = site.min_outlet_level if site.always_drains else site.z_o
-        self._low = site.cistern_volume(lowest) - suction
-        self._mains = site.cistern_volume(site.mains_level or 0.0) - suction
-        self._suction = suction
-
-    def usable(self, x1: float) -> float:
-        """Return the usable part of x1 (m3): without water above the outlet, which soon drains."""
-        return min(max(x1 - self._suction, 0.0), self._capacity)
-
-    def scarce(self, x1: float, demand: float, seconds: float) -> float:
-        """Return the maximum relevant volume of water (m3); 0 if there will always be enough.
-
-        Args:
-            x1: volume in the cistern (m3).
-            demand: maximum demand for water from the cistern (m3).
-            seconds: period during which the demand can occur (s).
-        """
-        supplied = (self._site.mains_flow or 0.0) * seconds
-        if min(self.usable(x1), self._low) + supplied >= demand:
-            return 0.0
-        return self._capacity if self._low < self._capacity else min(demand, self._capacity)
-
-    def predict_usable(self, water: Array, rain: Array, seconds: float) -> Array:
-        """Return the usable water (m3) after a step with rain (m/s), from Eq. (2) without pumping.
-
-        Rain and mains water are added first. Then the low outlet drains the cistern, and the square
-        root of the head falls linearly with time.
-        """
-        site = self._site
-        water = water + rain * (site.effective_catchment * seconds)
-        if site.mains_flow is not None:
-            topped_up = np.minimum(water + site.mains_flow * seconds, self._mains)
-            water = np.maximum(water, topped_up)
-        water = np.minimum(water, self._capacity)
-        if not site.always_drains:
-            return water
-        root = np.sqrt(np.maximum(water - self._low, 0.0) / site.a1)
-        root = np.maximum(root - site.c_low * seconds / (2 * site.a1), 0.0)
-        return np.minimum(water, self._low + site.a1 * root**2)
 
 
 class OrderUpTo:
@@ -127,10 +79,9 @@ class OrderUpTo:
 
     **Water.** If the cistern can run short, V depends on a second variable s, which is the usable
     water plus the water needed to fill an empty roof to its current volume. Filling does not change
-    s. If there is always enough water, s has one node.
-
-    Attributes:
-        cistern: balance of the cistern's usable water.
+    s. If there is always enough water, s has one node. Usable is the water above the suction level.
+    A valve on the low outlet is assumed to be closed, because the water that it releases makes room
+    for rain that refills the cistern.
     """
 
     def __init__(self, site: Site, fine: tuple[int, int] = (900, 300)) -> None:
@@ -140,11 +91,16 @@ class OrderUpTo:
             site: parameters of the site.
             fine: numbers of nodes below and above the target, for a single forecast.
         """
-        self._target = site.x2_star
-        self._site = site
-        self._fine = fine
-        self._soil = RoofPrediction(plant_parameters(site))
-        self.cistern = Cistern(site)
+        self._p, self._target, self._fine = plant_parameters(site), site.x2_star, fine
+        self._soil, self._always_drains = RoofPrediction(self._p), site.always_drains
+        # Usable water of a cistern that is full, at its lowest open outlet, and at its mains valve.
+        self._suction = site.cistern_volume(site.suction_level)
+        self._capacity, self._low, self._mains = (
+            site.cistern_volume(level) - self._suction for level in (
+                site.z_o, site.min_outlet_level if site.always_drains else site.z_o,
+                self._p.mains_level,
+            )
+        )
 
     def _place(self, below: int, above: int) -> None:
         """Place the nodes at x* plus or minus (k / n)^2 of the range."""
@@ -158,8 +114,37 @@ class OrderUpTo:
         self._per_node = below**2 / self._target, above**2 / room
         self._contents = self._content(self._nodes)
 
-    def levels(self, policy: Policy, step: int, group: Any, usable: Any, x2: Any) -> Any:
-        """Return the volumes up to which roofs are filled (m3); a fuller roof is left alone.
+    def _usable(self, x1: float) -> float:
+        """Return the usable part of x1 (m3): without water above the outlet, which soon drains."""
+        return min(max(x1 - self._suction, 0.0), self._capacity)
+
+    def _predict_usable(self, water: Array, rain: Array, seconds: float) -> Array:
+        """Return the usable water (m3) after a step with rain (m/s), from Eq. (2) without pumping.
+
+        Rain and mains water are added first. Then the low outlet drains the cistern.
+        """
+        p = self._p
+        water = water + rain * (p.effective_catchment * seconds)
+        water = np.maximum(water, np.minimum(water + p.mains_flow * seconds, self._mains))
+        water = np.minimum(water, self._capacity)
+        if self._always_drains:
+            water = drain(p, water + self._suction, seconds) - self._suction
+        return water
+
+    def level(self, policy: Policy, age: float, x1: float, x2: float) -> float:
+        """Return the volume up to which the roof is filled now (m3); a fuller one is left alone.
+
+        Args:
+            policy: policy from the last call to :meth:`solve`.
+            age: time since this call (s), before members can be distinguished.
+            x1: volume in the cistern (m3).
+            x2: volume on the roof (m3).
+        """
+        step = int(policy.edges[1:-1].searchsorted(age, side="right"))
+        return float(self._levels(policy.steps[step][0], 0, self._usable(x1), x2))
+
+    def _levels(self, table: Array, group: Any, usable: Any, x2: Any) -> Any:
+        """Return the volumes up to which roofs are filled (m3), or -1.
 
         Between two nodes of the roof's volume, the decision at the lower node applies. Between two
         nodes of the water, the volume is interpolated; if the decision at either node is to leave
@@ -167,14 +152,12 @@ class OrderUpTo:
         water to be pumped, although there is no water at the node below.
 
         Args:
-            policy: policy from the last call to :meth:`solve`.
-            step: index of a step of the policy.
+            table: volumes of a step of the policy.
             group: index of a group of the step, either one for each roof or one for all roofs.
             usable: usable water in the cistern (m3), either one value for each roof or one for all
                 roofs.
             x2: volume on each roof (m3).
         """
-        table = policy.fill_to[step]
         node = self._nodes[1 : table.shape[2]].searchsorted(x2, side="right")
         if len(self._water) == 1:
             return table[group, 0, node]
@@ -202,8 +185,12 @@ class OrderUpTo:
         members, steps = rain.shape
         lengths = np.diff(edges)
         full = float(self._content(self._target))
-        demand = full + float((evapotranspiration * lengths).sum())
-        scarce = self.cistern.scarce(x1, demand, float(edges[-1]))
+        potential = evapotranspiration * lengths
+        demand = full + float(potential.sum())
+        supplied = min(self._usable(x1), self._low) + self._p.mains_flow * float(edges[-1])
+        scarce = 0.0  # the maximum relevant volume of water; 0 if there will always be enough
+        if supplied < demand:
+            scarce = self._capacity if self._low < self._capacity else min(demand, self._capacity)
         self._place(*(self._fine if members == 1 and not scarce else _COARSE))
         self._water = np.zeros(1)
         if scarce:
@@ -211,47 +198,28 @@ class OrderUpTo:
         # Steps after the last rain are the same for all members.
         wet = int(np.flatnonzero(rain.any(axis=0)).max(initial=-1)) + 1
         value = np.zeros((1, len(self._water), len(self._nodes)))
-        fill_to: list[Array] = []
-        group_of: list[Indices] = []
-        max_pumped, potential = flow * lengths, evapotranspiration * lengths
-        # Neither pumps nor water are a limit: even the driest roof can be filled within the step.
-        filled = self._soil.predict_volume(np.zeros(steps), max_pumped, potential, lengths)
-        strong = np.zeros(steps, dtype=bool) if scarce else filled >= self._target
+        decisions: list[tuple[Array, Indices]] = []
         for step in reversed(range(steps)):
             if step < wet and len(value) < members:
                 value = np.repeat(value, members, axis=0)
-            labels = groups[: len(value), step]
-            together: list[Any] = [slice(None)]
-            of_members = np.zeros(members, dtype=np.intp)
-            if (labels != labels[0]).any():
-                together = [np.flatnonzero(labels == label) for label in dict.fromkeys(labels)]
-                for index, alike in enumerate(together):
-                    of_members[alike] = index
+            _, group = np.unique(groups[: len(value), step], return_inverse=True)
             value, levels = self._before(
-                value, rain[: len(value), step, None, None], float(potential[step]),
-                float(flow[step]), float(lengths[step]), bool(strong[step]), together,
+                value, rain[: len(value), step, None, None], potential[step], flow[step],
+                lengths[step], group,
             )
-            fill_to.append(levels)
-            group_of.append(of_members)
-        stored = np.full((1, 1, 1), self.cistern.usable(x1) + self._content(x2))
+            decisions.append((levels, np.broadcast_to(group, members)))
+        stored = np.full((1, 1, 1), self._usable(x1) + self._content(x2))
         now = self._at(value, np.full((1, 1, 1), x2), stored)
         return Policy(
-            edges, fill_to[::-1], group_of[::-1], float(now.mean()) / float(edges[-1])
+            edges, x1, x2, rain, evapotranspiration, flow, decisions[::-1],
+            float(now.mean()) / float(edges[-1]),
         )
 
-    def simulate(
-        self, policy: Policy, x1: float, x2: float, rain: Array, evapotranspiration: Array,
-        flow: Array, member: int | None = None,
-    ) -> tuple[Array, Array, Array]:
-        """Simulate a policy; return the pump flow and the volumes on the roof, step by step.
+    def simulate(self, policy: Policy, member: int | None = None) -> tuple[Array, Array, Array]:
+        """Simulate the last policy; return the pump flow and the volumes on the roof, step by step.
 
         Args:
-            policy: policy that :meth:`solve` found for the other arguments.
-            x1: volume in the cistern (m3).
-            x2: volume on the roof (m3).
-            rain: rain in every step (m/s), shape (members, n).
-            evapotranspiration: evapotranspiration from the whole bed (m3/s), shape (n,).
-            flow: maximum pump flow in every step (m3/s), shape (n,).
+            policy: the policy; its rain may be replaced by that of other members.
             member: index of the member whose decisions are followed; None if each member follows
                 its own.
 
@@ -259,48 +227,27 @@ class OrderUpTo:
             The pump flow (m3/s), the volume on the roof at the end of the step (m3), and the volume
             to which the roof is filled (m3), or 0 if it is left alone; each of shape (members, n).
         """
-        roof = np.full(len(rain), x2)
-        water = np.full(len(rain), self.cistern.usable(x1))
-        mains = self._site.mains_flow or 0.0
+        soil, rain, content = self._soil, policy.rain, self._content
+        roof = np.full(len(rain), policy.x2)
+        water = np.full(len(rain), self._usable(policy.x1))
         pumped, volumes, aimed = np.empty_like(rain), np.empty_like(rain), np.empty_like(rain)
         for step, seconds in enumerate(np.diff(policy.edges).tolist()):
-            groups = policy.group_of[step] if member is None else policy.group_of[step][member]
-            level = self.levels(policy, step, groups, water, roof)
+            levels, groups = policy.steps[step]
+            level = self._levels(levels, groups if member is None else groups[member], water, roof)
             aimed[:, step] = np.where(level >= roof, level, 0.0)
-            max_pumped = np.minimum(flow[step], water / seconds + mains)
-            roof, uptake = self._move(
-                level, roof, rain[:, step], float(evapotranspiration[step]), max_pumped, seconds
-            )
-            water = self.cistern.predict_usable(water - uptake, rain[:, step], seconds)
+            lifted = np.minimum(policy.flow[step] * seconds, water + self._p.mains_flow * seconds)
+            potential = float(policy.evapotranspiration[step]) * seconds
+            reached = soil.predict_volume(roof, lifted, potential, seconds)
+            filled = np.maximum(roof, np.minimum(level, reached))
+            fallen = rain[:, step] * self._p.a2 * seconds
+            alone = soil.predict_volume(filled, fallen, potential, seconds)
+            held = np.minimum(filled, soil.predict_volume(filled, lifted, potential, seconds))
+            held = np.where(level >= filled, np.maximum(alone, held), alone)
+            uptake = content(filled) - content(roof) + content(held) - content(alone)
+            uptake, roof = np.minimum(uptake, lifted), held
+            water = self._predict_usable(water - uptake, rain[:, step], seconds)
             pumped[:, step], volumes[:, step] = uptake / seconds, roof
         return pumped, volumes, aimed
-
-    def _move(
-        self, level: Array, roof: Array, rain: Array, evapotranspiration: float, flow: Array,
-        seconds: float,
-    ) -> tuple[Array, Array]:
-        """Advance roofs by a step in which each roof is filled to a level and held there.
-
-        Args:
-            level: volume to which each roof is filled (m3); -1 to leave the roof alone.
-            roof: volume on each roof (m3).
-            rain: rain on each roof in the step (m/s).
-            evapotranspiration: evapotranspiration from the whole bed (m3/s).
-            flow: maximum pump flow for each roof (m3/s).
-            seconds: length of the step (s).
-
-        Returns:
-            The volume on each roof at the end of the step, and the volume pumped onto it (m3).
-        """
-        soil, max_pumped, potential = self._soil, flow * seconds, evapotranspiration * seconds
-        reached = soil.predict_volume(roof, max_pumped, potential, seconds)
-        filled = np.maximum(roof, np.minimum(level, reached))
-        alone = soil.predict_volume(filled, rain * self._site.a2 * seconds, potential, seconds)
-        ended = np.minimum(filled, soil.predict_volume(filled, max_pumped, potential, seconds))
-        ended = np.where(level >= filled, np.maximum(alone, ended), alone)
-        uptake = self._content(filled) - self._content(roof)
-        uptake += self._content(ended) - self._content(alone)
-        return ended, np.minimum(uptake, max_pumped)
 
     def _content(self, x2: Any) -> Any:
         """Return the water (m3) needed to fill an empty roof to x2 or x*, whichever is less."""
@@ -308,7 +255,7 @@ class OrderUpTo:
 
     def _before(
         self, value: Array, rain: Array, potential: float, flow: float, seconds: float,
-        strong: bool, groups: list[Any],
+        group: Indices,
     ) -> tuple[Array, Array]:
         """Compute V before a step from V after it.
 
@@ -318,30 +265,30 @@ class OrderUpTo:
             potential: evapotranspiration from the whole bed in the step (m3).
             flow: flow of the pumps (m3/s).
             seconds: length of the step (s).
-            strong: whether neither the pumps nor the available water can limit the filling.
-            groups: indices of the members in each group.
+            group: index of the group of each member.
 
         Returns:
             V before the step, and the levels of :class:`Policy`, shape (groups, S, nodes to x*).
         """
-        soil, cistern, dry = self._soil, self.cistern, slice(self._below + 1)
+        soil, dry = self._soil, slice(self._below + 1)
         nodes, roof = self._nodes, self._nodes[dry]
         scarce = len(self._water) > 1
-        reach = roof if strong else soil.predict_volume(roof, flow * seconds, potential, seconds)
+        reach = soil.predict_volume(roof, flow * seconds, potential, seconds)
         # Left alone: computed once if it is the same for all members.
         if not rain.any():
             rain = rain[:1]
-        alone = soil.predict_volume(nodes, rain * (self._site.a2 * seconds), potential, seconds)
+        alone = soil.predict_volume(nodes, rain * (self._p.a2 * seconds), potential, seconds)
         stored = remaining = self._water
         if scarce:
             remaining = np.maximum(self._water[:, None] - self._contents, 0.0)
-            stored = cistern.predict_usable(remaining, rain, seconds) + self._content(alone)
+            stored = self._predict_usable(remaining, rain, seconds) + self._content(alone)
         free = seconds * self._deviation(nodes, alone) + self._at(value, alone, stored)
-        # Held.
+        # Held; directly if neither the pumps nor the water limit the filling.
         alone = alone[..., dry]
+        strong = not scarce and bool((reach >= self._target).all())
         if strong:
-            holding = seconds * (self._target - roof) + value[..., dry]
-            holding = np.where(alone < roof, holding, free[..., dry])
+            held = seconds * (self._target - roof) + value[..., dry]
+            holding = np.where(alone < roof, held, free[..., dry])
         else:
             held = np.maximum(alone, np.minimum(roof, reach))
             if scarce:
@@ -349,7 +296,7 @@ class OrderUpTo:
                 uptake = np.minimum(self._content(held) - first, remaining[..., dry])
                 uptake = np.maximum(uptake, 0.0)
                 held = np.where(uptake > 0, soil.fill_empty(first + uptake), alone)
-                stored = cistern.predict_usable(remaining[..., dry] - uptake, rain, seconds)
+                stored = self._predict_usable(remaining[..., dry] - uptake, rain, seconds)
                 stored = stored + first + uptake
             holding = seconds * self._deviation(roof, held) + self._at(value, held, stored)
         # Filled.
@@ -357,25 +304,25 @@ class OrderUpTo:
         if scarce:
             within = np.minimum(within, soil.fill_empty(self._water)[:, None])
             within = np.maximum(within, roof)
-        levels = np.empty((len(groups), len(self._water), len(roof)))
+        levels = np.empty((group.max() + 1, len(self._water), len(roof)))
         result = free
-        for index, members in enumerate(groups):
-            ours = holding[members]
-            best = _find_minimum_onward(ours.mean(axis=0))
-            filled = level = roof[best]
+        for index, level in enumerate(levels):
+            members = group == index
+            ours, waiting = holding[members], free[members][..., dry]
+            place = _find_minimum_onward(ours.mean(axis=0))
+            best = roof[place]
+            filled = np.minimum(best, within)
             if strong:
-                costs, contents = ours[..., best[0]], self._contents[best]
+                costs, contents = ours[..., place[0]], self._contents[place]
             else:
-                filled = np.minimum(level, within)
                 costs = self._at(ours, filled[None], self._water[:, None])
                 # Exact if nothing is filled: rounding must not make holding look like a gain.
                 costs = np.where(filled > roof, costs, ours)
                 contents = self._content(filled)
             if flow > 0:
                 costs = costs + (filled - roof) * (contents - self._contents[dry]) / (2 * flow)
-            waiting = free[members][..., dry]
             fills = costs.mean(axis=0) < waiting.mean(axis=0)
-            levels[index] = np.where(fills, level, -1.0)
+            level[:] = np.where(fills, best, -1.0)
             result[members, :, dry] = np.where(fills, costs, waiting)
         return result, levels
 
@@ -400,19 +347,18 @@ class OrderUpTo:
         place = np.sqrt(np.abs(above) * np.where(above < 0, *self._per_node))
         node = (np.copysign(place, above) + self._below).astype(np.intp)
         node = np.minimum(node, count - 2)
-        x2 = np.minimum(x2, self._nodes[count - 1])
-        # V = base + slope x from a node to the next.
-        slope = (value[..., 1:] - value[..., :-1]) / self._widths[: count - 1]
-        base = value[..., :-1] - slope * self._nodes[: count - 1]
-        start = np.arange(members)[:, None, None] * (rows * (count - 1)) + node
+        part = np.minimum((x2 - self._nodes[node]) / self._widths[node], 1.0)
+
+        def along(row: Any) -> Array:
+            start = (np.arange(members)[:, None, None] * rows + row) * count + node
+            low = value.take(start)
+            return np.asarray(low + part * (value.take(start + 1) - low))
+
         if rows == 1:
-            return np.asarray(base.take(start) + slope.take(start) * x2)
-        row, part = _between(self._water, water)
-        start = start + row * (count - 1)
-        low = base.take(start) + slope.take(start) * x2
-        start = start + (count - 1)
-        high = base.take(start) + slope.take(start) * x2
-        return np.asarray(low + part * (high - low))
+            return along(0)
+        row, share = _between(self._water, water)
+        low = along(row)
+        return np.asarray(low + share * (along(row + 1) - low))
 
 
 def _between(nodes: Array, values: Any) -> tuple[Any, Any]:

@@ -9,17 +9,16 @@ closed, and ``open`` turns it into an orifice without a valve. ``drain`` makes r
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import HangError, describe_value
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.ranges import Range
-from greenroof_ros.controllers.decide import ControllerError, find_place, locate_error
-from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, PlannedLevels
+from greenroof_ros.controllers.decide import OwnCode, invalid
+from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, find_levels, plan_levels
 from greenroof_ros.physics.cistern import low_outlet_flow
 from greenroof_ros.physics.parameters import PlantParameters, plant_parameters
 from greenroof_ros.physics.storm_water import HOUR_S, is_wet, time_without_rain
@@ -37,6 +36,11 @@ _DRAINS = 2
 # The default reserve: ten days of irrigation at 4 mm a day [assumed], but no more than half of the
 # cistern.
 _RESERVE_M, _MAX_RESERVE = 0.04, 0.5
+
+OutletPolicy: TypeAlias = Callable[[float, float, Any, Any], float]
+"""what decides in each tick how far to open the valve of the low outlet, from the levels and the
+forecasts of rain and of evapotranspiration: :meth:`Policy.command` or :func:`requested_share`
+"""
 
 SHARE = Range(0.0, 1.0, "1")
 """the commands to the valve"""
@@ -77,36 +81,22 @@ def find_horizon(parameters: Mapping[str, Any]) -> float:
     return float(HORIZON_H) if parameters.get("outlet") == PLAN else 0.0
 
 
-class OfController:
-    """Policy of a controller that commands the valve itself, in its attribute ``outlet``."""
+def requested_share(controller: Any, *_: object) -> float:
+    """Return the share to which a controller that commands the valve itself opens it.
 
-    def __init__(self, controller: Any) -> None:
-        """Set the controller, which decides or skips the tick before this policy is called."""
-        self._controller = controller
+    Args:
+        controller: the controller, after it has decided or skipped the tick.
 
-    def command(self, *inputs: Any) -> float:
-        """Return the share that the controller requests.
-
-        Raises:
-            ControllerError: if the share is not a number from 0 to 1, or the controller's code
-                raised an error.
-        """
-        kind = type(self._controller)
-        try:
-            share = self._controller.outlet
-        except HangError:
-            raise
-        except (Exception, SystemExit) as error:
-            raise locate_error(kind, error) from error
-        if share in SHARE:
-            return float(share)
-        place = find_place(kind, "outlet")
-        file, line = place if place[0] is not None else find_place(kind, "command")
-        raise ControllerError(
-            f"{SHARE.expected(share)} (greenroof check-controller detects this before a run)",
-            file=file, line=line,
-            key=f"the attribute outlet of {kind.__name__} = {describe_value(share)}",
-        )
+    Raises:
+        ControllerError: if the share is not a number from 0 to 1, or the controller's code raised
+            an error.
+    """
+    kind = type(controller)
+    with OwnCode(kind):
+        share = controller.outlet
+    if share in SHARE:
+        return float(share)
+    raise invalid(kind, "outlet", "the attribute outlet", share, SHARE.expected(share))
 
 
 def outlet_share(
@@ -161,9 +151,6 @@ class Policy:
     rain. A forecast says nothing about the weather after its end. The plan therefore keeps no more
     water than the open valve could drain down to the reserve of ``drain`` by that time. With a
     short forecast or a small valve, the plan is equivalent to ``drain``.
-
-    Attributes:
-        levels: the plans; None for a policy without plans.
     """
 
     def __init__(
@@ -184,11 +171,9 @@ class Policy:
         self._site, self._p = site, plant_parameters(site)
         self._policy, self._volume = float(POLICIES.index(outlet)), outlet_reserve
         self._wet_after, self._without_rain = site.wet_after * HOUR_S, without_rain
-        self._clock = PlanClock(site.tau)
-        self.levels = PlannedLevels(
-            [self._p], site.wet_after, ends, np.array([outlet_reserve]),
-            np.array([outlet_price]), np.array([outlet_reach]), np.ones(1),
-        ) if outlet == PLAN else None
+        self._clock, self._plans = PlanClock(site.tau), outlet == PLAN
+        options = np.array([[outlet_reserve, outlet_price, outlet_reach, 1.0]])
+        self._given = find_levels, [self._p], options, self._wet_after, ends
 
     def command(
         self, cistern_level: float, roof_level: float, precipitation: Any,
@@ -206,29 +191,14 @@ class Policy:
             evapotranspiration: forecast of evapotranspiration (m3/s); the first entry is the
                 current value.
         """
-        site, rain = self._site, find_present(precipitation)
+        site, forecast = self._site, np.asarray(precipitation, dtype=float)
+        rain = float(forecast.flat[0]) if forecast.size else math.nan
         self._without_rain = time_without_rain(self._without_rain, rain, site.tau)
         wet = is_wet(self._without_rain, site.tau, self._wet_after)
-        if self.levels is not None and self._clock.is_due(wet):
-            self.levels.plan(
-                np.array([site.cistern_volume(cistern_level)]),
-                np.array([site.roof_volume(roof_level)]),
-                np.atleast_2d(np.asarray(precipitation, dtype=float)),
+        if self._plans and self._clock.is_due(wet):
+            (self._volume,) = plan_levels(
+                *self._given, np.array([site.cistern_volume(cistern_level)]),
+                np.array([site.roof_volume(roof_level)]), np.atleast_2d(forecast),
                 np.asarray(evapotranspiration, dtype=float),
-            )
-            self._volume = float(self.levels.levels[0])
+            ).tolist()
         return outlet_share(self._p, self._policy, wet, self._volume, cistern_level)
-
-
-OutletPolicy: TypeAlias = Policy | OfController
-"""what decides in each tick how far to open the valve of the low outlet"""
-
-
-def find_present(precipitation: Any) -> float:
-    """Return the current rain (m/s) from a forecast; NaN if the forecast is empty."""
-    if not len(precipitation):
-        return math.nan
-    first = precipitation[0]
-    if isinstance(first, float):
-        return first
-    return float(first[0]) if len(first) else math.nan

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.controllers.roof_prediction import ABOVE_M
+from greenroof_ros.controllers.roof_prediction import ABOVE_M, drain
 from greenroof_ros.physics.parameters import PlantParameters
 from greenroof_ros.physics.storm_water import is_wet, time_without_rain
 
@@ -49,8 +49,7 @@ def find_levels(
 
     Args:
         sites: :class:`.PlantParameters` of n sites.
-        options: reserve (m3), price (1), reach (s) and area of each site, as for
-            :class:`PlannedLevels`, shape (n, 4).
+        options: as for :func:`plan_levels`, but with the time in s, shape (n, 4).
         wet_after: time after rain that counts as wet weather (s).
         ends: boundaries of the forecast's steps (s from now), starting at 0.
         hours: number of hours to plan.
@@ -110,10 +109,10 @@ def solve(
     """
     full = p.a1 * p.z_o
     nodes = floor + (full - floor) / (_NODES - 1) * np.arange(_NODES)
-    drained = drain_hour(p, nodes)
+    drained = drain(p, nodes, _HOUR_S)
     first = int(np.searchsorted(nodes, p.a1 * p.low_outlet_level))  # no node below is reached
     volume = min(max(x1, floor), full)
-    left = np.minimum(np.maximum(nodes, drain_hour(p, volume)), volume)
+    left = np.minimum(np.maximum(nodes, drain(p, volume, _HOUR_S)), volume)
     costs = np.zeros(_NODES)
     for member in range(len(rain)):
         flows = find_flows(p, x2, rain[member], evaporated)
@@ -150,21 +149,6 @@ def find_hourly(rates: Any, ends: Any, hours: int) -> Any:
             if end == ends[step + 1]:
                 break
     return totals
-
-
-def drain_hour(p: PlantParameters, volumes: Any) -> Any:
-    """Return the volumes that remain after the valve has been open for an hour (m3).
-
-    The square root of the head above the outlet falls linearly with time.
-
-    Args:
-        p: numbers of the site.
-        volumes: a volume in the cistern (m3), or an array of volumes.
-    """
-    outlet = p.a1 * p.low_outlet_level
-    root = np.sqrt(np.maximum(volumes - outlet, 0.0) / p.a1)
-    root = np.maximum(root - p.c_low / (2 * p.a1) * _HOUR_S, 0.0)
-    return np.minimum(volumes, outlet + p.a1 * root * root)
 
 
 def find_flows(p: PlantParameters, x2: float, rain: Any, evaporated: Any) -> Any:
@@ -218,50 +202,29 @@ def value_at(nodes: Any, value: Any, volumes: Any) -> Any:
     return low + (place - node) * (value[node + 1] - low)
 
 
-class PlannedLevels:
-    """Volumes to which cisterns are drained, from plans made in the same ticks for all sites.
+def plan_levels(
+    find: Callable[..., None], sites: Sequence[PlantParameters], options: Array, wet_after: float,
+    ends: Array, x1: Array, x2: Array, rain: Array, evaporated: Array,
+) -> Array:
+    """Return the volumes to which cisterns are drained (m3); without a forecast, the reserves.
 
-    Attributes:
-        levels: volumes according to the last plan (m3), shape (sites,); at first, the reserves.
+    Args:
+        find: :func:`find_levels`, or the same compiled.
+        sites: numbers of n sites with valves.
+        options: for each of them, the reserve without a forecast (m3), the price of mains water in
+            m3 of discharge in wet weather per m3 (1), the time for which stored water is worth its
+            price (days), and the area to which the forecast's evapotranspiration applies (m2).
+        wet_after: time after rain that counts as wet weather at these sites (s).
+        ends: boundaries of the forecasts' steps (s from now), starting at 0.
+        x1: as for :func:`find_levels`.
+        x2: as for :func:`find_levels`.
+        rain: as for :func:`find_levels`.
+        evaporated: as for :func:`find_levels`.
     """
-
-    def __init__(
-        self, sites: Sequence[PlantParameters], wet_after: float, ends: Array, reserves: Array,
-        prices: Array, reaches: Array, areas: Array,
-        find: Callable[..., None] = find_levels,
-    ) -> None:
-        """Set the sites and parameters; each array except ``ends`` has one entry per site.
-
-        Args:
-            sites: numbers of sites with valves.
-            wet_after: time after rain that counts as wet weather at all sites (h).
-            ends: boundaries of the forecasts' steps (s from now), starting at 0.
-            reserves: volumes to which the cisterns are drained without a forecast (m3).
-            prices: prices of mains water, in m3 of discharge in wet weather per m3 (1).
-            reaches: time for which stored water is worth its price (days).
-            areas: areas to which the forecast's evapotranspiration applies (m2).
-            find: :func:`find_levels`, or the same compiled.
-        """
-        self._sites, self._find, self._wet_after = sites, find, wet_after * _HOUR_S
-        self._ends = ends
-        self._options = np.column_stack((reserves, prices, _DAY_S * reaches, areas))
-        self._hours = max(1, min(HORIZON_H, round(float(ends[-1]) / _HOUR_S)))
-        self.levels: Array = reserves
-
-    def plan(self, x1: Array, x2: Array, rain: Array, evaporated: Array) -> None:
-        """Make a plan; without a usable forecast, the levels are the reserves.
-
-        Args:
-            x1: volumes in the cisterns (m3), shape (sites,).
-            x2: volumes on the roofs (m3), shape (sites,).
-            rain: forecast of rain (m/s), shape (members, steps).
-            evaporated: forecast of evapotranspiration from the areas (m/s), shape (steps,).
-        """
-        self.levels = self._options[:, 0].copy()
-        if not rain.shape[1] == evaporated.size == len(self._ends) - 1:
-            return
-        if math.isfinite(float(x1.sum() + x2.sum() + rain.sum() + evaporated.sum())):
-            self._find(
-                self._sites, self._options, self._wet_after, self._ends, self._hours, x1, x2, rain,
-                evaporated, self.levels,
-            )
+    levels = options[:, 0].copy()
+    fits = rain.shape[1] == evaporated.size == len(ends) - 1
+    if fits and math.isfinite(float(x1.sum() + x2.sum() + rain.sum() + evaporated.sum())):
+        hours = max(1, min(HORIZON_H, round(float(ends[-1]) / _HOUR_S)))
+        options = options * (1.0, 1.0, _DAY_S, 1.0)
+        find(sites, options, wet_after, ends, hours, x1, x2, rain, evaporated, levels)
+    return levels

@@ -10,12 +10,11 @@ import ast
 import hashlib
 import importlib.util
 import sys
-import sysconfig
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 _PACKAGES = {"site-packages", "dist-packages"}
-_STANDARD_LIBRARY = {Path(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib")}
+_NO_USERS = {*sys.stdlib_module_names, __name__.partition(".")[0]}
 
 
 def digest_own_code(modules: Sequence[str]) -> str:
@@ -60,17 +59,11 @@ def _find_file(name: str) -> Path | None:
 def _is_foreign(name: str) -> bool:
     """Return whether a module belongs to someone other than the user.
 
-    The package is checked first, because looking up a module imports its package.
+    The first package is checked first, because looking up a module imports its package.
     """
-    package = name.rpartition(".")[0]
-    if package and _is_foreign(package):
-        return True
-    file = _find_file(name)
-    return file is not None and (
-        name.partition(".")[0] == __name__.partition(".")[0]
-        or not _PACKAGES.isdisjoint(file.parts)
-        or any(file.is_relative_to(place) for place in _STANDARD_LIBRARY)
-    )
+    first = name.partition(".")[0]
+    files = filter(None, map(_find_file, (first, name)))
+    return first in _NO_USERS or any(not _PACKAGES.isdisjoint(file.parts) for file in files)
 
 
 def _imported_names(source: bytes, package: str) -> Iterator[str]:

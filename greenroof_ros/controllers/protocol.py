@@ -106,16 +106,6 @@ class Controller(Protocol):
         ...
 
 
-class ControllerClass(Protocol):
-    """A controller class as provided by the registry."""
-
-    parameters: tuple[Parameter, ...]
-
-    def __call__(self, site: Any, **parameters: float) -> Controller:
-        """Make a controller for a site, with a value for each parameter."""
-        ...
-
-
 def set_optional(controller: Controller, **values: Any) -> None:
     """Set optional attributes of a controller, such as ``time_ns``, if the controller has them."""
     for name, value in values.items():

@@ -11,23 +11,18 @@ from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import numpy as np
 
-from greenroof_ros.common.errors import (
-    ConfigurationError,
-    HangError,
-    describe_choices,
-    suggest_names,
-)
+from greenroof_ros.common.errors import ConfigurationError, describe_choices, suggest_names
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.parameter_sections import read_sections
 from greenroof_ros.controllers import outlet
-from greenroof_ros.controllers.decide import locate_error, not_imported
-from greenroof_ros.controllers.outlet import OfController, OutletPolicy
+from greenroof_ros.controllers.decide import OwnCode, not_imported
+from greenroof_ros.controllers.outlet import OutletPolicy, requested_share
 from greenroof_ros.controllers.own_code import digest_own_code
-from greenroof_ros.controllers.protocol import Controller, ControllerClass, set_optional
+from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.site.horizon import MAX_HORIZON, look_ahead_ends
 from greenroof_ros.site.site import Site
 
@@ -45,6 +40,7 @@ FOR_A_SITE = "lookahead"
 """the default of a live site, for which the paper's controller is not suitable"""
 EXTERNAL = "external"
 """stands for a controller node that the user runs; its parameters are those of the forecasts"""
+_PATHS = {**BUILT_IN, EXTERNAL: f"{_HERE}.registry:External"}
 # Parameters that rclpy declares in every node.
 OF_EVERY_NODE = {"use_sim_time", "start_type_description_service", "qos_overrides"}
 # A controller's node is named after it. These nodes run alongside it.
@@ -94,48 +90,44 @@ class ControllerChoice:
             results.
         reference: controller as specified by the user: the name of a built-in controller, or
             ``package.module:Class``.
-        path: ``package.module:Class``.
         given: class that a program passed; None if the class has to be imported.
     """
 
     name: str
     reference: str
-    path: str
-    given: ControllerClass | None = None
+    given: Any = None
+
+    @property
+    def path(self) -> str:
+        """The class as ``package.module:Class``."""
+        return _PATHS.get(self.reference, self.reference)
 
     @functools.cached_property
-    def kind(self) -> ControllerClass:
+    def kind(self) -> Any:
         """The class, imported on first use; only :meth:`make` imports the library of a solver.
 
         Raises:
             ConfigurationError: if the class cannot be imported, or is not a controller.
         """
-        kind: Any = self._import_class() if self.given is None else self.given
-        lacking = [
-            name for name in ("parameters", "command", "skip", "statistics")
-            if not hasattr(kind, name)
-        ]
+        kind = self._import_class() if self.given is None else self.given
+        needed = "parameters", "command", "skip", "statistics"
+        lacking, problem = [name for name in needed if not hasattr(kind, name)], ""
         if lacking or not all(isinstance(parameter, Parameter) for parameter in kind.parameters):
-            raise ConfigurationError(
+            problem = (
                 f"is not a controller: it lacks {', '.join(lacking) or 'a tuple of Parameter'}; "
-                "see \"Your controller\" in the documentation",
-                key="controller", value=self.reference,
+                "see \"Your controller\" in the documentation"
             )
-        of_node = _OF_EVERY_NODE.union(parameter.name for parameter in _of_valve(kind))
-        clash = of_node.intersection(parameter.name for parameter in kind.parameters)
-        if clash:
-            raise ConfigurationError(
-                f"has a parameter {clash.pop()}, but its node already has a parameter of this "
-                "name; rename the controller's parameter",
-                key="controller", value=self.reference,
-            )
-        policy = _policy_of(kind)
-        if policy not in outlet.POLICIES:
-            raise ConfigurationError(
-                describe_choices(outlet.POLICIES, str(policy)), value=policy,
-                key=f"the attribute outlet_policy of {self.reference}",
-            )
-        return cast(ControllerClass, kind)
+        else:
+            of_valve = () if hasattr(kind, "outlet") else outlet.PARAMETERS
+            of_node = _OF_EVERY_NODE.union(parameter.name for parameter in of_valve)
+            for name in of_node.intersection(parameter.name for parameter in kind.parameters):
+                problem = (
+                    f"has a parameter {name}, but its node already has a parameter of this name; "
+                    "rename the controller's parameter"
+                )
+        if problem:
+            raise ConfigurationError(problem, key="controller", value=self.reference)
+        return kind
 
     def _import_class(self) -> Any:
         module_name, _, class_name = self.path.partition(":")
@@ -152,10 +144,21 @@ class ControllerChoice:
         """The parameters of the controller and of the outlet valve, by name."""
         return {parameter.name: parameter for parameter in (*self.kind.parameters, *self.of_valve)}
 
-    @property
+    @functools.cached_property
     def of_valve(self) -> tuple[Parameter, ...]:
-        """The parameters of the outlet valve; none if the controller commands the valve itself."""
-        return _of_valve(self.kind)
+        """The parameters of the outlet valve; none if the controller commands the valve itself.
+
+        Raises:
+            ConfigurationError: if the class names a policy that does not exist.
+        """
+        if hasattr(self.kind, "outlet"):
+            return ()
+        policy, *others = outlet.PARAMETERS
+        default = policy.read(
+            getattr(self.kind, "outlet_policy", policy.default),
+            key=f"the attribute outlet_policy of {self.reference}",
+        )
+        return replace(policy, default=default), *others
 
     @property
     def ensemble(self) -> bool:
@@ -166,11 +169,6 @@ class ControllerChoice:
     def needs_forecast(self) -> bool:
         """Whether the controller needs a forecast to decide, which is the default."""
         return bool(getattr(self.kind, "needs_forecast", True))
-
-    @property
-    def uses_forecast(self) -> bool:
-        """Whether the controller uses a forecast, because it needs one or has a ``horizon``."""
-        return self.needs_forecast or "horizon" in self.parameters
 
     @property
     def outputs(self) -> dict[str, str]:
@@ -185,7 +183,7 @@ class ControllerChoice:
         """
         if self.reference in BUILT_IN:
             return ""
-        return digest_own_code([self.path.partition(":")[0], cast(type, self.kind).__module__])
+        return digest_own_code([self.path.partition(":")[0], self.kind.__module__])
 
     def make(self, site: Site, parameters: dict[str, Any]) -> Controller:
         """Make the controller; a valve that is always open is treated as if there were none.
@@ -198,17 +196,14 @@ class ControllerChoice:
             site = replace(site, low_outlet_valve=False)
         kind, of_valve = self.kind, {parameter.name for parameter in self.of_valve}
         own = {name: value for name, value in parameters.items() if name not in of_valve}
-        try:
-            controller = kind(site, **own)
+        with OwnCode(kind):
+            try:
+                controller: Controller = kind(site, **own)
+            except ImportError as error:
+                raise not_imported(self.reference, error) from error
             ends = look_ahead_ends(site, parameters.get("horizon", 0.0))
             set_optional(controller, forecast_ends=ends)
-        except ImportError as error:
-            raise not_imported(self.reference, error) from error
-        except (ConfigurationError, HangError):
-            raise
-        except (Exception, SystemExit) as error:
-            raise locate_error(kind, error) from error
-        return controller
+            return controller
 
     def make_outlet(
         self, site: Site, parameters: dict[str, Any], controller: Controller,
@@ -228,7 +223,7 @@ class ControllerChoice:
         if not site.low_outlet_valve:
             return None
         if not self.of_valve:
-            return OfController(controller)
+            return functools.partial(requested_share, controller)
         if hasattr(controller, "outlet"):
             raise ConfigurationError(
                 "must also be an attribute of the class, for example outlet = 0.0; the controller "
@@ -238,7 +233,7 @@ class ControllerChoice:
             site, parameters.get("horizon", 0.0), outlet.find_horizon(parameters)
         )
         of_valve = {parameter.name: parameters[parameter.name] for parameter in self.of_valve}
-        return outlet.Policy(site, ends, without_rain, **of_valve)
+        return outlet.Policy(site, ends, without_rain, **of_valve).command
 
     def count_own_steps(self, site: Site, parameters: Mapping[str, Any]) -> int | None:
         """Return the number of forecast steps that the controller itself takes; None for all.
@@ -249,39 +244,32 @@ class ControllerChoice:
             return None
         return len(look_ahead_ends(site, parameters.get("horizon", 0.0))) - 1
 
-    def cut_forecast(self, steps: int, rain: Any, evapotranspiration: Any) -> tuple[Any, Any]:
-        """Truncate forecasts, extended for the outlet's plan, to the controller's own steps.
-
-        Without ``ensemble``, the controller receives only the first member.
+    def own_forecast(
+        self, steps: int | None, rain: Any, evapotranspiration: Any, topic: str = ""
+    ) -> tuple[Any, Any]:
+        """Return forecasts as the controller takes them, without what only the outlet's plan uses.
 
         Args:
-            steps: number of steps that the controller uses.
-            rain: forecast of rain, shape (steps,) or (members, steps).
+            steps: number of steps, as returned by :meth:`count_own_steps`. Unless it is None, a
+                controller that takes only one member receives the first one.
+            rain: forecast of rain, shape (steps,), or an array of shape (members, steps).
             evapotranspiration: forecast of evapotranspiration, shape (steps,).
-        """
-        if isinstance(rain, np.ndarray):
-            rain = rain[:, :steps] if self.ensemble else array("d", rain[0, :steps])
-        return rain[:steps] if isinstance(rain, array) else rain, evapotranspiration[:steps]
-
-    def shape_rain(self, rain: Any, topic: str) -> Any:
-        """Return a forecast of rain in the shape that the controller accepts.
-
-        Args:
-            rain: value received on the topic, either a single row or an array of members.
-            topic: name of the topic, for error messages.
+            topic: name of the topic of the rain, for error messages.
 
         Raises:
             ConfigurationError: if the forecast has more than one member, but the controller accepts
                 only one.
         """
         if self.ensemble:
-            return np.atleast_2d(rain)
+            return np.atleast_2d(rain)[:, :steps], evapotranspiration[:steps]
         if isinstance(rain, np.ndarray):
-            raise ConfigurationError(
-                f"has {len(rain)} members, but {self.name} takes only one; set all_members of the "
-                "weather node to false", key=topic,
-            )
-        return rain
+            if steps is None:
+                raise ConfigurationError(
+                    f"has {len(rain)} members, but {self.name} takes only one; set all_members of "
+                    "the weather node to false", key=topic,
+                )
+            rain = array("d", rain[0])
+        return rain[:steps], evapotranspiration[:steps]
 
     def parameters_on(self, site: Site) -> list[Parameter]:
         """Return the parameters of the controller, each with its default for a site's roof.
@@ -318,16 +306,6 @@ class ControllerChoice:
                     "low_outlet_valve: true)", key=name, value=given[name],
                 )
         return {**defaults, **given}
-
-    def check_parameters(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the values of parameters of the controller as numbers.
-
-        Raises:
-            ConfigurationError: if a value is not a number, or is out of range; the error's key is
-                the name of the parameter.
-        """
-        known = self.parameters
-        return {name: known[name].read(value, key=name) for name, value in given.items()}
 
     def read_parameters(self, path: Path, namespace: str = "") -> dict[str, Any]:
         """Return the values that a ROS 2 parameter file sets for the controller's node.
@@ -381,26 +359,22 @@ def find_controller(reference: str) -> ControllerChoice:
         ConfigurationError: if there is no such controller, or if the name of its node is already in
             use.
     """
-    if reference == EXTERNAL:
-        return ControllerChoice(EXTERNAL, EXTERNAL, f"{__name__}:External")
+    name, problem = reference, ""
     if ":" not in reference:
-        path = BUILT_IN.get(reference)
-        if path is None:
-            expected = describe_choices(BUILT_IN, reference, ", or package.module:Class")
-            raise ConfigurationError(expected, key="controller", value=reference)
-        return ControllerChoice(reference, reference, path)
-    if not re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", reference):
-        raise ConfigurationError(
-            "must be of the form package.module:Class", key="controller", value=reference
-        )
-    name = _node_name(reference.partition(":")[2])
-    if name in BUILT_IN or name in _OTHER_NODES:
-        raise ConfigurationError(
-            f"the controller's node would have the same name as another node, {name}; rename the "
-            "class",
-            key="controller", value=reference,
-        )
-    return ControllerChoice(name, reference, reference)
+        if reference not in _PATHS:
+            problem = describe_choices(BUILT_IN, reference, ", or package.module:Class")
+    elif not re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", reference):
+        problem = "must be of the form package.module:Class"
+    else:
+        name = _node_name(reference.partition(":")[2])
+        if name in BUILT_IN or name in _OTHER_NODES:
+            problem = (
+                f"the controller's node would have the same name as another node, {name}; rename "
+                "the class"
+            )
+    if problem:
+        raise ConfigurationError(problem, key="controller", value=reference)
+    return ControllerChoice(name, reference)
 
 
 def choose_class(kind: Any) -> ControllerChoice:
@@ -408,21 +382,8 @@ def choose_class(kind: Any) -> ControllerChoice:
     path = f"{kind.__module__}:{kind.__qualname__}"
     for name, own in BUILT_IN.items():
         if path == own:
-            return ControllerChoice(name, name, own)
-    return ControllerChoice(_node_name(kind.__name__), path, path, kind)
-
-
-def _of_valve(kind: Any) -> tuple[Parameter, ...]:
-    """Return the parameters of the outlet valve; none if a class commands the valve itself."""
-    if hasattr(kind, "outlet"):
-        return ()
-    policy, *others = outlet.PARAMETERS
-    return replace(policy, default=_policy_of(kind)), *others
-
-
-def _policy_of(kind: Any) -> Any:
-    """Return the name of the policy that commands the valve by default."""
-    return getattr(kind, "outlet_policy", outlet.DRAIN)
+            return ControllerChoice(name, name)
+    return ControllerChoice(_node_name(kind.__name__), path, kind)
 
 
 def _node_name(class_name: str) -> str:

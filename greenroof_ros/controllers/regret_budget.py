@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.physics.parameters import State, plant_parameters
@@ -101,40 +100,33 @@ class RegretBudget:
         self._more = 0.0  # volume on the roof with on/off minus the actual volume (m3)
         self._stored = 0.0  # the same in the cistern (m3)
         self._layers = site.initial_layer, site.initial_layer  # with on/off, and actually (m3)
-        self._unseen = 0
         self._warned = False
         self.loss = 0.0
         self.onoff_cost = 0.0
         self.exhausted = False
 
-    @property
-    def learned(self) -> dict[str, float]:
-        """L and D (m3 s), which must survive a restart of a live controller."""
-        return {"waiting_loss_m3_s": self.loss, "onoff_cost_m3_s": self.onoff_cost}
-
-    @learned.setter
-    def learned(self, values: Mapping[str, float]) -> None:
-        self.loss, self.onoff_cost = (values[name] for name in self.learned)
-
-    def judge(self, x1: float, x2: float, fraction: float) -> bool:
+    def judge(self, x1: float, x2: float, fraction: float, seconds: float) -> bool:
         """Count the current tick, and return whether forecasts of rain are to be ignored.
 
         Args:
             x1: volume in the cistern (m3).
             x2: volume on the roof (m3).
             fraction: v, the command of on/off control while pumping (share of the maximum flow).
+            seconds: time since the last call (s), in which skipped ticks count, too.
         """
         site = self._site
         theirs = abs(x2 + self._more - site.x2_star)
         excess = abs(x2 - site.x2_star) - theirs
-        seconds, self._unseen = (1 + self._unseen) * site.tau, 0
         self.onoff_cost += seconds * theirs
         self.loss += seconds * excess
         # Volume to pump to catch up with on/off, or to reach the target.
         behind = max(0.0, min(self._more, site.x2_star - x2))
         flow = fraction * maximum_pump_flow(self._p, x1)
-        drained = self._drained(x1, x2)
-        cost = self.loss + self._filling(x2, behind, flow) + drained
+        drained, stays = self._drained(x1, x2), retained_share(self._p, x2) * flow
+        cost = self.loss + drained
+        if stays > 0:  # filling the roof to the target later than on/off control
+            missing = max(0.0, site.x2_star - x2 - self._more)  # on the roof with on/off
+            cost += behind * (missing + behind / 2) / stays
         if cost > self._budget + self._share * self.onoff_cost:
             self.exhausted = True
             if self._budget > 0 and not drained and not self._warned:
@@ -149,15 +141,11 @@ class RegretBudget:
             self.exhausted = False
         return self.exhausted
 
-    def skip(self) -> None:
-        """Account for a tick without pumping and without a decision."""
-        self._unseen += 1
-
     def move(
         self, x1: float, x2: float, fraction: float, command: float,
         precipitation: float = 0.0, evapotranspiration: float = 0.0,
-    ) -> None:
-        """Advance the comparison by one tick.
+    ) -> State:
+        """Advance the comparison by one tick; return the water in the plant after the tick.
 
         Args:
             x1: volume in the cistern (m3).
@@ -171,22 +159,12 @@ class RegretBudget:
         outlet = float(self._site.always_drains)
         theirs = State(max(0.0, x1 + self._stored), max(0.0, x2 + self._more), self._layers[0])
         theirs, ours = (
-            step(
-                self._p, state, precipitation, evapotranspiration, share, outlet, OWN_PUMPS
-            )[0] for state, share in (
-                (theirs, fraction), (State(x1, x2, self._layers[1]), command)
-            )
+            step(self._p, state, precipitation, evapotranspiration, share, outlet, OWN_PUMPS)[0]
+            for state, share in ((theirs, fraction), (State(x1, x2, self._layers[1]), command))
         )
         self._stored, self._more = theirs.cistern - ours.cistern, theirs.roof - ours.roof
         self._layers = theirs.layer, ours.layer
-
-    def _filling(self, x2: float, behind: float, flow: float) -> float:
-        """Return the cost (m3 s) of filling the roof to the target later than on/off control."""
-        stays = retained_share(self._p, x2) * flow
-        if behind <= 0 or stays <= 0:
-            return 0.0
-        missing = max(0.0, self._site.x2_star - x2 - self._more)  # missing on the roof with on/off
-        return behind * (missing + behind / 2) / stays
+        return ours
 
     def _drained(self, x1: float, x2: float) -> float:
         """Return the cost (m3 s) of drained water that on/off control would have pumped."""

@@ -1,4 +1,4 @@
-"""What controllers predict of a roof: arrays of volumes, over steps of any length."""
+"""What controllers predict of a site: arrays of volumes, over steps of any length."""
 
 from __future__ import annotations
 
@@ -24,6 +24,22 @@ _MIN_LASTING = 1e-3
 _STEP = 0.02
 
 
+def drain(p: PlantParameters, volumes: Any, seconds: float) -> Any:
+    """Return the volumes in the cistern after its low outlet has been open for a time (m3).
+
+    The square root of the head above the outlet falls linearly with time.
+
+    Args:
+        p: numbers of the site.
+        volumes: a volume in the cistern (m3), or an array of volumes.
+        seconds: the time (s).
+    """
+    outlet = p.a1 * p.low_outlet_level
+    root = np.sqrt(np.maximum(volumes - outlet, 0.0) / p.a1)
+    root = np.maximum(root - p.c_low / (2 * p.a1) * seconds, 0.0)
+    return np.minimum(volumes, outlet + p.a1 * root * root)
+
+
 class RoofPrediction:
     """Predicts the water on a roof, with the soil's equations of :mod:`..physics.soil`.
 
@@ -40,42 +56,16 @@ class RoofPrediction:
         self._p = p
         self.above_target = p.z_cap - p.x2_star if p.has_field_capacity else p.a2 * ABOVE_M
         self._drying = p.stress_onset * p.available_volume
+        self._water_of: Any = np.arctanh  # W of a share S (1, as a share of TAW)
+        self._share_of: Any = np.tanh  # its inverse
         if p.has_field_capacity and p.percolation_exponent != 2:
-            self._ends = np.arange(0.0, -np.log1p(-ALMOST_FULL) + _STEP, _STEP)
-            shares = -np.expm1(-self._ends)
-            self._water = np.cumsum([0.0, *(
+            ends = np.arange(0.0, -np.log1p(-ALMOST_FULL) + _STEP, _STEP)
+            water = np.cumsum([0.0, *(
                 water_to_fill(p.percolation_exponent, float(first), float(last))
-                for first, last in pairwise(shares)
+                for first, last in pairwise(-np.expm1(-ends))
             )])
-
-    def _filled(self, x2: Any) -> Any:
-        """Return S (1) at volumes x2 (m3)."""
-        return np.clip((x2 - self._p.wilting_volume) / self._p.available_volume, 0.0, 1.0)
-
-    def _water_of(self, filled: Any) -> Any:
-        """Return W (1, as a share of TAW)."""
-        filled = np.minimum(filled, ALMOST_FULL)
-        if self._p.percolation_exponent == 2:
-            return np.arctanh(filled)
-        return np.interp(-np.log1p(-filled), self._ends, self._water)
-
-    def _share_of(self, water: Any) -> Any:
-        """Return the share (1) whose W is given."""
-        if self._p.percolation_exponent == 2:
-            return np.tanh(water)
-        return -np.expm1(-np.interp(water, self._water, self._ends))
-
-    def _fill(self, x2: Any, arriving: Any) -> Any:
-        """Return the volumes (m3) after water (m3) has arrived on a field-capacity soil."""
-        p = self._p
-        first = np.minimum(arriving, np.maximum(p.wilting_volume - x2, 0.0))
-        filled, u = self._filled(x2), (arriving - first) / p.available_volume
-        if p.percolation_exponent == 2:
-            g = np.tanh(u)
-            wet = (filled + g) / (1 + filled * g)
-        else:
-            wet = np.maximum(filled, self._share_of(self._water_of(filled) + u))
-        return np.minimum(x2, p.wilting_volume) + first + p.available_volume * wet
+            self._water_of = lambda filled: np.interp(-np.log1p(-filled), ends, water)
+            self._share_of = lambda arrived: -np.expm1(-np.interp(arrived, water, ends))
 
     def predict_volume(
         self, x2: Any, arriving: Any, potential: Any, seconds: Any
@@ -99,7 +89,9 @@ class RoofPrediction:
             drained = p.K / p.z_soil * (remaining + p.a2 * p.z_soil) * seconds
             remaining = np.minimum(remaining, np.maximum(remaining - drained, p.z_cap))
             return np.asarray(np.maximum(remaining, 0.0))
-        water = self._fill(x2, arriving) if np.any(arriving) else x2
+        water = x2
+        if np.any(arriving):
+            water = self.fill_empty(self.water_to_fill(x2) + arriving)
         easy = np.maximum(water - (p.wilting_volume + self._drying), 0.0)
         easy = np.minimum(easy, potential)
         water = water - easy
@@ -111,8 +103,8 @@ class RoofPrediction:
         p = self._p
         if not p.has_field_capacity:
             return x2
-        water = self._water_of(self._filled(x2))
-        return np.minimum(x2, p.wilting_volume) + p.available_volume * water
+        filled = np.clip((x2 - p.wilting_volume) / p.available_volume, 0.0, ALMOST_FULL)
+        return np.minimum(x2, p.wilting_volume) + p.available_volume * self._water_of(filled)
 
     def fill_empty(self, arrived: Array) -> Array:
         """Return the volume on an initially empty roof after a volume of water has arrived (m3)."""

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.disk import NumberFile
@@ -32,7 +32,7 @@ from greenroof_ros.controllers.decide import (
     may_decide,
 )
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
-from greenroof_ros.controllers.protocol import ControllerClass, set_optional
+from greenroof_ros.controllers.protocol import set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.graph.controller_parameters import ControllerParameters, of_reference
 from greenroof_ros.graph.parameters import declare, site_file
@@ -245,11 +245,13 @@ class LiveControllerNode(LiveNode):
     def _decide(self, decides: bool) -> float:
         controller = self._settings.controller
         set_optional(controller, time_ns=self._time_ns, gauge_rain=self._measured_rain())
-        usable = decides and self._rain.good and self._evapotranspiration.good
+        rain, evapotranspiration, forecast = self._rain, self._evapotranspiration, ((), ())
+        if decides and rain.good and evapotranspiration.good:
+            forecast = self._choice.own_forecast(
+                None, rain.value, evapotranspiration.value, rain.name
+            )
         return decide(
-            controller, decides, self._cistern.value, self._roof.value,
-            self._choice.shape_rain(self._rain.value, self._rain.name) if usable else (),
-            self._evapotranspiration.value if usable else (), self._quiet,
+            controller, decides, self._cistern.value, self._roof.value, *forecast, self._quiet
         )
 
     def _update_stand_in(self) -> None:
@@ -338,7 +340,7 @@ class LiveControllerNode(LiveNode):
         had a forecast, nothing is reported.
         """
         needs = self._choice.needs_forecast
-        if not needs and not (self._choice.uses_forecast and self._rain.received):
+        if not needs and not ("horizon" in self._choice.parameters and self._rain.received):
             return
         problem = self._bad_forecasts()
         if not problem:
@@ -360,7 +362,7 @@ class LiveControllerNode(LiveNode):
         return {**self._settings.changes(), **self._values}
 
 
-def _given_up(why: str) -> ControllerClass:
+def _given_up(why: str) -> type[OnOff]:
     """Return a controller class that cannot be instantiated, for the given reason."""
 
     class GivenUp(OnOff):
@@ -369,7 +371,7 @@ def _given_up(why: str) -> ControllerClass:
         def __init__(self, site: Site) -> None:
             raise ConfigurationError(why)
 
-    return cast(ControllerClass, GivenUp)
+    return GivenUp
 
 
 def make_node(controller: str) -> LiveControllerNode:

@@ -79,21 +79,16 @@ class ControllerNode(SimulationNode):
             allowed = may_decide(controller, allowed, quiet)
         levels = self._cistern.value, self._roof.value
         rain, evapotranspiration = self._rain.value, self._evapotranspiration.value
-        own_rain, own_evapotranspiration = rain, evapotranspiration
-        if self._own_steps is not None:
-            own_rain, own_evapotranspiration = self._choice.cut_forecast(
-                self._own_steps, rain, evapotranspiration
-            )
-        self.publish("/pump/command", decide(
-            controller, allowed, *levels, self._choice.shape_rain(own_rain, self._rain.name),
-            own_evapotranspiration, quiet,
-        ))
+        own = self._choice.own_forecast(
+            self._own_steps, rain, evapotranspiration, self._rain.name
+        )
+        self.publish("/pump/command", decide(controller, allowed, *levels, *own, quiet))
         if self._outlet is not None:
             share = 0.0
             if self.good:  # the policy must not learn from a rejected input: it would be a 0
-                share = self._outlet.command(*levels, rain, evapotranspiration)
+                share = self._outlet(*levels, rain, evapotranspiration)
             elif not self._rain.good:
-                self._outlet.command(*levels, (), ())  # unknown rain counts as wet weather
+                self._outlet(*levels, (), ())  # unknown rain counts as wet weather
             closed = self._site.valve_closed_in_frost and self._frost.value
             self.publish("/outlet/command", 0.0 if closed else share)
         for topic, attribute in self._optional:

@@ -459,10 +459,9 @@ class _PlanController:
         self._tick += 1
         if self._tick == self._steps:
             return 0.0
-        site, program = self._site, self._program
+        site = self._site
         x1, x2 = site.cistern_volume(cistern_level), site.roof_volume(roof_level)
-        step = self._tick // self._block
-        level = float(program.levels(self._policy, step, 0, program.cistern.usable(x1), x2))
+        level = self._program.level(self._policy, self._tick * site.tau, x1, x2)
         if level < x2:
             return 0.0
         now = precipitation[0], evapotranspiration[0]

@@ -200,7 +200,10 @@ def make_inputs(controller: ControllerChoice, given: Mapping[str, Any]) -> RunIn
         ConfigurationError: if a name is unknown or a value is invalid; the error's key is the name.
     """
     values = {name: value for name, value in given.items() if value is not None}
-    own = {name: values.pop(name) for name in controller.parameters if name in values}
+    own = {
+        name: parameter.read(values.pop(name), key=name)
+        for name, parameter in controller.parameters.items() if name in values
+    }
     for name, value in values.items():
         if name not in INPUTS:
             known = [*INPUTS, *controller.parameters]
@@ -226,7 +229,7 @@ def make_inputs(controller: ControllerChoice, given: Mapping[str, Any]) -> RunIn
     return replace(
         make_record(RunInputs, {name: values[name] for name in _SCALARS if name in values}),
         controller=controller,
-        parameters=controller.check_parameters(own),
+        parameters=own,
         forecast=choice.choose(str(values.get("forecast", PERFECT)), {
             name: values[f"forecast_{name}"] for name in choice.OPTIONS
             if f"forecast_{name}" in values

@@ -101,16 +101,15 @@ class Simulation:
                 set_optional(controller, time_ns=site.time_ns)
             cistern_level, roof_level = site.observe()
             rain, evaporated = forecast.precipitation(k), forecast.evapotranspiration(k)
-            own_rain, own_evaporated = (rain, evaporated) if own_steps is None else (
-                run.controller.cut_forecast(own_steps, rain, evaporated)
-            )
+            own = rain, evaporated
+            if own_steps is not None:
+                own = run.controller.own_forecast(own_steps, *own)
             command = decide(
-                controller, irrigated and not frost, cistern_level, roof_level, own_rain,
-                own_evaporated, site.quiet,
+                controller, irrigated and not frost, cistern_level, roof_level, *own, site.quiet
             )
             if policy is not None:
                 # Also called in frost, because it counts the time without rain.
-                outlet = policy.command(cistern_level, roof_level, rain, evaporated)
+                outlet = policy(cistern_level, roof_level, rain, evaporated)
                 if closes and frost:
                     outlet = 0.0
             state = site.state

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.onoff import onoff_command
 from greenroof_ros.controllers.outlet import OPEN, PLAN, POLICIES, outlet_share
-from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, PlannedLevels, find_levels
+from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, find_levels, plan_levels
 from greenroof_ros.forecast.resampling import Forecast, make_forecast
 from greenroof_ros.physics.compiled import compiled, note_if_slow, pays_to_compile, records
 from greenroof_ros.physics.parameters import State, plant_parameters
@@ -359,12 +359,12 @@ class _Season:
             np.tile((0.0, min_off, 0.0), (count, 1)),
             np.zeros((count, s.count_places(plants[0], steps))),
         ))
-        reserves, prices, reaches = (
-            np.array([case.parameters.get(name, 0.0) for case in cases])
-            for name in ("outlet_reserve", "outlet_price", "outlet_reach")
-        )
+        names = "outlet_reserve", "outlet_price", "outlet_reach"
+        options = np.array([
+            [*(case.parameters.get(name, 0.0) for name in names), case.bed] for case in cases
+        ])
         self._sites = Sites(
-            p, c, np.zeros(count, np.intp), reserves, state, switches, sums,
+            p, c, np.zeros(count, np.intp), options[:, 0].copy(), state, switches, sums,
             np.zeros((count, events, len(Event._fields))), np.zeros((count, kept, len(KEPT))),
         )
         self.parts: list[tuple[slice, NDArray[np.intp], Any]] = []
@@ -372,11 +372,10 @@ class _Season:
         for rows in starmap(slice, pairwise(bounds)):
             own, self._sites.groups[rows] = np.unique(groups[rows], return_inverse=True)
             self.parts.append((rows, own, self._as_taken(np.zeros((len(own), 2, intervals)))))
-        self._plan = None if cases[0].parameters.get("outlet") != PLAN else PlannedLevels(
-            self._sites.parameters, self._site.wet_after,
-            look_ahead_ends(run.site, 0.0, HORIZON_H), reserves.copy(), prices, reaches,
-            np.array([case.bed for case in cases]),
-            compiled(find_levels) if self._compiles else find_levels,
+        self._plan = None if cases[0].parameters.get("outlet") != PLAN else partial(
+            plan_levels, compiled(find_levels) if self._compiles else find_levels,
+            self._sites.parameters, options, self._site.wet_after * HOUR_S,
+            look_ahead_ends(run.site, 0.0, HORIZON_H),
         )
 
     def _as_taken(self, array: NDArray[Any]) -> Any:
@@ -417,8 +416,8 @@ class _Season:
         roof = x2 / a2
         if len(self._errors):
             roof = np.maximum(0.0, roof + self._errors[tick])
-        self._plan.plan(x1 / a1 * a1, roof * a2, *self._weather.foresee(tick))
-        self._sites.levels[:] = self._plan.levels
+        forecast = self._weather.foresee(tick)
+        self._sites.levels[:] = self._plan(x1 / a1 * a1, roof * a2, *forecast)
 
     def run(self, ticks: Ticks, part: tuple[slice, Any, Any]) -> None:
         """Simulate a part of the sites in some ticks."""

@@ -52,7 +52,17 @@ def test_a_command_is_passed_on_unless_the_tick_is_skipped(answer: Any) -> None:
     assert controller.skipped == 1
 
 
-@pytest.mark.parametrize("answer", [-0.5, math.nan, math.inf, 10**400, True, "0.5", None])
+def test_quiet_hours() -> None:
+    """A controller that uses the time is called, but not obeyed; any other one skips the tick."""
+    for knows in (False, True):
+        controller = Answering(0.5)
+        if knows:
+            controller.time_ns = 0  # type: ignore[attr-defined]
+        assert decide(controller, True, 2.0, 0.03, [0.0], [0.0], quiet=True) == 0.0
+        assert controller.skipped == (not knows)
+
+
+@pytest.mark.parametrize("answer", [-0.5, math.nan, np.float32("inf"), 10**400, True, "0.5", None])
 def test_what_is_no_command_ends_the_run(answer: Any) -> None:
     """It could pump water out of the roof, or fail in the middle of the plant."""
     with pytest.raises(ConfigurationError, match=r"the command of Answering.*must be a finite num"):
@@ -103,14 +113,15 @@ def test_an_error_of_a_class_names_file_and_line(
 
 
 def test_a_forecast_has_the_shape_that_the_controller_takes() -> None:
-    """All members for lookahead, even if there is one; a row for a controller that takes one."""
-    row, members = array("d", [1.0, 2.0]), np.ones((3, 2))
-    lookahead = find_controller("lookahead")
-    assert find_controller("onoff").shape_rain(row, "/rain") is row
-    assert np.array_equal(lookahead.shape_rain(row, "/rain"), [[1.0, 2.0]])
-    assert lookahead.shape_rain(members, "/rain").shape == (3, 2)
+    """All members for lookahead, even if there is one; otherwise the first, if it has more."""
+    row, members, dry = array("d", [1.0, 2.0]), np.ones((3, 2)), array("d", [0.0, 0.0])
+    lookahead, onoff = find_controller("lookahead"), find_controller("onoff")
+    assert onoff.own_forecast(None, row, dry) == (row, dry)
+    assert onoff.own_forecast(1, members, dry) == (array("d", [1.0]), dry[:1])
+    assert np.array_equal(lookahead.own_forecast(None, row, dry)[0], [[1.0, 2.0]])
+    assert lookahead.own_forecast(1, members, dry)[0].shape == (3, 1)
     with pytest.raises(ConfigurationError, match=r"^/rain: has 3 members, but onoff takes only"):
-        find_controller("onoff").shape_rain(members, "/rain")
+        onoff.own_forecast(None, members, dry, "/rain")
 
 
 @pytest.mark.parametrize("count", [0, 1, 5000, 100_000])

@@ -22,18 +22,6 @@ def test_without_its_solver(monkeypatch: pytest.MonkeyPatch) -> None:
         choice.make(PAPER_SITE, choice.defaults(PAPER_SITE))
 
 
-def test_a_file_for_all_nodes(tmp_path: Path) -> None:
-    """The most common form: section ``/**``, whole numbers are permitted; an option wins."""
-    (tmp_path / "mine.yaml").write_text(
-        "/**:\n  ros__parameters:\n    use_sim_time: true\n    weight: 5\n"
-    )
-    values = find_controller("mpc").read_parameters(tmp_path / "mine.yaml")
-    assert values["weight"] == 5.0
-    given = "--parameters", str(tmp_path / "mine.yaml")
-    assert paper_run(*given).parameters["weight"] == 5.0
-    assert paper_run(*given, "--weight", "0.5").parameters["weight"] == 0.5
-
-
 DUMP = """{}/onoff:
   ros__parameters:
     fraction: 0.5
@@ -60,15 +48,17 @@ def test_a_dump_of_a_node(tmp_path: Path) -> None:
 
 
 def test_all_sections_of_a_node_count(tmp_path: Path) -> None:
-    """The last one wins, as in rcl."""
+    """The last one wins, as in rcl, and an option wins over the file; 1 may be written for 1.0."""
     file = tmp_path / "mine.yaml"
     file.write_text(
-        "/**:\n  ros__parameters: {fraction: 0.5, level: 0.9}\n"
+        "/**:\n  ros__parameters: {use_sim_time: true, fraction: 0.5, level: 1}\n"
         "/x:\n  onoff:\n    ros__parameters: {level: 0.8}\n"
     )
     onoff = find_controller("onoff")
-    assert onoff.read_parameters(file) == {"fraction": 0.5, "level": 0.9}
+    assert onoff.read_parameters(file) == {"fraction": 0.5, "level": 1.0}
     assert onoff.read_parameters(file, "/x") == {"fraction": 0.5, "level": 0.8}
+    run = paper_run("--controller", "onoff", "--parameters", str(file), "--level", "0.7")
+    assert run.parameters == {"fraction": 0.5, "level": 0.7}
 
 
 @pytest.mark.parametrize(

@@ -108,7 +108,7 @@ def test_a_low_outlet_limits_the_waiting_by_hand() -> None:
     site = replace(PAPER_SITE, low_outlet_level=0.8, low_outlet_radius=0.06)
     loss = RegretBudget(site, 1.0, 0.0)
     seconds = 0
-    while not loss.judge(40.0, 1.0, 1.0):
+    while not loss.judge(40.0, 1.0, 1.0, 1.0):
         loss.move(40.0, 1.0, 1.0, 0.0)
         seconds += 1
     assert seconds == pytest.approx(153, abs=1)
@@ -116,15 +116,13 @@ def test_a_low_outlet_limits_the_waiting_by_hand() -> None:
 
 def test_ticks_in_frost_count() -> None:
     """Nothing may be pumped in them, but the roof that waited before is worse off in each."""
-    loss = RegretBudget(PAPER_SITE, 1.0, 0.0)
-    loss.judge(50.0, 2.0, 1.0)
-    loss.move(50.0, 2.0, 1.0, 0.0)  # on/off pumps for a tick
-    more = loss._more
-    assert more == pytest.approx(maximum_pump_flow(PAPER_SITE, 50.0))
+    controller, inputs = lookahead(), (2.0, 0.03, [COMING], [0.0] * STEPS)
+    assert controller.command(*inputs) == 0.0  # on/off pumps for a tick
     for _ in range(999):
-        loss.skip()
-    loss.judge(50.0, 2.0, 1.0)
-    assert loss.loss == pytest.approx(1000 * more, rel=1e-6)
+        controller.skip()
+    controller.command(*inputs)
+    more = maximum_pump_flow(PAPER_SITE, 50.0)
+    assert controller.learned["waiting_loss_m3_s"] == pytest.approx(1000 * more, rel=1e-6)
 
 
 def test_the_count_on_a_field_capacity_soil_is_what_onoff_has() -> None:
@@ -156,15 +154,15 @@ def test_forecasts_count_again() -> None:
     """
     budget = RegretBudget(PAPER_SITE, 0.01, 0.1)
     ticks = 0
-    while not budget.judge(50.0, 2.0, 1.0):
+    while not budget.judge(50.0, 2.0, 1.0, 1.0):
         budget.move(50.0, 2.0, 1.0, 0.0)
         ticks += 1
         assert ticks < 1000
     budget.loss = 0.01 * EMPTY_HOUR + 0.1 * budget.onoff_cost
-    assert budget.judge(50.0, 2.0, 1.0)  # it is not filled
+    assert budget.judge(50.0, 2.0, 1.0, 1.0)  # it is not filled
     budget._more = 0.0
     budget.loss += 100.0
     seconds = 0
-    while budget.judge(50.0, PAPER_SITE.x2_star - 0.1, 1.0):
+    while budget.judge(50.0, PAPER_SITE.x2_star - 0.1, 1.0, 1.0):
         seconds += 1
     assert seconds == pytest.approx(10_000, rel=0.01)

@@ -148,7 +148,7 @@ class Environment:
             forecast, tick = self._run.forecast, self._sites.tick
             cistern, roof = map(float, self._sites.levels[0])
             # The policy is called in every tick, because it counts the time without rain.
-            opening = self._policy.command(
+            opening = self._policy(
                 cistern, roof, forecast.precipitation(tick), forecast.evapotranspiration(tick)
             )
             opening = opening if given is None else given
@@ -219,8 +219,7 @@ class Environment:
         run, tick = self._run, self._sites.tick
         rain, evaporated = run.forecast.precipitation(tick), run.forecast.evapotranspiration(tick)
         own_steps = run.controller.count_own_steps(self.site, run.parameters)
-        if own_steps is not None:
-            rain, evaporated = run.controller.cut_forecast(own_steps, rain, evaporated)
+        rain, evaporated = run.controller.own_forecast(own_steps, rain, evaporated)
         return ForecastSteps(np.asarray(rain), np.asarray(evaporated), self._ends)
 
     @property
