@@ -455,7 +455,8 @@ def test_a_record_that_is_removed(rig: PumpRig) -> None:
     assert rig.call(SetBool, "stop", data=True).success
     file.unlink()
     rig.until_code("state file", "record_changed")
-    assert "the operator" in file.read_text()
+    # A thread writes it.
+    wait_for(lambda: file.exists() and "the operator" in file.read_text(), 30, "the record")
     node.kill()
     node.wait()
     file.unlink()
