@@ -6,7 +6,6 @@ distinguished.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,30 +27,6 @@ _COARSE = (60, 30)
 _MINIMUM = 1e-300
 # Nodes of the available water, if it can run short.
 _WATER_NODES = 12
-
-
-@dataclass(frozen=True, eq=False)
-class Policy:
-    """Decisions for every step and every volume on the roof, computed by :class:`OrderUpTo`.
-
-    The attributes up to ``flow`` are the arguments of :meth:`OrderUpTo.solve`.
-
-    Attributes:
-        steps: two arrays for each step. The first one contains the volume to which the roof is
-            filled and at which it is held (m3), or -1 if the roof is left alone, shape (groups of
-            the step, S, nodes up to the target); the second one the index of each member's group,
-            shape (members,).
-        cost: minimum mean deviation over all steps and members (m3).
-    """
-
-    edges: Array
-    x1: float
-    x2: float
-    rain: Array
-    evapotranspiration: Array
-    flow: Array
-    steps: list[tuple[Array, Indices]]
-    cost: float
 
 
 class OrderUpTo:
@@ -82,6 +57,10 @@ class OrderUpTo:
     s. If there is always enough water, s has one node. Usable is the water above the suction level.
     A valve on the low outlet is assumed to be closed, because the water that it releases makes room
     for rain that refills the cistern.
+
+    The program keeps the decisions of its last plan. For every step, these are the volume to which
+    the roof is filled and at which it is held (m3), or -1 if the roof is left alone, shape (groups
+    of the step, S, nodes up to the target); and the index of each member's group.
     """
 
     def __init__(self, site: Site, fine: tuple[int, int] = (900, 300)) -> None:
@@ -131,17 +110,16 @@ class OrderUpTo:
             water = drain(p, water + self._suction, seconds) - self._suction
         return water
 
-    def level(self, policy: Policy, age: float, x1: float, x2: float) -> float:
+    def level(self, age: float, x1: float, x2: float) -> float:
         """Return the volume up to which the roof is filled now (m3); a fuller one is left alone.
 
         Args:
-            policy: policy from the last call to :meth:`solve`.
-            age: time since this call (s), before members can be distinguished.
+            age: time since the plan was made (s), before members can be distinguished.
             x1: volume in the cistern (m3).
             x2: volume on the roof (m3).
         """
-        step = int(policy.edges[1:-1].searchsorted(age, side="right"))
-        return float(self._levels(policy.steps[step][0], 0, self._usable(x1), x2))
+        step = int(self._edges[1:-1].searchsorted(age, side="right"))
+        return float(self._levels(self._decisions[step][0], 0, self._usable(x1), x2))
 
     def _levels(self, table: Array, group: Any, usable: Any, x2: Any) -> Any:
         """Return the volumes up to which roofs are filled (m3), or -1.
@@ -152,7 +130,7 @@ class OrderUpTo:
         water to be pumped, although there is no water at the node below.
 
         Args:
-            table: volumes of a step of the policy.
+            table: volumes of a step of the plan.
             group: index of a group of the step, either one for each roof or one for all roofs.
             usable: usable water in the cistern (m3), either one value for each roof or one for all
                 roofs.
@@ -168,8 +146,8 @@ class OrderUpTo:
     def solve(
         self, edges: Array, x1: float, x2: float, rain: Array, evapotranspiration: Array,
         flow: Array, groups: Indices,
-    ) -> Policy:
-        """Find the plan with the minimum cost.
+    ) -> float:
+        """Find the plan with the minimum cost: the mean deviation over steps and members (m3).
 
         Args:
             edges: boundaries of the steps (s from now), starting at 0, shape (n + 1,).
@@ -183,9 +161,10 @@ class OrderUpTo:
                 and groups only split.
         """
         members, steps = rain.shape
-        lengths = np.diff(edges)
+        self._edges, self._begin, lengths = edges, (x1, x2), np.diff(edges)
         full = float(self._content(self._target))
         potential = evapotranspiration * lengths
+        self._limits = np.column_stack((flow, potential, lengths)).tolist()
         demand = full + float(potential.sum())
         supplied = min(self._usable(x1), self._low) + self._p.mains_flow * float(edges[-1])
         scarce = 0.0  # the maximum relevant volume of water; 0 if there will always be enough
@@ -198,28 +177,23 @@ class OrderUpTo:
         # Steps after the last rain are the same for all members.
         wet = int(np.flatnonzero(rain.any(axis=0)).max(initial=-1)) + 1
         value = np.zeros((1, len(self._water), len(self._nodes)))
-        decisions: list[tuple[Array, Indices]] = []
+        self._decisions: list[tuple[Array, Indices]] = []
         for step in reversed(range(steps)):
             if step < wet and len(value) < members:
                 value = np.repeat(value, members, axis=0)
             _, group = np.unique(groups[: len(value), step], return_inverse=True)
             value, levels = self._before(
-                value, rain[: len(value), step, None, None], potential[step], flow[step],
-                lengths[step], group,
+                value, rain[: len(value), step, None, None], *self._limits[step], group
             )
-            decisions.append((levels, np.broadcast_to(group, members)))
+            self._decisions.insert(0, (levels, np.broadcast_to(group, members)))
         stored = np.full((1, 1, 1), self._usable(x1) + self._content(x2))
-        now = self._at(value, np.full((1, 1, 1), x2), stored)
-        return Policy(
-            edges, x1, x2, rain, evapotranspiration, flow, decisions[::-1],
-            float(now.mean()) / float(edges[-1]),
-        )
+        return float(self._at(value, np.full((1, 1, 1), x2), stored).mean()) / float(edges[-1])
 
-    def simulate(self, policy: Policy, member: int | None = None) -> tuple[Array, Array, Array]:
-        """Simulate the last policy; return the pump flow and the volumes on the roof, step by step.
+    def simulate(self, rain: Array, member: int | None = None) -> tuple[Array, Array, Array]:
+        """Simulate the last plan; return the pump flow and the volumes on the roof, step by step.
 
         Args:
-            policy: the policy; its rain may be replaced by that of other members.
+            rain: rain in every step (m/s), shape (members, n), which may differ from the plan's.
             member: index of the member whose decisions are followed; None if each member follows
                 its own.
 
@@ -227,16 +201,14 @@ class OrderUpTo:
             The pump flow (m3/s), the volume on the roof at the end of the step (m3), and the volume
             to which the roof is filled (m3), or 0 if it is left alone; each of shape (members, n).
         """
-        soil, rain, content = self._soil, policy.rain, self._content
-        roof = np.full(len(rain), policy.x2)
-        water = np.full(len(rain), self._usable(policy.x1))
+        soil, content, (x1, x2) = self._soil, self._content, self._begin
+        roof, water = np.full(len(rain), x2), np.full(len(rain), self._usable(x1))
         pumped, volumes, aimed = np.empty_like(rain), np.empty_like(rain), np.empty_like(rain)
-        for step, seconds in enumerate(np.diff(policy.edges).tolist()):
-            levels, groups = policy.steps[step]
+        for step, (levels, groups) in enumerate(self._decisions):
+            flow, potential, seconds = self._limits[step]
             level = self._levels(levels, groups if member is None else groups[member], water, roof)
             aimed[:, step] = np.where(level >= roof, level, 0.0)
-            lifted = np.minimum(policy.flow[step] * seconds, water + self._p.mains_flow * seconds)
-            potential = float(policy.evapotranspiration[step]) * seconds
+            lifted = np.minimum(flow * seconds, water + self._p.mains_flow * seconds)
             reached = soil.predict_volume(roof, lifted, potential, seconds)
             filled = np.maximum(roof, np.minimum(level, reached))
             fallen = rain[:, step] * self._p.a2 * seconds
@@ -254,7 +226,7 @@ class OrderUpTo:
         return self._soil.water_to_fill(np.minimum(x2, self._target))
 
     def _before(
-        self, value: Array, rain: Array, potential: float, flow: float, seconds: float,
+        self, value: Array, rain: Array, flow: float, potential: float, seconds: float,
         group: Indices,
     ) -> tuple[Array, Array]:
         """Compute V before a step from V after it.
@@ -262,18 +234,21 @@ class OrderUpTo:
         Args:
             value: V after the step, shape (members, S, N).
             rain: rain in the step (m/s), shape (members, 1, 1).
-            potential: evapotranspiration from the whole bed in the step (m3).
             flow: flow of the pumps (m3/s).
+            potential: evapotranspiration from the whole bed in the step (m3).
             seconds: length of the step (s).
             group: index of the group of each member.
 
         Returns:
-            V before the step, and the levels of :class:`Policy`, shape (groups, S, nodes to x*).
+            V before the step, and the levels of the step, shape (groups, S, nodes to x*).
         """
         soil, dry = self._soil, slice(self._below + 1)
         nodes, roof = self._nodes, self._nodes[dry]
         scarce = len(self._water) > 1
-        reach = soil.predict_volume(roof, flow * seconds, potential, seconds)
+        # Strong pumps fill even an empty roof within the step, if there is enough water.
+        lowest = soil.predict_volume(0.0, flow * seconds, potential, seconds)
+        strong = not scarce and bool(lowest >= self._target)
+        reach = roof if strong else soil.predict_volume(roof, flow * seconds, potential, seconds)
         # Left alone: computed once if it is the same for all members.
         if not rain.any():
             rain = rain[:1]
@@ -285,7 +260,6 @@ class OrderUpTo:
         free = seconds * self._deviation(nodes, alone) + self._at(value, alone, stored)
         # Held; directly if neither the pumps nor the water limit the filling.
         alone = alone[..., dry]
-        strong = not scarce and bool((reach >= self._target).all())
         if strong:
             held = seconds * (self._target - roof) + value[..., dry]
             holding = np.where(alone < roof, held, free[..., dry])
@@ -311,10 +285,11 @@ class OrderUpTo:
             ours, waiting = holding[members], free[members][..., dry]
             place = _find_minimum_onward(ours.mean(axis=0))
             best = roof[place]
-            filled = np.minimum(best, within)
+            filled = best
             if strong:
                 costs, contents = ours[..., place[0]], self._contents[place]
             else:
+                filled = np.minimum(best, within)
                 costs = self._at(ours, filled[None], self._water[:, None])
                 # Exact if nothing is filled: rounding must not make holding look like a gain.
                 costs = np.where(filled > roof, costs, ours)
