@@ -156,9 +156,8 @@ class OrderUpTo:
             rain: rain in every step (m/s), shape (members, n).
             evapotranspiration: evapotranspiration from the whole bed (m3/s), shape (n,).
             flow: maximum pump flow in every step (m3/s), which can be 0, shape (n,).
-            groups: group of every member in every step, identified by the lowest member index in
-                the group, shape (members, n). The members of a group cannot be distinguished yet,
-                and groups only split.
+            groups: index of every member's group in every step, as returned by
+                :func:`halve_by_rain`, shape (members, n).
         """
         members, steps = rain.shape
         self._edges, self._begin, lengths = edges, (x1, x2), np.diff(edges)
@@ -181,7 +180,7 @@ class OrderUpTo:
         for step in reversed(range(steps)):
             if step < wet and len(value) < members:
                 value = np.repeat(value, members, axis=0)
-            _, group = np.unique(groups[: len(value), step], return_inverse=True)
+            group = groups[: len(value), step]
             value, levels = self._before(
                 value, rain[: len(value), step, None, None], *self._limits[step], group
             )
@@ -350,7 +349,7 @@ def _find_minimum_onward(values: Array) -> Indices:
 
 
 def halve_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:
-    """Return the group of every member in every step, identified by its lowest member index.
+    """Return the index of every member's group in every step, by its lowest member.
 
     The members of a group cannot be distinguished yet, so the pumping is the same for all of them.
     At first, all members form one group. After every period of ``recourse``, each group is split
@@ -371,19 +370,20 @@ def halve_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:
         recourse: time from one halving to the next (s).
 
     Returns:
-        Indices of shape (members, n).
+        Indices from 0 on, without gaps in a step, shape (members, n).
     """
     members, n = rain.shape
     groups = np.zeros((members, n), dtype=np.intp)
     fallen = np.cumsum(rain * np.diff(edges), axis=1)
     halvings = np.diff(edges[:-1] // recourse)
     for step in np.repeat(np.arange(1, n), halvings.astype(int)):
-        labels = np.unique(groups[:, step])
-        if len(labels) == members:
+        before = groups[:, step].copy()
+        if before.max() == members - 1:
             break
         order = np.lexsort(fallen[:, step - 1 :].T[::-1])
-        for label in labels:
-            together = order[groups[order, step] == label]
+        for label in range(before.max() + 1):
+            together = order[before[order] == label]
             for half in np.split(together, [len(together) // 2]):
-                groups[half, step:] = half.min(initial=members)
+                groups[half, step] = half.min(initial=members)
+        groups[:, step:] = np.unique(groups[:, step], return_inverse=True)[1][:, None]
     return groups
