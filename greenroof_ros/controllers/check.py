@@ -15,9 +15,9 @@ from greenroof_ros.common.command_line import CheckResult
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.controllers.decide import (
+    COMMANDS,
     ControllerError,
     TickTimes,
-    is_finite_number,
     locate_error,
 )
 from greenroof_ros.controllers.outlet import requested_share
@@ -136,9 +136,8 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
 def _check_command(controller: Controller, *inputs: Any) -> float:
     command = controller.command(*inputs)
     _require(
-        is_finite_number(command) and command >= 0, f"command() returns {command!r} at levels of "
-        f"{inputs[0]:g} m in the cistern and {inputs[1]:g} m on the roof; the command must be "
-        "finite and not negative",
+        command in COMMANDS, f"command() returns {command!r} at levels of {inputs[0]:g} m in the "
+        f"cistern and {inputs[1]:g} m on the roof; the command {COMMANDS.expected()}",
     )
     return float(command)
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.ranges import Range
-from greenroof_ros.controllers.decide import OwnCode, invalid
+from greenroof_ros.controllers.decide import OwnCode, valid_number
 from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, find_levels
 from greenroof_ros.physics.cistern import low_outlet_flow
 from greenroof_ros.physics.parameters import PlantParameters, plant_parameters
@@ -94,9 +94,7 @@ def requested_share(controller: Any, *_: object) -> float:
     kind = type(controller)
     with OwnCode(kind):
         share = controller.outlet
-    if share in SHARE:
-        return float(share)
-    raise invalid(kind, "outlet", "the attribute outlet", share, SHARE.expected(share))
+    return valid_number(kind, "outlet", "the attribute outlet", share, SHARE)
 
 
 def outlet_share(
