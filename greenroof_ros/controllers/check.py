@@ -59,7 +59,7 @@ class _Trial:
     @property
     def steps(self) -> int:
         """Number of entries in a forecast."""
-        horizon = self.choice.defaults(self.site).get("horizon", 0.0)
+        horizon = self.choice.complete_parameters(self.site, {}).get("horizon", 0.0)
         return len(look_ahead_ends(self.site, horizon)) - 1
 
     def forecast(self, rate: float, members: int = 1) -> Any:
@@ -69,7 +69,7 @@ class _Trial:
         return rates if self.choice.ensemble else rates[0].tolist()
 
     def make(self, **changes: float) -> Controller:
-        return self.choice.make(self.site, {**self.choice.defaults(self.site), **changes})
+        return self.choice.make(self.site, self.choice.complete_parameters(self.site, changes))
 
     def inputs(self, stride: int = 1) -> Iterator[tuple[float, float, Any, Any]]:
         """Yield every ``stride``-th combination of levels and forecasts."""
@@ -212,7 +212,7 @@ def _may_change(trial: _Trial) -> None:
         if not parameter.may_change:
             continue
         name, controller = parameter.name, trial.make()
-        value = trial.choice.defaults(trial.site)[name]
+        value = trial.choice.complete_parameters(trial.site, {})[name]
         has_value = getattr(controller, name, None) == value
         _require(has_value, f"the object has no attribute {name} with the value of the parameter")
         for value in (parameter.low, parameter.high):

@@ -46,7 +46,7 @@ def opening(share: str) -> tuple[str, str]:
 
 BROKEN = [
     # The error, the rule that it breaks, and the message.
-    (returning("return -command if command else 0.0"), FINITE, "must be a finite number of at least 0"),
+    (returning("return -command if command else 0.0"), FINITE, "must be a finite number of at le"),
     (
         returning("return command if self.gain else -1.0"),
         "its commands are also valid with each parameter at either end of its range",

@@ -87,7 +87,7 @@ def test_a_controller_that_is_made_again_goes_on_with_the_count(name: str) -> No
     parameters = {"horizon": 12.0, "waiting_budget": 0.01, "waiting_share": 0.0}
 
     def made() -> Any:
-        return choice.make(PAPER_SITE, {**choice.defaults(PAPER_SITE), **parameters})
+        return choice.make(PAPER_SITE, choice.complete_parameters(PAPER_SITE, parameters))
 
     first, afresh, again = made(), made(), made()
     assert first.command(*inputs) == afresh.command(*inputs) == 0.0
