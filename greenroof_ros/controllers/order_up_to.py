@@ -83,14 +83,11 @@ class OrderUpTo:
 
     def _place(self, below: int, above: int) -> None:
         """Place the nodes at x* plus or minus (k / n)^2 of the range."""
-        room = self._soil.above_target
         self._below = below
         self._nodes = np.concatenate((
             self._target * (1 - (np.arange(below, 0, -1) / below) ** 2),
-            self._target + room * (np.arange(above + 1) / above) ** 2,
+            self._target + self._soil.above_target * (np.arange(above + 1) / above) ** 2,
         ))
-        self._widths = np.diff(self._nodes)
-        self._per_node = below**2 / self._target, above**2 / room
         self._contents = self._content(self._nodes)
 
     def _usable(self, x1: float) -> float:
@@ -317,11 +314,7 @@ class OrderUpTo:
             water: s (m3), of the same shape; not used if s has only one node.
         """
         members, rows, count = value.shape
-        above = x2 - self._target
-        place = np.sqrt(np.abs(above) * np.where(above < 0, *self._per_node))
-        node = (np.copysign(place, above) + self._below).astype(np.intp)
-        node = np.minimum(node, count - 2)
-        part = np.minimum((x2 - self._nodes[node]) / self._widths[node], 1.0)
+        node, part = _between(self._nodes[:count], x2)
 
         def along(row: Any) -> Array:
             start = (np.arange(members)[:, None, None] * rows + row) * count + node
@@ -338,7 +331,8 @@ class OrderUpTo:
 def _between(nodes: Array, values: Any) -> tuple[Any, Any]:
     """Return the node at or below each value, and the fraction of the way to the next node."""
     row = nodes[1:-1].searchsorted(values, side="right")
-    return row, np.clip((values - nodes[row]) / np.diff(nodes)[row], 0.0, 1.0)
+    share = (values - nodes[row]) / np.diff(nodes)[row]
+    return row, np.minimum(np.maximum(share, 0.0), 1.0)
 
 
 def _find_minimum_onward(values: Array) -> Indices:
