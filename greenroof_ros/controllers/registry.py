@@ -193,11 +193,10 @@ class ControllerChoice:
         """
         if parameters.get("outlet") == outlet.OPEN:
             site = replace(site, low_outlet_valve=False)
-        kind, of_valve = self.kind, {parameter.name for parameter in self.of_valve}
-        own = {name: value for name, value in parameters.items() if name not in of_valve}
-        with OwnCode(kind):
+        own = {parameter.name: parameters[parameter.name] for parameter in self.kind.parameters}
+        with OwnCode(self.kind):
             try:
-                controller: Controller = kind(site, **own)
+                controller: Controller = self.kind(site, **own)
             except ImportError as error:
                 raise not_imported(self.reference, error) from error
             ends = look_ahead_ends(site, parameters.get("horizon", 0.0))
