@@ -9,6 +9,7 @@ from paper import PAPER_SITE
 
 from greenroof_ros.controllers.onoff import OnOff
 
+
 @pytest.mark.parametrize(
     ("level", "cistern", "roof", "pumps"),
     [
