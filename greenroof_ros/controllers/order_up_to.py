@@ -179,7 +179,7 @@ class OrderUpTo:
                 value = np.repeat(value, members, axis=0)
             group = groups[: len(value), step]
             value, levels = self._before(
-                value, rain[: len(value), step, None, None], *self._limits[step], group
+                value, rain[: len(value), step, None, None], group, *self._limits[step]
             )
             self._decisions.insert(0, (levels, np.broadcast_to(group, members)))
         stored = np.full((1, 1, 1), self._usable(x1) + self._content(x2))
@@ -222,18 +222,18 @@ class OrderUpTo:
         return self._soil.water_to_fill(np.minimum(x2, self._target))
 
     def _before(
-        self, value: Array, rain: Array, flow: float, potential: float, seconds: float,
-        group: Indices,
+        self, value: Array, rain: Array, group: Indices, flow: float, potential: float,
+        seconds: float,
     ) -> tuple[Array, Array]:
         """Compute V before a step from V after it.
 
         Args:
             value: V after the step, shape (members, S, N).
             rain: rain in the step (m/s), shape (members, 1, 1).
+            group: index of the group of each member.
             flow: flow of the pumps (m3/s).
             potential: evapotranspiration from the whole bed in the step (m3).
             seconds: length of the step (s).
-            group: index of the group of each member.
 
         Returns:
             V before the step, and the levels of the step, shape (groups, S, nodes to x*).

@@ -188,17 +188,14 @@ class ControllerChoice:
         """Make the controller; a valve that is always open is treated as if there were none.
 
         Raises:
-            ConfigurationError: if the library of the solver cannot be imported, or the controller's
-                code raised an error.
+            ConfigurationError: if the controller's code raised an error, for example because the
+                library of its solver cannot be imported.
         """
         if parameters.get("outlet") == outlet.OPEN:
             site = replace(site, low_outlet_valve=False)
         own = {parameter.name: parameters[parameter.name] for parameter in self.kind.parameters}
         with OwnCode(self.kind):
-            try:
-                controller: Controller = self.kind(site, **own)
-            except ImportError as error:
-                raise not_imported(self.reference, error) from error
+            controller: Controller = self.kind(site, **own)
             ends = look_ahead_ends(site, parameters.get("horizon", 0.0))
             set_optional(controller, forecast_ends=ends)
             return controller
