@@ -170,6 +170,9 @@ class OrderUpTo:
         self._water = np.zeros(1)
         if scarce:
             self._water = (full + scarce) * np.linspace(0.0, 1.0, _WATER_NODES) ** 2
+        # Neither pumps nor water are a limit: even an empty roof can be filled within the step.
+        reached = self._soil.predict_volume(np.zeros(steps), flow * lengths, potential, lengths)
+        strong = (reached >= self._target) & (scarce == 0)
         # Steps after the last rain are the same for all members.
         wet = int(np.flatnonzero(rain.any(axis=0)).max(initial=-1)) + 1
         value = np.zeros((1, len(self._water), len(self._nodes)))
@@ -179,7 +182,8 @@ class OrderUpTo:
                 value = np.repeat(value, members, axis=0)
             group = groups[: len(value), step]
             value, levels = self._before(
-                value, rain[: len(value), step, None, None], group, *self._limits[step]
+                value, rain[: len(value), step, None, None], group, strong[step],
+                *self._limits[step],
             )
             self._decisions.insert(0, (levels, np.broadcast_to(group, members)))
         stored = np.full((1, 1, 1), self._usable(x1) + self._content(x2))
@@ -222,8 +226,8 @@ class OrderUpTo:
         return self._soil.water_to_fill(np.minimum(x2, self._target))
 
     def _before(
-        self, value: Array, rain: Array, group: Indices, flow: float, potential: float,
-        seconds: float,
+        self, value: Array, rain: Array, group: Indices, strong: bool, flow: float,
+        potential: float, seconds: float,
     ) -> tuple[Array, Array]:
         """Compute V before a step from V after it.
 
@@ -231,6 +235,7 @@ class OrderUpTo:
             value: V after the step, shape (members, S, N).
             rain: rain in the step (m/s), shape (members, 1, 1).
             group: index of the group of each member.
+            strong: whether neither the pumps nor the available water can limit the filling.
             flow: flow of the pumps (m3/s).
             potential: evapotranspiration from the whole bed in the step (m3).
             seconds: length of the step (s).
@@ -241,9 +246,6 @@ class OrderUpTo:
         soil, dry = self._soil, slice(self._below + 1)
         nodes, roof = self._nodes, self._nodes[dry]
         scarce = len(self._water) > 1
-        # Strong pumps fill even an empty roof within the step, if there is enough water.
-        lowest = soil.predict_volume(0.0, flow * seconds, potential, seconds)
-        strong = not scarce and bool(lowest >= self._target)
         reach = roof if strong else soil.predict_volume(roof, flow * seconds, potential, seconds)
         # Left alone: computed once if it is the same for all members.
         if not rain.any():
@@ -254,7 +256,7 @@ class OrderUpTo:
             remaining = np.maximum(self._water[:, None] - self._contents, 0.0)
             stored = self._predict_usable(remaining, rain, seconds) + self._content(alone)
         free = seconds * self._deviation(nodes, alone) + self._at(value, alone, stored)
-        # Held; directly if neither the pumps nor the water limit the filling.
+        # Held.
         alone = alone[..., dry]
         if strong:
             held = seconds * (self._target - roof) + value[..., dry]
@@ -277,7 +279,7 @@ class OrderUpTo:
         levels = np.empty((group.max() + 1, len(self._water), len(roof)))
         result = free
         for index, level in enumerate(levels):
-            members = group == index
+            members: Any = slice(None) if len(levels) == 1 else group == index
             ours, waiting = holding[members], free[members][..., dry]
             place = _find_minimum_onward(ours.mean(axis=0))
             best = roof[place]
