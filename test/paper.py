@@ -157,7 +157,7 @@ def lookahead(site: Site = PAPER_SITE, **changes: float) -> Lookahead:
         "horizon": 12.0, "observer_time_constant": 0.0, "waiting_budget": math.inf, **changes,
     }
     choice = find_controller("lookahead")
-    controller = choice.make(site, {**choice.defaults(site), **parameters})
+    controller = choice.make(site, choice.complete_parameters(site, parameters))
     assert isinstance(controller, Lookahead)
     return controller
 

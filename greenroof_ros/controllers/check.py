@@ -15,9 +15,9 @@ from greenroof_ros.common.command_line import CheckResult
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.controllers.decide import (
+    COMMANDS,
     ControllerError,
     TickTimes,
-    is_finite_number,
     locate_error,
 )
 from greenroof_ros.controllers.outlet import requested_share
@@ -34,13 +34,9 @@ _RAIN = (0.0, 1e-7, 2e-5)
 _EVAPOTRANSPIRATION = (0.0, 3e-6)
 
 
-class _BrokenRuleError(Exception):
-    """Error raised when a controller breaks a rule; the message describes the fault."""
-
-
 def _require(holds: bool, problem: str) -> None:
     if not holds:
-        raise _BrokenRuleError(problem)
+        raise ControllerError(problem)
 
 
 def trial_values(site: Site) -> Iterator[tuple[float, float, float, float]]:
@@ -57,10 +53,14 @@ class _Trial:
     site: Site
 
     @property
+    def defaults(self) -> dict[str, Any]:
+        """Defaults of the parameters at the site."""
+        return self.choice.complete_parameters(self.site, {})
+
+    @property
     def steps(self) -> int:
         """Number of entries in a forecast."""
-        horizon = self.choice.defaults(self.site).get("horizon", 0.0)
-        return len(look_ahead_ends(self.site, horizon)) - 1
+        return len(look_ahead_ends(self.site, self.defaults.get("horizon", 0.0))) - 1
 
     def forecast(self, rate: float, members: int = 1) -> Any:
         """Return a forecast with rain from the second step on, in the shape that is expected."""
@@ -69,7 +69,7 @@ class _Trial:
         return rates if self.choice.ensemble else rates[0].tolist()
 
     def make(self, **changes: float) -> Controller:
-        return self.choice.make(self.site, {**self.choice.defaults(self.site), **changes})
+        return self.choice.make(self.site, {**self.defaults, **changes})
 
     def inputs(self, stride: int = 1) -> Iterator[tuple[float, float, Any, Any]]:
         """Yield every ``stride``-th combination of levels and forecasts."""
@@ -121,8 +121,6 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
         problem = ""
         try:
             check(_Trial(choice, site))
-        except _BrokenRuleError as error:
-            problem = str(error)
         except Exception as error:  # anything that a user's class raises
             known = isinstance(error, ConfigurationError)
             problem = str(error if known else locate_error(choice.kind, error))
@@ -136,9 +134,8 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
 def _check_command(controller: Controller, *inputs: Any) -> float:
     command = controller.command(*inputs)
     _require(
-        is_finite_number(command) and command >= 0, f"command() returns {command!r} at levels of "
-        f"{inputs[0]:g} m in the cistern and {inputs[1]:g} m on the roof; the command must be "
-        "finite and not negative",
+        command in COMMANDS, f"command() returns {command!r} at levels of {inputs[0]:g} m in the "
+        f"cistern and {inputs[1]:g} m on the roof; the command {COMMANDS.expected()}",
     )
     return float(command)
 
@@ -170,8 +167,8 @@ def _whole_range(trial: _Trial) -> None:
                 list(trial.ticks(controller, stride=7))
                 if not trial.choice.of_valve:
                     requested_share(controller)
-            except (_BrokenRuleError, ControllerError) as error:
-                raise _BrokenRuleError(f"with {parameter.name} = {value:g}, {error}") from None
+            except ControllerError as error:
+                raise ControllerError(f"with {parameter.name} = {value:g}, {error}") from None
 
 
 def _agree(what: str, request: Callable[[], Iterable[float]]) -> None:
@@ -197,6 +194,8 @@ def _wrong_forecasts(trial: _Trial) -> None:
     ):
         try:
             _check_command(trial.make(), *levels, rain, evaporated)
+        except ControllerError:
+            raise
         except ConfigurationError:
             _require(
                 choice.needs_forecast or rain is not empty,
@@ -213,8 +212,7 @@ def _may_change(trial: _Trial) -> None:
         if not parameter.may_change:
             continue
         name, controller = parameter.name, trial.make()
-        value = trial.choice.defaults(trial.site)[name]
-        has_value = getattr(controller, name, None) == value
+        has_value = getattr(controller, name, None) == trial.defaults[name]
         _require(has_value, f"the object has no attribute {name} with the value of the parameter")
         for value in (parameter.low, parameter.high):
             setattr(controller, name, value)
@@ -261,7 +259,7 @@ def _statistics(trial: _Trial) -> None:
 
 
 # Every check, by what it shows, in the order in which a user should fix failures. A check that
-# fails raises a _BrokenRuleError, or whatever the controller raises.
+# fails raises a ControllerError, or whatever the controller raises.
 _CHECKS: dict[str, Callable[[_Trial], object]] = {
     "its parameters have distinct names; each has a unit, a meaning and a default within its range":
         _parameters,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import importlib
 import math
+import sys
 import traceback
 from collections import deque
 from collections.abc import Sequence
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,13 @@ import numpy as np
 
 import greenroof_ros
 from greenroof_ros.common.errors import ConfigurationError, HangError, describe_value
+from greenroof_ros.common.ranges import Range
 from greenroof_ros.controllers.protocol import Controller
 
 # Places that are not a user's code: this package, and what Python uses to import.
 _NO_USERS = str(Path(greenroof_ros.__file__).parent), importlib.__file__, "<frozen importlib"
+COMMANDS = Range(0.0, sys.float_info.max, "1")
+"""the commands to the pumps"""
 # Number of ticks that the percentile of the wall times covers.
 _CAPACITY = 65_536
 
@@ -61,44 +64,39 @@ def decide(
         ControllerError: if the controller raised an error or returned an invalid command.
         ConfigurationError: if the controller cannot use the forecast.
     """
-    with OwnCode(type(controller)):
+    kind = type(controller)
+    with OwnCode(kind):
         if not may_decide(controller, allowed, quiet):
             controller.skip()
             return 0.0
         command = controller.command(cistern_level, roof_level, precipitation, evapotranspiration)
-    if is_finite_number(command) and command >= 0:
-        return 0.0 if quiet else float(command)
-    expected = "must be a finite number and not negative"
-    raise invalid(type(controller), "command", "the command", command, expected)
+    # Floats first: a general check takes a tenth of a simulated tick.
+    if not (isinstance(command, float) and 0.0 <= command < math.inf):
+        command = valid_number(kind, "command", "the command", command, COMMANDS)
+    return 0.0 if quiet else float(command)
 
 
-def invalid(
-    kind: Any, member: str, subject: str, value: object, expected: str
-) -> ControllerError:
-    """Return the error for an invalid value that a class returned.
+def valid_number(kind: Any, member: str, subject: str, value: Any, valid: Range) -> float:
+    """Return the number that a class returned.
 
     Args:
         kind: the class.
-        member: method or property that returned the value.
-        subject: name of the value.
-        value: the value.
-        expected: description of valid values.
+        member: method or property that returned the number.
+        subject: name of the number.
+        value: the number.
+        valid: the valid numbers.
+
+    Raises:
+        ControllerError: if it is not a valid number.
     """
+    # NumPy compares its 32-bit infinity with the largest float as equal.
+    if value in valid and math.isfinite(value):
+        return float(value)
     file, line = find_place(kind, member, "command")
-    return ControllerError(
-        f"{expected} (greenroof check-controller detects this before a run)", file=file, line=line,
-        key=f"{subject} of {kind.__name__} = {describe_value(value)}",
+    raise ControllerError(
+        f"{valid.expected(value)} (greenroof check-controller detects this before a run)",
+        file=file, line=line, key=f"{subject} of {kind.__name__} = {describe_value(value)}",
     )
-
-
-def is_finite_number(value: Any) -> bool:
-    """Return whether a value is a real Python or numpy number that is finite as a float."""
-    try:
-        # Float first: checking for Real alone takes a tenth of a simulated tick.
-        is_number = isinstance(value, (float, Real)) and not isinstance(value, bool)
-        return is_number and math.isfinite(value)
-    except OverflowError:
-        return False
 
 
 def read_statistics(controller: Controller) -> dict[str, float] | None:

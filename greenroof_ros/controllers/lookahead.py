@@ -6,7 +6,6 @@ import functools
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.anticipating import OF_FORECAST, OF_WAITING, Anticipating, Forecasts
 from greenroof_ros.controllers.decide import TickTimes
-from greenroof_ros.controllers.order_up_to import BELOW_M3, OrderUpTo, Policy, halve_by_rain
+from greenroof_ros.controllers.order_up_to import BELOW_M3, OrderUpTo, halve_by_rain
 from greenroof_ros.controllers.outlet import PLAN
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.physics.tick import command_to
@@ -134,11 +133,11 @@ class Lookahead(Anticipating):
             for length, share in ((0.0, 0.0), (_MIN_STEP_S, _MIN_SHARE))
         ]
         self._program = OrderUpTo(site)
-        self._policy: Policy | None = None
-        self._planned = self._checked = 0  # ticks of the policy and of the last comparison
-        # What the policy was made for: whether rain counts, quiet hours, number of members.
+        self._planned = -math.inf  # tick of the plan that is followed
+        self._checked = 0  # tick of the last comparison with its forecast
+        # What the plan was made for: whether rain counts, quiet hours, number of members.
         self._basis = True, False, 0
-        self._coming: Array = np.zeros(0)  # rain that the policy still expects, by member (m)
+        self._coming: Array = np.zeros(0)  # rain that the plan still expects, by member (m)
         self._runs, self._started = False, -math.inf  # the pumps, and the tick of their last start
         self._steady = math.inf  # maximum command during ``min_on`` after a start
         self._rows: Callable[[], Array] = _UNDECIDED.copy
@@ -165,17 +164,16 @@ class Lookahead(Anticipating):
         old = self._seconds_since(self._planned) >= self._max_age
         if forecast is None:
             if old or self._rain_counts != self._basis[0]:
-                self._policy = None
+                self._planned = -math.inf
         else:
             basis = self._rain_counts, self._quiet, len(forecast[0])
-            if self._policy is None or old or basis != self._basis or self._is_wrong(forecast[0]):
+            if old or basis != self._basis or self._is_wrong(forecast[0]):
                 self._basis = basis
                 self._plan(x1, x2, *forecast)
         self._coming = self._coming - self._now[0] * site.tau
-        level = -1.0
+        level, age = -1.0, self._seconds_since(self._planned)
         if not self._quiet:
-            age, policy = self._seconds_since(self._planned), self._policy
-            level = self._program.level(policy, age, x1, x2) if policy else site.x2_star
+            level = self._program.level(age, x1, x2) if age < math.inf else site.x2_star
         share, self.fill_to = 0.0, math.nan
         if level >= x2:
             self.fill_to = site.roof_level(level)
@@ -185,7 +183,7 @@ class Lookahead(Anticipating):
         return share
 
     def _is_wrong(self, rain: Array) -> bool:
-        """Return whether a forecast's total rain is not what the policy still expects.
+        """Return whether a forecast's total rain is not what the plan still expects.
 
         This is checked once a minute.
         """
@@ -215,19 +213,19 @@ class Lookahead(Anticipating):
         if self._site.quiet is not None:
             flow *= self._site.quiet.pumping_shares(self.time_ns, edges)
         groups = halve_by_rain(rain, edges, self._recourse)
-        self._policy = self._program.solve(edges, x1, x2, rain, evaporated, flow, groups)
+        self.planned_deviation = self._program.solve(
+            edges, x1, x2, rain, evaporated, flow, groups
+        )
         self.solves += 1
-        self.planned_deviation = self._policy.cost
-        self._rows = functools.partial(self._make_rows, self._policy)
+        self._rows = functools.partial(self._make_rows, edges, rain)
 
-    def _make_rows(self, policy: Policy) -> Array:
-        """Return :attr:`plan` for a policy."""
-        flows, roofs, _ = self._program.simulate(policy)
-        driest = int((policy.rain @ np.diff(policy.edges)).argmin())
-        dry = replace(policy, rain=np.zeros_like(policy.rain[:1]))
-        _, _, (aims,) = self._program.simulate(dry, driest)
+    def _make_rows(self, edges: Array, rain: Array) -> Array:
+        """Return :attr:`plan` for a plan's steps and rain."""
+        flows, roofs, _ = self._program.simulate(rain)
+        driest = int((rain @ np.diff(edges)).argmin())
+        _, _, (aims,) = self._program.simulate(np.zeros_like(rain[:1]), driest)
         depths = roofs.mean(axis=0) / self._site.a2, aims / self._site.a2
-        rows = np.column_stack((policy.edges[1:], flows.mean(axis=0), *depths))
+        rows = np.column_stack((edges[1:], flows.mean(axis=0), *depths))
         return np.asarray(rows[rows[:, 0] <= self._after.edges[self._after.steps]])
 
     def _share(self, share: float) -> float:

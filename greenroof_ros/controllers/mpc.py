@@ -123,7 +123,7 @@ class Mpc:
         self._solver = osqp.OSQP()
         # Not every build of OSQP exports this function; the status also shows most interrupts.
         library = ctypes.CDLL(self._solver.ext.__file__)
-        self._is_interrupted = getattr(library, "osqp_is_interrupted", None)
+        self._is_interrupted = getattr(library, "osqp_is_interrupted", bool)
         self._solver.setup(
             P=pattern,
             q=np.zeros(size),
@@ -235,14 +235,12 @@ class Mpc:
         self._solver.update(q=q, Px=hessian)
         with _SOLVING:
             result = self._solver.solve(raise_error=False)
-            is_interrupted = (
-                result.info.status_val == self._statuses.OSQP_SIGINT
-                if self._is_interrupted is None else self._is_interrupted()
-            )
-        if is_interrupted:  # whatever its result is: the program's own handler decides what follows
+            is_interrupted = self._is_interrupted()
+        info, first = result.info, float(result.x[0])
+        if is_interrupted or info.status_val == self._statuses.OSQP_SIGINT:
+            # Whatever its result is: the program's own handler decides what follows.
             signal.raise_signal(signal.SIGINT)
             return self._solve(P, q)
-        info, first = result.info, float(result.x[0])
         self.status = int(info.status_val)
         if self.status != self._statuses.OSQP_SOLVED or not math.isfinite(first):
             _log.warning(

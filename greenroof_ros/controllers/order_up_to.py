@@ -6,7 +6,6 @@ distinguished.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,30 +27,6 @@ _COARSE = (60, 30)
 _MINIMUM = 1e-300
 # Nodes of the available water, if it can run short.
 _WATER_NODES = 12
-
-
-@dataclass(frozen=True, eq=False)
-class Policy:
-    """Decisions for every step and every volume on the roof, computed by :class:`OrderUpTo`.
-
-    The attributes up to ``flow`` are the arguments of :meth:`OrderUpTo.solve`.
-
-    Attributes:
-        steps: two arrays for each step. The first one contains the volume to which the roof is
-            filled and at which it is held (m3), or -1 if the roof is left alone, shape (groups of
-            the step, S, nodes up to the target); the second one the index of each member's group,
-            shape (members,).
-        cost: minimum mean deviation over all steps and members (m3).
-    """
-
-    edges: Array
-    x1: float
-    x2: float
-    rain: Array
-    evapotranspiration: Array
-    flow: Array
-    steps: list[tuple[Array, Indices]]
-    cost: float
 
 
 class OrderUpTo:
@@ -82,6 +57,10 @@ class OrderUpTo:
     s. If there is always enough water, s has one node. Usable is the water above the suction level.
     A valve on the low outlet is assumed to be closed, because the water that it releases makes room
     for rain that refills the cistern.
+
+    The program keeps the decisions of its last plan. For every step, these are the volume to which
+    the roof is filled and at which it is held (m3), or -1 if the roof is left alone, shape (groups
+    of the step, S, nodes up to the target); and the index of each member's group.
     """
 
     def __init__(self, site: Site, fine: tuple[int, int] = (900, 300)) -> None:
@@ -104,14 +83,11 @@ class OrderUpTo:
 
     def _place(self, below: int, above: int) -> None:
         """Place the nodes at x* plus or minus (k / n)^2 of the range."""
-        room = self._soil.above_target
         self._below = below
         self._nodes = np.concatenate((
             self._target * (1 - (np.arange(below, 0, -1) / below) ** 2),
-            self._target + room * (np.arange(above + 1) / above) ** 2,
+            self._target + self._soil.above_target * (np.arange(above + 1) / above) ** 2,
         ))
-        self._widths = np.diff(self._nodes)
-        self._per_node = below**2 / self._target, above**2 / room
         self._contents = self._content(self._nodes)
 
     def _usable(self, x1: float) -> float:
@@ -131,17 +107,16 @@ class OrderUpTo:
             water = drain(p, water + self._suction, seconds) - self._suction
         return water
 
-    def level(self, policy: Policy, age: float, x1: float, x2: float) -> float:
+    def level(self, age: float, x1: float, x2: float) -> float:
         """Return the volume up to which the roof is filled now (m3); a fuller one is left alone.
 
         Args:
-            policy: policy from the last call to :meth:`solve`.
-            age: time since this call (s), before members can be distinguished.
+            age: time since the plan was made (s), before members can be distinguished.
             x1: volume in the cistern (m3).
             x2: volume on the roof (m3).
         """
-        step = int(policy.edges[1:-1].searchsorted(age, side="right"))
-        return float(self._levels(policy.steps[step][0], 0, self._usable(x1), x2))
+        step = int(self._edges[1:-1].searchsorted(age, side="right"))
+        return float(self._levels(self._decisions[step][0], 0, self._usable(x1), x2))
 
     def _levels(self, table: Array, group: Any, usable: Any, x2: Any) -> Any:
         """Return the volumes up to which roofs are filled (m3), or -1.
@@ -152,7 +127,7 @@ class OrderUpTo:
         water to be pumped, although there is no water at the node below.
 
         Args:
-            table: volumes of a step of the policy.
+            table: volumes of a step of the plan.
             group: index of a group of the step, either one for each roof or one for all roofs.
             usable: usable water in the cistern (m3), either one value for each roof or one for all
                 roofs.
@@ -168,8 +143,8 @@ class OrderUpTo:
     def solve(
         self, edges: Array, x1: float, x2: float, rain: Array, evapotranspiration: Array,
         flow: Array, groups: Indices,
-    ) -> Policy:
-        """Find the plan with the minimum cost.
+    ) -> float:
+        """Find the plan with the minimum cost: the mean deviation over steps and members (m3).
 
         Args:
             edges: boundaries of the steps (s from now), starting at 0, shape (n + 1,).
@@ -178,14 +153,14 @@ class OrderUpTo:
             rain: rain in every step (m/s), shape (members, n).
             evapotranspiration: evapotranspiration from the whole bed (m3/s), shape (n,).
             flow: maximum pump flow in every step (m3/s), which can be 0, shape (n,).
-            groups: group of every member in every step, identified by the lowest member index in
-                the group, shape (members, n). The members of a group cannot be distinguished yet,
-                and groups only split.
+            groups: index of every member's group in every step, as returned by
+                :func:`halve_by_rain`, shape (members, n).
         """
         members, steps = rain.shape
-        lengths = np.diff(edges)
+        self._edges, self._begin, lengths = edges, (x1, x2), np.diff(edges)
         full = float(self._content(self._target))
         potential = evapotranspiration * lengths
+        self._limits = np.column_stack((flow, potential, lengths)).tolist()
         demand = full + float(potential.sum())
         supplied = min(self._usable(x1), self._low) + self._p.mains_flow * float(edges[-1])
         scarce = 0.0  # the maximum relevant volume of water; 0 if there will always be enough
@@ -195,31 +170,30 @@ class OrderUpTo:
         self._water = np.zeros(1)
         if scarce:
             self._water = (full + scarce) * np.linspace(0.0, 1.0, _WATER_NODES) ** 2
+        # Neither pumps nor water are a limit: even an empty roof can be filled within the step.
+        reached = self._soil.predict_volume(np.zeros(steps), flow * lengths, potential, lengths)
+        strong = (reached >= self._target) & (scarce == 0)
         # Steps after the last rain are the same for all members.
         wet = int(np.flatnonzero(rain.any(axis=0)).max(initial=-1)) + 1
         value = np.zeros((1, len(self._water), len(self._nodes)))
-        decisions: list[tuple[Array, Indices]] = []
+        self._decisions: list[tuple[Array, Indices]] = []
         for step in reversed(range(steps)):
             if step < wet and len(value) < members:
                 value = np.repeat(value, members, axis=0)
-            _, group = np.unique(groups[: len(value), step], return_inverse=True)
+            group = groups[: len(value), step]
             value, levels = self._before(
-                value, rain[: len(value), step, None, None], potential[step], flow[step],
-                lengths[step], group,
+                value, rain[: len(value), step, None, None], group, strong[step],
+                *self._limits[step],
             )
-            decisions.append((levels, np.broadcast_to(group, members)))
+            self._decisions.insert(0, (levels, np.broadcast_to(group, members)))
         stored = np.full((1, 1, 1), self._usable(x1) + self._content(x2))
-        now = self._at(value, np.full((1, 1, 1), x2), stored)
-        return Policy(
-            edges, x1, x2, rain, evapotranspiration, flow, decisions[::-1],
-            float(now.mean()) / float(edges[-1]),
-        )
+        return float(self._at(value, np.full((1, 1, 1), x2), stored).mean()) / float(edges[-1])
 
-    def simulate(self, policy: Policy, member: int | None = None) -> tuple[Array, Array, Array]:
-        """Simulate the last policy; return the pump flow and the volumes on the roof, step by step.
+    def simulate(self, rain: Array, member: int | None = None) -> tuple[Array, Array, Array]:
+        """Simulate the last plan; return the pump flow and the volumes on the roof, step by step.
 
         Args:
-            policy: the policy; its rain may be replaced by that of other members.
+            rain: rain in every step (m/s), shape (members, n), which may differ from the plan's.
             member: index of the member whose decisions are followed; None if each member follows
                 its own.
 
@@ -227,16 +201,14 @@ class OrderUpTo:
             The pump flow (m3/s), the volume on the roof at the end of the step (m3), and the volume
             to which the roof is filled (m3), or 0 if it is left alone; each of shape (members, n).
         """
-        soil, rain, content = self._soil, policy.rain, self._content
-        roof = np.full(len(rain), policy.x2)
-        water = np.full(len(rain), self._usable(policy.x1))
+        soil, content, (x1, x2) = self._soil, self._content, self._begin
+        roof, water = np.full(len(rain), x2), np.full(len(rain), self._usable(x1))
         pumped, volumes, aimed = np.empty_like(rain), np.empty_like(rain), np.empty_like(rain)
-        for step, seconds in enumerate(np.diff(policy.edges).tolist()):
-            levels, groups = policy.steps[step]
+        for step, (levels, groups) in enumerate(self._decisions):
+            flow, potential, seconds = self._limits[step]
             level = self._levels(levels, groups if member is None else groups[member], water, roof)
             aimed[:, step] = np.where(level >= roof, level, 0.0)
-            lifted = np.minimum(policy.flow[step] * seconds, water + self._p.mains_flow * seconds)
-            potential = float(policy.evapotranspiration[step]) * seconds
+            lifted = np.minimum(flow * seconds, water + self._p.mains_flow * seconds)
             reached = soil.predict_volume(roof, lifted, potential, seconds)
             filled = np.maximum(roof, np.minimum(level, reached))
             fallen = rain[:, step] * self._p.a2 * seconds
@@ -254,26 +226,27 @@ class OrderUpTo:
         return self._soil.water_to_fill(np.minimum(x2, self._target))
 
     def _before(
-        self, value: Array, rain: Array, potential: float, flow: float, seconds: float,
-        group: Indices,
+        self, value: Array, rain: Array, group: Indices, strong: bool, flow: float,
+        potential: float, seconds: float,
     ) -> tuple[Array, Array]:
         """Compute V before a step from V after it.
 
         Args:
             value: V after the step, shape (members, S, N).
             rain: rain in the step (m/s), shape (members, 1, 1).
-            potential: evapotranspiration from the whole bed in the step (m3).
-            flow: flow of the pumps (m3/s).
-            seconds: length of the step (s).
             group: index of the group of each member.
+            strong: whether neither the pumps nor the available water can limit the filling.
+            flow: flow of the pumps (m3/s).
+            potential: evapotranspiration from the whole bed in the step (m3).
+            seconds: length of the step (s).
 
         Returns:
-            V before the step, and the levels of :class:`Policy`, shape (groups, S, nodes to x*).
+            V before the step, and the levels of the step, shape (groups, S, nodes to x*).
         """
         soil, dry = self._soil, slice(self._below + 1)
         nodes, roof = self._nodes, self._nodes[dry]
         scarce = len(self._water) > 1
-        reach = soil.predict_volume(roof, flow * seconds, potential, seconds)
+        reach = roof if strong else soil.predict_volume(roof, flow * seconds, potential, seconds)
         # Left alone: computed once if it is the same for all members.
         if not rain.any():
             rain = rain[:1]
@@ -283,9 +256,8 @@ class OrderUpTo:
             remaining = np.maximum(self._water[:, None] - self._contents, 0.0)
             stored = self._predict_usable(remaining, rain, seconds) + self._content(alone)
         free = seconds * self._deviation(nodes, alone) + self._at(value, alone, stored)
-        # Held; directly if neither the pumps nor the water limit the filling.
+        # Held.
         alone = alone[..., dry]
-        strong = not scarce and bool((reach >= self._target).all())
         if strong:
             held = seconds * (self._target - roof) + value[..., dry]
             holding = np.where(alone < roof, held, free[..., dry])
@@ -307,14 +279,15 @@ class OrderUpTo:
         levels = np.empty((group.max() + 1, len(self._water), len(roof)))
         result = free
         for index, level in enumerate(levels):
-            members = group == index
+            members: Any = slice(None) if len(levels) == 1 else group == index
             ours, waiting = holding[members], free[members][..., dry]
             place = _find_minimum_onward(ours.mean(axis=0))
             best = roof[place]
-            filled = np.minimum(best, within)
+            filled = best
             if strong:
                 costs, contents = ours[..., place[0]], self._contents[place]
             else:
+                filled = np.minimum(best, within)
                 costs = self._at(ours, filled[None], self._water[:, None])
                 # Exact if nothing is filled: rounding must not make holding look like a gain.
                 costs = np.where(filled > roof, costs, ours)
@@ -343,11 +316,7 @@ class OrderUpTo:
             water: s (m3), of the same shape; not used if s has only one node.
         """
         members, rows, count = value.shape
-        above = x2 - self._target
-        place = np.sqrt(np.abs(above) * np.where(above < 0, *self._per_node))
-        node = (np.copysign(place, above) + self._below).astype(np.intp)
-        node = np.minimum(node, count - 2)
-        part = np.minimum((x2 - self._nodes[node]) / self._widths[node], 1.0)
+        node, part = _between(self._nodes[:count], x2)
 
         def along(row: Any) -> Array:
             start = (np.arange(members)[:, None, None] * rows + row) * count + node
@@ -364,7 +333,8 @@ class OrderUpTo:
 def _between(nodes: Array, values: Any) -> tuple[Any, Any]:
     """Return the node at or below each value, and the fraction of the way to the next node."""
     row = nodes[1:-1].searchsorted(values, side="right")
-    return row, np.clip((values - nodes[row]) / np.diff(nodes)[row], 0.0, 1.0)
+    share = (values - nodes[row]) / np.diff(nodes)[row]
+    return row, np.minimum(np.maximum(share, 0.0), 1.0)
 
 
 def _find_minimum_onward(values: Array) -> Indices:
@@ -375,7 +345,7 @@ def _find_minimum_onward(values: Array) -> Indices:
 
 
 def halve_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:
-    """Return the group of every member in every step, identified by its lowest member index.
+    """Return the index of every member's group in every step, by its lowest member.
 
     The members of a group cannot be distinguished yet, so the pumping is the same for all of them.
     At first, all members form one group. After every period of ``recourse``, each group is split
@@ -396,19 +366,20 @@ def halve_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:
         recourse: time from one halving to the next (s).
 
     Returns:
-        Indices of shape (members, n).
+        Indices from 0 on, without gaps in a step, shape (members, n).
     """
     members, n = rain.shape
     groups = np.zeros((members, n), dtype=np.intp)
     fallen = np.cumsum(rain * np.diff(edges), axis=1)
     halvings = np.diff(edges[:-1] // recourse)
     for step in np.repeat(np.arange(1, n), halvings.astype(int)):
-        labels = np.unique(groups[:, step])
-        if len(labels) == members:
+        before = groups[:, step].copy()
+        if before.max() == members - 1:
             break
         order = np.lexsort(fallen[:, step - 1 :].T[::-1])
-        for label in labels:
-            together = order[groups[order, step] == label]
+        for label in range(before.max() + 1):
+            together = order[before[order] == label]
             for half in np.split(together, [len(together) // 2]):
-                groups[half, step:] = half.min(initial=members)
+                groups[half, step] = half.min(initial=members)
+        groups[:, step:] = np.unique(groups[:, step], return_inverse=True)[1][:, None]
     return groups

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.ranges import Range
-from greenroof_ros.controllers.decide import OwnCode, invalid
-from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, find_levels, plan_levels
+from greenroof_ros.controllers.decide import OwnCode, valid_number
+from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, find_levels
 from greenroof_ros.physics.cistern import low_outlet_flow
 from greenroof_ros.physics.parameters import PlantParameters, plant_parameters
 from greenroof_ros.physics.storm_water import HOUR_S, is_wet, time_without_rain
@@ -94,9 +94,7 @@ def requested_share(controller: Any, *_: object) -> float:
     kind = type(controller)
     with OwnCode(kind):
         share = controller.outlet
-    if share in SHARE:
-        return float(share)
-    raise invalid(kind, "outlet", "the attribute outlet", share, SHARE.expected(share))
+    return valid_number(kind, "outlet", "the attribute outlet", share, SHARE)
 
 
 def outlet_share(
@@ -173,7 +171,7 @@ class Policy:
         self._wet_after, self._without_rain = site.wet_after * HOUR_S, without_rain
         self._clock, self._plans = PlanClock(site.tau), outlet == PLAN
         options = np.array([[outlet_reserve, outlet_price, outlet_reach, 1.0]])
-        self._given = find_levels, [self._p], options, self._wet_after, ends
+        self._given = [self._p], options, self._wet_after, ends
 
     def command(
         self, cistern_level: float, roof_level: float, precipitation: Any,
@@ -196,7 +194,7 @@ class Policy:
         self._without_rain = time_without_rain(self._without_rain, rain, site.tau)
         wet = is_wet(self._without_rain, site.tau, self._wet_after)
         if self._plans and self._clock.is_due(wet):
-            (self._volume,) = plan_levels(
+            (self._volume,) = find_levels(
                 *self._given, np.array([site.cistern_volume(cistern_level)]),
                 np.array([site.roof_volume(roof_level)]), np.atleast_2d(forecast),
                 np.asarray(evapotranspiration, dtype=float),

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.controllers.roof_prediction import ABOVE_M, drain
 from greenroof_ros.physics.parameters import PlantParameters
 from greenroof_ros.physics.storm_water import is_wet, time_without_rain
-
-Array = NDArray[np.float64]
 
 HORIZON_H = 48
 """time for which a plan looks ahead (h)"""
@@ -42,37 +38,39 @@ class PlanClock:
 
 
 def find_levels(
-    sites: Any, options: Any, wet_after: float, ends: Any, hours: int, x1: Any, x2: Any, rain: Any,
-    evaporated: Any, levels: Any,
-) -> None:
-    """Write the volumes to which the cisterns of sites are drained in the first hour (m3).
+    sites: Any, options: Any, wet_after: float, ends: Any, x1: Any, x2: Any, rain: Any,
+    evaporated: Any,
+) -> Any:
+    """Return the volumes to which the cisterns of sites are drained in the first hour (m3).
+
+    Without a forecast, these are the reserves. The function can be compiled.
 
     Args:
-        sites: :class:`.PlantParameters` of n sites.
-        options: as for :func:`plan_levels`, but with the time in s, shape (n, 4).
-        wet_after: time after rain that counts as wet weather (s).
+        sites: :class:`.PlantParameters` of n sites with valves.
+        options: for each of them, the reserve without a forecast (m3), the price of mains water in
+            m3 of discharge in wet weather per m3 (1), the time for which stored water is worth its
+            price (days), and the area to which the forecast's evapotranspiration applies (m2),
+            shape (n, 4).
+        wet_after: time after rain that counts as wet weather at these sites (s).
         ends: boundaries of the forecast's steps (s from now), starting at 0.
-        hours: number of hours to plan.
         x1: volumes in the cisterns (m3), shape (n,).
         x2: volumes on the roofs (m3), shape (n,).
         rain: forecast of rain (m/s), shape (members, steps).
         evaporated: forecast of evapotranspiration from the areas (m/s), shape (steps,).
-        levels: array for the volumes, shape (n,).
     """
-    span, most, drawn = ends[-1], 0.0, 0.0
+    levels = options[:, 0].copy()
+    fits = rain.shape[1] == len(evaporated) == len(ends) - 1
+    if not (fits and math.isfinite(x1.sum() + x2.sum() + rain.sum() + evaporated.sum())):
+        return levels
+    span, lengths, most = ends[-1], np.diff(ends), 0.0
+    hours = max(1, min(HORIZON_H, round(span / _HOUR_S)))
+    drawn = np.cumsum(evaporated * lengths)[-1]  # a sum whose order is the same if compiled
     for member in range(len(rain)):
-        fallen = 0.0
-        for step in range(len(evaporated)):
-            fallen += rain[member, step] * (ends[step + 1] - ends[step])
-        most = max(most, fallen)
-    for step in range(len(evaporated)):
-        drawn += evaporated[step] * (ends[step + 1] - ends[step])
+        most = max(most, np.cumsum(rain[member] * lengths)[-1])
     for row in range(len(sites)):
-        p, reserve, price, reach, area = (
-            sites[row], options[row][0], options[row][1], options[row][2], options[row][3]
-        )
+        p, reserve, price, area = sites[row], options[row][0], options[row][1], options[row][3]
         floor, full = p.a1 * max(p.suction_level, p.mains_level), p.a1 * p.z_o
-        outlet, needed = p.a1 * p.low_outlet_level, reach * area * drawn / span
+        outlet, needed = p.a1 * p.low_outlet_level, options[row][2] * _DAY_S * area * drawn / span
         kept = p.drainage_to_cistern
         comes = most * (p.effective_catchment + kept * p.a2) + kept * max(x2[row] - p.x2_star, 0.0)
         level = full
@@ -88,6 +86,7 @@ def find_levels(
         root = math.sqrt(max(reserve - outlet, 0.0) / p.a1) + p.c_low / (2 * p.a1) * span
         most_left = min(full, outlet + p.a1 * root * root)
         levels[row] = min(level, max(reserve, floor + needed), most_left)
+    return levels
 
 
 def solve(
@@ -200,31 +199,3 @@ def value_at(nodes: Any, value: Any, volumes: Any) -> Any:
     node = np.minimum(place.astype(np.intp), _NODES - 2)
     low = value[node]
     return low + (place - node) * (value[node + 1] - low)
-
-
-def plan_levels(
-    find: Callable[..., None], sites: Sequence[PlantParameters], options: Array, wet_after: float,
-    ends: Array, x1: Array, x2: Array, rain: Array, evaporated: Array,
-) -> Array:
-    """Return the volumes to which cisterns are drained (m3); without a forecast, the reserves.
-
-    Args:
-        find: :func:`find_levels`, or the same compiled.
-        sites: numbers of n sites with valves.
-        options: for each of them, the reserve without a forecast (m3), the price of mains water in
-            m3 of discharge in wet weather per m3 (1), the time for which stored water is worth its
-            price (days), and the area to which the forecast's evapotranspiration applies (m2).
-        wet_after: time after rain that counts as wet weather at these sites (s).
-        ends: boundaries of the forecasts' steps (s from now), starting at 0.
-        x1: as for :func:`find_levels`.
-        x2: as for :func:`find_levels`.
-        rain: as for :func:`find_levels`.
-        evaporated: as for :func:`find_levels`.
-    """
-    levels = options[:, 0].copy()
-    fits = rain.shape[1] == evaporated.size == len(ends) - 1
-    if fits and math.isfinite(float(x1.sum() + x2.sum() + rain.sum() + evaporated.sum())):
-        hours = max(1, min(HORIZON_H, round(float(ends[-1]) / _HOUR_S)))
-        options = options * (1.0, 1.0, _DAY_S, 1.0)
-        find(sites, options, wet_after, ends, hours, x1, x2, rain, evaporated, levels)
-    return levels

@@ -27,23 +27,18 @@ def digest_own_code(modules: Sequence[str]) -> str:
         modules: names of modules that can be imported.
     """
     packages = {name.partition(".")[0] for name in modules}
-    waiting, seen, sources = list(modules), set[str](), dict[str, bytes]()
+    waiting, files = list(modules), dict[str, Path | None]()
     while waiting:
         name = waiting.pop()
-        if name in seen or (name.partition(".")[0] not in packages and _is_foreign(name)):
+        if name in files or (name.partition(".")[0] not in packages and _is_foreign(name)):
             continue
-        seen.add(name)
-        file = _find_file(name)
-        if file is None:
-            continue
-        sources[name] = file.read_bytes()
-        parent = name.rpartition(".")[0]
-        waiting.append(parent)
-        if file.suffix == ".py":
-            waiting += _imported_names(sources[name], name if file.stem == "__init__" else parent)
+        file = files[name] = _find_file(name)
+        if file is not None:
+            waiting += [name.rpartition(".")[0], *_imported_names(name, file)]
     digest = hashlib.sha256()
-    for name in sorted(sources):
-        digest.update(name.encode() + b"\0" + sources[name] + b"\0")
+    for name, file in sorted(files.items()):
+        if file is not None:
+            digest.update(name.encode() + b"\0" + file.read_bytes() + b"\0")
     return digest.hexdigest()[:12]
 
 
@@ -66,14 +61,15 @@ def _is_foreign(name: str) -> bool:
     return first in _NO_USERS or any(not _PACKAGES.isdisjoint(file.parts) for file in files)
 
 
-def _imported_names(source: bytes, package: str) -> Iterator[str]:
-    """Yield the modules that a source imports, and the imported names, which can also be modules.
+def _imported_names(name: str, file: Path) -> Iterator[str]:
+    """Yield the modules that a module imports, and the imported names, which can also be modules.
 
     Args:
-        source: source text of a module.
-        package: package from which relative imports start.
+        name: name of the module.
+        file: file of the module; only Python's source is read.
     """
-    for node in ast.walk(ast.parse(source)):
+    package = name if file.stem == "__init__" else name.rpartition(".")[0]
+    for node in ast.walk(ast.parse(file.read_bytes() if file.suffix == ".py" else b"")):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):

@@ -111,23 +111,22 @@ class ControllerChoice:
         """
         kind = self._import_class() if self.given is None else self.given
         needed = "parameters", "command", "skip", "statistics"
-        lacking, problem = [name for name in needed if not hasattr(kind, name)], ""
+        lacking = [name for name in needed if not hasattr(kind, name)]
+        of_valve = () if hasattr(kind, "outlet") else outlet.PARAMETERS
+        of_node = _OF_EVERY_NODE.union(parameter.name for parameter in of_valve)
         if lacking or not all(isinstance(parameter, Parameter) for parameter in kind.parameters):
             problem = (
                 f"is not a controller: it lacks {', '.join(lacking) or 'a tuple of Parameter'}; "
                 "see \"Your controller\" in the documentation"
             )
+        elif taken := of_node.intersection(parameter.name for parameter in kind.parameters):
+            problem = (
+                f"has a parameter {taken.pop()}, but its node already has one of this name; rename "
+                "the controller's parameter"
+            )
         else:
-            of_valve = () if hasattr(kind, "outlet") else outlet.PARAMETERS
-            of_node = _OF_EVERY_NODE.union(parameter.name for parameter in of_valve)
-            for name in of_node.intersection(parameter.name for parameter in kind.parameters):
-                problem = (
-                    f"has a parameter {name}, but its node already has a parameter of this name; "
-                    "rename the controller's parameter"
-                )
-        if problem:
-            raise ConfigurationError(problem, key="controller", value=self.reference)
-        return kind
+            return kind
+        raise ConfigurationError(problem, key="controller", value=self.reference)
 
     def _import_class(self) -> Any:
         module_name, _, class_name = self.path.partition(":")
@@ -189,18 +188,14 @@ class ControllerChoice:
         """Make the controller; a valve that is always open is treated as if there were none.
 
         Raises:
-            ConfigurationError: if the library of the solver cannot be imported, or the controller's
-                code raised an error.
+            ConfigurationError: if the controller's code raised an error, for example because the
+                library of its solver cannot be imported.
         """
         if parameters.get("outlet") == outlet.OPEN:
             site = replace(site, low_outlet_valve=False)
-        kind, of_valve = self.kind, {parameter.name for parameter in self.of_valve}
-        own = {name: value for name, value in parameters.items() if name not in of_valve}
-        with OwnCode(kind):
-            try:
-                controller: Controller = kind(site, **own)
-            except ImportError as error:
-                raise not_imported(self.reference, error) from error
+        own = {parameter.name: parameters[parameter.name] for parameter in self.kind.parameters}
+        with OwnCode(self.kind):
+            controller: Controller = self.kind(site, **own)
             ends = look_ahead_ends(site, parameters.get("horizon", 0.0))
             set_optional(controller, forecast_ends=ends)
             return controller
@@ -286,10 +281,6 @@ class ControllerChoice:
         policy, reserve, *others = self.of_valve
         return [*own, policy, replace(reserve, default=outlet.find_reserve(site)), *others]
 
-    def defaults(self, site: Site) -> dict[str, float]:
-        """Return the default of every parameter for a site."""
-        return {parameter.name: parameter.default for parameter in self.parameters_on(site)}
-
     def complete_parameters(self, site: Site, given: Mapping[str, Any]) -> dict[str, Any]:
         """Return the value of every parameter for a site: the user's value, or else the default.
 
@@ -297,14 +288,12 @@ class ControllerChoice:
             ConfigurationError: if a parameter is for the outlet valve, but the site has no such
                 valve.
         """
-        defaults = self.defaults(site)
-        for name in given:
-            if name not in defaults:
-                raise ConfigurationError(
-                    "is a parameter of the valve of the low outlet, which this site does not have "
-                    "(the site file would need "
-                    "low_outlet_valve: true)", key=name, value=given[name],
-                )
+        defaults = {parameter.name: parameter.default for parameter in self.parameters_on(site)}
+        for name in given.keys() - defaults.keys():
+            raise ConfigurationError(
+                "is a parameter of the valve of the low outlet, which this site does not have "
+                "(the site file would need low_outlet_valve: true)", key=name, value=given[name],
+            )
         return {**defaults, **given}
 
     def read_parameters(self, path: Path, namespace: str = "") -> dict[str, Any]:
@@ -359,22 +348,18 @@ def find_controller(reference: str) -> ControllerChoice:
         ConfigurationError: if there is no such controller, or if the name of its node is already in
             use.
     """
-    name, problem = reference, ""
+    name = _node_name(reference.partition(":")[2])
+    if reference in _PATHS:
+        return ControllerChoice(reference, reference)
     if ":" not in reference:
-        if reference not in _PATHS:
-            problem = describe_choices(BUILT_IN, reference, ", or package.module:Class")
+        problem = describe_choices(BUILT_IN, reference, ", or package.module:Class")
     elif not re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", reference):
         problem = "must be of the form package.module:Class"
+    elif name in BUILT_IN or name in _OTHER_NODES:
+        problem = f"the node would have the same name as another node, {name}; rename the class"
     else:
-        name = _node_name(reference.partition(":")[2])
-        if name in BUILT_IN or name in _OTHER_NODES:
-            problem = (
-                f"the controller's node would have the same name as another node, {name}; rename "
-                "the class"
-            )
-    if problem:
-        raise ConfigurationError(problem, key="controller", value=reference)
-    return ControllerChoice(name, reference)
+        return ControllerChoice(name, reference)
+    raise ConfigurationError(problem, key="controller", value=reference)
 
 
 def choose_class(kind: Any) -> ControllerChoice:

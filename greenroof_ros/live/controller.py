@@ -8,6 +8,7 @@ any class specified as ``package.module:Class``; the node is named after the con
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,13 +22,13 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.processes import time_limit
+from greenroof_ros.common.ranges import Range
 from greenroof_ros.common.states import ENDED
 from greenroof_ros.common.times import from_epoch_ns, to_people
 from greenroof_ros.controllers.decide import (
     ControllerError,
     decide,
     find_place,
-    is_finite_number,
     locate_error,
     may_decide,
 )
@@ -74,6 +75,7 @@ GIVEN_UP = Parameter(
 )
 # How often learned values are saved (s).
 _SAVE_S = 600.0
+_FINITE = Range(-sys.float_info.max, sys.float_info.max)
 
 
 def parameters(choice: ControllerChoice | None) -> list[Parameter]:
@@ -223,7 +225,9 @@ class LiveControllerNode(LiveNode):
         learned = getattr(controller, "learned", None)
         if learned is None:
             return None
-        if isinstance(learned, dict) and all(map(is_finite_number, learned.values())):
+        if isinstance(learned, dict) and all(
+            value in _FINITE for value in learned.values()
+        ):
             return {name: float(value) for name, value in learned.items()}
         kind = type(controller)
         file, line = find_place(kind, "learned")

@@ -447,9 +447,7 @@ class _PlanController:
         flow = max_command * maximum_pump_flow(self._p, run.x1) * pumping
         self._program, edges = OrderUpTo(site, fine=_NODES), site.tau * np.append(starts, n)
         together = np.zeros((1, len(starts)), dtype=np.intp)
-        self._policy = self._program.solve(
-            edges, run.x1, run.x2, rain[None], evaporated, flow, together
-        )
+        self._program.solve(edges, run.x1, run.x2, rain[None], evaporated, flow, together)
 
     def command(
         self, cistern_level: float, roof_level: float, precipitation: Sequence[float],
@@ -461,7 +459,7 @@ class _PlanController:
             return 0.0
         site = self._site
         x1, x2 = site.cistern_volume(cistern_level), site.roof_volume(roof_level)
-        level = self._program.level(self._policy, self._tick * site.tau, x1, x2)
+        level = self._program.level(self._tick * site.tau, x1, x2)
         if level < x2:
             return 0.0
         now = precipitation[0], evapotranspiration[0]

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.onoff import onoff_command
 from greenroof_ros.controllers.outlet import OPEN, PLAN, POLICIES, outlet_share
-from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, find_levels, plan_levels
+from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, find_levels
 from greenroof_ros.forecast.resampling import Forecast, make_forecast
 from greenroof_ros.physics.compiled import compiled, note_if_slow, pays_to_compile, records
 from greenroof_ros.physics.parameters import State, plant_parameters
@@ -373,9 +373,8 @@ class _Season:
             own, self._sites.groups[rows] = np.unique(groups[rows], return_inverse=True)
             self.parts.append((rows, own, self._as_taken(np.zeros((len(own), 2, intervals)))))
         self._plan = None if cases[0].parameters.get("outlet") != PLAN else partial(
-            plan_levels, compiled(find_levels) if self._compiles else find_levels,
-            self._sites.parameters, options, self._site.wet_after * HOUR_S,
-            look_ahead_ends(run.site, 0.0, HORIZON_H),
+            compiled(find_levels) if self._compiles else find_levels, self._sites.parameters,
+            options, self._site.wet_after * HOUR_S, look_ahead_ends(run.site, 0.0, HORIZON_H),
         )
 
     def _as_taken(self, array: NDArray[Any]) -> Any:

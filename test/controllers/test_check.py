@@ -46,7 +46,7 @@ def opening(share: str) -> tuple[str, str]:
 
 BROKEN = [
     # The error, the rule that it breaks, and the message.
-    (returning("return -command if command else 0.0"), FINITE, "must be finite and not negative"),
+    (returning("return -command if command else 0.0"), FINITE, "must be a finite number of at le"),
     (
         returning("return command if self.gain else -1.0"),
         "its commands are also valid with each parameter at either end of its range",
@@ -137,7 +137,7 @@ def test_the_command(tmp_path: Path) -> None:
     (tmp_path / "broken.py").write_text(TEXT.replace(*returning("return None")))
     for reference, directory, code, message in (
         (EXAMPLE, CHECKOUT, 0, "13 of 13 checks passed"),
-        ("broken:Proportional", tmp_path, 1, "must be finite"),
+        ("broken:Proportional", tmp_path, 1, "must be a finite"),
         ("nothing:Here", tmp_path, 2, ""),
     ):
         result = run_command(

@@ -17,7 +17,7 @@ from places import CONFIG
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.lookahead import Lookahead
-from greenroof_ros.controllers.order_up_to import OrderUpTo, Policy, halve_by_rain
+from greenroof_ros.controllers.order_up_to import OrderUpTo, halve_by_rain
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import growing_steps
 from greenroof_ros.site.site import Site
@@ -46,8 +46,8 @@ class Tiny:
         """The paper's site with a target of 40 units, and practically no rain into its cistern."""
         return site_with(z_veg=TARGET * UNIT / PAPER_SITE.a2, a_in=1e-9)
 
-    def solved(self, groups: NDArray[np.intp]) -> Policy:
-        """Solve it by the recursion."""
+    def solved(self, groups: NDArray[np.intp]) -> float:
+        """Return the minimum by the recursion (m3)."""
         site, hours = self.site, len(self.pumps)
         rain = np.array(self.rain) * UNIT / HOUR / site.a2
         return OrderUpTo(site).solve(
@@ -135,7 +135,7 @@ def tiny_problems(
 
 
 ALONE = [[0]] * 5
-HALVES = [[0, 0, 0, 0]] * 2 + [[0, 0, 2, 2]] * 2 + [[0, 1, 2, 3]]
+HALVES = [[0, 0, 0, 0]] * 2 + [[0, 0, 1, 1]] * 2 + [[0, 1, 2, 3]]
 
 
 @pytest.mark.parametrize(("problems", "groups", "limit"), [
@@ -145,7 +145,7 @@ HALVES = [[0, 0, 0, 0]] * 2 + [[0, 0, 2, 2]] * 2 + [[0, 1, 2, 3]]
     (tiny_problems(members=4), HALVES, 0.2),
     # The water is pumped once, when it is worth most. The nodes of water are 9 units apart, so
     # half of that may be lost, and what a single forecast loses with water to spare.
-    *((tiny_problems(water=water), ALONE, 4.5 + 0.1) for water in (0, 3, 7, 11, 16)),
+    *((tiny_problems(water=water), ALONE, 4.5 + 0.5) for water in (0, 3, 7, 11, 16)),
 ])
 @settings(max_examples=12)
 @given(st.data())
@@ -154,7 +154,7 @@ def test_the_minimum_of_all_plans(
 ) -> None:
     """The recursion's cost (units)."""
     tiny = data.draw(problems)
-    cost = tiny.solved(np.array(groups).T).cost
+    cost = tiny.solved(np.array(groups).T)
     assert abs(cost - exhaustive(tiny, groups)) / UNIT < limit
 
 
@@ -172,7 +172,7 @@ def test_the_drier_half_parts_from_the_wetter() -> None:
               [3, 0, 0, 0, 0, 1, 0, 0], [1, 0, 0, 0, 0, 0, 0, 0]]
     groups = halve_by_rain(np.array(fallen, dtype=float), np.arange(9) * 3600.0, 7200.0)
     assert groups.T.tolist() == (
-        [[0, 0, 0, 0, 0]] * 2 + [[0, 0, 2, 0, 2]] * 2 + [[0, 1, 2, 0, 4]] * 2
+        [[0, 0, 0, 0, 0]] * 2 + [[0, 0, 1, 0, 1]] * 2 + [[0, 1, 2, 0, 3]] * 2
         + [[0, 1, 2, 3, 4]] * 2
     )
 

@@ -244,11 +244,12 @@ def test_level_against_all_ways(seed: int) -> None:
 
 def test_reserve_by_default() -> None:
     """40 mm on the roof's 68.75 m2, or half of the cistern's 10 m3."""
-    defaults = find_controller("lookahead").defaults(SITE)
+    defaults = find_controller("lookahead").complete_parameters(SITE, {})
     assert defaults["outlet"] == "plan"
     assert defaults["outlet_reserve"] == pytest.approx(0.04 * SITE.a2)
     small = replace(SITE, a1=1.0)
-    assert find_controller("onoff").defaults(small)["outlet_reserve"] == 1.0
+    of_small = find_controller("onoff").complete_parameters(small, {})
+    assert of_small["outlet_reserve"] == 1.0
 
 
 @pytest.mark.parametrize("cistern", [(9.5, 2.9), (2.0, 2.2)])

@@ -18,8 +18,8 @@ def test_without_its_solver(monkeypatch: pytest.MonkeyPatch) -> None:
     """If pip's part of the installation is missing, the error states this, without a traceback."""
     monkeypatch.setitem(sys.modules, "osqp", None)
     choice = find_controller("mpc")
-    with pytest.raises(ConfigurationError, match=r"'mpc': cannot be imported: .*osqp"):
-        choice.make(PAPER_SITE, choice.defaults(PAPER_SITE))
+    with pytest.raises(ConfigurationError, match=r"mpc.py, line \d+: Mpc.__init__: .*osqp"):
+        choice.make(PAPER_SITE, choice.complete_parameters(PAPER_SITE, {}))
 
 
 DUMP = """{}/onoff:
@@ -100,8 +100,8 @@ def test_wrong_files(tmp_path: Path, name: str, text: str, message: str) -> None
         ("onof", r"is unknown; did you mean onoff\?$"),
         ("pid", "must be one of mpc, onoff, anticipating_onoff, lookahead, or"),
         ("a b:C", "must be of the form package.module:Class"),
-        ("package:Plant", "the controller's node would have the same name as another node, plant"),
-        ("package:Mpc", "the controller's node would have the same name as another node, mpc"),
+        ("package:Plant", "the node would have the same name as another node, plant"),
+        ("package:Mpc", "the node would have the same name as another node, mpc"),
     ],
 )
 def test_wrong_references(reference: str, message: str) -> None:
@@ -147,7 +147,7 @@ def test_how_far_a_controller_looks_ahead_follows_from_the_roof(name: str, tmp_p
     """Five days; on a roof with a field-capacity soil two; a file overrides both."""
     choice = find_controller(name)
     field_capacity = read_site(CONFIG / "site_catchment.yaml")
-    assert choice.defaults(PAPER_SITE)["horizon"] == 120.0
-    assert choice.defaults(field_capacity)["horizon"] == 48.0
+    assert choice.complete_parameters(PAPER_SITE, {})["horizon"] == 120.0
+    assert choice.complete_parameters(field_capacity, {})["horizon"] == 48.0
     (tmp_path / "mine.yaml").write_text(f"{name}: {{ros__parameters: {{horizon: 24.0}}}}")
     assert choice.read_parameters(tmp_path / "mine.yaml")["horizon"] == 24.0

@@ -70,28 +70,23 @@ def test_an_adversary_costs_at_most_the_budget(
         assert reached(1e6) > 1.5 * limit
 
 
-def test_waiting_ends_with_the_budget(caplog: pytest.LogCaptureFixture) -> None:
-    """Forecast rain never comes: in the end it acts as on/off, and reports it once."""
-    for budget, pumps in ((72.0, False), (0.01, True)):
-        controller = lookahead(waiting_budget=budget, waiting_share=0.0)
-        inputs = 2.3, 0.04, [COMING], [0.0] * STEPS
-        commands = [controller.command(*inputs) for _ in range(600)]
-        assert any(commands) is pumps
-    assert ["more than plain on/off" in message for message in caplog.messages] == [True]
-
-
 @pytest.mark.parametrize("name", ["anticipating_onoff", "lookahead"])
-def test_a_controller_that_is_made_again_goes_on_with_the_count(name: str) -> None:
-    """The first one ends its wait with the budget; the next one does not begin another wait."""
+def test_waiting_ends_with_the_budget(name: str, caplog: pytest.LogCaptureFixture) -> None:
+    """Forecast rain never comes: in the end it acts as on/off, and reports it once.
+
+    A controller that is made again goes on with the count, and does not begin another wait.
+    """
     choice, inputs = find_controller(name), (2.3, 0.04, COMING, [0.0] * STEPS)
-    parameters = {"horizon": 12.0, "waiting_budget": 0.01, "waiting_share": 0.0}
 
-    def made() -> Any:
-        return choice.make(PAPER_SITE, {**choice.defaults(PAPER_SITE), **parameters})
+    def made(budget: float = 0.01) -> Any:
+        given = {"horizon": 12.0, "waiting_budget": budget, "waiting_share": 0.0}
+        return choice.make(PAPER_SITE, choice.complete_parameters(PAPER_SITE, given))
 
-    first, afresh, again = made(), made(), made()
+    patient, first, afresh, again = made(72.0), made(), made(), made()
     assert first.command(*inputs) == afresh.command(*inputs) == 0.0
+    assert not any(patient.command(*inputs) for _ in range(600))
     assert [first.command(*inputs) for _ in range(600)][-1] > 0
+    assert ["more than plain on/off" in message for message in caplog.messages] == [True]
     again.learned = first.learned
     assert again.learned == first.learned
     with pytest.raises(KeyError):

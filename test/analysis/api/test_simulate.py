@@ -424,7 +424,7 @@ def test_sites(tmp_path: Path) -> None:
     ({"initial": (math.nan, 2.0)}, "cistern = nan: must be a number from 0"),
     ({"controller": 3}, "controller = 3: must be a name, a class, an instance, or a function"),
     ({"controller": object}, "is not a controller: it lacks parameters, command"),
-    ({"controller": lambda state, forecast: -1.0}, "must be a finite number and not negative"),
+    ({"controller": lambda state, forecast: -1.0}, "must be a finite number of at least 0"),
     ({"controller": OnOff(gr.read_site(), 1.0), "fraction": 0.5}, "fraction: cannot be set for"),
 ])
 def test_what_is_wrong_is_named(inputs: dict[str, object], reason: str) -> None:
