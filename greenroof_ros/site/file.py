@@ -8,16 +8,23 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.errors import ConfigurationError, suggest_names
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import is_there, read_yaml, shared_directory
 from greenroof_ros.common.parameter import Parameter, make_record, parameters_of
 from greenroof_ros.site.clock import standard_offset
-from greenroof_ros.site.plain_keys import PLAIN, Entry, compute, override, translate
+from greenroof_ros.site.plain_keys import (
+    DETERMINES,
+    Description,
+    Entry,
+    compute,
+    override,
+    translate,
+)
 from greenroof_ros.site.site import Site
 
 # Relative error up to which a product rounded by a person, such as x2_star, counts as consistent.
@@ -42,24 +49,12 @@ _FOLLOW = {
     "initial_roof": ("a2",),
     "initial_layer": ("a2",),
 }
-# Attributes of a site that cannot be made from a wrong value, the value's key, and valid values.
-_CLOCK = {
-    "zone": (
-        "time_zone",
-        "must be the IANA name of a time zone known to this computer (package tzdata), such as "
-        "America/Toronto",
-    ),
-    "quiet": (
-        "quiet_hours",
-        'must be a list of intervals of the day, such as ["22:00-06:00", "12:00-13:30"], and must '
-        "leave some time for pumping",
-    ),
-}
 # Key for the file that contains what a site file omits.
 _EXTENDS = "extends"
-# Optional parameters that belong together: each needs the others in its line. Field-capacity soil
-# can lack a drainage layer.
+# Optional keys that belong together: each needs the others in its line. Field-capacity soil can
+# lack a drainage layer.
 _TOGETHER = (
+    (("emitters", "emitter_flow"), ()),
     (("field_capacity", "wilting_point", "depletion_fraction"), ()),
     (("drainage_storage", "drainage_time"), ("field_capacity",)),
     (("mains_level", "mains_flow"), ()),
@@ -70,7 +65,7 @@ _TOGETHER = (
     (("quiet_hours",), ("time_zone",)),
 )
 
-SITE_KEYS: dict[str, Parameter] = {each.name: each for each in parameters_of(Site)} | PLAIN
+SITE_KEYS: dict[str, Parameter] = {each.name: each for each in parameters_of(Description)}
 """keys that a site file may contain, except ``extends``, by name"""
 
 
@@ -127,22 +122,17 @@ def _read_entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, E
     entries = {key: Entry(value, path, mapping.lines[key]) for key, value in mapping.items()}
     if _EXTENDS not in entries:
         return override({}, entries)
-    name, _, line, _ = entries.pop(_EXTENDS)
+    name, _, line = entries.pop(_EXTENDS)
     chain = (*extended_by, path.resolve())
-    base = _find_base(path, str(name))
-    if not is_there(base) or base.resolve() in chain:
+    places = path.parent, shared_directory() / "config"
+    base = next(filter(is_there, (place / str(name) for place in places)), None)
+    if base is None or base.resolve() in chain:
         raise ConfigurationError(
             "must be the name of another site file, such as site.yaml, in the same directory or "
             "in this package, which does not extend this file itself",
             file=path, line=line, key=_EXTENDS, value=name,
         )
     return override(_read_entries(base, chain), entries)
-
-
-def _find_base(path: Path, name: str) -> Path:
-    """Return the file that a site file extends: in its own directory, or from this package."""
-    own, shipped = Path(path).parent / name, shared_directory() / "config" / name
-    return shipped if is_there(shipped) and not is_there(own) else own
 
 
 def read_site(path: Path, changes: Mapping[str, Any] | None = None) -> Site:
@@ -180,22 +170,8 @@ class SiteFile:
 
     def change(self, changes: Mapping[str, Any]) -> Site:
         """Return the site with some values changed; see :func:`read_site`."""
-        follow = {
-            volume: names for volume, names in _FOLLOW.items()
-            if volume in self._entries and volume not in changes
-        }
-
-        def adjust(changed: Site) -> Site:
-            volumes: dict[str, Any] = {
-                volume: getattr(self.site, volume) * math.prod(
-                    (getattr(changed, name) or 1.0) / (getattr(self.site, name) or 1.0)
-                    for name in names
-                ) for volume, names in follow.items()
-            }
-            return replace(changed, **volumes)
-
         own = {name: Entry(value) for name, value in changes.items()}
-        return _make_site(override(self._entries, own), self._path, adjust)
+        return _make_site(override(self._entries, own), self._path, self.site)
 
 
 def merge_site_file(path: Path, changes: Mapping[str, Any]) -> str:
@@ -223,67 +199,80 @@ def check_site(site: Site) -> Site:
         ConfigurationError: if a value is invalid, as in :func:`read_site`; the message names the
             key and the value.
     """
-    values = {field.name: getattr(site, field.name) for field in fields(site)}
-    return _make_site({name: Entry(value) for name, value in values.items() if value is not None})
+    return _make_site({
+        name: Entry(value) for name, value in asdict(site).items() if value is not None
+    })
 
 
 def _make_site(
-    entries: Mapping[str, Entry], path: Path | None = None,
-    adjust: Callable[[Site], Site] = lambda site: site,
+    entries: Mapping[str, Entry], path: Path | None = None, unchanged: Site | None = None
 ) -> Site:
     """Check entries, and return the site that they describe.
 
     Args:
         entries: the entries.
         path: the file; None without a file.
-        adjust: function that changes the site before its parameters are compared.
+        unchanged: site of the file's own entries; volumes among these follow the changes.
     """
-    sources = dict(entries)
+    values = {name: each.value for name, each in entries.items()}
     try:
-        for name, (value, *_) in entries.items():
-            if name not in SITE_KEYS:
-                raise ConfigurationError(
-                    f"is not a valid key; {suggest_names(name, SITE_KEYS)}", key=name, value=value
-                )
+        for name, value in values.items():
             if value is None:
                 raise ConfigurationError(
                     "must have a value; leave this line out if there is none", key=name
                 )
-        named, keys = translate(entries)
-        if "irrigation" in named:
-            named = {**{name: Entry(value) for name, value in _NO_PUMP.items()}, **named}
-        sources.update(named)
-        omitted = _PRODUCTS.keys() - named.keys()
-        values = {name: each.value for name, each in named.items()}
-        site = make_record(Site, {**values, **dict.fromkeys(omitted, 1.0)})
-        computed = compute(keys, site)
-        computed |= {name: _product(site, _PRODUCTS[name]) for name in omitted}
-        site = adjust(replace(site, **computed))
-        for name, expected in _find_contradictions(site, named):
+        no_pump = _NO_PUMP if "irrigation" in values else {}
+        given = {**no_pump, **translate(values), **values}
+        omitted = _PRODUCTS.keys() - given.keys()
+        site = compute(make_record(Description, {**dict.fromkeys(omitted, 1.0), **given}))
+        volumes = {name: _product(site, _PRODUCTS[name]) for name in omitted}
+        if unchanged is not None:
+            volumes |= {
+                volume: getattr(unchanged, volume) * math.prod(
+                    (getattr(site, name) or 1.0) / (getattr(unchanged, name) or 1.0)
+                    for name in names
+                ) for volume, names in _FOLLOW.items()
+                if volume in entries and entries[volume].file is not None
+            }
+        site = replace(site, **volumes)
+        for name, expected in _find_contradictions(site, given):
             raise ConfigurationError(expected, key=name, value=getattr(site, name))
-        return site
+        return Site(**{field.name: getattr(site, field.name) for field in fields(Site)})
     except ConfigurationError as error:
-        name, expected = str(error.key).partition(".")[0], error.expected
-        source = sources.get(name, Entry(None, path))
-        if name not in sources:
-            expected += (
-                "; add it, or begin the file with 'extends: site.yaml' to use the paper's values "
-                "for all missing keys"
-            )
+        name, key, expected = str(error.key).partition(".")[0], error.key, error.expected
+        if name not in entries:
+            plain = next((each for each in entries if name in DETERMINES.get(each, ())), None)
+            name, key = plain or name, f"{plain} ({key})" if plain else key
+            if plain is None:
+                expected += (
+                    "; add it, or begin the file with 'extends: site.yaml' to use the paper's "
+                    "values for all missing keys"
+                )
+        source = entries.get(name, Entry(None, path))
         raise ConfigurationError(
-            expected, file=source.file, line=source.line, value=error.value,
-            key=f"{source.plain} ({error.key})" if source.plain else error.key,
+            expected, file=source.file, line=source.line, key=key, value=error.value
         ) from None
 
 
-def _find_contradictions(site: Site, entries: Collection[str]) -> Iterator[tuple[str, str]]:
-    """Yield each parameter that contradicts other parameters, and a description of valid values.
+def _find_contradictions(site: Site, given: Collection[str]) -> Iterator[tuple[str, str]]:
+    """Yield each key that contradicts other keys, and a description of valid values.
 
     Args:
         site: site with all parameters in their ranges.
-        entries: names of the parameters in the site file.
+        given: names of the keys in the site file, and of the parameters that they determine.
     """
-    for attribute, (name, expected) in _CLOCK.items():
+    for names, further in _TOGETHER:
+        there = {name for name in given if getattr(site, name) is not False}
+        present = [name for name in names if name in there]
+        missing = [name for name in (*names, *further) if name not in there]
+        if present and missing:
+            yield present[0], f"needs {', '.join(missing)} as well"
+    for attribute, name, expected in (
+        ("zone", "time_zone", "must be the IANA name of a time zone known to this computer "
+         "(package tzdata), such as America/Toronto"),
+        ("quiet", "quiet_hours", 'must be a list of intervals of the day, such as ["22:00-06:00", '
+         '"12:00-13:30"], and must leave some time for pumping'),
+    ):
         try:
             getattr(site, attribute)
         except (OSError, ValueError, KeyError):
@@ -295,12 +284,6 @@ def _find_contradictions(site: Site, entries: Collection[str]) -> Iterator[tuple
             f"must be below d / {_ABOVE_OUTLET} = {site.d / _ABOVE_OUTLET:.4g} m, so that even a "
             f"cistern filled above its overflow is below the roof at d = {site.d:g} m"
         )
-    for names, further in _TOGETHER:
-        there = {name for name in entries if getattr(site, name) is not False}
-        present = [name for name in names if name in there]
-        missing = [name for name in (*names, *further) if name not in there]
-        if present and missing:
-            yield present[0], f"needs {', '.join(missing)} as well"
     if site.time_zone is not None and site.utc_offset is not None:
         offset = standard_offset(site.time_zone)
         if site.utc_offset != offset:

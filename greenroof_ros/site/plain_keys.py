@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_yaml, shared_directory
-from greenroof_ros.common.parameter import Parameter, entry, make_record, parameters_of
+from greenroof_ros.common.parameter import entry
 from greenroof_ros.site.site import Site
 
 LITRES_PER_HOUR = 1 / 3.6e6
@@ -42,7 +42,7 @@ def _plain(
     return field(default=None, metadata={**made.metadata, "determines": (*determines.split(),)})
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PlainKeys:
     """The plain keys, each of which is optional."""
 
@@ -80,14 +80,15 @@ class PlainKeys:
     )
 
 
-PLAIN: dict[str, Parameter] = {each.name: each for each in parameters_of(PlainKeys)}
-"""plain keys, by name"""
+@dataclass(frozen=True, kw_only=True)
+class Description(Site, PlainKeys):
+    """A site as it is described: with the plain keys, which come first and are checked first."""
+
 
 DETERMINES: dict[str, tuple[str, ...]] = {
     each.name: each.metadata["determines"] for each in fields(PlainKeys)
 }
 """the paper's parameters that each plain key determines"""
-# Keys that belong together.
 _EMITTERS = ("emitters", "emitter_flow")
 _PLACE = {"latitude", "longitude"}
 # Keys that a file for another place does not inherit from the file that it extends.
@@ -101,8 +102,6 @@ class Entry(NamedTuple):
     file: Path | None = None
     """file that contains the value; None if a program set the value"""
     line: int | None = None
-    plain: str = ""
-    """plain key that determines the value; empty without a plain key"""
 
 
 def _find_rivals(key: str) -> set[str]:
@@ -129,11 +128,9 @@ def override(base: Mapping[str, Entry], own: Mapping[str, Entry]) -> dict[str, E
             keys.
     """
     replaced = _FOLLOW_PLACE if own.keys() >= _PLACE else set()
-    for name, (value, file, line, _) in own.items():
+    for name, (value, file, line) in own.items():
         rivals = _find_rivals(name)
-        for rival in own:
-            if name not in PLAIN or rival not in rivals:
-                continue
+        for rival in [key for key in own if name in DETERMINES and key in rivals]:
             where = "" if own[rival].line is None else f" in line {own[rival].line}"
             raise ConfigurationError(
                 f"contradicts {rival} = {own[rival].value}{where}, which sets the same quantity: "
@@ -143,41 +140,27 @@ def override(base: Mapping[str, Entry], own: Mapping[str, Entry]) -> dict[str, E
     return {**{name: each for name, each in base.items() if name not in replaced}, **own}
 
 
-def translate(entries: Mapping[str, Entry]) -> tuple[dict[str, Entry], PlainKeys]:
-    """Return entries under the paper's names, and the plain keys that they contain.
+def translate(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of the paper's parameters that follow from plain keys.
 
-    The entries of parameters that :func:`compute` computes have placeholders as their values.
-
-    Raises:
-        ConfigurationError: if a plain key has an invalid value, or if another key that the plain
-            key requires is missing.
+    The parameters that :func:`compute` computes have placeholders.
     """
-    keys = make_record(PlainKeys, {
-        name: each.value for name, each in entries.items() if name in PLAIN
-    })
-    for name, other in (_EMITTERS, _EMITTERS[::-1]):
-        if getattr(keys, name) is not None and getattr(keys, other) is None:
-            raise ConfigurationError(f"also needs {other}", key=name, value=getattr(keys, name))
-    named = {name: each for name, each in entries.items() if name not in PLAIN}
-    for plain, names in DETERMINES.items():
-        for name in names if plain in entries else ():
-            value = -1.0 if name == "a_hat" else entries[plain].value
-            if keys.substrate is not None and plain == "substrate":
-                value = SUBSTRATES[keys.substrate][name]
-            # A key of the soil is from a level above the substrate's.
-            named.setdefault(name, entries[plain]._replace(value=value, plain=plain))
-    return named, keys
+    soil = SUBSTRATES.get(str(values.get("substrate")), {})
+    return {
+        name: -1.0 if name == "a_hat" else soil.get(name, values[plain])
+        for plain, names in DETERMINES.items() if plain in values for name in names
+    }
 
 
-def compute(keys: PlainKeys, site: Site) -> dict[str, Any]:
-    """Return the parameters that follow from plain keys and other parameters of a site."""
+def compute(site: Description) -> Description:
+    """Return a site with the parameters that follow from plain keys and other parameters."""
     values = {}
-    if keys.cistern_volume is not None:
-        values["a1"] = keys.cistern_volume / site.z_o
-    litres = keys.pump_flow or (keys.emitters or 0) * (keys.emitter_flow or 0.0)
-    litres = litres or (keys.irrigation_rate or 0.0) * site.a2
+    if site.cistern_volume is not None:
+        values["a1"] = site.cistern_volume / site.z_o
+    litres = site.pump_flow or (site.emitters or 0) * (site.emitter_flow or 0.0)
+    litres = litres or (site.irrigation_rate or 0.0) * site.a2
     if litres:
         flow = litres * LITRES_PER_HOUR
         values["c_hat"] = _HEAD_OF_CONSTANT_FLOW + site.d
         values["a_hat"] = site.pipe_resistance - _HEAD_OF_CONSTANT_FLOW / flow**2
-    return values
+    return replace(site, **values)
