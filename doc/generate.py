@@ -60,8 +60,7 @@ from greenroof_ros.live.devices import drive_file, relay_file, sensor_file
 from greenroof_ros.live.pumping.limits import pump_parameters
 from greenroof_ros.physics.storm_water import Event
 from greenroof_ros.results.metrics import METRICS
-from greenroof_ros.site.file import SITE_KEYS, read_site
-from greenroof_ros.site.plain_keys import DETERMINES, SUBSTRATES
+from greenroof_ros.site.file import DETERMINES, SITE_KEYS, SUBSTRATES, read_site
 from greenroof_ros.site.site import Site
 
 _BLOCK = re.compile(

@@ -12,8 +12,7 @@ import greenroof_ros as gr
 from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.physics.pump import maximum_pump_flow
-from greenroof_ros.site.file import format_site, read_site
-from greenroof_ros.site.plain_keys import DETERMINES
+from greenroof_ros.site.file import DETERMINES, format_site, read_site
 from greenroof_ros.site.site import Site
 
 # A house with a garden on its roof.
