@@ -179,7 +179,7 @@ def _add_pump(
         sums[STARTS] = count + 1
         sums[BUSIEST_HOUR] = max(sums[BUSIEST_HOUR], busy)
         sums[EXCESS_STARTS] += busy > p.starts_per_hour
-    sums[_RUNNING] = 1.0 if share > 0 else 0.0
+    sums[_RUNNING] = share
 
 
 def _running_share(
@@ -254,8 +254,6 @@ def _find_maximum(
     width, ring = 60.0 * minutes / (p.tau * p.interval_ticks), _find_ring(place)
     whole, last = int(width), sums[place]
     part, first = width - whole, max(before, sums[ring + (now - whole) % _RING])
-    if part == 0:
-        return last - first, now - width
     earlier = max(before, sums[ring + (now - whole - 1) % _RING])
     previous = max(before, sums[ring + (now - 1) % _RING])
     ends = last - first + part * (first - earlier)
