@@ -135,12 +135,12 @@ def add(
         sums[DRAINED] += tau * drainage
     if outflow > 0:
         discharge += outflow
-        over, before = tau * (outflow - low_outlet), sums[_DAY_OVERFLOW]
+        over = tau * (outflow - low_outlet)
         sums[OUTFLOW] += tau * outflow
         sums[OVERFLOW] += over
-        sums[_DAY_OVERFLOW] += over
         # A day counts from the tick in which its overflow reaches the minimum.
-        least = MIN_DEPTH * (p.effective_catchment + p.a2)
+        before, least = sums[_DAY_OVERFLOW], MIN_DEPTH * (p.effective_catchment + p.a2)
+        sums[_DAY_OVERFLOW] += over
         sums[OVERFLOW_DAYS] += before < least <= sums[_DAY_OVERFLOW]
     if discharge > 0:
         sums[DISCHARGE] += tau * discharge
