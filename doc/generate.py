@@ -60,8 +60,7 @@ from greenroof_ros.live.devices import drive_file, relay_file, sensor_file
 from greenroof_ros.live.pumping.limits import pump_parameters
 from greenroof_ros.physics.storm_water import Event
 from greenroof_ros.results.metrics import METRICS
-from greenroof_ros.site.file import read_site
-from greenroof_ros.site.plain_keys import DETERMINES, PLAIN, SUBSTRATES
+from greenroof_ros.site.file import DETERMINES, SITE_KEYS, SUBSTRATES, read_site
 from greenroof_ros.site.site import Site
 
 _BLOCK = re.compile(
@@ -283,8 +282,8 @@ def plain_keys() -> str:
         return " ".join(filter(None, (usual, entry.unit))) or "name"
 
     return entries(
-        (f"`{name}`", kind(entry), f"{entry.meaning}; determines {', '.join(DETERMINES[name])}")
-        for name, entry in PLAIN.items()
+        (f"`{name}`", kind(entry), f"{entry.meaning}; determines {', '.join(names)}")
+        for name, names in DETERMINES.items() for entry in [SITE_KEYS[name]]
     )
 
 

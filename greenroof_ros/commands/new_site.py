@@ -33,8 +33,7 @@ from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.ranges import read_number
 from greenroof_ros.simulation.run import note_pumps
 from greenroof_ros.site.clock import standard_offset
-from greenroof_ros.site.file import SITE_KEYS, read_site
-from greenroof_ros.site.plain_keys import SUBSTRATES
+from greenroof_ros.site.file import SITE_KEYS, SUBSTRATES, read_site
 from greenroof_ros.site.site import Site, format_place
 
 # Options and the keys that they set: those that the command asks for, and those it can assume.

@@ -14,8 +14,7 @@ from typing import Any
 from greenroof_ros.common.files import default_site_file
 from greenroof_ros.physics.cistern import EMPTIED_H, find_outlet_radius
 from greenroof_ros.site.clock import standard_offset
-from greenroof_ros.site.file import SITE_KEYS, read_site
-from greenroof_ros.site.plain_keys import LITRES_PER_HOUR, SUBSTRATES
+from greenroof_ros.site.file import LITRES_PER_HOUR, SITE_KEYS, SUBSTRATES, read_site
 from greenroof_ros.site.site import Site
 
 HEIGHT, RUNOFF, SUBSTRATE, RATE, LIFT = 2.0, 0.9, "neubrandenburg", 3.0, 6.0

@@ -198,9 +198,7 @@ def flows_in_tick(
     available, drained = x2 / p.tau + arriving, percolation(p, x2, arriving, p.tau)
     if p.has_field_capacity:
         evaporated, remaining = potential * water_stress(p, x2), available - drained
-        if evaporated > remaining:
-            return drained, max(0.0, remaining), True
-        return drained, evaporated, False
+        return drained, min(evaporated, max(0.0, remaining)), evaporated > remaining
     demand = potential + drained
     if demand > available:
         share = available / demand

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import date, datetime
 from typing import Any, NamedTuple
@@ -28,8 +28,6 @@ from greenroof_ros.site.site import Site
 
 _JOULES_PER_KWH = 3.6e6
 _RUNS = f"above {RUNNING_SHARE:.0%} of the maximum flow or of the commanded flow"
-# What a recorded run may lack.
-DISCHARGE, LOW_OUTLET, LIMITED = "discharge", "low_outlet", "limited"
 
 
 @dataclass(frozen=True)
@@ -42,21 +40,19 @@ class Metric:
         label: name in tables.
         meaning: short description.
         value: place of the metric's sum, in the unit or, for a unit of h, in ticks; or a function
-            that computes the metric from the site and the sums of a run, or returns None if the
+            that computes the metric from the site and the sums of a run, or returns NaN if the
             metric is undefined for the run.
         form: format of the number in tables; ``d`` for a whole number.
         max: highest acceptable value; higher values are shown as warnings.
-        needs: what a record must contain.
     """
 
     name: str
     unit: str
     label: str
     form: str
-    value: int | Callable[[Site, Any], float | None]
+    value: int | Callable[[Site, Any], float]
     meaning: str
     max: float = math.inf
-    needs: str = ""
 
     @property
     def description(self) -> str:
@@ -64,15 +60,11 @@ class Metric:
         return self.meaning if self.unit == "1" else f"{self.unit}, {self.meaning}"
 
 
-def _ratio(part: float, whole: float) -> float | None:
-    return part / whole if whole else None
+def _share(part: float, whole: float) -> float:
+    return part / whole if whole else math.nan
 
 
-def _without(part: float, whole: float) -> float | None:
-    return 1 - part / whole if whole else None
-
-
-def _demand_met(site: Site, sums: Any) -> float | None:
+def _demand_met(site: Site, sums: Any) -> float:
     """Return the share of the pumped water that was rain.
 
     The rest came from the mains, or was in the cistern at the start. Of the mains water, the part
@@ -80,12 +72,12 @@ def _demand_met(site: Site, sums: Any) -> float | None:
     this level, what remains or may have flowed to the sewer was not pumped.
     """
     if site.mains_level is None:
-        return None
+        return math.nan
     supplied = site.cistern_volume(site.mains_level)
     first, last = sums[s.FIRST_CISTERN], sums[s.CISTERN]
     from_mains = max(0.0, sums[s.MAINS] - (min(last, supplied) - min(first, supplied)))
     fallen = max(first, supplied) - max(last, supplied)
-    return _without(from_mains + max(0.0, fallen - sums[s.OUTFLOW]), sums[s.PUMPED])
+    return 1 - _share(from_mains + max(0.0, fallen - sums[s.OUTFLOW]), sums[s.PUMPED])
 
 
 def _peaks(unit: str, label: str, meaning: str, factor: Callable[[Site], float]) -> list[Metric]:
@@ -96,7 +88,7 @@ def _peaks(unit: str, label: str, meaning: str, factor: Callable[[Site], float])
         return Metric(
             name, unit, f"{label}, {minutes} min", ".4g",
             lambda site, sums: factor(site) * sums[place] / (60 * minutes),
-            meaning.format(minutes), needs=DISCHARGE,
+            meaning.format(minutes),
         )
 
     return [peak(s.PEAK_5 + number, minutes) for number, minutes in enumerate(PEAKS_MIN)]
@@ -123,29 +115,29 @@ METRICS = (
     ),
     Metric(
         "evapotranspiration_ratio", "1", "evapotranspiration ratio", ".1%",
-        lambda site, sums: _ratio(sums[s.EVAPORATED], sums[s.POTENTIAL]),
+        lambda site, sums: _share(sums[s.EVAPORATED], sums[s.POTENTIAL]),
         "actual evapotranspiration divided by potential evapotranspiration",
     ),
     Metric(
         "rain_kept_share", "1", "rain kept", ".1%",
-        lambda site, sums: _without(sums[s.LOST], sums[s.RAIN] * site.a2),
+        lambda site, sums: 1 - _share(sums[s.LOST], sums[s.RAIN] * site.a2),
         "share of the rain on the roof that did not drain",
     ),
     Metric(
         "rain_kept_share_hour", "1", "rain kept in hours with more than 20 mm", ".1%",
-        lambda site, sums: _without(sums[s.HOUR_LOST], sums[s.HOUR_RAIN]),
+        lambda site, sums: 1 - _share(sums[s.HOUR_LOST], sums[s.HOUR_RAIN]),
         "share of the rain that did not drain in the same hour, over all hours with more than 20 "
         "mm of rain",
     ),
     Metric(
         "rain_kept_share_day", "1", "rain kept in 24 h periods with more than 10 mm", ".1%",
-        lambda site, sums: _without(sums[s.DAY_LOST], sums[s.DAY_RAIN]),
+        lambda site, sums: 1 - _share(sums[s.DAY_LOST], sums[s.DAY_RAIN]),
         "share of the rain that did not drain within these periods, over all periods of 24 hours "
         "with more than 10 mm of rain",
     ),
     Metric(
         "mains_m3", "m3", "mains water used", ".4g",
-        lambda site, sums: None if site.mains_level is None else sums[s.MAINS],
+        lambda site, sums: math.nan if site.mains_level is None else sums[s.MAINS],
         "mains water that flowed into the cistern, if the site has a mains supply",
     ),
     Metric(
@@ -163,7 +155,7 @@ METRICS = (
     ),
     Metric(
         "final_layer_m3", "m3", "drainage layer at the end", ".6g",
-        lambda site, sums: None if site.drainage_storage is None else sums[s.LAYER],
+        lambda site, sums: sums[s.LAYER] if site.layer_storage else math.nan,
         "water volume in the drainage layer at the end of the run, for a field-capacity soil",
     ),
     Metric(
@@ -177,12 +169,11 @@ METRICS = (
     Metric(
         "discharge_m3", "m3", "discharge", ".4g", s.DISCHARGE,
         "water that reached the sewer: the outflow, and the drainage that did not flow into the "
-        "cistern", needs=DISCHARGE,
+        "cistern",
     ),
     Metric(
         "wet_discharge_m3", "m3", "discharge in wet weather", ".4g", s.WET_DISCHARGE,
         "water that reached the sewer during rain or within wet_after hours after rain",
-        needs=DISCHARGE,
     ),
     *_peaks("L/s", "peak discharge", "highest mean discharge over {} min", lambda site: 1000.0),
     *_peaks(
@@ -193,18 +184,18 @@ METRICS = (
     ),
     Metric(
         "overflow_m3", "m3", "overflow", ".4g", s.OVERFLOW,
-        "water that left the cistern through its upper outlet", needs=LOW_OUTLET,
+        "water that left the cistern through its upper outlet",
     ),
     Metric(
         "overflow_days", "1", "days of overflow", "d", s.OVERFLOW_DAYS,
         "number of calendar days, on the site's clock, with an overflow of at least 0.1 mm over "
-        "the connected area", needs=LOW_OUTLET,
+        "the connected area",
     ),
     Metric(
         "retention_share", "1", "retention", ".1%",
-        lambda site, sums: _without(sums[s.DISCHARGE], sums[s.RAIN] * connected_area(site)),
+        lambda site, sums: 1 - _share(sums[s.DISCHARGE], sums[s.RAIN] * connected_area(site)),
         "share of the rain on the roof and the catchment that did not reach the sewer; below 0 if "
-        "more water reached the sewer than fell, such as mains water", needs=DISCHARGE,
+        "more water reached the sewer than fell, such as mains water",
     ),
     Metric(
         "rain_m3", "m3", "rain", ".4g", lambda site, sums: sums[s.RAIN] * connected_area(site),
@@ -233,7 +224,7 @@ METRICS = (
     ),
     Metric(
         "limited_steps", "1", "limited ticks", "d", s.LIMITED,
-        "time steps in which a tank contained less water than was demanded", max=0, needs=LIMITED,
+        "time steps in which a tank contained less water than was demanded", max=0,
     ),
     Metric(
         "pump_starts", "1", "pump starts", "d", s.STARTS,
@@ -266,20 +257,17 @@ METRICS = (
 )
 
 
-def compute_metrics(
-    site: Site, sums: Any, unknown: Collection[str] = ()
-) -> dict[str, float]:
-    """Return the metrics of a run by name.
+def compute_metrics(site: Site, sums: Any) -> dict[str, float]:
+    """Return the metrics of a run by name, without those that are undefined.
 
     Args:
         site: parameters of the site.
-        sums: sums of the run after :func:`.sums.finish`.
-        unknown: what a record lacks; metrics that need it are left out.
+        sums: sums of the run after :func:`.sums.finish`; NaN for what is not known.
     """
     metrics: dict[str, float] = {}
     for metric in METRICS:
         value = metric.value(site, sums) if callable(metric.value) else sums[metric.value]
-        if value is not None and metric.needs not in unknown:
+        if not math.isnan(value):
             value = value * site.tau / HOUR_S if metric.unit == "h" else value
             metrics[metric.name] = int(value) if metric.form == "d" else float(value)
     return metrics
@@ -318,22 +306,19 @@ class Results(NamedTuple):
     """rain events in chronological order, excluding traces below 0.1 mm"""
 
 
-def end_run(
-    site: Site, sums: Any, events: Any, state: State, unknown: Collection[str] = ()
-) -> Results:
+def end_run(site: Site, sums: Any, events: Any, state: State) -> Results:
     """End a run, and return its results.
 
     Args:
         site: parameters of the site.
-        sums: sums of the run.
+        sums: sums of the run; NaN for what is not known.
         events: table of the events.
         state: state after the last tick.
-        unknown: as for :func:`compute_metrics`.
     """
     p = plant_parameters(site)
     s.finish(p, sums, events, state)
     rows = np.asarray(events)[: int(sums[s.EVENTS])].tolist()
-    return Results(compute_metrics(site, sums, unknown), s.read_weeks(p, sums), [
+    return Results(compute_metrics(site, sums), s.read_weeks(p, sums), [
         Event._make((*values, None if math.isnan(delay) else delay, complete > 0))
         for *values, delay, complete in rows
     ])

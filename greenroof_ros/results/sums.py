@@ -5,9 +5,9 @@ compiled. All sums are sequential Euler sums: a value holds from its tick to the
 before and after a run are unknown, and are assumed to be 0.
 
 The sums of a run are one array of numbers, whose places have names here. After them come buffers of
-the last 64 intervals (of a minute, rounded up to a whole number of ticks), of the last 24 hours,
-and of the pump starts in the last hour, and the deviation of each week. Rain events are rows of a
-table of their own.
+the last 64 intervals (of a minute, rounded up to a whole number of ticks) and of the last 24 hours,
+the deviation of each week, and, from the end backwards, a buffer of the last pump starts. Rain
+events are rows of a table of their own.
 
 **Peaks** are maxima of a moving mean, whose window may begin at any time within the run. Fixed
 intervals of five minutes would underestimate the peak of a storm by an eighth on average (Weiss
@@ -32,49 +32,48 @@ target)
 PEAKS_MIN = (5, 15, 60)
 """widths of the windows of peaks (min)"""
 
-_WEEK_H, _DAY_H, _DRAINS_H = 168, 24, 6
+_WEEK_S, _DAY_H, _DRAINS_H = 168 * HOUR_S, 24, 6
 _WATER_DENSITY = 1000.0  # kg/m3
-# Rain in an hour and in a day (mm) from which their retention is reported. Sums of rain are
-# rounded: 20 mm must not be treated as more than 20 mm.
-_STORM_HOUR_MM, _STORM_DAY_MM, _ROUNDING_MM = 20.0, 10.0, 1e-6
+# Rain above which the retention of an hour and of a day is reported (mm). Sums of rain are rounded:
+# 20 mm must not be treated as more than 20 mm.
+_STORM_HOUR_MM, _STORM_DAY_MM = 20.0 + 1e-6, 10.0 + 1e-6
 # More than the rounding errors of an interval's sums (m3), but no water that matters.
 _NOTHING = 1e-9
 _FIRST = 1 + 1e-9  # of equal peaks, the first one counts
 
 # Places of the sums. Volumes are in m3, depths in m, times of events in intervals.
 (
-    TICKS, DEVIATION, NEAR, STRESSED, RAIN, EVAPORATED, POTENTIAL, DRAINED, PUMPED, MAINS, OUTFLOW,
-    OVERFLOW, DISCHARGE, WET_DISCHARGE, MAX_COMMAND, BEYOND, LIMITED, PUMP_TICKS, STARTS,
+    TICKS, DEVIATION, NEAR, STRESSED, RAIN, WET_DISCHARGE, DISCHARGE, EVAPORATED, POTENTIAL,
+    DRAINED, PUMPED, MAINS, OUTFLOW, OVERFLOW, MAX_COMMAND, BEYOND, LIMITED, PUMP_TICKS, STARTS,
     BUSIEST_HOUR, EXCESS_STARTS, ENERGY_J, OVERFLOW_DAYS, PEAK_5, PEAK_15, PEAK_60, LOST, HOUR_RAIN,
     HOUR_LOST, DAY_RAIN, DAY_LOST, EVENTS, FIRST_CISTERN, CISTERN, ROOF, LAYER, _HOUR,
-    _WEEK_DEVIATION, _DAY_OVERFLOW, _RUNNING, _FIRST_START, _HOUR_RAIN, _HOUR_PUMPED,
-    _HOUR_DRAINED, _EVENT_OPEN, _EVENT_BEGIN, _EVENT_END, _EVENT_GAP, _EVENT_DISCHARGE, _EVENT_WET,
-    _EVENT_RAIN, _EVENT_MAX_5, _EVENT_AT_5, _EVENT_PEAK, _EVENT_PEAK_AT, _EVENT_MAX_60,
-    _EVENT_AT_60, _COUNTED, _PLACES,
-) = range(59)
-# Buffers: sums of discharge, of discharge in wet weather and of rain at the ends of the last
+    _DAY_OVERFLOW, _RUNNING, _HOUR_RAIN, _HOUR_PUMPED, _HOUR_DRAINED, _COUNTED, _OPEN, _BEGIN, _END,
+    _GAP, _RAIN_BEFORE, _WET_BEFORE, _DISCHARGE_BEFORE, _MAX_5, _AT_5, _PEAK, _PEAK_AT, _MAX_60,
+    _AT_60, _PLACES,
+) = range(57)
+# Buffers: rain, discharge in wet weather and discharge since the start, at the ends of the last
 # intervals; rain, pumped water and drainage of rain in the last hours (m3).
-_RING = 64
-_FLOW, _WET, _FALLEN = _PLACES, _PLACES + _RING, _PLACES + 2 * _RING
-_HOURS = _PLACES + 3 * _RING
-_STARTS = _HOURS + 3 * _DAY_H
-# Windows of an event: places of the maximum and its start, of the buffer and of the sum before the
-# event, and the width (min).
-_WINDOWS = (
-    (_EVENT_MAX_5, _EVENT_AT_5, _FALLEN, _EVENT_RAIN, 5),
-    (_EVENT_PEAK, _EVENT_PEAK_AT, _WET, _EVENT_WET, 5),
-    (_EVENT_MAX_60, _EVENT_AT_60, _FALLEN, _EVENT_RAIN, 60),
-)
+_RING, _SUMS = 64, 3
+_HOURS = _PLACES + _SUMS * _RING
+_WEEKS = _HOURS + 3 * _DAY_H
+# Windows of an event: places of the maximum, which precedes the window's start, and of the sum, and
+# the width (min).
+_WINDOWS = ((_MAX_5, RAIN, 5), (_PEAK, WET_DISCHARGE, 5), (_MAX_60, RAIN, 60))
 
 
-def _find_weeks(p: PlantParameters) -> int:
-    """Return the first place of the weeks: pumps can start in every other tick of an hour."""
-    return _STARTS + math.ceil(HOUR_S / 2 / p.tau) + 1
+def _count_starts(p: PlantParameters) -> int:
+    """Return the number of pump starts that are kept: one in every other tick of an hour."""
+    return math.ceil(HOUR_S / 2 / p.tau) + 1
+
+
+def _count_weeks(p: PlantParameters, ticks: float) -> int:
+    """Return the number of weeks, the last of which contains the middle of the last tick."""
+    return 1 + int(max(0.0, (ticks - 0.5) * p.tau) // _WEEK_S)
 
 
 def count_places(p: PlantParameters, ticks: int) -> int:
     """Return the number of places of a run's sums."""
-    return _find_weeks(p) + max(1, int((ticks - 0.5) * p.tau // (_WEEK_H * HOUR_S)) + 1)
+    return _WEEKS + _count_weeks(p, ticks) + _count_starts(p)
 
 
 def count_events(p: PlantParameters, ticks: int) -> int:
@@ -88,7 +87,7 @@ def read_weeks(p: PlantParameters, sums: Any) -> list[float]:
     The sum of a season would conceal a bad fortnight. The last week includes the final state, so
     that the weeks add up to the total.
     """
-    return [float(week) for week in sums[_find_weeks(p):]]
+    return [float(week) for week in sums[_WEEKS: -_count_starts(p)]]
 
 
 def add(
@@ -110,28 +109,27 @@ def add(
         new_day: whether the tick is the first of a day of the site's clock.
     """
     tau, ticks, roof = p.tau, sums[TICKS], state.roof
+    middle = (ticks + 0.5) * tau
     outflow, pump, drainage, evaporated, limited, mains, low_outlet = flows
     if ticks == 0:
         sums[FIRST_CISTERN] = state.cistern
-    if (ticks + 0.5) * tau >= (sums[_HOUR] + 1) * HOUR_S:
+    if middle >= (sums[_HOUR] + 1) * HOUR_S:
         _end_hour(p, sums)
     if new_day:
-        _end_day(p, sums)
+        sums[_DAY_OVERFLOW] = 0.0
     sums[TICKS] = ticks + 1
     deviation = abs(roof - p.x2_star)
     sums[DEVIATION] += deviation
-    sums[_WEEK_DEVIATION] += deviation
-    if deviation <= NEAR_TARGET * p.x2_star:
-        sums[NEAR] += 1
-    if roof < p.stress_volume or roof <= 0:
-        sums[STRESSED] += 1
+    sums[_WEEKS + int(middle // _WEEK_S)] += deviation
+    sums[NEAR] += deviation <= NEAR_TARGET * p.x2_star
+    sums[STRESSED] += roof < p.stress_volume or roof <= 0
     sums[EVAPORATED] += tau * evaporated
     sums[POTENTIAL] += tau * potential
     if rain > 0:
-        if sums[_EVENT_OPEN] == 0:
+        if sums[_OPEN] == 0:
             _begin_event(sums, ticks // p.interval_ticks)
         sums[RAIN] += tau * rain
-        sums[_EVENT_END] = ticks // p.interval_ticks + 1
+        sums[_END] = ticks // p.interval_ticks + 1
     discharge = (1 - p.drainage_to_cistern) * drainage
     if drainage > 0:
         sums[DRAINED] += tau * drainage
@@ -140,19 +138,19 @@ def add(
         over = tau * (outflow - low_outlet)
         sums[OUTFLOW] += tau * outflow
         sums[OVERFLOW] += over
+        # A day counts from the tick in which its overflow reaches the minimum.
+        before, least = sums[_DAY_OVERFLOW], MIN_DEPTH * (p.effective_catchment + p.a2)
         sums[_DAY_OVERFLOW] += over
+        sums[OVERFLOW_DAYS] += before < least <= sums[_DAY_OVERFLOW]
     if discharge > 0:
         sums[DISCHARGE] += tau * discharge
         if wet:
             sums[WET_DISCHARGE] += tau * discharge
     if mains > 0:
         sums[MAINS] += tau * mains
-    if limited:
-        sums[LIMITED] += 1
-    if command > sums[MAX_COMMAND]:
-        sums[MAX_COMMAND] = command
-    if command > 1:
-        sums[BEYOND] += 1
+    sums[LIMITED] += limited
+    sums[MAX_COMMAND] = max(sums[MAX_COMMAND], command)
+    sums[BEYOND] += command > 1
     if pump > 0:
         _add_pump(p, sums, state, command, rain, flows)
     else:
@@ -173,19 +171,15 @@ def _add_pump(
     sums[ENERGY_J] += _WATER_DENSITY * p.g * flows.pump * head * p.tau
     sums[PUMP_TICKS] += share
     if share > 0 and sums[_RUNNING] == 0:
-        # The last starts, of which those within an hour count.
-        first, count, kept = int(sums[_FIRST_START]), int(sums[STARTS]), _find_weeks(p) - _STARTS
-        now = sums[TICKS]
-        sums[_STARTS + count % kept] = now
+        busy, count, kept, now = 1, int(sums[STARTS]), _count_starts(p), sums[TICKS]
+        # The start itself, and those before it that are less than an hour ago.
+        while busy <= count and now - sums[-1 - (count - busy) % kept] <= HOUR_S / p.tau - 0.5:
+            busy += 1
+        sums[-1 - count % kept] = now
         sums[STARTS] = count + 1
-        while sums[_STARTS + first % kept] < now - HOUR_S / p.tau + 0.5:
-            first += 1
-        sums[_FIRST_START] = first
-        busy = count + 1 - first
         sums[BUSIEST_HOUR] = max(sums[BUSIEST_HOUR], busy)
-        if busy > p.starts_per_hour:
-            sums[EXCESS_STARTS] += 1
-    sums[_RUNNING] = 1.0 if share > 0 else 0.0
+        sums[EXCESS_STARTS] += busy > p.starts_per_hour
+    sums[_RUNNING] = share
 
 
 def _running_share(
@@ -212,50 +206,54 @@ def _running_share(
     return min(flows.pump / commanded, 1.0) if filled or usable <= p.a1 * p.suction_level else 1.0
 
 
+def _find_ring(place: int) -> int:
+    """Return the first place of the buffer of a sum: rain, or discharge of either kind."""
+    return _PLACES + _RING * (place - RAIN)
+
+
 def _end_interval(p: PlantParameters, sums: Any, events: Any) -> None:
     """End an interval: keep its sums, and compare the peaks."""
     now = math.ceil(sums[TICKS] / p.interval_ticks)
-    place, oldest = now % _RING, (now + 1) % _RING
-    sums[_FLOW + place], sums[_FALLEN + place] = sums[DISCHARGE], sums[RAIN]
-    sums[_WET + place] = sums[WET_DISCHARGE]
+    for place in range(RAIN, RAIN + _SUMS):
+        sums[_find_ring(place) + now % _RING] = sums[place]
     # The shortest window has the smallest peak, and none contains more than the buffer.
-    if sums[DISCHARGE] - sums[_FLOW + oldest] > sums[PEAK_5] * ROUNDING:
+    oldest = sums[_find_ring(DISCHARGE) + (now + 1) % _RING]
+    if sums[DISCHARGE] - oldest > sums[PEAK_5] * ROUNDING:
         for number, minutes in enumerate(PEAKS_MIN):
-            volume, _ = _find_maximum(p, sums, _FLOW, 0.0, now, minutes)
+            volume, _ = _find_maximum(p, sums, DISCHARGE, 0.0, now, minutes)
             sums[PEAK_5 + number] = max(sums[PEAK_5 + number], volume)
-    if sums[_EVENT_OPEN] == 0:
+    if sums[_OPEN] == 0:
         return
-    for maximum, at, ring, before, minutes in _WINDOWS:
-        volume, start = _find_maximum(p, sums, ring, sums[before], now, minutes)
+    for maximum, place, minutes in _WINDOWS:
+        before = sums[_RAIN_BEFORE + place - RAIN]
+        volume, start = _find_maximum(p, sums, place, before, now, minutes)
         if volume > sums[maximum] * _FIRST:
-            sums[maximum], sums[at] = volume, start
-    if now - sums[_EVENT_END] >= p.dry_intervals:
-        _end_event(p, sums, events, True)
+            sums[maximum], sums[maximum + 1] = volume, start
+    if now - sums[_END] >= p.dry_intervals:
+        _end_event(p, sums, events)
 
 
 def _find_maximum(
-    p: PlantParameters, sums: Any, ring: int, before: float, now: int, minutes: int
+    p: PlantParameters, sums: Any, place: int, before: float, now: int, minutes: int
 ) -> tuple[float, float]:
-    """Return the largest sum in a window that ends in the last interval.
+    """Return the largest volume in a window that ends in the last interval.
 
     The mean of constant pieces is largest where the window begins or ends with one of them.
 
     Args:
         p: parameters of the plant.
         sums: sums of the run.
-        ring: first place of a buffer with the sums at the ends of intervals.
+        place: place of the sum, see :func:`_find_ring`.
         before: sum before an event, of which nothing counts.
         now: number of intervals so far.
         minutes: width of the window (min).
 
     Returns:
-        The sum, and the start of its window (intervals since the start of the run).
+        The volume, and the start of its window (intervals since the start of the run).
     """
-    width = 60.0 * minutes / (p.tau * p.interval_ticks)
-    whole, last = int(width), sums[ring + now % _RING]
+    width, ring = 60.0 * minutes / (p.tau * p.interval_ticks), _find_ring(place)
+    whole, last = int(width), sums[place]
     part, first = width - whole, max(before, sums[ring + (now - whole) % _RING])
-    if part == 0:
-        return last - first, now - width
     earlier = max(before, sums[ring + (now - whole - 1) % _RING])
     previous = max(before, sums[ring + (now - 1) % _RING])
     ends = last - first + part * (first - earlier)
@@ -267,52 +265,39 @@ def _find_maximum(
 
 def _begin_event(sums: Any, interval: float) -> None:
     """Begin an event before the first rain is added, in an interval that is not over."""
-    sums[_EVENT_OPEN], sums[_EVENT_BEGIN] = 1.0, interval
-    sums[_EVENT_GAP] = interval - sums[_EVENT_END]
-    sums[_EVENT_DISCHARGE], sums[_EVENT_WET] = sums[DISCHARGE], sums[WET_DISCHARGE]
-    sums[_EVENT_RAIN] = sums[RAIN]
-    for place in range(_EVENT_MAX_5, _EVENT_AT_60 + 1):
+    sums[_OPEN], sums[_BEGIN], sums[_GAP] = 1.0, interval, interval - sums[_END]
+    for number in range(_SUMS):
+        sums[_RAIN_BEFORE + number] = sums[RAIN + number]
+    for place in range(_MAX_5, _AT_60 + 1):
         sums[place] = 0.0
 
 
-def _end_event(p: PlantParameters, sums: Any, events: Any, separated: bool) -> None:
-    """End the open event, and write it into the table unless it is a trace below 0.1 mm.
-
-    Args:
-        p: parameters of the plant.
-        sums: sums of the run.
-        events: table of the events.
-        separated: whether the dry period after the event is over.
-    """
-    sums[_EVENT_OPEN] = 0.0
-    rain, number = sums[RAIN] - sums[_EVENT_RAIN], int(sums[EVENTS])
+def _end_event(p: PlantParameters, sums: Any, events: Any) -> None:
+    """End the open event, and write it into the table unless it is a trace below 0.1 mm."""
+    sums[_OPEN] = 0.0
+    rain, number = sums[RAIN] - sums[_RAIN_BEFORE], int(sums[EVENTS])
     if rain < MIN_DEPTH * (1 - 1e-9):
         return
     sums[EVENTS] = number + 1
     if number >= len(events):
         return
     area, seconds = p.effective_catchment + p.a2, p.tau * p.interval_ticks
-    begin, end, wet = sums[_EVENT_BEGIN], sums[_EVENT_END], sums[WET_DISCHARGE] - sums[_EVENT_WET]
-    heaviest, peak = sums[_EVENT_MAX_5] / 300, sums[_EVENT_PEAK] / 300
-    delay = sums[_EVENT_PEAK_AT] - sums[_EVENT_AT_5]
+    begin, end, wet = sums[_BEGIN], sums[_END], sums[WET_DISCHARGE] - sums[_WET_BEFORE]
+    heaviest, peak = sums[_MAX_5] / 300, sums[_PEAK] / 300
+    delay = sums[_PEAK_AT] - sums[_AT_5]
+    dry = min(sums[_GAP], math.ceil(sums[TICKS] / p.interval_ticks) - end)
     events[number] = (
         begin * seconds / HOUR_S, (end - begin) * seconds / HOUR_S, 1000 * rain,
-        1000 * HOUR_S * heaviest, 1000 * sums[_EVENT_MAX_60],
-        sums[DISCHARGE] - sums[_EVENT_DISCHARGE], wet, 1000 * peak, 1000 * HOUR_S * peak / area,
+        1000 * HOUR_S * heaviest, 1000 * sums[_MAX_60],
+        sums[DISCHARGE] - sums[_DISCHARGE_BEFORE], wet, 1000 * peak, 1000 * HOUR_S * peak / area,
         1 - wet / (rain * area), 1 - peak / (heaviest * area),
         delay * seconds / 60 if wet > _NOTHING else math.nan,
-        1.0 if separated and sums[_EVENT_GAP] >= p.dry_intervals else 0.0,
+        1.0 if dry >= p.dry_intervals else 0.0,
     )
 
 
-def _end_day(p: PlantParameters, sums: Any) -> None:
-    if sums[_DAY_OVERFLOW] >= MIN_DEPTH * (p.effective_catchment + p.a2):
-        sums[OVERFLOW_DAYS] += 1
-    sums[_DAY_OVERFLOW] = 0.0
-
-
 def _end_hour(p: PlantParameters, sums: Any) -> None:
-    """End an hour, and count the rain that the roof retained in it; a week may end with it.
+    """End an hour, and count the rain that the roof retained in it.
 
     The drainage of an hour is attributed to rain and pumped water in proportion to their amounts in
     the six hours that end with this hour. Rain and its share of the drainage are counted in every
@@ -333,23 +318,20 @@ def _end_hour(p: PlantParameters, sums: Any) -> None:
     lost = fallen / came * drained if fallen > 0 else 0.0
     sums[place + 2] = lost
     sums[LOST] += lost
-    if rain / p.a2 * 1000 > _STORM_HOUR_MM + _ROUNDING_MM:
+    if rain / p.a2 * 1000 > _STORM_HOUR_MM:
         sums[HOUR_RAIN] += rain
         sums[HOUR_LOST] += lost
-    if of_day / p.a2 * 1000 > _STORM_DAY_MM + _ROUNDING_MM:
+    if of_day / p.a2 * 1000 > _STORM_DAY_MM:
         for before in range(min(_DAY_H, hour + 1 - int(sums[_COUNTED]))):
             earlier = _HOURS + 3 * ((hour - before) % _DAY_H)
             sums[DAY_RAIN] += sums[earlier]
             sums[DAY_LOST] += sums[earlier + 2]
         sums[_COUNTED] = hour + 1
     sums[_HOUR] += 1
-    sums[_find_weeks(p) + hour // _WEEK_H] = sums[_WEEK_DEVIATION]
-    if sums[_HOUR] % _WEEK_H == 0:
-        sums[_WEEK_DEVIATION] = 0.0
 
 
 def finish(p: PlantParameters, sums: Any, events: Any, state: State) -> None:
-    """End the interval, the event, the hour and the day that are open at the end of a run.
+    """End the interval, the event and the hour that are open at the end of a run.
 
     Args:
         p: parameters of the plant.
@@ -360,13 +342,10 @@ def finish(p: PlantParameters, sums: Any, events: Any, state: State) -> None:
     """
     deviation = abs(state.roof - p.x2_star)
     sums[DEVIATION] += deviation
-    sums[_WEEK_DEVIATION] += deviation
+    sums[_WEEKS + _count_weeks(p, sums[TICKS]) - 1] += deviation
     sums[CISTERN], sums[ROOF], sums[LAYER] = state.cistern, state.roof, state.layer
-    if sums[TICKS] == 0:
-        sums[FIRST_CISTERN] = state.cistern
     if sums[TICKS] % p.interval_ticks > 0:
         _end_interval(p, sums, events)
-    if sums[_EVENT_OPEN] > 0:
-        _end_event(p, sums, events, False)
+    if sums[_OPEN] > 0:
+        _end_event(p, sums, events)
     _end_hour(p, sums)
-    _end_day(p, sums)

@@ -26,8 +26,8 @@ from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.physics.start import note_full_roof
 from greenroof_ros.physics.storm_water import HOUR_S, time_without_rain
+from greenroof_ros.site.file import LITRES_PER_HOUR
 from greenroof_ros.site.horizon import look_ahead_ends
-from greenroof_ros.site.plain_keys import LITRES_PER_HOUR
 from greenroof_ros.site.site import Site, format_place, measure_distance
 from greenroof_ros.weather.series import Weather, WeatherSeries
 

@@ -1,24 +1,45 @@
 """Site files: read, checked, changed and written.
 
-A site file contains parameters of :class:`.site.Site` and plain keys (:mod:`.plain_keys`), and may
-extend another file.
+A site file contains parameters of :class:`.site.Site` and plain keys, everyday words that replace
+the paper's symbols, and may extend another file. So a site is described on several levels: files
+that extend one another, and values that a program changes. A value on one level takes precedence
+over all values of the same quantity on lower levels, whichever key they use. Within a level, two
+keys for the same quantity are an error.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import asdict, fields, replace
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from greenroof_ros.common.errors import ConfigurationError, suggest_names
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import is_there, read_yaml, shared_directory
-from greenroof_ros.common.parameter import Parameter, make_record, parameters_of
+from greenroof_ros.common.parameter import Parameter, entry, make_record, parameters_of
 from greenroof_ros.site.clock import standard_offset
-from greenroof_ros.site.plain_keys import PLAIN, Entry, compute, override, translate
 from greenroof_ros.site.site import Site
+
+LITRES_PER_HOUR = 1 / 3.6e6
+"""factor from l/h to m3/s, and from mm/h on 1 m2 to m3/s"""
+
+# Head of the pump curve that stands for a constant flow (m). According to Eq. (3e), the flow is
+# proportional to the square root of this head plus the cistern's level, so a level of 3 m raises
+# the flow by only 1.5e-6 of its value.
+_HEAD_OF_CONSTANT_FLOW = 1e6
+
+# The pump of a site that is not irrigated: its numbers have no effect.
+_NO_PUMP: dict[str, Any] = {
+    "a_hat": -1.0, "c_hat": 1e6, "a_pump": 1.0, "D": 1.0, "F": 1.0, "k_L": 0.0, "l": 1.0,
+    "z_pump": 0.0, "z_H": 0.0,
+}
+
+SUBSTRATES: dict[str, dict[str, Any]] = {
+    **read_yaml(shared_directory() / "config" / "substrates.yaml")
+}
+"""the substrates of ``config/substrates.yaml``, by name"""
 
 # Relative error up to which a product rounded by a person, such as x2_star, counts as consistent.
 _ROUNDING = 1e-6
@@ -28,11 +49,6 @@ _ROUNDING = 1e-6
 _MAX_PONDED = 1.825
 # A cistern fills up to this multiple of its outlet's level (Table II), which is below the roof.
 _ABOVE_OUTLET = 1.3
-# The pump of a site that is not irrigated: its numbers have no effect.
-_NO_PUMP = {
-    "a_hat": -1.0, "c_hat": 1e6, "a_pump": 1.0, "D": 1.0, "F": 1.0, "k_L": 0.0, "l": 1.0,
-    "z_pump": 0.0, "z_H": 0.0,
-}
 # Products, computed if a file omits them; the paper's roof has no field capacity.
 _PRODUCTS = {"x2_star": ("a2", "z_veg"), "z_cap": ("a2", "z_soil", "field_capacity")}
 # Volumes, and what they are proportional to.
@@ -42,24 +58,12 @@ _FOLLOW = {
     "initial_roof": ("a2",),
     "initial_layer": ("a2",),
 }
-# Attributes of a site that cannot be made from a wrong value, the value's key, and valid values.
-_CLOCK = {
-    "zone": (
-        "time_zone",
-        "must be the IANA name of a time zone known to this computer (package tzdata), such as "
-        "America/Toronto",
-    ),
-    "quiet": (
-        "quiet_hours",
-        'must be a list of intervals of the day, such as ["22:00-06:00", "12:00-13:30"], and must '
-        "leave some time for pumping",
-    ),
-}
 # Key for the file that contains what a site file omits.
 _EXTENDS = "extends"
-# Optional parameters that belong together: each needs the others in its line. Field-capacity soil
-# can lack a drainage layer.
+# Optional keys that belong together: each needs the others in its line. Field-capacity soil can
+# lack a drainage layer.
 _TOGETHER = (
+    (("emitters", "emitter_flow"), ()),
     (("field_capacity", "wilting_point", "depletion_fraction"), ()),
     (("drainage_storage", "drainage_time"), ("field_capacity",)),
     (("mains_level", "mains_flow"), ()),
@@ -69,15 +73,140 @@ _TOGETHER = (
     (("initial_cistern", "initial_roof"), ()),
     (("quiet_hours",), ("time_zone",)),
 )
+_EMITTERS = ("emitters", "emitter_flow")
+_PLACE = {"latitude", "longitude"}
+# Keys that a file for another place does not inherit from the file that it extends.
+_FOLLOW_PLACE = {"elevation", "utc_offset", "time_zone", "monthly_evapotranspiration", "k_Rs"}
 
-SITE_KEYS: dict[str, Parameter] = {each.name: each for each in parameters_of(Site)} | PLAIN
+
+def _plain(
+    determines: str, meaning: str, low: float = -math.inf, high: float = math.inf, unit: str = "",
+    usual: tuple[float, float] | None = None, choices: tuple[str, ...] = (),
+) -> Any:
+    """Return a field for a plain key, see :func:`.entry`, that determines parameters."""
+    made = entry(meaning, low, high, unit=unit, default=None, usual=usual, choices=choices)
+    return field(default=None, metadata={**made.metadata, "determines": (*determines.split(),)})
+
+
+@dataclass(frozen=True, kw_only=True)
+class _PlainKeys:
+    """The plain keys, each of which is optional."""
+
+    cistern_volume: float | None = _plain(
+        "a1", "volume of the cistern up to its overflow", 0.01, 1e5, "m3", (1, 50)
+    )
+    cistern_height: float | None = _plain(
+        "z_o", "height of the cistern's overflow above its base", 0.1, 50.0, "m", (1, 3)
+    )
+    catchment_area: float | None = _plain(
+        "a_in", "area that drains to the cistern", 0.1, 1e6, "m2", (50, 2000)
+    )
+    roof_area: float | None = _plain("a2", "area of the green roof", 0.1, 1e6, "m2", (20, 2000))
+    substrate: str | None = _plain(
+        "field_capacity wilting_point depletion_fraction drainage_storage drainage_time",
+        "name of the green roof's substrate", choices=tuple(SUBSTRATES),
+    )
+    substrate_depth: float | None = _plain(
+        "z_soil", "depth of the substrate", 0.02, 2.0, "m", (0.06, 0.5)
+    )
+    pump_flow: float | None = _plain(
+        "a_hat c_hat", "flow of the pump at full command, independent of the cistern's level", 1.0,
+        1e6, "l/h", (100, 5000),
+    )
+    irrigation_rate: float | None = _plain(
+        "a_hat c_hat", "flow of the pump at full command, expressed as the depth of water that it "
+        "adds to the roof per hour", 0.1, 1000.0, "mm/h", (2, 10),
+    )
+    emitters: int | None = _plain(
+        "a_hat c_hat", "number of drip emitters that the pump supplies at full command, each with "
+        "the flow emitter_flow", 1, 10_000_000, usual=(100, 5000),
+    )
+    emitter_flow: float | None = _plain(
+        "a_hat c_hat", "flow of one drip emitter", 0.1, 100.0, "l/h", (1, 4)
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Description(Site, _PlainKeys):
+    """A site as it is described: with the plain keys, which come first and are checked first."""
+
+
+SITE_KEYS: dict[str, Parameter] = {each.name: each for each in parameters_of(_Description)}
 """keys that a site file may contain, except ``extends``, by name"""
+DETERMINES: dict[str, tuple[str, ...]] = {
+    each.name: each.metadata["determines"] for each in fields(_PlainKeys)
+}
+"""the paper's parameters that each plain key determines"""
+
+
+class _Entry(NamedTuple):
+    """A value in a site's description, and its source."""
+
+    value: Any
+    file: Path | None = None
+    """file that contains the value; None if a program set the value"""
+    line: int | None = None
+
+
+def _find_rivals(key: str) -> set[str]:
+    """Return the keys for the same quantity, which a key replaces.
+
+    A key of the soil does not replace the substrate's name.
+    """
+    names = set(DETERMINES.get(key, (key,)))
+    rivals = names.union(plain for plain, of in DETERMINES.items() if names.intersection(of))
+    return rivals.difference(_EMITTERS if key in _EMITTERS else (key,), ("substrate",))
+
+
+def _override(base: Mapping[str, _Entry], own: Mapping[str, _Entry]) -> dict[str, _Entry]:
+    """Return a level's own entries with those of the levels below, over which they take precedence.
+
+    Raises:
+        ConfigurationError: if two keys of the level set the same parameter; the message names both
+            keys.
+    """
+    replaced = _FOLLOW_PLACE if own.keys() >= _PLACE else set()
+    for name, (value, file, line) in own.items():
+        rivals = _find_rivals(name)
+        for rival in [key for key in own if name in DETERMINES and key in rivals]:
+            where = "" if own[rival].line is None else f" in line {own[rival].line}"
+            raise ConfigurationError(
+                f"contradicts {rival} = {own[rival].value}{where}, which sets the same quantity: "
+                "remove one of the two keys", file=file, line=line, key=name, value=value,
+            )
+        replaced = replaced | rivals
+    return {**{name: each for name, each in base.items() if name not in replaced}, **own}
+
+
+def _translate(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of the paper's parameters that follow from other keys.
+
+    The parameters that :func:`_compute` computes have placeholders.
+    """
+    soil = SUBSTRATES.get(str(values.get("substrate")), {})
+    return (_NO_PUMP if "irrigation" in values else {}) | {
+        name: -1.0 if name == "a_hat" else soil.get(name, values[plain])
+        for plain, names in DETERMINES.items() if plain in values for name in names
+    }
+
+
+def _compute(site: _Description) -> _Description:
+    """Return a site with the parameters that follow from plain keys and other parameters."""
+    values: dict[str, Any] = {}
+    if site.cistern_volume is not None:
+        values["a1"] = site.cistern_volume / site.z_o
+    litres = site.pump_flow or (site.emitters or 0) * (site.emitter_flow or 0.0)
+    litres = litres or (site.irrigation_rate or 0.0) * site.a2
+    if litres:
+        flow = litres * LITRES_PER_HOUR
+        values["c_hat"] = _HEAD_OF_CONSTANT_FLOW + site.d
+        values["a_hat"] = site.pipe_resistance - _HEAD_OF_CONSTANT_FLOW / flow**2
+    return replace(site, **values)
 
 
 def _product(site: Site, names: Collection[str]) -> float:
     """Return the product of parameters, without those that are None."""
-    factors: list[float | None] = [getattr(site, name) for name in names]
-    return math.prod(factor for factor in factors if factor is not None)
+    return math.prod(getattr(site, name) or 1.0 for name in names)
 
 
 def find_unheld(site: Site, x1: float, x2: float) -> Iterator[tuple[str, float, str]]:
@@ -118,31 +247,26 @@ def format_site(site: Site, notes: Mapping[str, str] | None = None) -> str:
     return "".join(lines)
 
 
-def _read_entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, Entry]:
+def _read_entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, _Entry]:
     """Return the entries of a site file by key, including those of the file that it extends.
 
     The site file's own entries take precedence.
     """
     mapping = read_yaml(path)
-    entries = {key: Entry(value, path, mapping.lines[key]) for key, value in mapping.items()}
+    entries = {key: _Entry(value, path, mapping.lines[key]) for key, value in mapping.items()}
     if _EXTENDS not in entries:
-        return override({}, entries)
-    name, _, line, _ = entries.pop(_EXTENDS)
+        return _override({}, entries)
+    name, _, line = entries.pop(_EXTENDS)
     chain = (*extended_by, path.resolve())
-    base = _find_base(path, str(name))
-    if not is_there(base) or base.resolve() in chain:
+    places = Path(path).parent, shared_directory() / "config"
+    base = next(filter(is_there, (place / str(name) for place in places)), None)
+    if base is None or base.resolve() in chain:
         raise ConfigurationError(
             "must be the name of another site file, such as site.yaml, in the same directory or "
             "in this package, which does not extend this file itself",
             file=path, line=line, key=_EXTENDS, value=name,
         )
-    return override(_read_entries(base, chain), entries)
-
-
-def _find_base(path: Path, name: str) -> Path:
-    """Return the file that a site file extends: in its own directory, or from this package."""
-    own, shipped = Path(path).parent / name, shared_directory() / "config" / name
-    return shipped if is_there(shipped) and not is_there(own) else own
+    return _override(_read_entries(base, chain), entries)
 
 
 def read_site(path: Path, changes: Mapping[str, Any] | None = None) -> Site:
@@ -180,22 +304,8 @@ class SiteFile:
 
     def change(self, changes: Mapping[str, Any]) -> Site:
         """Return the site with some values changed; see :func:`read_site`."""
-        follow = {
-            volume: names for volume, names in _FOLLOW.items()
-            if volume in self._entries and volume not in changes
-        }
-
-        def adjust(changed: Site) -> Site:
-            volumes: dict[str, Any] = {
-                volume: getattr(self.site, volume) * math.prod(
-                    (getattr(changed, name) or 1.0) / (getattr(self.site, name) or 1.0)
-                    for name in names
-                ) for volume, names in follow.items()
-            }
-            return replace(changed, **volumes)
-
-        own = {name: Entry(value) for name, value in changes.items()}
-        return _make_site(override(self._entries, own), self._path, adjust)
+        own = {name: _Entry(value) for name, value in changes.items()}
+        return _make_site(_override(self._entries, own), self._path, self.site)
 
 
 def merge_site_file(path: Path, changes: Mapping[str, Any]) -> str:
@@ -211,8 +321,8 @@ def merge_site_file(path: Path, changes: Mapping[str, Any]) -> str:
     Raises:
         ConfigurationError: if a file cannot be read.
     """
-    own = {name: Entry(value) for name, value in changes.items()}
-    entries = override(_read_entries(path), own)
+    own = {name: _Entry(value) for name, value in changes.items()}
+    entries = _override(_read_entries(path), own)
     return "".join(f"{name}: {json.dumps(each.value)}\n" for name, each in entries.items())
 
 
@@ -223,84 +333,83 @@ def check_site(site: Site) -> Site:
         ConfigurationError: if a value is invalid, as in :func:`read_site`; the message names the
             key and the value.
     """
-    values = {field.name: getattr(site, field.name) for field in fields(site)}
-    return _make_site({name: Entry(value) for name, value in values.items() if value is not None})
+    return _make_site({
+        name: _Entry(value) for name, value in asdict(site).items() if value is not None
+    })
 
 
 def _make_site(
-    entries: Mapping[str, Entry], path: Path | None = None,
-    adjust: Callable[[Site], Site] = lambda site: site,
+    entries: Mapping[str, _Entry], path: Path | None = None, unchanged: Site | None = None
 ) -> Site:
     """Check entries, and return the site that they describe.
 
     Args:
         entries: the entries.
         path: the file; None without a file.
-        adjust: function that changes the site before its parameters are compared.
+        unchanged: site of the file's own entries; volumes among these follow the changes.
     """
-    sources = dict(entries)
+    values = {name: each.value for name, each in entries.items()}
     try:
-        for name, (value, *_) in entries.items():
-            if name not in SITE_KEYS:
-                raise ConfigurationError(
-                    f"is not a valid key; {suggest_names(name, SITE_KEYS)}", key=name, value=value
-                )
+        for name, value in values.items():
             if value is None:
                 raise ConfigurationError(
                     "must have a value; leave this line out if there is none", key=name
                 )
-        named, keys = translate(entries)
-        if "irrigation" in named:
-            named = {**{name: Entry(value) for name, value in _NO_PUMP.items()}, **named}
-        sources.update(named)
-        omitted = _PRODUCTS.keys() - named.keys()
-        values = {name: each.value for name, each in named.items()}
-        site = make_record(Site, {**values, **dict.fromkeys(omitted, 1.0)})
-        computed = compute(keys, site)
-        computed |= {name: _product(site, _PRODUCTS[name]) for name in omitted}
-        site = adjust(replace(site, **computed))
-        for name, expected in _find_contradictions(site, named):
+        given = {**_translate(values), **values}
+        omitted = _PRODUCTS.keys() - given.keys()
+        site = _compute(make_record(_Description, {**dict.fromkeys(omitted, 1.0), **given}))
+        volumes: dict[str, Any] = {name: _product(site, _PRODUCTS[name]) for name in omitted}
+        if unchanged is not None:
+            volumes |= {
+                volume: getattr(unchanged, volume) * math.prod(
+                    (getattr(site, name) or 1.0) / (getattr(unchanged, name) or 1.0)
+                    for name in names
+                ) for volume, names in _FOLLOW.items()
+                if volume in entries and entries[volume].file is not None
+            }
+        site = replace(site, **volumes)
+        for name, expected in _find_contradictions(site, given):
             raise ConfigurationError(expected, key=name, value=getattr(site, name))
-        return site
+        return Site(**{field.name: getattr(site, field.name) for field in fields(Site)})
     except ConfigurationError as error:
-        name, expected = str(error.key).partition(".")[0], error.expected
-        source = sources.get(name, Entry(None, path))
-        if name not in sources:
-            expected += (
-                "; add it, or begin the file with 'extends: site.yaml' to use the paper's values "
-                "for all missing keys"
-            )
+        name, key, expected = str(error.key).partition(".")[0], error.key, error.expected
+        if name not in entries:
+            plain = next((each for each in entries if name in DETERMINES.get(each, ())), None)
+            name, key = plain or name, f"{plain} ({key})" if plain else key
+            if plain is None:
+                expected += (
+                    "; add it, or begin the file with 'extends: site.yaml' to use the paper's "
+                    "values for all missing keys"
+                )
+        source = entries.get(name, _Entry(None, path))
         raise ConfigurationError(
-            expected, file=source.file, line=source.line, value=error.value,
-            key=f"{source.plain} ({error.key})" if source.plain else error.key,
+            expected, file=source.file, line=source.line, key=key, value=error.value
         ) from None
 
 
-def _find_contradictions(site: Site, entries: Collection[str]) -> Iterator[tuple[str, str]]:
-    """Yield each parameter that contradicts other parameters, and a description of valid values.
+def _find_contradictions(site: Site, given: Collection[str]) -> Iterator[tuple[str, str]]:
+    """Yield each key that contradicts other keys, and a description of valid values.
 
     Args:
         site: site with all parameters in their ranges.
-        entries: names of the parameters in the site file.
+        given: names of the keys in the site file, and of the parameters that they determine.
     """
-    for attribute, (name, expected) in _CLOCK.items():
-        try:
-            getattr(site, attribute)
-        except (OSError, ValueError, KeyError):
-            yield name, expected
-    if site.monthly_evapotranspiration and len(site.monthly_evapotranspiration) != 12:
-        yield "monthly_evapotranspiration", "must be a list of twelve numbers, January to December"
-    if _ABOVE_OUTLET * site.z_o >= site.d:
-        yield "z_o", (
-            f"must be below d / {_ABOVE_OUTLET} = {site.d / _ABOVE_OUTLET:.4g} m, so that even a "
-            f"cistern filled above its overflow is below the roof at d = {site.d:g} m"
-        )
     for names, further in _TOGETHER:
-        there = {name for name in entries if getattr(site, name) is not False}
+        there = {name for name in given if getattr(site, name) is not False}
         present = [name for name in names if name in there]
         missing = [name for name in (*names, *further) if name not in there]
         if present and missing:
             yield present[0], f"needs {', '.join(missing)} as well"
+    for attribute, name, expected in (
+        ("zone", "time_zone", "must be the IANA name of a time zone known to this computer "
+         "(package tzdata), such as America/Toronto"),
+        ("quiet", "quiet_hours", 'must be a list of intervals of the day, such as ["22:00-06:00", '
+         '"12:00-13:30"], and must leave some time for pumping'),
+    ):
+        try:
+            getattr(site, attribute)
+        except (OSError, ValueError, KeyError):
+            yield name, expected
     if site.time_zone is not None and site.utc_offset is not None:
         offset = standard_offset(site.time_zone)
         if site.utc_offset != offset:
@@ -317,11 +426,6 @@ def _find_contradictions(site: Site, entries: Collection[str]) -> Iterator[tuple
                 f"must be above z_pump + z_H = {site.suction_level:g} m, below which the pumps do "
                 f"not work, and below {above} = {limit:g} m, above which water flows to the sewer"
             )
-    if site.initial_layer > site.layer_storage:
-        yield "initial_layer", (
-            "must be at most the volume of the drainage layer, a2 drainage_storage = "
-            f"{site.layer_storage:g} m3"
-        )
     if site.initial_cistern is not None and site.initial_roof is not None:
         for name, _, expected in find_unheld(site, site.initial_cistern, site.initial_roof):
             yield f"initial_{name}", expected
@@ -332,20 +436,22 @@ def _find_contradictions(site: Site, entries: Collection[str]) -> Iterator[tuple
             yield name, (
                 f"must be {formula} = {product:g} m3; leave this line out to have it computed"
             )
-    if site.x2_star >= site.z_cap:
-        yield "z_veg", (
-            f"must be below z_cap / a2 = {site.z_cap / site.a2:g} m: water above this level "
-            "drains off"
-        )
-    if site.wilting_volume >= site.x2_star:
-        yield "wilting_point", (
-            f"must be below z_veg / z_soil = {site.z_veg / site.z_soil:g}; otherwise plants take "
-            "up no water at the target"
-        )
-    if site.irrigated and site.c_hat - site.d + site.suction_level <= 0:
-        yield "c_hat", (
-            f"must exceed d - z_pump - z_H = {site.d - site.suction_level:g} m; otherwise the "
-            "pumps cannot lift water to the roof (Eq. 3e)"
-        )
-    if site.tau * 1e9 != round(site.tau * 1e9):
-        yield "tau", "must be a whole number of nanoseconds"
+    climate, top = site.monthly_evapotranspiration, site.d / _ABOVE_OUTLET
+    for name, holds, expected in (
+        ("monthly_evapotranspiration", climate is None or len(climate) == 12,
+         "a list of twelve numbers, January to December"),
+        ("z_o", site.z_o < top, f"below d / {_ABOVE_OUTLET} = {top:.4g} m, so that even a cistern "
+         f"filled above its overflow is below the roof at d = {site.d:g} m"),
+        ("initial_layer", site.initial_layer <= site.layer_storage, "at most the volume of the "
+         f"drainage layer, a2 drainage_storage = {site.layer_storage:g} m3"),
+        ("z_veg", site.x2_star < site.z_cap,
+         f"below z_cap / a2 = {site.z_cap / site.a2:g} m: water above this level drains off"),
+        ("wilting_point", site.wilting_volume < site.x2_star, f"below z_veg / z_soil = "
+         f"{site.z_veg / site.z_soil:g}; otherwise plants take up no water at the target"),
+        ("c_hat", not site.irrigated or site.c_hat - site.d + site.suction_level > 0,
+         f"above d - z_pump - z_H = {site.d - site.suction_level:g} m; otherwise the pumps cannot "
+         "lift water to the roof (Eq. 3e)"),
+        ("tau", site.tau * 1e9 == round(site.tau * 1e9), "a whole number of nanoseconds"),
+    ):
+        if not holds:
+            yield name, f"must be {expected}"

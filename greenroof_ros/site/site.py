@@ -13,7 +13,7 @@ from greenroof_ros.site.clock import QuietHours
 
 # Bounds of all sites' parameters: within them, nothing that is computed overflows.
 _POSITIVE, _NOT_NEGATIVE = (1e-12, 1e9), (0.0, 1e9)
-# Bounds of a pump curve; a constant flow of 1 l/h is -1.3e19 (site/plain_keys.py).
+# Bounds of a pump curve; a constant flow of 1 l/h is -1.3e19 (site/file.py).
 _NEGATIVE = (-1e21, -1e-12)
 
 _EARTH_KM = 6371.0

@@ -22,8 +22,7 @@ from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.physics.cistern import low_outlet_flow
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.simulation.inputs import make_inputs
-from greenroof_ros.site.file import read_site
-from greenroof_ros.site.plain_keys import SUBSTRATES
+from greenroof_ros.site.file import SUBSTRATES, read_site
 from greenroof_ros.site.site import Site
 
 GIVEN = ("--roof", "120", "--catchment", "200", "--cistern", "5", "--place", "43.63,-79.40")

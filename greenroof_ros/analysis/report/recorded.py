@@ -21,13 +21,7 @@ from greenroof_ros.physics.soil import flows_in_tick, layer_outflow
 from greenroof_ros.physics.storm_water import HOUR_S, Event, is_wet, time_without_rain
 from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.results import sums as s
-from greenroof_ros.results.metrics import (
-    DISCHARGE,
-    LIMITED,
-    LOW_OUTLET,
-    end_run,
-    find_new_days,
-)
+from greenroof_ros.results.metrics import end_run, find_new_days
 from greenroof_ros.results.sums import add
 from greenroof_ros.site.site import Site
 
@@ -110,13 +104,13 @@ def compute_results(
         not_recorded: attributes of the trajectory that are 0 because they were not recorded.
         without_rain: time without rain at the start (s).
     """
-    unknown, nothing = {LIMITED}, np.zeros_like(trajectory.time)
+    unknown, nothing = [s.LIMITED], np.zeros_like(trajectory.time)
     if {"outflow", "drainage"} & {*not_recorded}:
-        unknown.add(DISCHARGE)
+        unknown += s.DISCHARGE, s.WET_DISCHARGE, s.PEAK_5, s.PEAK_15, s.PEAK_60
     if "outflow" in not_recorded or (site.low_outlet_level is not None and (
         trajectory.low_outlet is None or "low_outlet" in not_recorded
     )):
-        unknown.add(LOW_OUTLET)
+        unknown += s.OVERFLOW, s.OVERFLOW_DAYS
     columns = (getattr(trajectory, name) for name in Samples._fields)
     arrays = Samples(*(np.array(nothing if each is None else each) for each in columns))
     p, steps = plant_parameters(site), round(float(trajectory.time[-1]) / site.tau)
@@ -133,5 +127,6 @@ def compute_results(
         site.wet_after * HOUR_S,
     )
     last = State(float(samples.cistern[-1]), float(samples.roof[-1]), layer)
-    metrics, _, rain_events = end_run(site, [*map(float, sums)], events, last, unknown)
-    return metrics, [] if DISCHARGE in unknown else rain_events
+    known = [math.nan if place in unknown else float(each) for place, each in enumerate(sums)]
+    metrics, _, rain_events = end_run(site, known, events, last)
+    return metrics, [] if s.DISCHARGE in unknown else rain_events
