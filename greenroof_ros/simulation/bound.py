@@ -30,12 +30,11 @@ from greenroof_ros.physics.soil import (
     roof_after_tick,
     water_to_fill,
 )
-from greenroof_ros.physics.storm_water import HOUR_S, interval_seconds, is_wet
+from greenroof_ros.physics.storm_water import HOUR_S, find_wet, interval_seconds
 from greenroof_ros.physics.tick import command_to, step
 from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.simulation.loop import Simulation
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.simulation.season import count_rain
 
 Values = NDArray[np.float64]
 
@@ -539,10 +538,7 @@ def bound_discharge(
     for given in zip(rain.tolist(), potential.tolist(), pumped.tolist(), strict=True):
         state, _ = step(p, state, *given[:2], 0.0, 0.0, given[2])
         closed.append(state.cistern)
-    wet = np.array([
-        is_wet(without_rain, tau, site.wet_after * HOUR_S)
-        for without_rain in count_rain(rain.tolist(), tau, run.without_rain_s)
-    ])
+    wet, _ = find_wet(rain.tolist(), tau, site.wet_after * HOUR_S, run.without_rain_s)
     # An interval is in wet weather if all its ticks are, which can only lower the bound. A step of
     # the program has up to an hour, either in wet or in dry weather.
     starts = np.arange(0, run.steps, round(seconds / tau))

@@ -170,9 +170,15 @@ def simulate(
         progress: callback that regularly receives the completed share of the run (1); an error that
             it raises ends the run.
     """
-    instance = run.make_controller() if controller is None else controller
+    began, instance = time.monotonic(), run.make_controller() if controller is None else controller
     if type(instance) is OnOff and run.controller.kind is OnOff and instance.fits(run.site):
-        return _simulate_season(run, instance, every, progress)
+        own = {"fraction": instance.fraction, "level": instance.level}
+        case = Case(run.site, run.parameters | own, SeasonWeather(run), run.x1, run.x2)
+        ((results, kept),), _ = simulate_season(
+            [case], sensor_and_pump=run.sensor_and_pump, every=every, progress=progress
+        )
+        made = summary.make_summary(run, *results, wall_s=time.monotonic() - began, solver=None)
+        return made, _make_trajectory(run, kept, every) if every else None
     simulation = Simulation(run, instance)
     ticks = _reported(simulation.ticks(), run.steps, progress)
     trajectory = record(run, ticks, every) if every else None
@@ -187,19 +193,3 @@ def _reported(
         yield tick
         if tick.k % _REPORTED == 0:
             progress(tick.k / max(1, steps))
-
-
-def _simulate_season(
-    run: Run, controller: OnOff, every: int, progress: Callable[[float], None]
-) -> tuple[dict[str, Any], Trajectory | None]:
-    """Simulate a run under on/off control with the compiled plant; see :func:`simulate`."""
-    began = time.monotonic()
-    parameters = {**run.parameters, "fraction": controller.fraction, "level": controller.level}
-    case = Case(run.site, parameters, SeasonWeather(run), run.x1, run.x2)
-    ((metrics, weeks, events, kept),), _ = simulate_season(
-        [case], sensor_and_pump=run.sensor_and_pump, every=every, progress=progress
-    )
-    made = summary.make_summary(
-        run, metrics, weeks, events, wall_s=time.monotonic() - began, solver=None
-    )
-    return made, _make_trajectory(run, kept, every) if every else None

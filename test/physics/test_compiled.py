@@ -88,7 +88,7 @@ def seasons() -> str:
         begin = 0.9 * site.a1 * site.z_o, 0.8 * site.x2_star
         run = run_of_hours(list(weather), *begin, site, **outlet)
         case = Case(site, run.parameters, SeasonWeather(run), run.x1, run.x2)
-        ((*result, kept),), hydrograph = simulate_season([case], sensor_and_pump=errors, every=97)
+        ((result, kept),), hydrograph = simulate_season([case], sensor_and_pump=errors, every=97)
         results.append((result, hydrograph.tolist(), kept.tolist()))
     return repr(results)
 

@@ -159,7 +159,7 @@ def test_a_batch_has_the_results_of_its_runs() -> None:
     """
     runs = [run_of(site, **given) for site, given in BATCH]
     results, hydrograph = simulate_season(cases_of(runs, (0, 1)), threads=2)
-    for run, (of, weeks, *_) in zip(runs, results, strict=True):
+    for run, ((of, weeks, _), _) in zip(runs, results, strict=True):
         alone = simulate(run)[0]
         assert of == pytest.approx({name: alone[name] for name in of}, rel=1e-9, abs=1e-9)
         assert weeks == pytest.approx(alone["weekly_deviation_m3"], rel=1e-9)
@@ -168,11 +168,11 @@ def test_a_batch_has_the_results_of_its_runs() -> None:
         lost = of["discharge_m3"] + of["evapotranspiration_m3"]
         assert gained == pytest.approx(kept + lost, rel=1e-12)
     some, of_some = simulate_season(cases_of([runs[row] for row in (4, 0, 2)], (2, 0, 1)))
-    assert [each.metrics for each in some] == [results[row].metrics for row in (4, 0, 2)]
+    assert [each.metrics for each, _ in some] == [results[row][0].metrics for row in (4, 0, 2)]
     # The hydrographs of groups add up those of their sites.
     assert hydrograph[0] == pytest.approx(of_some.sum(axis=0), abs=1e-12)
     for group, (discharge, low) in enumerate(hydrograph.sum(axis=2).tolist()):
-        own = [each.metrics for each in results[group::2]]
+        own = [each.metrics for each, _ in results[group::2]]
         assert discharge == pytest.approx(sum(of["discharge_m3"] for of in own))
         assert low == pytest.approx(sum(of["outflow_m3"] - of["overflow_m3"] for of in own))
 
@@ -182,7 +182,7 @@ def test_plan_without_a_forecast() -> None:
     run = run_of(replace(SMALL, drainage_to_cistern=0.0), outlet="plan", cistern=1.9)
     expected = metrics_of(with_forecasts(run, "always dry"))
     assert expected["overflow_m3"] > 1.1 * metrics_of(run)["overflow_m3"]
-    (found,), _ = simulate_season(cases_of([run], with_forecast=False))
+    ((found, _),), _ = simulate_season(cases_of([run], with_forecast=False))
     assert found.metrics == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 

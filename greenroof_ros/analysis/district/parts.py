@@ -140,7 +140,7 @@ def simulate_part(
     for outlet, places in simulated.items():
         values = np.full((len(METRICS), len(buildings)), np.nan)
         for place in places.tolist():
-            of_site = next(made).metrics
+            of_site = next(made)[0].metrics
             values[:, place] = [of_site.get(name, np.nan) for name in METRICS]
         metrics[outlet] = dict(zip(METRICS, values, strict=True))
     hydrographs = {outlet: hydrograph[own] for outlet, own in rows.items()}

@@ -34,10 +34,10 @@ from greenroof_ros.common.files import YamlMapping
 from greenroof_ros.common.processes import scratch_directory
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.forecast.choice import PERFECT
-from greenroof_ros.physics.storm_water import HOUR_S, interval_seconds, is_wet
+from greenroof_ros.physics.storm_water import HOUR_S, find_wet, interval_seconds
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.simulation.season import SeasonWeather, count_rain, find_bed
+from greenroof_ros.simulation.season import SeasonWeather, find_bed
 from greenroof_ros.site.file import merge_site_file
 from greenroof_ros.site.site import Site
 
@@ -97,13 +97,10 @@ class DistrictRun:
         )
         firsts = np.arange(0, self.runs[0].steps, round(seconds / tau))
         rain = np.array([run.series.precipitation[: run.steps] for run in self.runs])
-        wet = [
-            any(is_wet(without_rain, tau, after) for without_rain in of_cells)
-            for of_cells in zip(*(
-                count_rain(of_cell, tau, run.without_rain_s)
-                for of_cell, run in zip(rain.tolist(), self.runs, strict=True)
-            ), strict=True)
-        ]
+        wet = np.any([
+            find_wet(of_cell, tau, after, run.without_rain_s)[0]
+            for of_cell, run in zip(rain.tolist(), self.runs, strict=True)
+        ], axis=0)
         return Totals(
             self.buildings, self.adoption, self.outlets, seconds,
             np.add.reduceat(tau * rain, firsts, axis=1), np.logical_or.reduceat(wet, firsts),

@@ -48,6 +48,6 @@ def simulate_cases(
         ) for case in cases
     ], progress=progress, threads=threads)
     return {
-        metric.name: np.array([made.get(metric.name, np.nan) for made, *_ in results])
+        metric.name: np.array([made.get(metric.name, np.nan) for (made, *_), _ in results])
         for metric in METRICS
     }
