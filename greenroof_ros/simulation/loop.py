@@ -25,7 +25,7 @@ from greenroof_ros.recording.trajectory import COLUMNS, Trajectory, recorded_col
 from greenroof_ros.results.metrics import Metrics
 from greenroof_ros.simulation import summary
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.simulation.season import KEPT, Case, SeasonWeather, simulate_season
+from greenroof_ros.simulation.season import KEPT, Case, simulate_season
 
 # Makes a named tuple from a tuple in half the time of its own class.
 _new = tuple.__new__
@@ -173,10 +173,8 @@ def simulate(
     began, instance = time.monotonic(), run.make_controller() if controller is None else controller
     if type(instance) is OnOff and run.controller.kind is OnOff and instance.fits(run.site):
         own = {"fraction": instance.fraction, "level": instance.level}
-        case = Case(run.site, run.parameters | own, SeasonWeather(run), run.x1, run.x2)
-        ((results, kept),), _ = simulate_season(
-            [case], sensor_and_pump=run.sensor_and_pump, every=every, progress=progress
-        )
+        case = Case(run.site, run.parameters | own, run, run.x1, run.x2)
+        ((results, kept),), _ = simulate_season([case], every=every, progress=progress)
         made = summary.make_summary(run, *results, wall_s=time.monotonic() - began, solver=None)
         return made, _make_trajectory(run, kept, every) if every else None
     simulation = Simulation(run, instance)

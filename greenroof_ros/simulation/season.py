@@ -11,8 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from itertools import pairwise, starmap
 from typing import Any, NamedTuple
 
@@ -23,11 +22,10 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.onoff import onoff_command
 from greenroof_ros.controllers.outlet import OPEN, PLAN, POLICIES, outlet_share
 from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, find_levels, plan_levels
-from greenroof_ros.forecast.resampling import Forecast, make_forecast
+from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.physics.compiled import compiled, note_if_slow, pays_to_compile, records
 from greenroof_ros.physics.parameters import State, plant_parameters
 from greenroof_ros.physics.sensor_and_pump import (
-    SensorAndPump,
     make_switch,
     observe_pump,
     read_errors,
@@ -50,52 +48,13 @@ Values = NDArray[np.float64]
 _BLOCK, _PARTS = 43_200, 8
 
 
-@dataclass(frozen=True, eq=False)
-class SeasonWeather:
-    """The weather of a run, for sites with the same number of ticks.
-
-    Attributes:
-        run: the run.
-        bed: area of a bed that evaporates as much as the run's (m2), from :func:`find_bed`; 1 to
-            keep the evapotranspiration of the run's bed.
-        with_forecast: whether plans use the forecasts of the run; otherwise the plans know the
-            evapotranspiration and the current rain, and expect no further rain.
-    """
-
-    run: Run
-    bed: float = 1.0
-    with_forecast: bool = True
-
-    @cached_property
-    def forecast(self) -> Forecast:
-        """The weather forecasts that the plans use."""
-        run = self.run
-        return make_forecast(
-            run.weather, run.series, run.site, run.start, 0.0, run.forecast_choice,
-            all_members=True, outlet_horizon=HORIZON_H,
-        )
-
-    def foresee(self, tick: int) -> tuple[Values, Values]:
-        """Return the forecast that plans use in a tick.
-
-        Returns:
-            Rain (m/s), shape (members, steps), and evapotranspiration of 1 m2 (m3/s), shape
-            (steps,).
-        """
-        rain = np.atleast_2d(np.asarray(self.forecast.precipitation(tick)))
-        if not self.with_forecast:
-            rain = rain[:1].copy()
-            rain[:, 1:] = 0.0
-        return rain, np.asarray(self.forecast.evapotranspiration(tick)) / self.bed
-
-
-def find_bed(method: str, site: Site) -> float:
+def _find_bed(run: Run, site: Site) -> float:
     """Return the area (m2) that, with a crop coefficient of 1, evaporates as much as a site's bed.
 
     A crop coefficient applies only to computed evapotranspiration; values from a column of a file
     are used unchanged.
     """
-    return site.a2 * site.crop_coefficient if method in COMPUTED else site.a2
+    return site.a2 * (site.crop_coefficient if run.weather.method in COMPUTED else 1.0)
 
 
 class Case(NamedTuple):
@@ -104,12 +63,14 @@ class Case(NamedTuple):
     site: Site
     parameters: Mapping[str, Any]
     """every parameter of the controller, ``onoff``, and of the outlet valve, if there is one"""
-    weather: SeasonWeather
+    run: Run
+    """weather, sensor and pumps of the season, for sites with the same ticks as the run's own"""
     x1: float
     x2: float
     """initial volumes in the cistern and on the roof (m3)"""
-    bed: float = 1.0
-    """area to which the evapotranspiration of the weather applies (m2)"""
+    with_forecast: bool = True
+    """whether a plan uses the forecasts of the run; otherwise it knows the evapotranspiration and
+    the current rain, and expects no further rain"""
     group: int = 0
     """group of sites for which a hydrograph is made"""
 
@@ -231,14 +192,13 @@ def run_ticks(sites: Any, ticks: Any, hydrograph: Any, every: int, steps: int) -
 
 
 def simulate_season(
-    cases: Sequence[Case], *, sensor_and_pump: SensorAndPump | None = None, every: int = 0,
+    cases: Sequence[Case], *, every: int = 0,
     progress: Callable[[float], None] = lambda share: None, threads: int = 1,
 ) -> tuple[list[tuple[Results, Values]], Values]:
     """Simulate sites under on/off control.
 
     Args:
         cases: the sites, which have the same tau and number of steps.
-        sensor_and_pump: errors of the roofs' sensors and of the pumps; by default, there are none.
         every: interval between the ticks that are kept (ticks); 0 to keep none.
         progress: callback that regularly receives the completed share of the work (1); an error
             that it raises ends the simulation.
@@ -253,15 +213,16 @@ def simulate_season(
     Raises:
         ConfigurationError: if the sites differ in tau or in their number of steps.
     """
-    steps, count, done = cases[0].weather.run.steps, len(cases), 0
-    if any((each.site.tau, each.weather.run.steps) != (cases[0].site.tau, steps) for each in cases):
+    steps, count, done = cases[0].run.steps, len(cases), 0
+    if any((each.site.tau, each.run.steps) != (cases[0].site.tau, steps) for each in cases):
         raise ConfigurationError("all sites in a batch must have the same tau and number of steps")
     note_if_slow(steps * count)
     together: dict[Any, list[int]] = {}
     # Those of a group are adjacent, so that few parts have the group's hydrograph.
     for row in sorted(range(count), key=lambda row: cases[row].group):
-        site, plans = cases[row].site, cases[row].parameters.get("outlet") == PLAN
-        key = plans, cases[row].weather, site.wet_after, site.zone, site.quiet_hours
+        case, site = cases[row], cases[row].site
+        plans = case.parameters.get("outlet") == PLAN
+        key = plans, case.with_forecast, id(case.run), site.wet_after, site.zone, site.quiet_hours
         together.setdefault(key, []).append(row)
     intervals = -(-steps // int(plant_parameters(cases[0].site).interval_ticks))
     hydrograph = np.zeros((1 + max(case.group for case in cases), 2, intervals))
@@ -270,10 +231,7 @@ def simulate_season(
         # A thread of its own would take longer to wake than a site needs from plan to plan.
         spread: Any = pool.map if threads > 1 else map
         for rows in together.values():
-            season = _Season(
-                [cases[row] for row in rows], sensor_and_pump or SensorAndPump(), every, intervals,
-                count,
-            )
+            season = _Season([cases[row] for row in rows], every, intervals, count)
             for ticks in season.ticks():
                 list(spread(partial(season.run, ticks), season.parts))
                 done += len(ticks.rain) * len(rows)
@@ -292,32 +250,34 @@ class _Season:
             and their hydrographs.
     """
 
-    def __init__(
-        self, cases: Sequence[Case], sensor_and_pump: SensorAndPump, every: int, intervals: int,
-        total: int,
-    ) -> None:
-        self._cases, self._weather, self._site = cases, cases[0].weather, cases[0].site
-        run, site, count = self._weather.run, self._site, len(cases)
-        self._steps, self._every = run.steps, max(1, every)
+    def __init__(self, cases: Sequence[Case], every: int, intervals: int, total: int) -> None:
+        self._cases, self._run, self._site = cases, cases[0].run, cases[0].site
+        run, site, count = self._run, self._site, len(cases)
+        self._every = max(1, every)
         compiles = pays_to_compile(run.steps * total)
         self._function: Callable[[Any], Any] = compiled if compiles else lambda plain: plain
         # Plain Python is faster with lists.
         self._as_taken: Callable[[Any], Any] = np.asarray if compiles else np.ndarray.tolist
-        self._errors = read_errors(sensor_and_pump, run.steps + 1)
-        self._new_days = find_new_days(site, run.time_ns(0) / 1e9, run.steps)
-        self._without_rain, self._wet_after = run.without_rain_s, site.wet_after * HOUR_S
-        self._clock = PlanClock(site.tau)
-        self._plans = cases[0].parameters.get("outlet") == PLAN
-        self._ends = look_ahead_ends(run.site, 0.0, HORIZON_H)
+        self._errors = read_errors(run.sensor_and_pump, run.steps + 1)
+        self._wet_after = site.wet_after * HOUR_S
+        self._forecast: Any = None if cases[0].parameters.get("outlet") != PLAN else make_forecast(
+            run.weather, run.series, run.site, run.start, 0.0, run.forecast_choice,
+            all_members=True, outlet_horizon=HORIZON_H,
+        )
+        # At the bed of the run, evapotranspiration stays the same to the last bit.
+        self._bed, *beds = (_find_bed(run, each) for each in (run.site, *(c.site for c in cases)))
+        if {*beds} == {self._bed}:
+            self._bed, beds = 1.0, [1.0] * count
         names = "outlet_reserve", "outlet_price", "outlet_reach"
         self._options = np.array([
-            [*(case.parameters.get(name, 0.0) for name in names), case.bed] for case in cases
+            [*(case.parameters.get(name, 0.0) for name in names), bed]
+            for case, bed in zip(cases, beds, strict=True)
         ])
         plants = [plant_parameters(case.site) for case in cases]
         controls = [Control(
             case.parameters["fraction"], case.parameters["level"] * case.site.z_veg,
-            POLICIES.index(case.parameters.get("outlet", OPEN)), case.bed,
-        ) for case in cases]
+            POLICIES.index(case.parameters.get("outlet", OPEN)), bed,
+        ) for case, bed in zip(cases, beds, strict=True)]
         groups = np.array([case.group for case in cases])
         events = s.count_events(plants[0], run.steps) if total == 1 else 0
         kept = -(-run.steps // every) + 1 if every else 0
@@ -326,7 +286,7 @@ class _Season:
             np.zeros(count, np.intp), self._options[:, 0].copy(),
             *map(self._as_taken, (
                 np.array([(case.x1, case.x2, case.site.initial_layer) for case in cases]),
-                np.tile(make_switch(sensor_and_pump, site.tau), (count, 1)),
+                np.tile(make_switch(run.sensor_and_pump, site.tau), (count, 1)),
                 np.zeros((count, s.count_places(plants[0], run.steps))),
             )),
             np.zeros((count, events, len(Event._fields))), np.zeros((count, kept, len(KEPT))),
@@ -339,26 +299,26 @@ class _Season:
 
     def ticks(self) -> Iterator[Ticks]:
         """Yield all ticks, and make the plans that are due before those that follow."""
-        for first in range(0, self._steps + 1, _BLOCK):
-            block = self._read(first, min(first + _BLOCK, self._steps + 1))
+        run, site, clock = self._run, self._site, PlanClock(self._site.tau)
+        new_days = find_new_days(site, run.time_ns(0) / 1e9, run.steps)
+        without_rain = run.without_rain_s
+        for first in range(0, run.steps + 1, _BLOCK):
+            last = min(first + _BLOCK, run.steps + 1)
+            rain, evaporated, frost, quiet = run.read_ticks(first, last, site)
+            wet, without_rain = self._function(find_wet)(
+                self._as_taken(rain), site.tau, self._wet_after, without_rain
+            )
+            block = Ticks(first, *map(self._as_taken, (
+                rain, evaporated / self._bed, frost, wet, quiet,
+                np.isin(np.arange(first, last), new_days), self._errors[first:last],
+            )))
             due = {
-                tick for tick, wet in enumerate(block.wet, first) if self._clock.is_due(wet)
-            } if self._plans else set()
-            for begin, end in pairwise(sorted({first, *due, first + len(block.rain)})):
+                tick for tick, is_wet in enumerate(wet, first) if clock.is_due(is_wet)
+            } if self._forecast else set()
+            for begin, end in pairwise(sorted({first, *due, last})):
                 if begin in due:
                     self._renew_levels(begin)
                 yield block.cut(begin, end)
-
-    def _read(self, first: int, last: int) -> Ticks:
-        """Return the ticks from one to another (exclusive), which must be the next ones."""
-        rain, evaporated, frost, quiet = self._weather.run.read_ticks(first, last, self._site)
-        wet, self._without_rain = self._function(find_wet)(
-            self._as_taken(rain), self._site.tau, self._wet_after, self._without_rain
-        )
-        return Ticks(first, *map(self._as_taken, (
-            rain, evaporated / self._weather.bed, frost, wet, quiet,
-            np.isin(np.arange(first, last), self._new_days), self._errors[first:last],
-        )))
 
     def _renew_levels(self, tick: int) -> None:
         """Make the plan that is due in a tick."""
@@ -367,17 +327,21 @@ class _Season:
         roof = x2 / a2
         if len(self._errors):
             roof = np.maximum(0.0, roof + self._errors[tick])
+        rain = np.atleast_2d(np.asarray(self._forecast.precipitation(tick)))
+        if not self._cases[0].with_forecast:
+            rain = rain[:1].copy()
+            rain[:, 1:] = 0.0
         self._sites.levels[:] = plan_levels(
             self._function(find_levels), self._sites.parameters, self._options,
-            self._wet_after, self._ends, x1 / a1 * a1, roof * a2,
-            *self._weather.foresee(tick),
+            self._wet_after, look_ahead_ends(self._run.site, 0.0, HORIZON_H), x1 / a1 * a1,
+            roof * a2, rain, np.asarray(self._forecast.evapotranspiration(tick)) / self._bed,
         )
 
     def run(self, ticks: Ticks, part: tuple[slice, Any, Any]) -> None:
         """Simulate a part of the sites in some ticks."""
         rows, _, hydrograph = part
         sites = Sites(*(each[rows] for each in self._sites))
-        self._function(run_ticks)(sites, ticks, hydrograph, self._every, self._steps)
+        self._function(run_ticks)(sites, ticks, hydrograph, self._every, self._run.steps)
 
     def results(self) -> Iterator[tuple[Results, Values]]:
         """Yield the results of each site after the last tick, and its kept ticks."""

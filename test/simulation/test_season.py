@@ -24,7 +24,7 @@ from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.loop import Simulation, record, simulate
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.simulation.season import Case, SeasonWeather, simulate_season
+from greenroof_ros.simulation.season import Case, simulate_season
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 
@@ -136,11 +136,11 @@ def test_a_controller_of_another_site() -> None:
 
 def cases_of(runs: Sequence[Run], groups: Sequence[int] = (0,), **choice: bool) -> list[Case]:
     """Return runs as cases; those of the same start share the weather of the first."""
-    weather: dict[Any, SeasonWeather] = {}
+    first: dict[Any, Run] = {}
     for run in runs:
-        weather.setdefault(run.start, SeasonWeather(run, run.site.a2, **choice))
+        first.setdefault(run.start, run)
     return [
-        Case(run.site, run.parameters, weather[run.start], run.x1, run.x2, run.site.a2, group)
+        Case(run.site, run.parameters, first[run.start], run.x1, run.x2, group=group, **choice)
         for run, group in zip(runs, cycle(groups), strict=False)
     ]
 

@@ -6,7 +6,6 @@ import pickle
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -33,11 +32,9 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping
 from greenroof_ros.common.processes import scratch_directory
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.physics.storm_water import HOUR_S, find_wet, interval_seconds
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.simulation.season import SeasonWeather, find_bed
 from greenroof_ros.site.file import merge_site_file
 from greenroof_ros.site.site import Site
 
@@ -69,15 +66,6 @@ class DistrictRun:
     runs: Sequence[Run]
     cells: Sequence[str]
     notes: Sequence[str]
-
-    @cached_property
-    def weather(self) -> list[SeasonWeather]:
-        """The weather of each cell."""
-        return [
-            SeasonWeather(
-                run, find_bed(run.weather.method, run.site), self.district.forecast == PERFECT
-            ) for run in self.runs
-        ]
 
     @property
     def adoption(self) -> Adoption:
@@ -112,7 +100,7 @@ class DistrictRun:
         """Contents of the workers' input files, by name."""
         return {
             SITE_FILE: merge_site_file(self.district.site_file, self.district.ticks).encode(),
-            **{weather_file(n): pickle.dumps(cell) for n, cell in enumerate(self.weather)},
+            **{weather_file(n): pickle.dumps(run) for n, run in enumerate(self.runs)},
         }
 
     def parts(self) -> Iterator[Part]:
