@@ -433,11 +433,9 @@ class _PlanController:
     def __init__(self, run: Run, max_command: float) -> None:
         """Make the plan; see :func:`simulate_plan`."""
         site, n = run.site, run.steps
-        self._site, self._p, self._steps = site, plant_parameters(site), n
-        self._max_command = max_command
+        self._site, self._p, self._max_command = site, plant_parameters(site), max_command
         self._tick = -1
-        self._block = max(1, round(_STEP_S / site.tau), -(-n // _MAX_STEPS))
-        starts = np.arange(0, n, self._block)
+        starts = np.arange(0, n, max(1, round(_STEP_S / site.tau), -(-n // _MAX_STEPS)))
         rain, evaporated, *stopped = run.read_ticks(0, n, site)
         rain, evaporated, pumping = (
             np.add.reduceat(values, starts) / np.diff(starts, append=n)
@@ -454,10 +452,8 @@ class _PlanController:
         self, cistern_level: float, roof_level: float, precipitation: Sequence[float],
         evapotranspiration: Sequence[float],
     ) -> float:
-        """Return the command for the current tick, which is 0 in the last tick of the run."""
+        """Return the command for the current tick."""
         self._tick += 1
-        if self._tick == self._steps:
-            return 0.0
         site = self._site
         x1, x2 = site.cistern_volume(cistern_level), site.roof_volume(roof_level)
         level = self._program.level(self._policy, self._tick * site.tau, x1, x2)
