@@ -98,7 +98,9 @@ class Simulation:
                 set_optional(controller, time_ns=site.time_ns)
             cistern_level, roof_level = site.observe()
             rain, evaporated = forecast.precipitation(k), forecast.evapotranspiration(k)
-            own = run.controller.own_forecast(own_steps, rain, evaporated)
+            own = rain, evaporated
+            if own_steps is not None:
+                own = run.controller.own_forecast(own_steps, *own)
             command = decide(
                 controller, irrigated and not frost, cistern_level, roof_level, *own, site.quiet
             )
