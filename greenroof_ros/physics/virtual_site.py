@@ -28,6 +28,7 @@ class VirtualSite:
         tick: number of the current tick.
         frost: 0 without frost in the current tick; any other value, including NaN, means frost. The
             caller sets this attribute.
+        outlet: opening of the low outlet's valve in the last tick, which frost can close.
     """
 
     def __init__(
@@ -94,11 +95,11 @@ class VirtualSite:
         """
         may_run = self.frost == 0 and not self.quiet
         switched = switch_pump(self._switch, command, may_run)
-        if self.frost != 0 and self._parameters.valve_closed_in_frost:
-            outlet = 0.0
+        closed = self.frost != 0 and self._parameters.valve_closed_in_frost
+        self.outlet = 0.0 if closed else outlet
         self._after, flows = self._step(
-            self._parameters, self.state, precipitation, evapotranspiration, switched, outlet,
-            pumped,
+            self._parameters, self.state, precipitation, evapotranspiration, switched,
+            self.outlet, pumped,
         )
         observe_pump(self._switch, flows.pump)
         return flows

@@ -88,8 +88,8 @@ class Simulation:
         """Run all ticks, and yield each tick after its step."""
         run, site, controller, until = self._run, self.site, self._controller, 0
         policy, outlet, own_steps = self._outlet, 1.0, self._own_steps
-        closes, irrigated = run.site.valve_closed_in_frost, run.site.irrigated
-        forecast, has_quiet_hours = run.forecast, run.site.quiet is not None
+        forecast, irrigated = run.forecast, run.site.irrigated
+        has_quiet_hours = run.site.quiet is not None
         for k in range(run.steps + 1):
             if k == until:
                 precipitation, evapotranspiration, frost, until = run.series.at(k)
@@ -107,13 +107,11 @@ class Simulation:
             if policy is not None:
                 # Also called in frost, because it counts the time without rain.
                 outlet = policy(cistern_level, roof_level, rain, evaporated)
-                if closes and frost:
-                    outlet = 0.0
             state = site.state
             flows = site.act(precipitation, evapotranspiration, command, outlet=outlet)
             tick = Tick(
                 k, *state, cistern_level, roof_level,
-                precipitation, evapotranspiration, frost, command, flows, outlet,
+                precipitation, evapotranspiration, frost, command, flows, site.outlet,
             )
             if k < run.steps:
                 self.metrics.add(state, command, precipitation, evapotranspiration, flows)
