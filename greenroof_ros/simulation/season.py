@@ -257,7 +257,7 @@ class _Season:
         compiles = pays_to_compile(run.steps * total)
         self._function: Callable[[Any], Any] = compiled if compiles else lambda plain: plain
         # Plain Python is faster with lists.
-        self._as_taken: Callable[[Any], Any] = np.asarray if compiles else np.ndarray.tolist
+        self._as_taken: Callable[[Any], Any] = lambda array: array if compiles else array.tolist()
         self._errors = read_errors(run.sensor_and_pump, run.steps + 1)
         self._wet_after = site.wet_after * HOUR_S
         self._forecast: Any = None if cases[0].parameters.get("outlet") != PLAN else make_forecast(
@@ -281,7 +281,7 @@ class _Season:
         groups = np.array([case.group for case in cases])
         events = s.count_events(plants[0], run.steps) if total == 1 else 0
         kept = -(-run.steps // every) + 1 if every else 0
-        self._sites = Sites(
+        self._sites = Sites._make((
             *(records(each) if compiles else each for each in (plants, controls)),
             np.zeros(count, np.intp), self._options[:, 0].copy(),
             *map(self._as_taken, (
@@ -290,7 +290,7 @@ class _Season:
                 np.zeros((count, s.count_places(plants[0], run.steps))),
             )),
             np.zeros((count, events, len(Event._fields))), np.zeros((count, kept, len(KEPT))),
-        )
+        ))
         self.parts: list[tuple[slice, NDArray[np.intp], Any]] = []
         bounds = np.unique(np.linspace(0, count, _PARTS + 1).astype(int)).tolist()
         for rows in starmap(slice, pairwise(bounds)):
