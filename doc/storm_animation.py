@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import greenroof_ros as gr
-from greenroof_ros.physics.storm_water import HOUR_S, is_wet
-from greenroof_ros.simulation.season import count_rain
+from greenroof_ros.physics.storm_water import HOUR_S, find_wet
 
 Values = NDArray[np.float64]
 
@@ -144,8 +143,9 @@ def _cumulated_wet_discharge(run: gr.Result) -> Values:
     """Return what has reached the sewer in wet weather until each tick (m3)."""
     site, ticks = run.run.site, run.ticks
     flow = ticks.outflow + (1 - site.drainage_to_cistern) * ticks.drainage
-    dry = count_rain(ticks.precipitation, site.tau, run.run.without_rain_s)
-    wet = [is_wet(without_rain, site.tau, site.wet_after * HOUR_S) for without_rain in dry]
+    wet, _ = find_wet(
+        ticks.precipitation, site.tau, site.wet_after * HOUR_S, run.run.without_rain_s
+    )
     volumes = np.where(wet, site.tau * flow, 0.0)
     return np.asarray(np.cumsum(volumes) - volumes)
 

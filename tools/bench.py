@@ -164,7 +164,7 @@ def measure_buildings(count: int = 1000) -> tuple[float, float]:
     from greenroof_ros.controllers.registry import find_controller
     from greenroof_ros.simulation.inputs import make_inputs
     from greenroof_ros.simulation.loop import Simulation
-    from greenroof_ros.simulation.season import Case, SeasonWeather, simulate_season
+    from greenroof_ros.simulation.season import Case, simulate_season
     from greenroof_ros.site.file import read_site
 
     site = read_site(CONFIG / "site_valve.yaml", {"tau": 60.0})
@@ -172,9 +172,8 @@ def measure_buildings(count: int = 1000) -> tuple[float, float]:
         "site": site, "outlet": "drain", "start": "2021-07-07T00:00", "hours": 72.0,
     }).build()
     random = np.random.default_rng(1)
-    weather = SeasonWeather(run)
     cases = [
-        Case(replace(site, a1=site.a1 * size), run.parameters, weather, run.x1, run.x2 * filled)
+        Case(replace(site, a1=site.a1 * size), run.parameters, run, run.x1, run.x2 * filled)
         for size, filled in random.uniform((0.2, 0.9), (2.0, 1.0), (count, 2))
     ]
     simulate_season(cases[:5])  # compiles, as fewer ticks would not be

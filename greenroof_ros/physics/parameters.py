@@ -61,6 +61,9 @@ class PlantParameters(NamedTuple):
     pipe_resistance: float
     g: float
     starts_per_hour: float
+    valve_closed_in_frost: bool
+    wet_after_s: float
+    """time after rain that counts as wet weather (s)"""
     stress_volume: float
     """volume on the roof below which plants lack water: K_s < 1 (m3); 0 for the paper's soil"""
     interval_ticks: float
@@ -122,6 +125,7 @@ def plant_parameters(site: Site) -> PlantParameters:
             site.wilting_volume + site.stress_onset * site.available_volume
             if has_field_capacity else 0.0
         ),
+        "wet_after_s": site.wet_after * HOUR_S,
         "interval_ticks": interval,
         "dry_intervals": max(1, round(site.event_separation * HOUR_S / (site.tau * interval))),
         "has_field_capacity": has_field_capacity,

@@ -78,41 +78,45 @@ def read_errors(sensor: SensorAndPump, ticks: int) -> NDArray[np.float64]:
     return sensor.roof_offset + sensor.roof_noise * np.concatenate([*noise, np.empty(0)])[:ticks]
 
 
-# A pump switch: whether the pumps are on, the ticks since they were switched, and the command that
-# last passed.
-ON, SINCE, PASSED = range(3)
+# A pump switch: whether the pumps are on, the ticks since they were switched, the command that last
+# passed, and the minimum times of the pumps (ticks).
+ON, SINCE, PASSED, MIN_ON, MIN_OFF = range(5)
 
 
-def min_ticks(seconds: float, tau: float) -> int:
-    """Return a minimum time (s), rounded up to whole ticks of tau (s)."""
-    return math.ceil(seconds / tau - _ROUNDING)
-
-
-def switch_pump(
-    switch: Any, min_on: float, min_off: float, command: float, may_run: bool
-) -> float:
-    """Return the command that reaches the pumps in a tick, through the switch that protects them.
-
-    After a start, the pumps stay on for at least ``min_on``; if the command becomes 0 earlier, they
-    continue to run at the last positive command. After a stop, the pumps stay off for at least
-    ``min_off``, regardless of the command. At the start of a run, the pumps have been off for long
-    enough. The switch monitors the delivered flow (:func:`observe_pump`) instead of the command. If
-    Eq. (3a) stops the flow because of the true levels, the on-time ends even if it is too short,
-    and an off-time begins, as with a float switch. Otherwise, the pumps would restart whenever a
-    drop evaporated from a full roof. Frost switches the pumps off immediately, because a burst pipe
-    is worse than an on-time that is too short. Quiet hours also switch the pumps off immediately,
-    as at a real site.
+def make_switch(sensor_and_pump: SensorAndPump, tau: float) -> tuple[float, ...]:
+    """Return the switch of pumps that have been off for long enough.
 
     Args:
-        switch: state of the switch, :data:`ON`, :data:`SINCE` and :data:`PASSED`.
-        min_on: minimum time for which the pumps stay on (ticks).
-        min_off: minimum time for which they stay off (ticks).
+        sensor_and_pump: the minimum times, which are rounded up to whole ticks.
+        tau: duration of a tick (s).
+    """
+    min_on, min_off = (
+        float(math.ceil(seconds / tau - _ROUNDING))
+        for seconds in (sensor_and_pump.pump_min_on, sensor_and_pump.pump_min_off)
+    )
+    return 0.0, min_off, 0.0, min_on, min_off
+
+
+def switch_pump(switch: Any, command: float, may_run: bool) -> float:
+    """Return the command that reaches the pumps in a tick, through the switch that protects them.
+
+    After a start, the pumps stay on for at least their minimum time; if the command becomes 0
+    earlier, they continue to run at the last positive command. After a stop, the pumps stay off for
+    at least their minimum time, regardless of the command. The switch monitors the delivered flow
+    (:func:`observe_pump`) instead of the command. If Eq. (3a) stops the flow because of the true
+    levels, the on-time ends even if it is too short, and an off-time begins, as with a float
+    switch. Otherwise, the pumps would restart whenever a drop evaporated from a full roof. Frost
+    switches the pumps off immediately, because a burst pipe is worse than an on-time that is too
+    short. Quiet hours also switch the pumps off immediately, as at a real site.
+
+    Args:
+        switch: the switch, from :func:`make_switch`.
         command: command of the controller (share of the maximum flow).
         may_run: whether pumping is allowed; frost and quiet hours forbid it.
     """
-    if not may_run or (switch[ON] == 0 and switch[SINCE] < min_off):
+    if not may_run or (switch[ON] == 0 and switch[SINCE] < switch[MIN_OFF]):
         return 0.0
-    if switch[ON] > 0 and command == 0 and switch[SINCE] < min_on:
+    if switch[ON] > 0 and command == 0 and switch[SINCE] < switch[MIN_ON]:
         passed: float = switch[PASSED]
         return passed
     switch[PASSED] = command

@@ -23,7 +23,9 @@ five-minute peaks of rain and runoff.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.site.site import Site
@@ -106,6 +108,25 @@ def is_wet(without_rain: float, tau: float, wet_after: float) -> bool:
         wet_after: time after rain that counts as wet weather (s).
     """
     return without_rain - tau < wet_after * ROUNDING
+
+
+def find_wet(
+    rain: Any, tau: float, wet_after: float, without_rain: float
+) -> tuple[Any, float]:
+    """Return whether the weather is wet in each tick, shape (n,), and the time without rain (s).
+
+    Args:
+        rain: rain in each tick (m/s), shape (n,).
+        tau: duration of a tick (s).
+        wet_after: time after rain that counts as wet weather (s).
+        without_rain: time without rain before the first tick (s); the result is that after the
+            last one.
+    """
+    wet = np.empty(len(rain), np.bool_)
+    for tick in range(len(rain)):
+        without_rain = time_without_rain(without_rain, rain[tick], tau)
+        wet[tick] = is_wet(without_rain, tau, wet_after)
+    return wet, without_rain
 
 
 def wet_time_left(without_rain: float, wet_after: float) -> float:

@@ -11,7 +11,7 @@ from greenroof_ros.physics.compiled import compiled
 from greenroof_ros.physics.parameters import Flows, State, plant_parameters
 from greenroof_ros.physics.sensor_and_pump import (
     SensorAndPump,
-    min_ticks,
+    make_switch,
     observe_pump,
     read_errors,
     switch_pump,
@@ -28,6 +28,7 @@ class VirtualSite:
         tick: number of the current tick.
         frost: 0 without frost in the current tick; any other value, including NaN, means frost. The
             caller sets this attribute.
+        outlet: opening of the low outlet's valve in the last tick, which frost can close.
     """
 
     def __init__(
@@ -49,9 +50,7 @@ class VirtualSite:
         self._site, self._parameters, self._step = site, plant_parameters(site), step
         self._start_ns, self._tick_ns = start_ns, round(site.tau * 1e9)
         self._errors = read_errors(sensor_and_pump, ticks).tolist()
-        self._min_on = min_ticks(sensor_and_pump.pump_min_on, site.tau)
-        self._min_off = min_ticks(sensor_and_pump.pump_min_off, site.tau)
-        self._switch = [0.0, self._min_off, 0.0]
+        self._switch = [*make_switch(sensor_and_pump, site.tau)]
 
     def compile(self) -> None:
         """Compute the following ticks with the compiled plant, which takes a while to load."""
@@ -95,12 +94,12 @@ class VirtualSite:
             outlet: command to the valve of the low outlet (opening, 0 to 1).
         """
         may_run = self.frost == 0 and not self.quiet
-        switched = switch_pump(self._switch, self._min_on, self._min_off, command, may_run)
-        if self.frost != 0 and self._site.valve_closed_in_frost:
-            outlet = 0.0
+        switched = switch_pump(self._switch, command, may_run)
+        closed = self.frost != 0 and self._parameters.valve_closed_in_frost
+        self.outlet = 0.0 if closed else outlet
         self._after, flows = self._step(
-            self._parameters, self.state, precipitation, evapotranspiration, switched, outlet,
-            pumped,
+            self._parameters, self.state, precipitation, evapotranspiration, switched,
+            self.outlet, pumped,
         )
         observe_pump(self._switch, flows.pump)
         return flows

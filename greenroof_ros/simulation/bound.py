@@ -30,12 +30,11 @@ from greenroof_ros.physics.soil import (
     roof_after_tick,
     water_to_fill,
 )
-from greenroof_ros.physics.storm_water import HOUR_S, interval_seconds, is_wet
+from greenroof_ros.physics.storm_water import HOUR_S, find_wet, interval_seconds
 from greenroof_ros.physics.tick import command_to, step
 from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.simulation.loop import Simulation
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.simulation.season import count_rain
 
 Values = NDArray[np.float64]
 
@@ -434,11 +433,9 @@ class _PlanController:
     def __init__(self, run: Run, max_command: float) -> None:
         """Make the plan; see :func:`simulate_plan`."""
         site, n = run.site, run.steps
-        self._site, self._p, self._steps = site, plant_parameters(site), n
-        self._max_command = max_command
+        self._site, self._p, self._max_command = site, plant_parameters(site), max_command
         self._tick = -1
-        self._block = max(1, round(_STEP_S / site.tau), -(-n // _MAX_STEPS))
-        starts = np.arange(0, n, self._block)
+        starts = np.arange(0, n, max(1, round(_STEP_S / site.tau), -(-n // _MAX_STEPS)))
         rain, evaporated, *stopped = run.read_ticks(0, n, site)
         rain, evaporated, pumping = (
             np.add.reduceat(values, starts) / np.diff(starts, append=n)
@@ -453,10 +450,8 @@ class _PlanController:
         self, cistern_level: float, roof_level: float, precipitation: Sequence[float],
         evapotranspiration: Sequence[float],
     ) -> float:
-        """Return the command for the current tick, which is 0 in the last tick of the run."""
+        """Return the command for the current tick."""
         self._tick += 1
-        if self._tick == self._steps:
-            return 0.0
         site = self._site
         x1, x2 = site.cistern_volume(cistern_level), site.roof_volume(roof_level)
         level = self._program.level(self._tick * site.tau, x1, x2)
@@ -537,10 +532,7 @@ def bound_discharge(
     for given in zip(rain.tolist(), potential.tolist(), pumped.tolist(), strict=True):
         state, _ = step(p, state, *given[:2], 0.0, 0.0, given[2])
         closed.append(state.cistern)
-    wet = np.array([
-        is_wet(without_rain, tau, site.wet_after * HOUR_S)
-        for without_rain in count_rain(rain.tolist(), tau, run.without_rain_s)
-    ])
+    wet, _ = find_wet(rain.tolist(), tau, site.wet_after * HOUR_S, run.without_rain_s)
     # An interval is in wet weather if all its ticks are, which can only lower the bound. A step of
     # the program has up to an hour, either in wet or in dry weather.
     starts = np.arange(0, run.steps, round(seconds / tau))

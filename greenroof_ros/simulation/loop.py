@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from array import array
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -25,10 +24,8 @@ from greenroof_ros.recording.trajectory import COLUMNS, Trajectory, recorded_col
 from greenroof_ros.results.metrics import Metrics
 from greenroof_ros.simulation import summary
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.simulation.season import KEPT, Case, SeasonWeather, simulate_season
+from greenroof_ros.simulation.season import KEPT, Case, simulate_season
 
-# Makes a named tuple from a tuple in half the time of its own class.
-_new = tuple.__new__
 # Ticks between two reports of progress.
 _REPORTED = 64
 
@@ -91,8 +88,8 @@ class Simulation:
         """Run all ticks, and yield each tick after its step."""
         run, site, controller, until = self._run, self.site, self._controller, 0
         policy, outlet, own_steps = self._outlet, 1.0, self._own_steps
-        closes, irrigated = run.site.valve_closed_in_frost, run.site.irrigated
-        forecast, has_quiet_hours = run.forecast, run.site.quiet is not None
+        forecast, irrigated = run.forecast, run.site.irrigated
+        has_quiet_hours = run.site.quiet is not None
         for k in range(run.steps + 1):
             if k == until:
                 precipitation, evapotranspiration, frost, until = run.series.at(k)
@@ -110,14 +107,12 @@ class Simulation:
             if policy is not None:
                 # Also called in frost, because it counts the time without rain.
                 outlet = policy(cistern_level, roof_level, rain, evaporated)
-                if closes and frost:
-                    outlet = 0.0
             state = site.state
             flows = site.act(precipitation, evapotranspiration, command, outlet=outlet)
-            tick = _new(Tick, (
+            tick = Tick(
                 k, *state, cistern_level, roof_level,
-                precipitation, evapotranspiration, frost, command, flows, outlet,
-            ))
+                precipitation, evapotranspiration, frost, command, flows, site.outlet,
+            )
             if k < run.steps:
                 self.metrics.add(state, command, precipitation, evapotranspiration, flows)
                 site.step()
@@ -131,20 +126,28 @@ class Simulation:
         )
 
 
-def record(run: Run, ticks: Iterable[Tick], every: int = 1) -> Trajectory:
-    """Run all ticks, and return the trajectory.
+def record(
+    run: Run, ticks: Iterable[Tick], every: int = 1,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Trajectory | None:
+    """Run all ticks, and return the trajectory if it is wanted.
 
     Args:
         run: the run.
         ticks: ticks of the run.
-        every: interval between the ticks that are kept (ticks); the last tick of the run is always
-            kept.
+        every: interval between the ticks that are kept (ticks), 0 for no trajectory; the last tick
+            of the run is always kept.
+        progress: as for :func:`simulate`.
     """
     names = (column.tick for column in COLUMNS if (column.attribute or column.tick) in KEPT)
     values, rows = attrgetter(*names), array("d")
     for tick in ticks:
-        if tick.k % every == 0 or tick.k == run.steps:
+        if every and (tick.k % every == 0 or tick.k == run.steps):
             rows.extend(values(tick))
+        if tick.k % _REPORTED == 0:
+            progress(tick.k / run.steps)
+    if not every:
+        return None
     return _make_trajectory(run, np.frombuffer(rows).reshape(-1, len(KEPT)), every)
 
 
@@ -170,36 +173,13 @@ def simulate(
         progress: callback that regularly receives the completed share of the run (1); an error that
             it raises ends the run.
     """
-    instance = run.make_controller() if controller is None else controller
+    began, instance = time.monotonic(), run.make_controller() if controller is None else controller
     if type(instance) is OnOff and run.controller.kind is OnOff and instance.fits(run.site):
-        return _simulate_season(run, instance, every, progress)
+        own = {"fraction": instance.fraction, "level": instance.level}
+        case = Case(run.site, run.parameters | own, run, run.x1, run.x2)
+        ((results, kept),), _ = simulate_season([case], every=every, progress=progress)
+        made = summary.make_summary(run, *results, wall_s=time.monotonic() - began, solver=None)
+        return made, _make_trajectory(run, kept, every) if every else None
     simulation = Simulation(run, instance)
-    ticks = _reported(simulation.ticks(), run.steps, progress)
-    trajectory = record(run, ticks, every) if every else None
-    deque(ticks, maxlen=0)
+    trajectory = record(run, simulation.ticks(), every, progress)
     return simulation.summary(), trajectory
-
-
-def _reported(
-    ticks: Iterable[Tick], steps: int, progress: Callable[[float], None]
-) -> Iterator[Tick]:
-    for tick in ticks:
-        yield tick
-        if tick.k % _REPORTED == 0:
-            progress(tick.k / max(1, steps))
-
-
-def _simulate_season(
-    run: Run, controller: OnOff, every: int, progress: Callable[[float], None]
-) -> tuple[dict[str, Any], Trajectory | None]:
-    """Simulate a run under on/off control with the compiled plant; see :func:`simulate`."""
-    began = time.monotonic()
-    parameters = {**run.parameters, "fraction": controller.fraction, "level": controller.level}
-    case = Case(run.site, parameters, SeasonWeather(run), run.x1, run.x2)
-    ((metrics, weeks, events, kept),), _ = simulate_season(
-        [case], sensor_and_pump=run.sensor_and_pump, every=every, progress=progress
-    )
-    made = summary.make_summary(
-        run, metrics, weeks, events, wall_s=time.monotonic() - began, solver=None
-    )
-    return made, _make_trajectory(run, kept, every) if every else None

@@ -145,17 +145,14 @@ class Run:
         Before its first tick, a run is dry unless the record shows rain. Missing values are
         skipped: they are neither rain nor time without rain.
         """
-        rain, seconds, without_rain = self.weather.precipitation, HOUR_S, math.inf
-        if self.weather.minutes is not None:
-            known = ~np.isnan(self.weather.minutes)
-            rain = np.where(known, self.weather.minutes, rain[:, None]).ravel()
-            seconds = HOUR_S / self.weather.minutes.shape[1]
+        rain, step_ns = self.weather.finest_rain
+        seconds, without_rain = step_ns / 1e9, math.inf
         before = (self.start - self.weather.first).total_seconds() / seconds
         first = max(0, math.floor(before - _BEFORE_H * HOUR_S / seconds))
         for step, rate in enumerate(rain[first : math.ceil(before)].tolist(), first):
             if math.isfinite(rate):
                 part = min(1.0, before - step) * seconds
-                without_rain = time_without_rain(without_rain, rate / 1000 / HOUR_S, part)
+                without_rain = time_without_rain(without_rain, rate, part)
         return without_rain
 
     def make_controller(self) -> Controller:

@@ -71,9 +71,8 @@ def grid(title: str, lines: Iterable[tuple[str, str, str]]) -> Table:
 
 def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     """Yield the rows of the table at the end of a run: a label, a number and a description."""
-    parameters = {key: value for key, value in summary["parameters"].items() if value is not None}
     yield from setting_rows(summary)
-    yield "controller", summary["controller"], _listed(parameters)
+    yield "controller", summary["controller"], _listed(summary["parameters"])
     yield from _metric_rows(summary)
     if solver := summary["solver"]:
         yield "solver", f"{solver['mean_s'] * 1e6:.0f} us", (
@@ -151,7 +150,7 @@ def setting_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
 def _listed(values: Mapping[str, Any]) -> str:
     return ", ".join(
         f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
-        for name, value in values.items()
+        for name, value in values.items() if value is not None
     )
 
 

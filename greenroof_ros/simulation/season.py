@@ -11,8 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from itertools import pairwise, starmap
 from typing import Any, NamedTuple
 
@@ -23,20 +22,19 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.onoff import onoff_command
 from greenroof_ros.controllers.outlet import OPEN, PLAN, POLICIES, outlet_share
 from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, find_levels
-from greenroof_ros.forecast.resampling import Forecast, make_forecast
+from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.physics.compiled import compiled, note_if_slow, pays_to_compile, records
 from greenroof_ros.physics.parameters import State, plant_parameters
 from greenroof_ros.physics.sensor_and_pump import (
-    SensorAndPump,
-    min_ticks,
+    make_switch,
     observe_pump,
     read_errors,
     switch_pump,
 )
-from greenroof_ros.physics.storm_water import HOUR_S, Event, is_wet, time_without_rain
+from greenroof_ros.physics.storm_water import HOUR_S, Event, find_wet
 from greenroof_ros.physics.tick import OWN_PUMPS, step
 from greenroof_ros.results import sums as s
-from greenroof_ros.results.metrics import end_run, find_new_days
+from greenroof_ros.results.metrics import Results, end_run, find_new_days
 from greenroof_ros.results.sums import add
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.horizon import look_ahead_ends
@@ -50,52 +48,13 @@ Values = NDArray[np.float64]
 _BLOCK, _PARTS = 43_200, 8
 
 
-@dataclass(frozen=True, eq=False)
-class SeasonWeather:
-    """The weather of a run, for sites with the same number of ticks.
-
-    Attributes:
-        run: the run.
-        bed: area of a bed that evaporates as much as the run's (m2), from :func:`find_bed`; 1 to
-            keep the evapotranspiration of the run's bed.
-        with_forecast: whether plans use the forecasts of the run; otherwise the plans know the
-            evapotranspiration and the current rain, and expect no further rain.
-    """
-
-    run: Run
-    bed: float = 1.0
-    with_forecast: bool = True
-
-    @cached_property
-    def forecast(self) -> Forecast:
-        """The weather forecasts that the plans use."""
-        run = self.run
-        return make_forecast(
-            run.weather, run.series, run.site, run.start, 0.0, run.forecast_choice,
-            all_members=True, outlet_horizon=HORIZON_H,
-        )
-
-    def foresee(self, tick: int) -> tuple[Values, Values]:
-        """Return the forecast that plans use in a tick.
-
-        Returns:
-            Rain (m/s), shape (members, steps), and evapotranspiration of 1 m2 (m3/s), shape
-            (steps,).
-        """
-        rain = np.atleast_2d(np.asarray(self.forecast.precipitation(tick)))
-        if not self.with_forecast:
-            rain = rain[:1].copy()
-            rain[:, 1:] = 0.0
-        return rain, np.asarray(self.forecast.evapotranspiration(tick)) / self.bed
-
-
-def find_bed(method: str, site: Site) -> float:
+def _find_bed(run: Run, site: Site) -> float:
     """Return the area (m2) that, with a crop coefficient of 1, evaporates as much as a site's bed.
 
     A crop coefficient applies only to computed evapotranspiration; values from a column of a file
     are used unchanged.
     """
-    return site.a2 * site.crop_coefficient if method in COMPUTED else site.a2
+    return site.a2 * (site.crop_coefficient if run.weather.method in COMPUTED else 1.0)
 
 
 class Case(NamedTuple):
@@ -104,27 +63,16 @@ class Case(NamedTuple):
     site: Site
     parameters: Mapping[str, Any]
     """every parameter of the controller, ``onoff``, and of the outlet valve, if there is one"""
-    weather: SeasonWeather
+    run: Run
+    """weather, sensor and pumps of the season, for sites with the same ticks as the run's own"""
     x1: float
     x2: float
     """initial volumes in the cistern and on the roof (m3)"""
-    bed: float = 1.0
-    """area to which the evapotranspiration of the weather applies (m2)"""
+    with_forecast: bool = True
+    """whether a plan uses the forecasts of the run; otherwise it knows the evapotranspiration and
+    the current rain, and expects no further rain"""
     group: int = 0
     """group of sites for which a hydrograph is made"""
-
-
-class CaseResult(NamedTuple):
-    """The results of a site in a season."""
-
-    metrics: dict[str, float]
-    """metrics by their names in :data:`.metrics.METRICS`"""
-    weeks: list[float]
-    """deviation in each week (m3)"""
-    events: list[Event]
-    """rain events; empty if more than one site is simulated"""
-    kept: Values
-    """values of the kept ticks, shape (ticks, values), see :data:`KEPT`"""
 
 
 KEPT = (
@@ -141,15 +89,8 @@ class Control(NamedTuple):
     """command while pumping (share of the maximum flow)"""
     level: float
     """level below which the pumps run (m)"""
-    min_on: float
-    min_off: float
-    """minimum times of the pumps (ticks)"""
     policy: float
     """index of the valve's policy in :data:`.outlet.POLICIES`; that of ``open`` without a valve"""
-    closed_in_frost: bool
-    """whether the valve stays closed during frost"""
-    wet_after: float
-    """time after rain that counts as wet weather (s)"""
     bed: float
     """area to which the weather's evapotranspiration applies (m2)"""
 
@@ -165,8 +106,8 @@ class Ticks(NamedTuple):
     """evapotranspiration of a bed of 1 m2 (m3/s)"""
     frost: Any
     """whether there is frost"""
-    without_rain: Any
-    """time without rain until the end of each tick (s)"""
+    wet: Any
+    """whether the weather is wet"""
     quiet: Any
     """whether each tick is in the quiet hours"""
     new_day: Any
@@ -194,7 +135,7 @@ class Sites(NamedTuple):
     state: Any
     """water in cistern, roof and layer (m3), shape (n, 3)"""
     switches: Any
-    """switches of the pumps, see :mod:`.sensor_and_pump`, shape (n, 3)"""
+    """switches of the pumps, see :func:`.make_switch`, shape (n, 5)"""
     sums: Any
     """sums of the runs, shape (n, places)"""
     events: Any
@@ -214,7 +155,7 @@ def run_ticks(sites: Any, ticks: Any, hydrograph: Any, every: int, steps: int) -
         every: interval between the ticks that are kept (ticks).
         steps: N; the run ends in the state of this tick.
     """
-    first, rain, potential, frost, without_rain, quiet, new_day, errors = ticks
+    first, rain, potential, frost, wet, quiet, new_day, errors = ticks
     for row in range(len(sites.state)):
         p, c = sites.parameters[row], sites.controls[row]
         switch, sums, events = sites.switches[row], sites.sums[row], sites.events[row]
@@ -222,16 +163,15 @@ def run_ticks(sites: Any, ticks: Any, hydrograph: Any, every: int, steps: int) -
         now, level = State(state[0], state[1], state[2]), float(sites.levels[row])
         for n in range(len(rain)):
             k, falls, frozen, demand = first + n, rain[n], frost[n], potential[n] * c.bed
-            wet, cistern = is_wet(without_rain[n], p.tau, c.wet_after), now.cistern / p.a1
-            roof = now.roof / p.a2
+            cistern, roof = now.cistern / p.a1, now.roof / p.a2
             if len(errors) > 0:
                 roof = max(0.0, roof + errors[n])
             may_run, command = p.b > 0 and not (frozen or quiet[n]), 0.0
             if may_run:
                 command = onoff_command(c.fraction, c.level, p.suction_level, cistern, roof)
-            switched = switch_pump(switch, c.min_on, c.min_off, command, may_run)
-            outlet = outlet_share(p, c.policy, wet, level, cistern)
-            if frozen and c.closed_in_frost:
+            switched = switch_pump(switch, command, may_run)
+            outlet = outlet_share(p, c.policy, wet[n], level, cistern)
+            if frozen and p.valve_closed_in_frost:
                 outlet = 0.0
             after, flows = step(p, now, falls, demand, switched, outlet, OWN_PUMPS)
             observe_pump(switch, flows.pump)
@@ -242,7 +182,7 @@ def run_ticks(sites: Any, ticks: Any, hydrograph: Any, every: int, steps: int) -
                 )
             if k == steps:
                 break
-            add(p, sums, events, now, command, falls, demand, flows, wet, new_day[n])
+            add(p, sums, events, now, command, falls, demand, flows, wet[n], new_day[n])
             if flows.outflow > 0 or flows.drainage > 0:
                 interval, to_sewer = int(k // p.interval_ticks), 1 - p.drainage_to_cistern
                 of_group[0][interval] += p.tau * (flows.outflow + to_sewer * flows.drainage)
@@ -251,65 +191,47 @@ def run_ticks(sites: Any, ticks: Any, hydrograph: Any, every: int, steps: int) -
         state[0], state[1], state[2] = now.cistern, now.roof, now.layer
 
 
-def count_rain(rain: Any, tau: float, before: float) -> Any:
-    """Return the time without rain until the end of each tick (s), shape (n,).
-
-    Args:
-        rain: rain rate in each tick (m/s), shape (n,).
-        tau: duration of a tick (s).
-        before: time without rain at the start (s).
-    """
-    result = np.empty(len(rain))
-    for k in range(len(rain)):
-        before = time_without_rain(before, rain[k], tau)
-        result[k] = before
-    return result
-
-
 def simulate_season(
-    cases: Sequence[Case], *, sensor_and_pump: SensorAndPump | None = None, every: int = 0,
+    cases: Sequence[Case], *, every: int = 0,
     progress: Callable[[float], None] = lambda share: None, threads: int = 1,
-) -> tuple[list[CaseResult], Values]:
+) -> tuple[list[tuple[Results, Values]], Values]:
     """Simulate sites under on/off control.
 
     Args:
         cases: the sites, which have the same tau and number of steps.
-        sensor_and_pump: errors of the roofs' sensors and of the pumps; by default, there are none.
         every: interval between the ticks that are kept (ticks); 0 to keep none.
         progress: callback that regularly receives the completed share of the work (1); an error
             that it raises ends the simulation.
         threads: number of threads that share the sites.
 
     Returns:
-        The results of each site; and the discharge of each group and its part through low outlets
-        in each interval of :func:`.storm_water.interval_seconds` (m3), shape (groups, 2,
-        intervals).
+        The results of each site, whose events are empty if more than one site is simulated, and
+        the values :data:`KEPT` of its kept ticks, shape (ticks, values); and the discharge of each
+        group and its part through low outlets in each interval of
+        :func:`.storm_water.interval_seconds` (m3), shape (groups, 2, intervals).
 
     Raises:
         ConfigurationError: if the sites differ in tau or in their number of steps.
     """
-    steps, count, done = cases[0].weather.run.steps, len(cases), 0
-    if any((each.site.tau, each.weather.run.steps) != (cases[0].site.tau, steps) for each in cases):
+    steps, count, done = cases[0].run.steps, len(cases), 0
+    if any((each.site.tau, each.run.steps) != (cases[0].site.tau, steps) for each in cases):
         raise ConfigurationError("all sites in a batch must have the same tau and number of steps")
     note_if_slow(steps * count)
     together: dict[Any, list[int]] = {}
     # Those of a group are adjacent, so that few parts have the group's hydrograph.
     for row in sorted(range(count), key=lambda row: cases[row].group):
-        site, planned = cases[row].site, cases[row].parameters.get("outlet") == PLAN
-        plan = site.wet_after if planned else None
-        key = plan, cases[row].weather, site.zone, site.quiet_hours
+        case, site = cases[row], cases[row].site
+        plans = case.parameters.get("outlet") == PLAN
+        key = plans, case.with_forecast, id(case.run), site.wet_after, site.zone, site.quiet_hours
         together.setdefault(key, []).append(row)
     intervals = -(-steps // int(plant_parameters(cases[0].site).interval_ticks))
     hydrograph = np.zeros((1 + max(case.group for case in cases), 2, intervals))
-    results: dict[int, CaseResult] = {}
+    results: dict[int, tuple[Results, Values]] = {}
     with ThreadPoolExecutor(threads) as pool:
         # A thread of its own would take longer to wake than a site needs from plan to plan.
         spread: Any = pool.map if threads > 1 else map
         for rows in together.values():
-            season = _Season(
-                [cases[row] for row in rows], sensor_and_pump or SensorAndPump(), every, intervals,
-                count,
-            )
+            season = _Season([cases[row] for row in rows], every, intervals, count)
             for ticks in season.ticks():
                 list(spread(partial(season.run, ticks), season.parts))
                 done += len(ticks.rain) * len(rows)
@@ -328,108 +250,104 @@ class _Season:
             and their hydrographs.
     """
 
-    def __init__(
-        self, cases: Sequence[Case], sensor_and_pump: SensorAndPump, every: int, intervals: int,
-        total: int,
-    ) -> None:
-        self._cases, self._every, count = cases, max(1, every), len(cases)
-        self._weather, self._site = cases[0].weather, cases[0].site
-        run = cases[0].weather.run
-        self._steps = steps = run.steps
-        self._compiles = pays_to_compile(steps * total)
-        self._errors = read_errors(sensor_and_pump, steps + 1)
-        self._new_days = find_new_days(self._site, run.time_ns(0) / 1e9, steps)
-        self._before, self._clock = run.without_rain_s, PlanClock(self._site.tau)
-        min_on, min_off = (
-            min_ticks(seconds, self._site.tau)
-            for seconds in (sensor_and_pump.pump_min_on, sensor_and_pump.pump_min_off)
+    def __init__(self, cases: Sequence[Case], every: int, intervals: int, total: int) -> None:
+        self._cases, self._run, self._site = cases, cases[0].run, cases[0].site
+        run, site, count = self._run, self._site, len(cases)
+        self._every = max(1, every)
+        compiles = pays_to_compile(run.steps * total)
+        self._function: Callable[[Any], Any] = compiled if compiles else lambda plain: plain
+        # Plain Python is faster with lists.
+        self._as_taken: Callable[[Any], Any] = lambda array: array if compiles else array.tolist()
+        self._errors = read_errors(run.sensor_and_pump, run.steps + 1)
+        self._wet_after = site.wet_after * HOUR_S
+        self._forecast: Any = None if cases[0].parameters.get("outlet") != PLAN else make_forecast(
+            run.weather, run.series, run.site, run.start, 0.0, run.forecast_choice,
+            all_members=True, outlet_horizon=HORIZON_H,
         )
+        # At the bed of the run, evapotranspiration stays the same to the last bit.
+        self._bed, *beds = (_find_bed(run, each) for each in (run.site, *(c.site for c in cases)))
+        if {*beds} == {self._bed}:
+            self._bed, beds = 1.0, [1.0] * count
+        names = "outlet_reserve", "outlet_price", "outlet_reach"
+        self._options = np.array([
+            [*(case.parameters.get(name, 0.0) for name in names), bed]
+            for case, bed in zip(cases, beds, strict=True)
+        ])
         plants = [plant_parameters(case.site) for case in cases]
         controls = [Control(
-            case.parameters["fraction"], case.parameters["level"] * case.site.z_veg, min_on,
-            min_off, POLICIES.index(case.parameters.get("outlet", OPEN)),
-            case.site.valve_closed_in_frost, case.site.wet_after * HOUR_S, case.bed,
-        ) for case in cases]
+            case.parameters["fraction"], case.parameters["level"] * case.site.z_veg,
+            POLICIES.index(case.parameters.get("outlet", OPEN)), bed,
+        ) for case, bed in zip(cases, beds, strict=True)]
         groups = np.array([case.group for case in cases])
-        events = s.count_events(plants[0], steps) if total == 1 else 0
-        kept = -(-steps // every) + 1 if every else 0
-        p, c = (records(each) if self._compiles else each for each in (plants, controls))
-        state, switches, sums = map(self._as_taken, (
-            np.array([(case.x1, case.x2, case.site.initial_layer) for case in cases]),
-            np.tile((0.0, min_off, 0.0), (count, 1)),
-            np.zeros((count, s.count_places(plants[0], steps))),
-        ))
-        names = "outlet_reserve", "outlet_price", "outlet_reach"
-        options = np.array([
-            [*(case.parameters.get(name, 0.0) for name in names), case.bed] for case in cases
-        ])
-        self._sites = Sites(
-            p, c, np.zeros(count, np.intp), options[:, 0].copy(), state, switches, sums,
+        events = s.count_events(plants[0], run.steps) if total == 1 else 0
+        kept = -(-run.steps // every) + 1 if every else 0
+        self._sites = Sites._make((
+            *(records(each) if compiles else each for each in (plants, controls)),
+            np.zeros(count, np.intp), self._options[:, 0].copy(),
+            *map(self._as_taken, (
+                np.array([(case.x1, case.x2, case.site.initial_layer) for case in cases]),
+                np.tile(make_switch(run.sensor_and_pump, site.tau), (count, 1)),
+                np.zeros((count, s.count_places(plants[0], run.steps))),
+            )),
             np.zeros((count, events, len(Event._fields))), np.zeros((count, kept, len(KEPT))),
-        )
+        ))
         self.parts: list[tuple[slice, NDArray[np.intp], Any]] = []
         bounds = np.unique(np.linspace(0, count, _PARTS + 1).astype(int)).tolist()
         for rows in starmap(slice, pairwise(bounds)):
             own, self._sites.groups[rows] = np.unique(groups[rows], return_inverse=True)
             self.parts.append((rows, own, self._as_taken(np.zeros((len(own), 2, intervals)))))
-        self._plan = None if cases[0].parameters.get("outlet") != PLAN else partial(
-            compiled(find_levels) if self._compiles else find_levels, self._sites.parameters,
-            options, self._site.wet_after * HOUR_S, look_ahead_ends(run.site, 0.0, HORIZON_H),
-        )
-
-    def _as_taken(self, array: NDArray[Any]) -> Any:
-        """Return an array as :func:`run_ticks` takes it; plain Python is faster with lists."""
-        return array if self._compiles else array.tolist()
 
     def ticks(self) -> Iterator[Ticks]:
         """Yield all ticks, and make the plans that are due before those that follow."""
-        for first in range(0, self._steps + 1, _BLOCK):
-            block, due = self._read(first, min(first + _BLOCK, self._steps + 1)), set[int]()
-            if self._plan is not None:
-                after = self._site.wet_after * HOUR_S
-                due = {
-                    tick for tick, dry in enumerate(block.without_rain, first)
-                    if self._clock.is_due(is_wet(dry, self._site.tau, after))
-                }
-            for begin, end in pairwise(sorted({first, *due, first + len(block.rain)})):
+        run, site, clock = self._run, self._site, PlanClock(self._site.tau)
+        new_days = find_new_days(site, run.time_ns(0) / 1e9, run.steps)
+        without_rain = run.without_rain_s
+        for first in range(0, run.steps + 1, _BLOCK):
+            last = min(first + _BLOCK, run.steps + 1)
+            rain, evaporated, frost, quiet = run.read_ticks(first, last, site)
+            wet, without_rain = self._function(find_wet)(
+                self._as_taken(rain), site.tau, self._wet_after, without_rain
+            )
+            block = Ticks(first, *map(self._as_taken, (
+                rain, evaporated / self._bed, frost, wet, quiet,
+                np.isin(np.arange(first, last), new_days), self._errors[first:last],
+            )))
+            due = {
+                tick for tick, is_wet in enumerate(wet, first) if clock.is_due(is_wet)
+            } if self._forecast else set()
+            for begin, end in pairwise(sorted({first, *due, last})):
                 if begin in due:
                     self._renew_levels(begin)
                 yield block.cut(begin, end)
 
-    def _read(self, first: int, last: int) -> Ticks:
-        """Return the ticks from one to another (exclusive), which must be the next ones."""
-        rain, evaporated, frost, quiet = self._weather.run.read_ticks(first, last, self._site)
-        count = compiled(count_rain) if self._compiles else count_rain
-        without_rain = count(self._as_taken(rain), self._site.tau, self._before)
-        self._before = float(without_rain[-1])
-        return Ticks(first, *map(self._as_taken, (
-            rain, evaporated / self._weather.bed, frost, without_rain, quiet,
-            np.isin(np.arange(first, last), self._new_days), self._errors[first:last],
-        )))
-
     def _renew_levels(self, tick: int) -> None:
         """Make the plan that is due in a tick."""
-        assert self._plan is not None
         a1, a2 = np.array([(case.site.a1, case.site.a2) for case in self._cases]).T
         x1, x2, _ = np.asarray(self._sites.state).T
         roof = x2 / a2
         if len(self._errors):
             roof = np.maximum(0.0, roof + self._errors[tick])
-        forecast = self._weather.foresee(tick)
-        self._sites.levels[:] = self._plan(x1 / a1 * a1, roof * a2, *forecast)
+        rain = np.atleast_2d(np.asarray(self._forecast.precipitation(tick)))
+        if not self._cases[0].with_forecast:
+            rain = rain[:1].copy()
+            rain[:, 1:] = 0.0
+        self._sites.levels[:] = self._function(find_levels)(
+            self._sites.parameters, self._options, self._wet_after,
+            look_ahead_ends(self._run.site, 0.0, HORIZON_H), x1 / a1 * a1, roof * a2, rain,
+            np.asarray(self._forecast.evapotranspiration(tick)) / self._bed,
+        )
 
     def run(self, ticks: Ticks, part: tuple[slice, Any, Any]) -> None:
         """Simulate a part of the sites in some ticks."""
         rows, _, hydrograph = part
-        function: Any = compiled(run_ticks) if self._compiles else run_ticks
         sites = Sites(*(each[rows] for each in self._sites))
-        function(sites, ticks, hydrograph, self._every, self._steps)
+        self._function(run_ticks)(sites, ticks, hydrograph, self._every, self._run.steps)
 
-    def results(self) -> Iterator[CaseResult]:
-        """Yield the results of each site after the last tick."""
+    def results(self) -> Iterator[tuple[Results, Values]]:
+        """Yield the results of each site after the last tick, and its kept ticks."""
         sites = self._sites
         for case, *taken, events, kept in zip(
             self._cases, sites.state, sites.sums, sites.events, sites.kept, strict=True
         ):
             state, sums = ([*map(float, each)] for each in taken)
-            yield CaseResult(*end_run(case.site, sums, events, State(*state)), kept)
+            yield end_run(case.site, sums, events, State(*state)), kept

@@ -27,15 +27,9 @@ RUNNING, DONE, FAILED, INTERRUPTED = "running", "done", "failed", "interrupted"
 
 
 def make_summary(
-    run: Run,
-    metrics: Mapping[str, float],
-    weeks: Sequence[float],
-    events: Sequence[Event],
-    *,
-    wall_s: float,
-    solver: Mapping[str, float] | None,
-    messages: Mapping[str, int] | None = None,
-    **happened: Any,
+    run: Run, metrics: Mapping[str, float], weeks: Sequence[float], events: Sequence[Event], *,
+    wall_s: float, solver: Mapping[str, float] | None,
+    messages: Mapping[str, int] | None = None, **happened: Any,
 ) -> dict[str, Any]:
     """Assemble the summary of a completed run, in the same form for ``simulate`` and the graph.
 
@@ -48,7 +42,7 @@ def make_summary(
         wall_s: wall time of the run (s).
         solver: statistics of the controller's solver; None if there is no solver.
         messages: number of messages on each topic in the bag.
-        happened: other keyword arguments of :func:`make_unfinished_summary`.
+        happened: what happened in the run, as for :func:`make_unfinished_summary`.
     """
     return {
         **make_unfinished_summary(run, DONE, last_tick=run.steps, **happened),
@@ -57,40 +51,29 @@ def make_summary(
         **metrics,
         "weekly_deviation_m3": list(weeks),
         "events": event_rows(run.start, events),
-        "solver": dict(solver) if solver is not None else None,
+        "solver": solver and dict(solver),
         "wall_s": wall_s,
         "times_real_time": run.steps * run.site.tau / wall_s,
         "messages": dict(messages or {}),
     }
 
 
-def make_unfinished_summary(
-    run: Run,
-    status: str,
-    *,
-    reason: str | None = None,
-    last_tick: int | None = None,
-    refused: Mapping[str, int] | None = None,
-    parameter_changes: Sequence[Mapping[str, Any]] = (),
-    parameter_change_count: int = 0,
-) -> dict[str, Any]:
+def make_unfinished_summary(run: Run, status: str, **happened: Any) -> dict[str, Any]:
     """Assemble the summary of an unfinished run, without metrics, which apply only to whole runs.
 
     Args:
         run: the run.
         status: status of the run, such as :data:`RUNNING`.
-        reason: reason why the run ended.
-        last_tick: last tick reported by the plant.
-        refused: number of values rejected so far, by topic.
-        parameter_changes: latest parameter changes so far, with their ticks.
-        parameter_change_count: total number of parameter changes.
+        happened: what happened so far, under the keys of the summary: ``reason``, why the run
+            ended; ``last_tick``, the last tick that the plant reported; ``refused``, the number of
+            rejected values by topic; ``parameter_changes``, the latest ones with their ticks, and
+            ``parameter_change_count``, the number of all.
     """
-    repeats_from = run.forecast.repeats_from
-    choice = run.forecast_choice
+    repeats_from, choice = run.forecast.repeats_from, run.forecast_choice
     return {
         "status": status,
-        "reason": reason,
-        "last_tick": last_tick,
+        "reason": None,
+        "last_tick": None,
         "controller": run.controller.name,
         "controller_reference": run.controller.reference,
         "parameters": replace_infinity(run.parameters),
@@ -107,10 +90,11 @@ def make_unfinished_summary(
         "filled": run.series.filled,
         "filled_hours": run.series.filled_hours,
         "suspicious": run.series.suspicious,
-        "refused": dict(refused or {}),
-        "parameter_changes": list(parameter_changes),
-        "parameter_change_count": parameter_change_count,
+        "refused": {},
+        "parameter_changes": [],
+        "parameter_change_count": 0,
         "versions": dict(versions()),
+        **happened,
     }
 
 

@@ -53,6 +53,15 @@ class Weather(Records):
         return self.values[PRECIPITATION]
 
     @property
+    def finest_rain(self) -> tuple[NDArray[np.float64], int]:
+        """Rain in every minute or, without such values, every hour (m/s), and this time (ns)."""
+        rain, step_ns = self.precipitation, _HOUR_NS
+        if self.minutes is not None:
+            known = ~np.isnan(self.minutes)
+            rain, step_ns = np.where(known, self.minutes, rain[:, None]).ravel(), _MINUTE_NS
+        return rain / 1000 / 3600, step_ns
+
+    @property
     def evapotranspiration(self) -> NDArray[np.float64]:
         """Evapotranspiration of the vegetation (mm/day), shape (hours,); NaN if missing."""
         return self.values[EVAPOTRANSPIRATION]
@@ -256,13 +265,10 @@ def rain_per_tick(weather: Weather, hours: _Clock, ticks: int) -> PerTick:
         hours: clock with the hour of every tick.
         ticks: number of ticks.
     """
-    hourly = weather.precipitation / 1000 / 3600
-    if weather.minutes is None:
-        return PerTick(hourly, hours, range(ticks))
-    known = ~np.isnan(weather.minutes)
-    minutes = np.where(known, weather.minutes / 1000 / 3600, hourly[:, None]).ravel()
-    clock = hours._replace(last=len(minutes) - 1, step_ns=_MINUTE_NS)
-    if _MINUTE_NS % clock.tick_ns == 0 == clock.offset_ns % clock.tick_ns:
+    minutes, step_ns = weather.finest_rain
+    clock = hours._replace(last=len(minutes) - 1, step_ns=step_ns)
+    fits = _MINUTE_NS % clock.tick_ns == 0 == clock.offset_ns % clock.tick_ns
+    if weather.minutes is None or fits:
         return PerTick(minutes, clock, range(ticks))
     edges = (clock.offset_ns + clock.tick_ns * np.arange(ticks + 1)) / _MINUTE_NS
     beyond = max(0, math.ceil(edges[-1]) - len(minutes))

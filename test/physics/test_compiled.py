@@ -22,7 +22,7 @@ from greenroof_ros.physics.compiled import MIN_COMPILED, can_compile, compiled, 
 from greenroof_ros.physics.parameters import State, plant_parameters
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.physics.tick import OWN_PUMPS, step
-from greenroof_ros.simulation.season import Case, SeasonWeather, simulate_season
+from greenroof_ros.simulation.season import Case, simulate_season
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 
@@ -87,8 +87,9 @@ def seasons() -> str:
         )
         begin = 0.9 * site.a1 * site.z_o, 0.8 * site.x2_star
         run = run_of_hours(list(weather), *begin, site, **outlet)
-        case = Case(site, run.parameters, SeasonWeather(run), run.x1, run.x2)
-        ((*result, kept),), hydrograph = simulate_season([case], sensor_and_pump=errors, every=97)
+        run = replace(run, sensor_and_pump=errors)
+        case = Case(site, run.parameters, run, run.x1, run.x2)
+        ((result, kept),), hydrograph = simulate_season([case], every=97)
         results.append((result, hydrograph.tolist(), kept.tolist()))
     return repr(results)
 

@@ -13,7 +13,7 @@ from paper import PAPER_SITE, exact_flows, paper_run, tick_of
 
 from greenroof_ros.physics.sensor_and_pump import (
     SensorAndPump,
-    min_ticks,
+    make_switch,
     observe_pump,
     read_errors,
     switch_pump,
@@ -68,11 +68,10 @@ def commands_let_through(
     roofs: Sequence[float] = (),
 ) -> list[float]:
     """Return the share of the maximum flow delivered in each tick, from 75 m3 in the cistern."""
-    times = min_ticks(errors.pump_min_on, 1.0), min_ticks(errors.pump_min_off, 1.0)
-    switch, shares = [0.0, float(times[1]), 0.0], []
+    switch, shares = [*make_switch(errors, 1.0)], []
     most = tick_of(PAPER_SITE, 75.0, EMPTY, command=1.0)[1].pump
     for command, cold, roof in itertools.zip_longest(commands, frost, roofs, fillvalue=0.0):
-        passed = switch_pump(switch, *times, command, not cold)
+        passed = switch_pump(switch, command, not cold)
         flow = tick_of(PAPER_SITE, 75.0, roof, command=passed)[1].pump
         observe_pump(switch, flow)
         shares.append(flow / most)
@@ -105,7 +104,8 @@ def test_minimum_times_by_hand(
 )
 def test_minimum_times_last_whole_ticks(seconds: float, tau: float, ticks: int) -> None:
     """The first whole number of ticks that is not shorter, for any binary digits of tau."""
-    assert min_ticks(seconds, tau) == ticks
+    times = SensorAndPump(pump_min_on=seconds, pump_min_off=2 * tau)
+    assert make_switch(times, tau) == (0, 2, 0, ticks, 2)
 
 
 def test_what_stops_them_at_once() -> None:

@@ -24,7 +24,7 @@ from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.loop import Simulation, record, simulate
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.simulation.season import Case, SeasonWeather, simulate_season
+from greenroof_ros.simulation.season import Case, simulate_season
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 
@@ -136,11 +136,11 @@ def test_a_controller_of_another_site() -> None:
 
 def cases_of(runs: Sequence[Run], groups: Sequence[int] = (0,), **choice: bool) -> list[Case]:
     """Return runs as cases; those of the same start share the weather of the first."""
-    weather: dict[Any, SeasonWeather] = {}
+    first: dict[Any, Run] = {}
     for run in runs:
-        weather.setdefault(run.start, SeasonWeather(run, run.site.a2, **choice))
+        first.setdefault(run.start, run)
     return [
-        Case(run.site, run.parameters, weather[run.start], run.x1, run.x2, run.site.a2, group)
+        Case(run.site, run.parameters, first[run.start], run.x1, run.x2, group=group, **choice)
         for run, group in zip(runs, cycle(groups), strict=False)
     ]
 
@@ -159,7 +159,7 @@ def test_a_batch_has_the_results_of_its_runs() -> None:
     """
     runs = [run_of(site, **given) for site, given in BATCH]
     results, hydrograph = simulate_season(cases_of(runs, (0, 1)), threads=2)
-    for run, (of, weeks, *_) in zip(runs, results, strict=True):
+    for run, ((of, weeks, _), _) in zip(runs, results, strict=True):
         alone = simulate(run)[0]
         assert of == pytest.approx({name: alone[name] for name in of}, rel=1e-9, abs=1e-9)
         assert weeks == pytest.approx(alone["weekly_deviation_m3"], rel=1e-9)
@@ -168,11 +168,11 @@ def test_a_batch_has_the_results_of_its_runs() -> None:
         lost = of["discharge_m3"] + of["evapotranspiration_m3"]
         assert gained == pytest.approx(kept + lost, rel=1e-12)
     some, of_some = simulate_season(cases_of([runs[row] for row in (4, 0, 2)], (2, 0, 1)))
-    assert [each.metrics for each in some] == [results[row].metrics for row in (4, 0, 2)]
+    assert [each.metrics for each, _ in some] == [results[row][0].metrics for row in (4, 0, 2)]
     # The hydrographs of groups add up those of their sites.
     assert hydrograph[0] == pytest.approx(of_some.sum(axis=0), abs=1e-12)
     for group, (discharge, low) in enumerate(hydrograph.sum(axis=2).tolist()):
-        own = [each.metrics for each in results[group::2]]
+        own = [each.metrics for each, _ in results[group::2]]
         assert discharge == pytest.approx(sum(of["discharge_m3"] for of in own))
         assert low == pytest.approx(sum(of["outflow_m3"] - of["overflow_m3"] for of in own))
 
@@ -182,7 +182,7 @@ def test_plan_without_a_forecast() -> None:
     run = run_of(replace(SMALL, drainage_to_cistern=0.0), outlet="plan", cistern=1.9)
     expected = metrics_of(with_forecasts(run, "always dry"))
     assert expected["overflow_m3"] > 1.1 * metrics_of(run)["overflow_m3"]
-    (found,), _ = simulate_season(cases_of([run], with_forecast=False))
+    ((found, _),), _ = simulate_season(cases_of([run], with_forecast=False))
     assert found.metrics == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 

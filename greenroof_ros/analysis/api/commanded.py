@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from greenroof_ros.physics.compiled import compiled, records
 from greenroof_ros.physics.parameters import Flows, State, plant_parameters
 from greenroof_ros.physics.sensor_and_pump import (
-    min_ticks,
+    make_switch,
     observe_pump,
     read_errors,
     switch_pump,
 )
-from greenroof_ros.physics.storm_water import HOUR_S, Event, is_wet, time_without_rain
+from greenroof_ros.physics.storm_water import Event, is_wet, time_without_rain
 from greenroof_ros.physics.tick import OWN_PUMPS, step
 from greenroof_ros.results.metrics import compute_metrics, find_new_days
 from greenroof_ros.results.sums import add, count_places, finish
@@ -39,20 +39,8 @@ _HOUR_NS, _MINUTE_NS = 3_600_000_000_000, 60_000_000_000
 _TICK, _STEP, _LAST_STEP, _LAST_HOUR, _FIRST_MINUTE = range(5)
 
 
-class Rules(NamedTuple):
-    """The numbers that limit what a program can command."""
-
-    min_on: float
-    min_off: float
-    """minimum times of the pumps (ticks)"""
-    closed_in_frost: bool
-    """whether the valve stays closed during frost"""
-    wet_after: float
-    """time after rain that counts as wet weather (s)"""
-
-
 def follow(
-    parameters: Any, rules: Any, times: Any, rain: Any, potential: Any, frost: Any, quiet: Any,
+    parameters: Any, times: Any, rain: Any, potential: Any, frost: Any, quiet: Any,
     errors: Any, begins: Any, new_days: Any, commands: Any, state: Any, levels: Any, switches: Any,
     without_rain: Any, days: Any, sums: Any, events: Any, ticks: Any, rewards: Any, first_row: int,
     last_row: int, first: int, last: int,
@@ -61,7 +49,6 @@ def follow(
 
     Args:
         parameters: :class:`.PlantParameters` of all sites, shape (1,).
-        rules: :class:`Rules` of all sites, shape (1,).
         times: numbers that find a tick in the record, shape (5,).
         rain: rain rate in each step of the record (m/s).
         potential: evapotranspiration in each hour of the record (m3/s).
@@ -75,7 +62,7 @@ def follow(
             without a valve, shape (n, 2).
         state: water in cistern, roof and layer (m3), shape (n, 3).
         levels: readings of the sensors in the cistern and on the roof (m), shape (n, 2).
-        switches: switches of the pumps, see :mod:`.sensor_and_pump`, shape (n, 3).
+        switches: switches of the pumps, see :func:`.make_switch`, shape (n, 5).
         without_rain: time without rain until now (s), shape (n,).
         days: number of days that have begun, shape (n,).
         sums: sums of the runs, shape (n, places).
@@ -89,8 +76,8 @@ def follow(
         first: first tick.
         last: end of the ticks.
     """
-    p, c = parameters[0], rules[0]
-    tick_ns, step_ns, minute = times[_TICK], times[_STEP], times[_FIRST_MINUTE]
+    p, tick_ns, step_ns = parameters[0], times[_TICK], times[_STEP]
+    minute = times[_FIRST_MINUTE]
     for row in range(first_row, last_row):
         switch, own, begin = switches[row], sums[row], begins[row]
         now = State(state[row][0], state[row][1], state[row][2])
@@ -109,10 +96,10 @@ def follow(
             hushed = len(quiet) > 0 and quiet[since // _MINUTE_NS - minute]
             may_run = p.b > 0 and not (frozen or hushed)
             command = asked if may_run else 0.0
-            outlet = 0.0 if frozen and c.closed_in_frost else opening
+            outlet = 0.0 if frozen and p.valve_closed_in_frost else opening
             dry = time_without_rain(dry, falls, p.tau)
-            wet = is_wet(dry, p.tau, c.wet_after)
-            switched = switch_pump(switch, c.min_on, c.min_off, command, may_run)
+            wet = is_wet(dry, p.tau, p.wet_after_s)
+            switched = switch_pump(switch, command, may_run)
             after, flows = step(p, now, falls, demand, switched, outlet, OWN_PUMPS)
             observe_pump(switch, flows.pump)
             new_day = new_days[row][day] == k
@@ -177,21 +164,15 @@ class Surroundings:
             first = run.time_ns(0) - clock.offset_ns + hours.start * _HOUR_NS
             quiet = site.quiet.quiet_ticks(first, _MINUTE_NS, 60 * len(hours))
         times = [clock.tick_ns, rain.clock.step_ns, rain.clock.last, clock.last, 60 * hours.start]
-        rules = Rules(
-            min_ticks(sensor.pump_min_on, site.tau), min_ticks(sensor.pump_min_off, site.tau),
-            site.valve_closed_in_frost, site.wet_after * HOUR_S,
-        )
-        parts = (plant_parameters(site), rules)
+        parameters = [plant_parameters(site)]
         arrays = (
             np.array(times), rain.values, series.evapotranspiration.values, series.frost.values,
             quiet, read_errors(sensor, run.steps + 1),
         )
         if compiles:
-            return cls(run, rain.clock.offset_ns, True, (
-                *(records([part]) for part in parts), *arrays
-            ))
+            return cls(run, rain.clock.offset_ns, True, (records(parameters), *arrays))
         return cls(run, rain.clock.offset_ns, False, (
-            *([part] for part in parts), *map(np.ndarray.tolist, arrays)
+            parameters, *map(np.ndarray.tolist, arrays)
         ))
 
     def as_taken(self, array: NDArray[Any]) -> Any:
@@ -249,7 +230,7 @@ class CommandedSites:
         layers, roof = np.full(count, site.initial_layer), x2 / site.a2
         if len(surroundings.fixed[-1]):
             roof = np.maximum(0.0, roof + surroundings.fixed[-1][0])
-        switch = 0.0, min_ticks(run.sensor_and_pump.pump_min_off, site.tau), 0.0
+        switch = make_switch(run.sensor_and_pump, site.tau)
         self.commands, self._state, self.levels, self._switches = map(as_taken, (
             np.zeros((count, 2)), np.column_stack((x1, x2, layers)),
             np.column_stack((x1 / site.a1, roof)), np.tile(switch, (count, 1)),
@@ -274,7 +255,7 @@ class CommandedSites:
 
     def find_weather(self, tick: int) -> Values:
         """Return the rain (m/s) and evapotranspiration (m3/s) of a tick, shape (2, n)."""
-        times, rain, potential = map(np.asarray, self._surroundings.fixed[2:5])
+        times, rain, potential = map(np.asarray, self._surroundings.fixed[1:4])
         hours, steps = np.asarray(self._begins).T + tick * times[_TICK]
         return np.array([
             rain[np.minimum(steps // times[_STEP], times[_LAST_STEP])],

@@ -22,9 +22,11 @@ from greenroof_ros.analysis.district.district_file import (
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.onoff import LEVEL
 from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.physics.start import find_state
 from greenroof_ros.physics.storm_water import connected_area
-from greenroof_ros.simulation.season import Case, SeasonWeather, find_bed, simulate_season
+from greenroof_ros.simulation.run import Run
+from greenroof_ros.simulation.season import Case, simulate_season
 from greenroof_ros.site.file import SiteFile, check_site
 from greenroof_ros.site.site import Site
 
@@ -87,9 +89,9 @@ class PartResult:
 
 
 @lru_cache(_CELLS_KEPT)
-def _read_weather(file: Path) -> SeasonWeather:
-    weather: SeasonWeather = pickle.loads(file.read_bytes())  # noqa: S301 - of this command
-    return weather
+def _read_run(file: Path) -> Run:
+    run: Run = pickle.loads(file.read_bytes())  # noqa: S301 - of this command
+    return run
 
 
 def simulate_part(
@@ -128,19 +130,18 @@ def simulate_part(
     places = np.concatenate([*simulated.values()])
     results, hydrograph = simulate_season([
         Case(
-            variant.site, variant.parameters, weather, *variant.state,
-            find_bed(weather.run.weather.method, variant.site), group,
+            variant.site, variant.parameters, _read_run(directory / weather_file(cell)),
+            *variant.state, part.district.forecast == PERFECT, group,
         )
         for variant, cell, group in zip(
             variants, buildings.cells[places].tolist(), np.concatenate(groups).tolist(), strict=True
         )
-        for weather in [_read_weather(directory / weather_file(cell))]
     ], progress=progress, threads=threads)
     made, metrics = iter(results), {}
     for outlet, places in simulated.items():
         values = np.full((len(METRICS), len(buildings)), np.nan)
         for place in places.tolist():
-            of_site = next(made).metrics
+            of_site = next(made)[0].metrics
             values[:, place] = [of_site.get(name, np.nan) for name in METRICS]
         metrics[outlet] = dict(zip(METRICS, values, strict=True))
     hydrographs = {outlet: hydrograph[own] for outlet, own in rows.items()}

@@ -6,7 +6,6 @@ import pickle
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -33,11 +32,9 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping
 from greenroof_ros.common.processes import scratch_directory
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.forecast.choice import PERFECT
-from greenroof_ros.physics.storm_water import HOUR_S, interval_seconds, is_wet
+from greenroof_ros.physics.storm_water import HOUR_S, find_wet, interval_seconds
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.simulation.season import SeasonWeather, count_rain, find_bed
 from greenroof_ros.site.file import merge_site_file
 from greenroof_ros.site.site import Site
 
@@ -70,15 +67,6 @@ class DistrictRun:
     cells: Sequence[str]
     notes: Sequence[str]
 
-    @cached_property
-    def weather(self) -> list[SeasonWeather]:
-        """The weather of each cell."""
-        return [
-            SeasonWeather(
-                run, find_bed(run.weather.method, run.site), self.district.forecast == PERFECT
-            ) for run in self.runs
-        ]
-
     @property
     def adoption(self) -> Adoption:
         """Groups of buildings by adoption."""
@@ -97,13 +85,10 @@ class DistrictRun:
         )
         firsts = np.arange(0, self.runs[0].steps, round(seconds / tau))
         rain = np.array([run.series.precipitation[: run.steps] for run in self.runs])
-        wet = [
-            any(is_wet(without_rain, tau, after) for without_rain in of_cells)
-            for of_cells in zip(*(
-                count_rain(of_cell, tau, run.without_rain_s)
-                for of_cell, run in zip(rain.tolist(), self.runs, strict=True)
-            ), strict=True)
-        ]
+        wet = np.any([
+            find_wet(of_cell, tau, after, run.without_rain_s)[0]
+            for of_cell, run in zip(rain.tolist(), self.runs, strict=True)
+        ], axis=0)
         return Totals(
             self.buildings, self.adoption, self.outlets, seconds,
             np.add.reduceat(tau * rain, firsts, axis=1), np.logical_or.reduceat(wet, firsts),
@@ -115,7 +100,7 @@ class DistrictRun:
         """Contents of the workers' input files, by name."""
         return {
             SITE_FILE: merge_site_file(self.district.site_file, self.district.ticks).encode(),
-            **{weather_file(n): pickle.dumps(cell) for n, cell in enumerate(self.weather)},
+            **{weather_file(n): pickle.dumps(run) for n, run in enumerate(self.runs)},
         }
 
     def parts(self) -> Iterator[Part]:

@@ -18,7 +18,7 @@ from greenroof_ros.physics.cistern import mains_inflow
 from greenroof_ros.physics.compiled import can_compile, compiled
 from greenroof_ros.physics.parameters import Flows, PlantParameters, State, plant_parameters
 from greenroof_ros.physics.soil import flows_in_tick, layer_outflow
-from greenroof_ros.physics.storm_water import HOUR_S, Event, is_wet, time_without_rain
+from greenroof_ros.physics.storm_water import Event, is_wet, time_without_rain
 from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.results import sums as s
 from greenroof_ros.results.metrics import end_run, find_new_days
@@ -48,7 +48,7 @@ class Samples(NamedTuple):
 
 def add_samples(
     p: PlantParameters, sums: Any, events: Any, samples: Samples, new_day: Any, layer: float,
-    without_rain: float, wet_after: float,
+    without_rain: float,
 ) -> float:
     """Add the ticks of a record to the sums of :func:`.sums.add`.
 
@@ -60,7 +60,6 @@ def add_samples(
         new_day: whether each tick is the first of a day of the site's clock, shape (ticks,).
         layer: water in the drainage layer at the start (m3).
         without_rain: time without rain at the start (s).
-        wet_after: time after rain that counts as wet weather (s).
 
     Returns:
         The water in the drainage layer at the end (m3).
@@ -82,7 +81,7 @@ def add_samples(
                 outflow, pump, samples.drainage[i], evaporated, False, mains,
                 samples.low_outlet[i],
             ),
-            is_wet(without_rain, p.tau, wet_after), new_day[k],
+            is_wet(without_rain, p.tau, p.wet_after_s), new_day[k],
         )
         drained = layer_outflow(p, layer, percolated, p.tau)
         layer = max(0.0, layer + p.tau * (percolated - drained))
@@ -122,10 +121,7 @@ def compute_results(
     if steps < _MIN_COMPILED or not can_compile():
         add_all, sums = add_samples, sums.tolist()
         samples = Samples(*(column.tolist() for column in arrays))
-    layer = add_all(
-        p, sums, events, samples, new_day, site.initial_layer, without_rain,
-        site.wet_after * HOUR_S,
-    )
+    layer = add_all(p, sums, events, samples, new_day, site.initial_layer, without_rain)
     last = State(float(samples.cistern[-1]), float(samples.roof[-1]), layer)
     known = [math.nan if place in unknown else float(each) for place, each in enumerate(sums)]
     metrics, _, rain_events = end_run(site, known, events, last)

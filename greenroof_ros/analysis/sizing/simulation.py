@@ -40,14 +40,13 @@ def simulate_cases(
         progress: callback that receives the completed share of the work (1); an error that it
             raises ends the runs.
     """
-    weather = [season.SeasonWeather(run, with_forecast=False) for run in seasons]
     results, _ = season.simulate_season([
         season.Case(
-            case.design.site, case.design.parameters, weather[case.season],
-            case.filled * case.design.volume, case.design.site.x2_star,
+            case.design.site, case.design.parameters, seasons[case.season],
+            case.filled * case.design.volume, case.design.site.x2_star, with_forecast=False,
         ) for case in cases
     ], progress=progress, threads=threads)
     return {
-        metric.name: np.array([made.get(metric.name, np.nan) for made, *_ in results])
+        metric.name: np.array([made.get(metric.name, np.nan) for (made, *_), _ in results])
         for metric in METRICS
     }
