@@ -54,8 +54,11 @@ class Range:
     words: tuple[str, ...] = ()
 
     def __contains__(self, value: Any) -> bool:
-        is_number = isinstance(value, Integral if self.whole else Real)
-        return is_number and not isinstance(value, bool) and bool(self.low <= value <= self.high)
+        if isinstance(value, bool) or not isinstance(value, Integral if self.whole else Real):
+            return False
+        # NumPy compares its 32-bit infinity with the largest float as equal.
+        number = value if isinstance(value, Integral) else float(value)
+        return bool(self.low <= number <= self.high)
 
     @property
     def limits(self) -> str:

@@ -89,8 +89,7 @@ def valid_number(kind: Any, member: str, subject: str, value: Any, valid: Range)
     Raises:
         ControllerError: if it is not a valid number.
     """
-    # NumPy compares its 32-bit infinity with the largest float as equal.
-    if value in valid and math.isfinite(value):
+    if value in valid:
         return float(value)
     file, line = find_place(kind, member, "command")
     raise ControllerError(
