@@ -258,6 +258,7 @@ def _read_entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, _
         return _override({}, entries)
     name, _, line = entries.pop(_EXTENDS)
     chain = (*extended_by, path.resolve())
+    # A path of a text that is not on a disk has a directory that is.
     places = Path(path).parent, shared_directory() / "config"
     base = next(filter(is_there, (place / str(name) for place in places)), None)
     if base is None or base.resolve() in chain:
