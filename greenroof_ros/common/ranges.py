@@ -57,7 +57,7 @@ class Range:
         if isinstance(value, bool) or not isinstance(value, Integral if self.whole else Real):
             return False
         # NumPy compares its 32-bit infinity with the largest float as equal.
-        number = value if isinstance(value, Integral) else float(value)
+        number: Any = value if isinstance(value, Integral) else float(value)
         return bool(self.low <= number <= self.high)
 
     @property

@@ -9,7 +9,7 @@ import numpy as np
 
 from greenroof_ros.controllers.roof_prediction import ABOVE_M, drain
 from greenroof_ros.physics.parameters import PlantParameters
-from greenroof_ros.physics.storm_water import is_wet, time_without_rain
+from greenroof_ros.physics.storm_water import find_wet
 
 HORIZON_H = 48
 """time for which a plan looks ahead (h)"""
@@ -115,7 +115,7 @@ def solve(
     costs = np.zeros(_NODES)
     for member in range(len(rain)):
         flows = find_flows(p, x2, rain[member], evaporated)
-        wet = find_wet(rain[member], wet_after)
+        wet, _ = find_wet(rain[member] / _HOUR_S, _HOUR_S, wet_after, math.inf)
         value = -price * np.minimum(nodes - floor, needed)
         for hour in range(len(flows) - 1, -1, -1):
             held = nodes + flows[hour]
@@ -170,21 +170,6 @@ def find_flows(p: PlantParameters, x2: float, rain: Any, evaporated: Any) -> Any
         )
         above = min(max(above, 0.0), room)
     return flows
-
-
-def find_wet(rain: Any, wet_after: float) -> Any:
-    """Return 1 for each wet hour, otherwise 0, shape (hours,).
-
-    Args:
-        rain: depth of rain in each hour (m), shape (hours,).
-        wet_after: time after rain that counts as wet weather (s).
-    """
-    wet, without_rain = np.zeros(len(rain)), math.inf
-    for hour in range(len(rain)):
-        without_rain = time_without_rain(without_rain, rain[hour] / _HOUR_S, _HOUR_S)
-        if is_wet(without_rain, _HOUR_S, wet_after):
-            wet[hour] = 1.0
-    return wet
 
 
 def value_at(nodes: Any, value: Any, volumes: Any) -> Any:
