@@ -13,9 +13,10 @@ from paper import run_in, site_with, weather_of
 import greenroof_ros as gr
 from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.outlet import Policy
-from greenroof_ros.controllers.outlet_plan import find_hourly, find_wet, solve
+from greenroof_ros.controllers.outlet_plan import find_hourly, solve
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.physics.parameters import plant_parameters
+from greenroof_ros.physics.storm_water import find_wet
 from greenroof_ros.simulation.loop import simulate
 from greenroof_ros.site.site import Site
 
@@ -155,7 +156,8 @@ def test_an_hour_with_a_tenth_of_a_millimetre_is_wet() -> None:
     for tenths in range(200):
         rates = np.array([tenths / 10, 0.0, 0.1]) / 1000 / HOUR
         hourly = find_hourly(rates, HOUR * np.arange(4.0), 3)
-        assert find_wet(hourly, 0.0).tolist() == [tenths > 0, False, True]
+        wet, _ = find_wet(hourly / HOUR, HOUR, 0.0, math.inf)
+        assert wet.tolist() == [tenths > 0, False, True]
 
 
 def test_plan_depends_on_all_members() -> None:
