@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from paper import PAPER_SITE, site_with
+from paper import PAPER_SITE, site_with, tick_of
 from scipy.integrate import solve_ivp
 
 from greenroof_ros.controllers.roof_prediction import RoofPrediction
@@ -151,6 +151,19 @@ def test_drainage_of_a_season(exponent: float) -> None:
                 drained += tau * flows.drainage
         errors.append(abs(drained / expected - 1))
     assert errors[1] < 1e-3 and errors[2] < 0.4 * errors[1] < 0.16 * errors[0]
+
+
+def test_a_tick_by_hand() -> None:
+    """5 m3 on the roof, 0.01 m3/s of rain for 2 s, demand 1e-3 m3/s, and all of it evaporates.
+
+    At first 7/16 of the rain stay, and S becomes tanh(artanh(3/4) + 0.02/4).
+    """
+    after, flows = tick_of(replace(ROOF, tau=2.0), 50.0, 5.0, 1e-4, 1e-3)
+    assert (flows.evapotranspiration, flows.limited) == (1e-3, False)
+    wet = 2 + 4 * math.tanh(math.atanh(0.75) + 0.005)
+    assert wet == pytest.approx(5 + 0.02 * 7 / 16, abs=1e-4)
+    assert after.roof == pytest.approx(wet - 2e-3, rel=1e-12)
+    assert after.layer == pytest.approx(5 + 0.02 - wet - 2 * flows.drainage, rel=1e-9)
 
 
 @pytest.mark.parametrize(

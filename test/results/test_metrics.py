@@ -66,6 +66,16 @@ def test_sums_by_hand() -> None:
     assert not {"mains_m3", "demand_met_share", "final_layer_m3"} & results.keys()
 
 
+@pytest.mark.parametrize("tau", [3600.0, 7.2])
+def test_no_time_exceeds_the_run(tau: float) -> None:
+    """A day at the target is 24 h near it, and a day without water 24 h of stress."""
+    for roof, name in ((TARGET, "near_target_hours"), (0.0, "stress_hours")):
+        ticks = [Tick(state=at(roof))] * round(86_400 / tau)
+        assert summed(replace(PAPER_SITE, tau=tau), ticks, at(roof)).metrics[name] == (
+            pytest.approx(24.0, rel=1e-12)
+        )
+
+
 @pytest.mark.parametrize(
     ("gap", "busiest"), [(1800, 20), (1799, 21)]
 )

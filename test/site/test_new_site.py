@@ -185,7 +185,10 @@ def test_places(
         (GIVEN[2:], "--roof: must be specified, since there is no terminal"),
         (GIVEN[:2], "--catchment, --cistern, --place: must be specified, since there is no"),
         ((*GIVEN, "--roof", "12,5"), "--roof: must be a number from 0.1 to 1000000, with a d"),
+        ((*GIVEN, "--roof", "nan"), "argument --roof: must be a number from 0.1 to 1000000, not n"),
+        ((*GIVEN, "--cistern", "5m3"), "argument --cistern: must be a number from 0.01 to 1000"),
         ((*GIVEN, "--substrate", "moss"), "--substrate: 'moss' must be one of neubrandenburg, ber"),
+        ((*GIVEN, "--substrate-depth", "10"), "--substrate-depth: must be a number from 0.02 to 2"),
         ((*GIVEN, "--emitters", "10"), "error: --emitters = 10: also needs --emitter-flow"),
         (
             (*GIVEN, "--pump-flow", "9", "--irrigation-rate", "3"),
@@ -231,6 +234,11 @@ def test_bad_answers(tmp_path: Path, options: tuple[str, ...], message: str) -> 
     (
         ("--cistern", "5000", "--roof", "3000"),
         "--cistern 5000 m3 is unusual; is the unit right? The value is usually 1 to 50\n",
+    ),
+    (
+        ("--runoff-coefficient", "0.09"),
+        "--runoff-coefficient 0.09 is unusual; is the unit right? The value is usually 0.75 to "
+        "0.95\n",
     ),
 ])
 def test_what_is_unusual_is_noted(tmp_path: Path, options: tuple[str, ...], note: str) -> None:

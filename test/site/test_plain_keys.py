@@ -132,6 +132,26 @@ def test_contradictions(tmp_path: Path, plain: str, other: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("key", "range_"), [
+        ("cistern_volume", "from 0.01 to 100000 m3"), ("cistern_height", "from 0.1 to 50 m"),
+        ("catchment_area", "from 0.1 to 1000000 m2"), ("roof_area", "from 0.1 to 1000000 m2"),
+        ("substrate_depth", "from 0.02 to 2 m"), ("pump_flow", "from 1 to 1000000 l/h"),
+        ("irrigation_rate", "from 0.1 to 1000 mm/h"), ("emitter_flow", "from 0.1 to 100 l/h"),
+        ("emitters", "from 1 to 10000000"),
+    ],
+)
+def test_what_is_no_number_of_its_range(tmp_path: Path, key: str, range_: str) -> None:
+    """Nor is one with a unit, a decimal comma, or in a unit that is a thousandth of ours."""
+    for value in ("-1", "0", ".nan", ".inf", "1e12", "many", "true", "[5]", "5 m3", '"5,5"'):
+        path = house(tmp_path / "own.yaml", **{"irrigation_rate": None, key: value})
+        message = refusal(read_site, path)
+        assert f"{path}, line " in message and f": {key} = " in message
+        assert f" number {range_}" in message
+    path = house(tmp_path / "own.yaml", **{"irrigation_rate": None, key: ""})
+    assert f": {key}: must have a value; leave this line out" in refusal(read_site, path)
+
+
+@pytest.mark.parametrize(
     ("given", "message"), [
         ({"cistern_height": 2000}, "line 4: cistern_height = 2000: must be a number from 0.1 to"),
         # With a unit or a decimal comma it is no number; it is refused under the name in the file.

@@ -360,7 +360,7 @@ weather: {{file: {WEATHER}, start: 2021-07-07T02:00, hours: 24, evapotranspirati
 initial: {{name: full, cistern: 9.9, roof: 2.6}}
 bound_block: 0
 controllers:
-  onoff: {{outlet: [closed, drain]}}
+  onoff: {{outlet: [closed, drain, plan]}}
   anticipating_onoff: {{outlet: plan}}
 """
     done = run_here(tmp_path, text)
