@@ -6,6 +6,7 @@ from dataclasses import replace
 from datetime import datetime
 
 import numpy as np
+import pytest
 from paper import SLOW, run_in, weather_of
 
 from greenroof_ros.controllers.lookahead import Lookahead
@@ -45,6 +46,23 @@ def ticks_of(run: Run, site: Site | None = None) -> list[Tick]:
 
 def deviation(ticks: list[Tick]) -> float:
     return sum(abs(tick.x2 - SLOW.x2_star) for tick in ticks)
+
+
+@pytest.mark.parametrize(
+    "controller", ["onoff", "anticipating_onoff", "mpc", "lookahead"]
+)
+def test_no_controller_pumps_in_quiet_hours(controller: str) -> None:
+    """Each begins to pump before, on a roof that is never full, and continues afterwards."""
+    changes = {"days_after": 0} if controller in ("lookahead", "anticipating_onoff") else {}
+    if controller == "onoff":
+        changes["fraction"] = 0.001
+    site = replace(EVENING, quiet_hours=("18:30-19:00",), a_hat=-9e8)  # a weak pump
+    run = replace(run_of(controller, {}, site, **changes), steps=720)
+    commands = [tick.command for tick in ticks_of(run)]
+    # mpc need not begin at once.
+    assert max(commands[:180]) > 0
+    assert commands[180:360] == [0.0] * 180
+    assert max(commands[360:]) > 0
 
 
 LOOKAHEAD = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import replace
 from functools import cache
@@ -165,9 +166,14 @@ def test_unsolved_program_pumps_nothing(
         patch.setitem(module._SOLVER_SETTINGS, "max_iter", 1)
         mpc = Mpc(PAPER_SITE, 1e-3, math.inf)
     for fallbacks in (1, 2, 3):
+        caplog.clear()
         assert mpc.command(*first_inputs()) == 0.0
-        assert mpc.fallbacks == fallbacks == caplog.text.count("falling back")
-        assert math.isnan(mpc.cost) and mpc.status != 1
+        assert mpc.fallbacks == fallbacks
+        assert math.isnan(mpc.cost)
+        assert mpc.status != 1
+        (record,) = caplog.records
+        assert record.levelno == logging.WARNING
+        assert "falling back" in record.getMessage()
 
 
 @pytest.mark.parametrize(
@@ -177,14 +183,20 @@ def test_what_is_no_number_pumps_nothing(
     bad: float, index: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     """A NaN level, or a NaN at a forecast's end: 0 for that tick; the next is exact again."""
-    mpc, good = Mpc(PAPER_SITE, 1e-3, math.inf), first_inputs()
+    mpc = Mpc(PAPER_SITE, 1e-3, math.inf)
+    good = first_inputs()
     spoilt: list[Any] = list(good)
     spoilt[index] = bad if index < 2 else [*spoilt[index][:-1], bad]
-    assert mpc.command(*good) > 0.01 and not caplog.records
+    assert mpc.command(*good) > 0.01
+    assert not caplog.records
     assert mpc.command(*spoilt) == 0.0
-    assert caplog.text.count("the prediction is not finite") == 1
-    assert math.isnan(mpc.cost) and (mpc.status != 1, mpc.fallbacks) == (True, 1)
+    assert mpc.fallbacks == 1
+    assert [record.levelno for record in caplog.records] == [logging.WARNING]
+    assert "the prediction is not finite" in caplog.text
+    assert math.isnan(mpc.cost)
+    assert mpc.status != 1
     expected = exact_first_command(PAPER_SITE, good, 1e-3)
     assert mpc.command(*good) == pytest.approx(expected, abs=1e-8)
-    assert (mpc.status, mpc.fallbacks, len(mpc.solve_seconds)) == (1, 1, 3)
+    assert (mpc.status, mpc.fallbacks) == (1, 1)
     assert math.isfinite(mpc.cost)
+    assert len(mpc.solve_seconds) == 3

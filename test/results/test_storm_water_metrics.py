@@ -203,6 +203,7 @@ def test_unknown_discharge() -> None:
 @pytest.mark.parametrize(("start", "zone", "hours", "days"), [
     # From 20:00 to 02:00; a day of the run that begins at 02:00 has two calendar days.
     ("2021-07-07T02:00-05:00", {"utc_offset": -5.0}, range(18, 24), 2),
+    ("2021-07-07T02:00-05:00", {"utc_offset": -5.0}, range(22), 1),
     ("2021-07-07T02:00-05:00", {"utc_offset": -5.0}, range(23), 2),
     # The site's clock counts, not that of the start: 02:00-05:00 is 07:00 UTC.
     ("2021-07-07T02:00-05:00", {"utc_offset": None}, range(17), 1),
@@ -211,6 +212,7 @@ def test_unknown_discharge() -> None:
     ("2021-07-07T00:00-05:00", {"time_zone": "America/Toronto", "utc_offset": -5.0}, range(23), 1),
     ("2021-07-07T00:00-05:00", {"time_zone": "America/Toronto", "utc_offset": -5.0}, range(24), 2),
     # The day on which clocks are set back has 25 hours, and it is midnight twice in Havana.
+    ("2021-11-07T00:00-04:00", {"time_zone": "America/Toronto"}, range(25), 1),
     ("2021-11-07T00:00-04:00", {"time_zone": "America/Toronto"}, range(26), 2),
     ("2021-11-07T00:00-04:00", {"time_zone": "America/Havana"}, range(25), 1),
     ("2021-07-07T02:00-05:00", {"utc_offset": -5.0}, (0, 60, 61, 130), 3),
