@@ -21,7 +21,7 @@ from greenroof_ros.controllers.decide import OwnCode, valid_number
 from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, find_levels
 from greenroof_ros.physics.cistern import low_outlet_flow
 from greenroof_ros.physics.parameters import PlantParameters, plant_parameters
-from greenroof_ros.physics.storm_water import HOUR_S, is_wet, time_without_rain
+from greenroof_ros.physics.storm_water import is_wet, time_without_rain
 from greenroof_ros.site.site import Site
 
 Array = NDArray[np.float64]
@@ -168,10 +168,10 @@ class Policy:
         """
         self._site, self._p = site, plant_parameters(site)
         self._policy, self._volume = float(POLICIES.index(outlet)), outlet_reserve
-        self._wet_after, self._without_rain = site.wet_after * HOUR_S, without_rain
+        self._without_rain = without_rain
         self._clock, self._plans = PlanClock(site.tau), outlet == PLAN
         options = np.array([[outlet_reserve, outlet_price, outlet_reach, 1.0]])
-        self._given = [self._p], options, self._wet_after, ends
+        self._given = [self._p], options, ends
 
     def command(
         self, cistern_level: float, roof_level: float, precipitation: Any,
@@ -192,7 +192,7 @@ class Policy:
         site, forecast = self._site, np.asarray(precipitation, dtype=float)
         rain = float(forecast.flat[0]) if forecast.size else math.nan
         self._without_rain = time_without_rain(self._without_rain, rain, site.tau)
-        wet = is_wet(self._without_rain, site.tau, self._wet_after)
+        wet = is_wet(self._without_rain, site.tau, self._p.wet_after_s)
         if self._plans and self._clock.is_due(wet):
             (self._volume,) = find_levels(
                 *self._given, np.array([site.cistern_volume(cistern_level)]),

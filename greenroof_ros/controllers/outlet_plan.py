@@ -38,8 +38,7 @@ class PlanClock:
 
 
 def find_levels(
-    sites: Any, options: Any, wet_after: float, ends: Any, x1: Any, x2: Any, rain: Any,
-    evaporated: Any,
+    sites: Any, options: Any, ends: Any, x1: Any, x2: Any, rain: Any, evaporated: Any
 ) -> Any:
     """Return the volumes to which the cisterns of sites are drained in the first hour (m3).
 
@@ -51,7 +50,6 @@ def find_levels(
             m3 of discharge in wet weather per m3 (1), the time for which stored water is worth its
             price (days), and the area to which the forecast's evapotranspiration applies (m2),
             shape (n, 4).
-        wet_after: time after rain that counts as wet weather at these sites (s).
         ends: boundaries of the forecast's steps (s from now), starting at 0.
         x1: volumes in the cisterns (m3), shape (n,).
         x2: volumes on the roofs (m3), shape (n,).
@@ -65,7 +63,9 @@ def find_levels(
     span, lengths, most = ends[-1], np.diff(ends), 0.0
     hours = max(1, min(HORIZON_H, round(span / _HOUR_S)))
     drawn = np.cumsum(evaporated * lengths)[-1]  # a sum whose order is the same if compiled
+    hourly, evaporation = np.empty((len(rain), hours)), find_hourly(evaporated, ends, hours)
     for member in range(len(rain)):
+        hourly[member] = find_hourly(rain[member], ends, hours)
         most = max(most, np.cumsum(rain[member] * lengths)[-1])
     for row in range(len(sites)):
         p, reserve, price, area = sites[row], options[row][0], options[row][1], options[row][3]
@@ -76,12 +76,8 @@ def find_levels(
         level = full
         # A cistern that cannot overflow keeps all its water.
         if comes > 0 and x1[row] + comes > full:
-            hourly = np.empty((len(rain), hours))
-            for member in range(len(rain)):
-                hourly[member] = find_hourly(rain[member], ends, hours)
             level = solve(
-                p, wet_after, floor, price, needed, x1[row], x2[row], hourly,
-                area * find_hourly(evaporated, ends, hours),
+                p, floor, price, needed, x1[row], x2[row], hourly, area * evaporation
             )
         root = math.sqrt(max(reserve - outlet, 0.0) / p.a1) + p.c_low / (2 * p.a1) * span
         most_left = min(full, outlet + p.a1 * root * root)
@@ -90,14 +86,13 @@ def find_levels(
 
 
 def solve(
-    p: PlantParameters, wet_after: float, floor: float, price: float, needed: float, x1: float,
-    x2: float, rain: Any, evaporated: Any,
+    p: PlantParameters, floor: float, price: float, needed: float, x1: float, x2: float,
+    rain: Any, evaporated: Any,
 ) -> float:
     """Return the level of the first hour (m3) by the dynamic program of :class:`.outlet.Policy`.
 
     Args:
         p: numbers of the site.
-        wet_after: time after rain that counts as wet weather (s).
         floor: volume below which the cistern needs mains water or the pumps stop (m3).
         price: price of mains water (1).
         needed: water that the roof needs within the reach (m3).
@@ -115,7 +110,7 @@ def solve(
     costs = np.zeros(_NODES)
     for member in range(len(rain)):
         flows = find_flows(p, x2, rain[member], evaporated)
-        wet, _ = find_wet(rain[member] / _HOUR_S, _HOUR_S, wet_after, math.inf)
+        wet, _ = find_wet(rain[member] / _HOUR_S, _HOUR_S, p.wet_after_s, math.inf)
         value = -price * np.minimum(nodes - floor, needed)
         for hour in range(len(flows) - 1, -1, -1):
             held = nodes + flows[hour]

@@ -123,9 +123,7 @@ def records(tuples: Sequence[NamedTuple]) -> Any:
         tuples: at least one named tuple of numbers.
 
     Returns:
-        A structured array, whose entries have the same attributes; without numba, the tuples.
+        A structured array, whose entries have the same attributes.
     """
-    if not can_compile():
-        return list(tuples)
     kind = np.dtype([(name, np.float64) for name in tuples[0]._fields])
     return np.array([tuple(each) for each in tuples], kind)

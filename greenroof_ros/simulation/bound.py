@@ -532,7 +532,7 @@ def bound_discharge(
     for given in zip(rain.tolist(), potential.tolist(), pumped.tolist(), strict=True):
         state, _ = step(p, state, *given[:2], 0.0, 0.0, given[2])
         closed.append(state.cistern)
-    wet, _ = find_wet(rain.tolist(), tau, site.wet_after * HOUR_S, run.without_rain_s)
+    wet, _ = find_wet(rain.tolist(), tau, p.wet_after_s, run.without_rain_s)
     # An interval is in wet weather if all its ticks are, which can only lower the bound. A step of
     # the program has up to an hour, either in wet or in dry weather.
     starts = np.arange(0, run.steps, round(seconds / tau))

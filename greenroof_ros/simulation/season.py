@@ -31,7 +31,7 @@ from greenroof_ros.physics.sensor_and_pump import (
     read_errors,
     switch_pump,
 )
-from greenroof_ros.physics.storm_water import HOUR_S, Event, find_wet
+from greenroof_ros.physics.storm_water import Event, find_wet
 from greenroof_ros.physics.tick import OWN_PUMPS, step
 from greenroof_ros.results import sums as s
 from greenroof_ros.results.metrics import Results, end_run, find_new_days
@@ -232,8 +232,8 @@ def simulate_season(
         spread: Any = pool.map if threads > 1 else map
         for rows in together.values():
             season = _Season([cases[row] for row in rows], every, intervals, count)
-            for ticks in season.ticks():
-                list(spread(partial(season.run, ticks), season.parts))
+            for ticks, forecast in season.ticks():
+                list(spread(partial(season.run, ticks, forecast), season.parts))
                 done += len(ticks.rain) * len(rows)
                 progress(min(1.0, done / (steps + 1) / count))
             for _, groups, of_part in season.parts:
@@ -255,11 +255,14 @@ class _Season:
         run, site, count = self._run, self._site, len(cases)
         self._every = max(1, every)
         compiles = pays_to_compile(run.steps * total)
-        self._function: Callable[[Any], Any] = compiled if compiles else lambda plain: plain
+        # Not in the threads, each of which would compile them.
+        functions: Any = find_wet, find_levels, run_ticks
+        self._find_wet, self._find_levels, self._run_ticks = (
+            map(compiled, functions) if compiles else functions
+        )
         # Plain Python is faster with lists.
         self._as_taken: Callable[[Any], Any] = lambda array: array if compiles else array.tolist()
         self._errors = read_errors(run.sensor_and_pump, run.steps + 1)
-        self._wet_after = site.wet_after * HOUR_S
         self._forecast: Any = None if cases[0].parameters.get("outlet") != PLAN else make_forecast(
             run.weather, run.series, run.site, run.start, 0.0, run.forecast_choice,
             all_members=True, outlet_horizon=HORIZON_H,
@@ -274,6 +277,9 @@ class _Season:
             for case, bed in zip(cases, beds, strict=True)
         ])
         plants = [plant_parameters(case.site) for case in cases]
+        self._wet_after = plants[0].wet_after_s
+        self._ends = look_ahead_ends(run.site, 0.0, HORIZON_H)
+        self._areas = np.array([(p.a1, p.a2) for p in plants])
         controls = [Control(
             case.parameters["fraction"], case.parameters["level"] * case.site.z_veg,
             POLICIES.index(case.parameters.get("outlet", OPEN)), bed,
@@ -297,15 +303,15 @@ class _Season:
             own, self._sites.groups[rows] = np.unique(groups[rows], return_inverse=True)
             self.parts.append((rows, own, self._as_taken(np.zeros((len(own), 2, intervals)))))
 
-    def ticks(self) -> Iterator[Ticks]:
-        """Yield all ticks, and make the plans that are due before those that follow."""
+    def ticks(self) -> Iterator[tuple[Ticks, tuple[Values, Values] | None]]:
+        """Yield all ticks, and the forecast if plans are due before them; see :meth:`_foresee`."""
         run, site, clock = self._run, self._site, PlanClock(self._site.tau)
         new_days = find_new_days(site, run.time_ns(0) / 1e9, run.steps)
         without_rain = run.without_rain_s
         for first in range(0, run.steps + 1, _BLOCK):
             last = min(first + _BLOCK, run.steps + 1)
             rain, evaporated, frost, quiet = run.read_ticks(first, last, site)
-            wet, without_rain = self._function(find_wet)(
+            wet, without_rain = self._find_wet(
                 self._as_taken(rain), site.tau, self._wet_after, without_rain
             )
             block = Ticks(first, *map(self._as_taken, (
@@ -316,32 +322,32 @@ class _Season:
                 tick for tick, is_wet in enumerate(wet, first) if clock.is_due(is_wet)
             } if self._forecast else set()
             for begin, end in pairwise(sorted({first, *due, last})):
-                if begin in due:
-                    self._renew_levels(begin)
-                yield block.cut(begin, end)
+                yield block.cut(begin, end), self._foresee(begin) if begin in due else None
 
-    def _renew_levels(self, tick: int) -> None:
-        """Make the plan that is due in a tick."""
-        a1, a2 = np.array([(case.site.a1, case.site.a2) for case in self._cases]).T
-        x1, x2, _ = np.asarray(self._sites.state).T
-        roof = x2 / a2
-        if len(self._errors):
-            roof = np.maximum(0.0, roof + self._errors[tick])
+    def _foresee(self, tick: int) -> tuple[Values, Values]:
+        """Return the forecast of rain (m/s), and of a bed's evapotranspiration (m3/s) per m2."""
         rain = np.atleast_2d(np.asarray(self._forecast.precipitation(tick)))
         if not self._cases[0].with_forecast:
             rain = rain[:1].copy()
             rain[:, 1:] = 0.0
-        self._sites.levels[:] = self._function(find_levels)(
-            self._sites.parameters, self._options, self._wet_after,
-            look_ahead_ends(self._run.site, 0.0, HORIZON_H), x1 / a1 * a1, roof * a2, rain,
-            np.asarray(self._forecast.evapotranspiration(tick)) / self._bed,
-        )
+        return rain, np.asarray(self._forecast.evapotranspiration(tick)) / self._bed
 
-    def run(self, ticks: Ticks, part: tuple[slice, Any, Any]) -> None:
-        """Simulate a part of the sites in some ticks."""
+    def run(
+        self, ticks: Ticks, forecast: tuple[Values, Values] | None, part: tuple[slice, Any, Any]
+    ) -> None:
+        """Simulate a part of the sites in some ticks, after their plans if there is a forecast."""
         rows, _, hydrograph = part
         sites = Sites(*(each[rows] for each in self._sites))
-        self._function(run_ticks)(sites, ticks, hydrograph, self._every, self._run.steps)
+        if forecast is not None:
+            (a1, a2), (x1, x2, _) = self._areas[rows].T, np.asarray(sites.state).T
+            roof = x2 / a2
+            if len(ticks.errors):
+                roof = np.maximum(0.0, roof + ticks.errors[0])
+            sites.levels[:] = self._find_levels(
+                sites.parameters, self._options[rows], self._ends, x1 / a1 * a1, roof * a2,
+                *forecast,
+            )
+        self._run_ticks(sites, ticks, hydrograph, self._every, self._run.steps)
 
     def results(self) -> Iterator[tuple[Results, Values]]:
         """Yield the results of each site after the last tick, and its kept ticks."""

@@ -233,8 +233,8 @@ def test_level_against_all_ways(seed: int) -> None:
     x1, x2 = random.uniform(0.3, 10), site.x2_star * random.uniform(0.7, 1.1)
     needed = random.choice([0.0, 3.0, 20.0])
     level = solve(
-        plant_parameters(site), site.wet_after * HOUR, 5.0 * 0.05, price, needed, x1, x2,
-        fallen / 1000, np.full(hours, evaporated),
+        plant_parameters(site), 5.0 * 0.05, price, needed, x1, x2, fallen / 1000,
+        np.full(hours, evaporated),
     )
     grid, costs = find_costs(site, x2, fallen, evaporated, price, needed)
     low = 5.0 * (site.low_outlet_level or 0.0)
