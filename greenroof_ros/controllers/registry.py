@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 import importlib
 import logging
 import re
 import sys
 from array import array
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from importlib.metadata import packages_distributions
+from modulefinder import ModuleFinder
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -21,12 +25,12 @@ from greenroof_ros.common.parameter_sections import read_sections
 from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.decide import OwnCode, not_imported
 from greenroof_ros.controllers.outlet import OutletPolicy, requested_share
-from greenroof_ros.controllers.own_code import digest_own_code
 from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.site.horizon import MAX_HORIZON, look_ahead_ends
 from greenroof_ros.site.site import Site
 
-_HERE = "greenroof_ros.controllers"
+_PACKAGE = "greenroof_ros"
+_HERE = f"{_PACKAGE}.controllers"
 _log = logging.getLogger(__name__)
 BUILT_IN = {
     "mpc": f"{_HERE}.mpc:Mpc",
@@ -178,11 +182,28 @@ class ControllerChoice:
     def source(self) -> str:
         """Twelve digits that identify the code of a user's controller; empty for a built-in one.
 
-        See :func:`greenroof_ros.controllers.own_code.digest_own_code`.
+        They change with the source of its module and of all the modules that it imports, except
+        those of the standard library, of this package and of other installed packages. Data files
+        that the code reads, and modules that it imports by a computed name, are not covered.
         """
         if self.reference in BUILT_IN:
             return ""
-        return digest_own_code([self.path.partition(":")[0], self.kind.__module__])
+        modules = {self.path.partition(":")[0], self.kind.__module__}
+        packages = {name.partition(".")[0] for name in modules}
+        # A package that is installed in development mode is not on sys.path.
+        files = [getattr(sys.modules.get(name), "__file__", None) or "" for name in packages]
+        finder = ModuleFinder(
+            [*sys.path, *(str(Path(file.removesuffix("__init__.py")).parent) for file in files)],
+            excludes=[*_find_foreign() - packages],
+        )
+        for name in modules:
+            with suppress(ImportError):  # for instance in a notebook
+                finder.import_hook(name)
+        digest = hashlib.sha256()
+        for name, module in sorted(finder.modules.items()):
+            if file := module.__file__:
+                digest.update(name.encode() + b"\0" + Path(file).read_bytes() + b"\0")
+        return digest.hexdigest()[:12]
 
     def make(self, site: Site, parameters: dict[str, Any]) -> Controller:
         """Make the controller; a valve that is always open is treated as if there were none.
@@ -369,6 +390,12 @@ def choose_class(kind: Any) -> ControllerChoice:
         if path == own:
             return ControllerChoice(name, name)
     return ControllerChoice(_node_name(kind.__name__), path, kind)
+
+
+@functools.cache
+def _find_foreign() -> frozenset[str]:
+    """Return the packages of Python, of this project and of everything that is installed."""
+    return frozenset({*sys.stdlib_module_names, *packages_distributions(), _PACKAGE})
 
 
 def _node_name(class_name: str) -> str:
