@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from itertools import islice, product
 from typing import Any
 
@@ -14,12 +13,7 @@ import numpy as np
 from greenroof_ros.common.command_line import CheckResult
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
-from greenroof_ros.controllers.decide import (
-    COMMANDS,
-    ControllerError,
-    TickTimes,
-    locate_error,
-)
+from greenroof_ros.controllers.decide import COMMANDS, ControllerError, TickTimes, locate_error
 from greenroof_ros.controllers.outlet import requested_share
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
@@ -45,22 +39,13 @@ def trial_values(site: Site) -> Iterator[tuple[float, float, float, float]]:
         yield cistern * site.z_o, roof * site.z_veg, rain, evaporated
 
 
-@dataclass(frozen=True)
 class _Trial:
     """A controller, and the site for which it is tested."""
 
-    choice: ControllerChoice
-    site: Site
-
-    @property
-    def defaults(self) -> dict[str, Any]:
-        """Defaults of the parameters at the site."""
-        return self.choice.complete_parameters(self.site, {})
-
-    @property
-    def steps(self) -> int:
-        """Number of entries in a forecast."""
-        return len(look_ahead_ends(self.site, self.defaults.get("horizon", 0.0))) - 1
+    def __init__(self, choice: ControllerChoice, site: Site) -> None:
+        self.choice, self.site, self.parameters = choice, site, choice.kind.parameters
+        self.defaults = choice.complete_parameters(site, {})
+        self.steps = len(look_ahead_ends(site, self.defaults.get("horizon", 0.0))) - 1
 
     def forecast(self, rate: float, members: int = 1) -> Any:
         """Return a forecast with rain from the second step on, in the shape that is expected."""
@@ -141,11 +126,11 @@ def _check_command(controller: Controller, *inputs: Any) -> float:
 
 
 def _parameters(trial: _Trial) -> None:
-    names = [parameter.name for parameter in trial.choice.kind.parameters]
+    names = [parameter.name for parameter in trial.parameters]
     _require(
         len(set(names)) == len(names), f"two parameters have the same name: {', '.join(names)}"
     )
-    for parameter in trial.choice.kind.parameters:
+    for parameter in trial.parameters:
         name, default = parameter.name, parameter.default
         _require(
             name.isidentifier() and name == name.lower(), f"{name!r} is not a valid name: use a-z, "
@@ -158,7 +143,7 @@ def _parameters(trial: _Trial) -> None:
 
 
 def _whole_range(trial: _Trial) -> None:
-    for parameter in trial.choice.kind.parameters:
+    for parameter in trial.parameters:
         if parameter.name == "horizon":
             continue  # a different horizon needs a different forecast
         for value in (parameter.low, parameter.high):
@@ -208,7 +193,7 @@ def _wrong_forecasts(trial: _Trial) -> None:
 
 
 def _may_change(trial: _Trial) -> None:
-    for parameter in trial.choice.kind.parameters:
+    for parameter in trial.parameters:
         if not parameter.may_change:
             continue
         name, controller = parameter.name, trial.make()

@@ -36,13 +36,8 @@ def may_decide(controller: Controller, allowed: bool, quiet: bool) -> bool:
 
 
 def decide(
-    controller: Controller,
-    allowed: bool,
-    cistern_level: float,
-    roof_level: float,
-    precipitation: Any,
-    evapotranspiration: Sequence[float],
-    quiet: bool = False,
+    controller: Controller, allowed: bool, cistern_level: float, roof_level: float,
+    precipitation: Any, evapotranspiration: Sequence[float], quiet: bool = False,
 ) -> float:
     """Return the command for a tick: the controller's command if pumping is allowed, otherwise 0.
 
@@ -137,22 +132,19 @@ def locate_error(kind: Any, error: BaseException) -> ConfigurationError | HangEr
     arguments, the file and the line are those of the method that the message names.
     """
     name = getattr(kind, "__name__", str(kind))
+    text = traceback.format_exception_only(error)[-1].strip()
     file, line, function = _find_frame(error)
     if isinstance(error, (ControllerError, HangError)) or (
         file is None and isinstance(error, ConfigurationError)
     ):
         return error
-    try:
-        text = str(error)
-    except Exception:  # its class may be a user's, too
-        text = "the error message cannot be read"
     if file is None and kind.__module__.startswith("greenroof_ros."):
         file, line, function, _ = traceback.extract_tb(error.__traceback__)[-1]
     named = [name for name in ("__init__", "command", "skip", "statistics") if f"{name}()" in text]
     if file is None and named:
         (file, line), function = find_place(kind, named[0]), named[0]
     return ControllerError(
-        f"raises {type(error).__name__}: {text}", file=file, line=line,
+        f"raises {text}", file=file, line=line,
         key=f"{name}.{function}" if function else name,
     )
 

@@ -125,19 +125,12 @@ class Mpc:
         library = ctypes.CDLL(self._solver.ext.__file__)
         self._is_interrupted = getattr(library, "osqp_is_interrupted", bool)
         self._solver.setup(
-            P=pattern,
-            q=np.zeros(size),
-            A=scipy.sparse.identity(size, format="csc"),
-            l=np.zeros(size),
-            u=np.full(size, max_command),
-            **_SOLVER_SETTINGS,
+            P=pattern, q=np.zeros(size), A=scipy.sparse.identity(size, format="csc"),
+            l=np.zeros(size), u=np.full(size, max_command), **_SOLVER_SETTINGS,
         )
 
     def command(
-        self,
-        cistern_level: float,
-        roof_level: float,
-        precipitation: Sequence[float],
+        self, cistern_level: float, roof_level: float, precipitation: Sequence[float],
         evapotranspiration: Sequence[float],
     ) -> float:
         """Carry out steps 1 to 3 and 6 of the paper's algorithm.

@@ -60,10 +60,7 @@ class OnOff:
         return own == (site.z_veg, site.suction_level)
 
     def command(
-        self,
-        cistern_level: float,
-        roof_level: float,
-        precipitation: Sequence[float],
+        self, cistern_level: float, roof_level: float, precipitation: Sequence[float],
         evapotranspiration: Sequence[float],
     ) -> float:
         """Compute the command from the levels (m) alone, without the forecasts."""

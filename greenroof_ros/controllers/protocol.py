@@ -58,10 +58,7 @@ class Controller(Protocol):
     parameters: ClassVar[tuple[Parameter, ...]]
 
     def command(
-        self,
-        cistern_level: float,
-        roof_level: float,
-        precipitation: Sequence[Any],
+        self, cistern_level: float, roof_level: float, precipitation: Sequence[Any],
         evapotranspiration: Sequence[float],
     ) -> float:
         """Compute the command for the current tick.

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import logging
-
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.physics.parameters import State, plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.physics.soil import retained_share
 from greenroof_ros.physics.tick import OWN_PUMPS, step
 from greenroof_ros.site.site import Site
-
-_log = logging.getLogger(__name__)
 
 # Water lost to a low outlet cannot be pumped until it rains: it counts as missing for this long
 # (s).
@@ -100,7 +96,6 @@ class RegretBudget:
         self._more = 0.0  # volume on the roof with on/off minus the actual volume (m3)
         self._stored = 0.0  # the same in the cistern (m3)
         self._layers = site.initial_layer, site.initial_layer  # with on/off, and actually (m3)
-        self._warned = False
         self.loss = 0.0
         self.onoff_cost = 0.0
         self.exhausted = False
@@ -129,13 +124,6 @@ class RegretBudget:
             cost += behind * (missing + behind / 2) / stays
         if cost > self._budget + self._share * self.onoff_cost:
             self.exhausted = True
-            if self._budget > 0 and not drained and not self._warned:
-                self._warned = True
-                _log.warning(
-                    "waiting for rain has cost %.0f m3 s more than plain on/off control, and the "
-                    "budget for this cost is used up; forecasts of rain are ignored until the "
-                    "budget has grown enough (reported once)", self.loss,
-                )
         # A controller that follows on/off is a tick behind it until both have filled the roof.
         elif behind <= site.tau * flow / 2:
             self.exhausted = False

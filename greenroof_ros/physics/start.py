@@ -70,11 +70,7 @@ def find_state(
 
 
 def check_volumes(site: Site, cistern: float, roof: float) -> None:
-    """Reject initial volumes that the site cannot hold.
-
-    The roof has no rim, so rain can raise the water above the capacity of the soil. The excess then
-    drains slowly from the paper's soil, and within the first tick from a field-capacity soil.
-    Therefore a run can start in any state in which another run can end.
+    """Reject initial volumes that the site cannot hold; see :func:`.file.find_unheld`.
 
     Args:
         site: the site.
@@ -82,21 +78,7 @@ def check_volumes(site: Site, cistern: float, roof: float) -> None:
         roof: volume x2 (m3).
 
     Raises:
-        ConfigurationError: if a volume exceeds what any rain could produce, which indicates a wrong
-            unit. The error's key is ``cistern`` or ``roof``.
+        ConfigurationError: if a volume is too large; the error's key is ``cistern`` or ``roof``.
     """
     for key, value, expected in find_unheld(site, cistern, roof):
         raise ConfigurationError(expected, key=key, value=value)
-
-
-def note_full_roof(site: Site, roof: float) -> list[str]:
-    """Return a warning if a volume on the roof (m3) exceeds the capacity of the soil."""
-    if roof <= site.z_cap:
-        return []
-    full = site.roof_level(site.z_cap)
-    excess = "stay on its surface" if site.field_capacity is None else "drain immediately"
-    return [
-        f"the run starts with {roof:g} m3 on the roof, more than the {site.z_cap:g} m3 (a level of "
-        f"{full:g} m) that the soil holds: {site.roof_level(roof) - full:.3g} m "
-        f"{excess}. The value must be a volume in m3"
-    ]

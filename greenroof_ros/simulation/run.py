@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from datetime import datetime, timedelta
+from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.times import duration, epoch_ns, to_minutes
-from greenroof_ros.controllers.outlet import OutletPolicy, find_horizon
+from greenroof_ros.common.times import epoch_ns
+from greenroof_ros.controllers.outlet import OutletPolicy
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.forecast.choice import ForecastChoice
@@ -24,10 +24,8 @@ from greenroof_ros.formats.hourly import Records
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
-from greenroof_ros.physics.start import note_full_roof
 from greenroof_ros.physics.storm_water import HOUR_S, time_without_rain
 from greenroof_ros.site.file import LITRES_PER_HOUR
-from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site, format_place, measure_distance
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
@@ -121,22 +119,9 @@ class Run:
     def notes(self) -> list[str]:
         """Return notes that a reader should see before the results."""
         return [
-            *self._note_short(), *_note_far(self.weather, self.site),
-            *filter(None, [self.weather.rain_note]), *note_full_roof(self.site, self.x2),
+            *_note_far(self.weather, self.site), *filter(None, [self.weather.rain_note]),
             *note_pumps(self.site),
         ]
-
-    def _note_short(self) -> Iterator[str]:
-        """Yield a note if the run is shorter than the look-ahead."""
-        length, horizon = self.steps * self.site.tau, self.parameters.get("horizon") or 0.0
-        ahead = float(look_ahead_ends(self.site, horizon, find_horizon(self.parameters))[-1])
-        if length < ahead:
-            end = self.start + timedelta(seconds=length)
-            yield (
-                f"the run of {duration(length)} is shorter than the look-ahead of "
-                f"{duration(ahead)}, so the controller also plans beyond the end of the run at "
-                f"{to_minutes(end)}"
-            )
 
     @cached_property
     def without_rain_s(self) -> float:

@@ -43,10 +43,6 @@ SUBSTRATES: dict[str, dict[str, Any]] = {
 
 # Relative error up to which a product rounded by a person, such as x2_star, counts as consistent.
 _ROUNDING = 1e-6
-# According to Eq. (4), water that the soil cannot hold stays on its surface until it drains. No
-# more than this stays there: the most rain that ever fell in a day, Foc-Foc, La Reunion, 1966 [WMO]
-# (m).
-_MAX_PONDED = 1.825
 # A cistern fills up to this multiple of its outlet's level (Table II), which is below the roof.
 _ABOVE_OUTLET = 1.3
 # Products, computed if a file omits them; the paper's roof has no field capacity.
@@ -212,22 +208,22 @@ def _product(site: Site, names: Collection[str]) -> float:
 def find_unheld(site: Site, x1: float, x2: float) -> Iterator[tuple[str, float, str]]:
     """Yield each store (``cistern`` or ``roof``) that cannot hold its volume, and a message.
 
-    A volume that exceeds what any rain could produce indicates a wrong unit.
+    The highest levels are those of Table II, 1.3 times those of the overflow and of the target, or
+    a soil that is full.
 
     Args:
         site: the site.
         x1: volume in the cistern (m3).
         x2: volume on the roof (m3).
     """
-    soil = site.roof_level(site.z_cap)
-    for name, volume, area, level, why in (
-        ("cistern", x1, site.a1, site.d, "the roof is as high"),
-        ("roof", x2, site.a2, soil + _MAX_PONDED, f"the soil holds {soil:g} m of water"),
+    for name, volume, area, level in (
+        ("cistern", x1, site.a1, _ABOVE_OUTLET * site.z_o),
+        ("roof", x2, site.a2, max(site.z_cap / site.a2, _ABOVE_OUTLET * site.z_veg)),
     ):
-        if volume > level * area:
+        if volume > level * area * (1 + _ROUNDING):
             yield name, volume, (
-                f"must be at most {level * area:g} m3, which is a level of {level:g} m ({why}); is "
-                f"the unit wrong? A level of {volume:g} mm is {volume / 1000 * area:g} m3"
+                f"must be at most {level * area:.6g} m3, which is a level of {level:.4g} m. Is the "
+                f"unit wrong? A level of {volume:g} mm is {volume / 1000 * area:g} m3"
             )
 
 

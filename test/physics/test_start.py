@@ -5,24 +5,27 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from paper import PAPER_SITE, paper_run, site_file
+from paper import paper_run, site_file
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.physics.start import check_volumes
 
 
-def test_what_rain_makes_of_a_full_roof_is_taken() -> None:
-    """34.4 m3 plus 1.825 m on 68.8 m2, a day's maximum rain: a run may start there, not above."""
-    check_volumes(PAPER_SITE, 399.9, 159.9)
-    with pytest.raises(ConfigurationError, match=r"^--roof = 160.0: must be at most 159.96 m3"):
-        paper_run("--cistern", "60", "--roof", "160")
-
-
-def test_more_than_the_soil_holds_is_noted() -> None:
-    """45.7 may be the target in mm: it is accepted, with a note before the results."""
-    (note,) = paper_run("--cistern", "60", "--roof", "45.7").notes()
-    assert note.startswith("the run starts with 45.7 m3 on the roof, more than the 34.4 m3")
-    assert paper_run("--cistern", "0", "--roof", "34.4").notes() == []
+@pytest.mark.parametrize(("cistern", "roof", "wrong"), [
+    # Table II: 1.3 times the 75 m3 up to the overflow at 3 m; the soil holds 68.8 m2 x 0.5 m.
+    ("97.5", "34.4", ""),
+    ("98", "2", "--cistern = 98.0: must be at most 97.5 m3, which is a level of 3.9 m"),
+    ("60", "34.5", "--roof = 34.5: must be at most 34.4 m3, which is a level of 0.5 m"),
+    ("60", "45.7", "A level of 45.7 mm is 3.14416 m3"),  # the target
+])
+def test_a_run_begins_with_what_cistern_and_roof_can_hold(
+    cistern: str, roof: str, wrong: str
+) -> None:
+    options = "--cistern", cistern, "--roof", roof
+    if not wrong:
+        assert paper_run(*options).x1 == 97.5
+        return
+    with pytest.raises(ConfigurationError, match=wrong):
+        paper_run(*options)
 
 
 def test_a_sites_own_state_is_what_a_run_begins_in(tmp_path: Path) -> None:

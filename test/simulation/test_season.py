@@ -30,10 +30,12 @@ from greenroof_ros.site.site import Site
 
 PAPERS = read_site(CONFIG / "site.yaml")
 VALVE = replace(read_site(CONFIG / "site_valve.yaml"), tau=60.0, M=1)
-SMALL = replace(VALVE, a1=1.0, drainage_to_cistern=0.8, percolation_exponent=1.5)
+SMALL = replace(
+    VALVE, a1=1.0, initial_cistern=1.0, drainage_to_cistern=0.8, percolation_exponent=1.5,
+)
 NONE = replace(
     VALVE, low_outlet_level=None, low_outlet_radius=None, low_outlet_valve=False, a1=0.5,
-    mains_level=None, mains_flow=None,
+    initial_cistern=0.5, mains_level=None, mains_flow=None,
 )
 FROSTY = replace(VALVE, valve_closed_in_frost=True, time_zone="America/Toronto")
 QUIET = replace(VALVE, time_zone="America/Toronto", quiet_hours=("09:00-15:30",))

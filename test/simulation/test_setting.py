@@ -52,21 +52,6 @@ def table(*lines: str) -> list[list[str]]:
     return rows
 
 
-@pytest.mark.parametrize(("options", "times"), [
-    ("--controller lookahead", [("12 h", "120 h", "2021-07-07T14:00-05:00")]),
-    ("--controller mpc --hours 0.0025 --start 2021-07-08T09:00",
-     [("9 s", "10 s", "2021-07-08T09:00-05:00")]),
-    ("--controller lookahead --horizon 12", []), ("--controller mpc", []),
-])
-def test_a_run_shorter_than_the_look_ahead_reports_it(
-    options: str, times: list[tuple[str, str, str]]
-) -> None:
-    assert paper_run(*options.split()).notes() == [
-        f"the run of {length} is shorter than the look-ahead of {ahead}, so the controller also "
-        f"plans beyond the end of the run at {end}" for length, ahead, end in times
-    ]
-
-
 @pytest.mark.parametrize("command", ["simulate", "bound"])
 def test_the_first_rows_name_site_weather_and_period(command: str, tmp_path: Path) -> None:
     """And a site in Berlin does not run Toronto's weather without a word."""

@@ -264,8 +264,7 @@ def simulate(
 
     Warns:
         UserWarning: for each note that the command would print before the results, for example
-            about weather from a distant location, a run shorter than the look-ahead, or assumptions
-            about the weather.
+            about weather from a distant location, or assumptions about the weather.
 
     Example:
         >>> import greenroof_ros as gr
