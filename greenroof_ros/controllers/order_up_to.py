@@ -23,6 +23,8 @@ BELOW_M3 = 1e-6
 # Nodes below and above the target for an ensemble or scarce water, where forecasts err by more than
 # the distance between nodes.
 _COARSE = (60, 30)
+# The same for a single forecast and enough water.
+_FINE = (900, 300)
 # A positive volume (m3) that avoids a division by 0.
 _MINIMUM = 1e-300
 # Nodes of the available water, if it can run short.
@@ -63,14 +65,9 @@ class OrderUpTo:
     of the step, S, nodes up to the target); and the index of each member's group.
     """
 
-    def __init__(self, site: Site, fine: tuple[int, int] = (900, 300)) -> None:
-        """Set the site.
-
-        Args:
-            site: parameters of the site.
-            fine: numbers of nodes below and above the target, for a single forecast.
-        """
-        self._p, self._target, self._fine = plant_parameters(site), site.x2_star, fine
+    def __init__(self, site: Site) -> None:
+        """Set the site."""
+        self._p, self._target = plant_parameters(site), site.x2_star
         self._soil, self._always_drains = RoofPrediction(self._p), site.always_drains
         # Usable water of a cistern that is full, at its lowest open outlet, and at its mains valve.
         self._suction = site.cistern_volume(site.suction_level)
@@ -166,7 +163,7 @@ class OrderUpTo:
         scarce = 0.0  # the maximum relevant volume of water; 0 if there will always be enough
         if supplied < demand:
             scarce = self._capacity if self._low < self._capacity else min(demand, self._capacity)
-        self._place(*(self._fine if members == 1 and not scarce else _COARSE))
+        self._place(*(_FINE if members == 1 and not scarce else _COARSE))
         self._water = np.zeros(1)
         if scarce:
             self._water = (full + scarce) * np.linspace(0.0, 1.0, _WATER_NODES) ** 2

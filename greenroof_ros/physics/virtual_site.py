@@ -1,8 +1,8 @@
 """A site that is simulated tick by tick, whatever decides the commands.
 
-Simulations in a single process, the plans of the bound, the plant node of the ROS graph and the
-simulated devices of a live site use a :class:`VirtualSite`. In every tick, a controller reads the
-levels and decides on a command, and the site executes the command and proceeds to the next tick.
+Simulations in a single process, the plant node of the ROS graph and the simulated devices of a live
+site use a :class:`VirtualSite`. In every tick, a controller reads the levels and decides on a
+command, and the site executes the command and proceeds to the next tick.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """What no controller can beat, even if it knows the weather: two linear programs over a run.
 
-The minimum total deviation lies between the optimum of a program (:func:`clairvoyant_bound`) and
-the result of a plan that is simulated with perfect knowledge of the weather
-(:func:`simulate_plan`). :func:`bound_discharge` yields the minimum discharge in wet weather for
-some volumes of mains water. The proofs are in doc/explanation/bound.md.
+No run has a smaller total deviation than the optimum of :func:`clairvoyant_bound`, and
+``tools/plan_of_a_run.py`` shows how close a plan comes to it. :func:`bound_discharge` yields the
+minimum discharge in wet weather for some volumes of mains water. The proofs are in
+doc/explanation/bound.md.
 """
 
 from __future__ import annotations
@@ -11,15 +11,12 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.controllers.order_up_to import BELOW_M3, OrderUpTo
-from greenroof_ros.forecast.resampling import PerfectForecast
 from greenroof_ros.physics.cistern import low_outlet_flow
 from greenroof_ros.physics.parameters import PlantParameters, State, plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow
@@ -31,9 +28,8 @@ from greenroof_ros.physics.soil import (
     water_to_fill,
 )
 from greenroof_ros.physics.storm_water import HOUR_S, find_wet, interval_seconds
-from greenroof_ros.physics.tick import command_to, step
+from greenroof_ros.physics.tick import step
 from greenroof_ros.recording.trajectory import Trajectory
-from greenroof_ros.simulation.loop import Simulation
 from greenroof_ros.simulation.run import Run
 
 Values = NDArray[np.float64]
@@ -44,11 +40,6 @@ _ROUNDING = 1e-9
 _SHARE_ERROR = 1e-9
 # The tightest that HiGHS accepts: a tick's evapotranspiration is usually only 1e-7 of x2*.
 _TOLERANCES = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
-
-# Length of a step of the plan (s); maximum number of steps, because their levels need memory;
-# numbers of nodes below and above the target.
-_STEP_S, _MAX_STEPS = 300.0, 10_000
-_NODES = 3000, 1000
 
 BLOCK_S = 60.0
 """time that usually shares a variable (s)"""
@@ -115,7 +106,7 @@ def clairvoyant_bound(run: Run, block_s: float, max_command: float = 1.0) -> flo
     The program neglects four facts, so there can be a gap between the bound and the best run. The
     cistern can overflow, and the pump flow falls with the cistern's level. Pumping stops at z_veg,
     even if the range of the roof's volume also extends below it. Drainage and dryness follow from
-    the roof's actual volume. A simulated plan (:func:`simulate_plan`) shows the gap.
+    the roof's actual volume. A simulated plan (``tools/plan_of_a_run.py``) shows the gap.
 
     For each block of n ticks, the program has a single volume, the mean. The sum of \|x - x*\| over
     the block is at least n \|mean - x*\| (Jensen). If G_k is the sum of the largest changes before
@@ -400,72 +391,6 @@ def _compose(
     return factor, low, high
 
 
-def simulate_plan(run: Run, max_command: float = 1.0) -> dict[str, float]:
-    """Carry out a plan for a whole run, with an exact sensor and a perfect forecast.
-
-    :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` plans the run in steps of five
-    minutes, or of a ten-thousandth of a long run. The time after the run is not considered, and the
-    soil is not simplified. For every site, the total deviation of the plan is an upper bound on the
-    minimum possible total deviation.
-
-    Args:
-        run: weather, site, pumps, initial state and length; its controller, its forecast and the
-            errors of its sensor have no effect.
-        max_command: maximum command (share of the maximum flow).
-
-    Returns:
-        The metrics of the run, by name.
-    """
-    known = replace(
-        run, forecast=PerfectForecast(run.series, 1),
-        sensor_and_pump=replace(run.sensor_and_pump, roof_noise=0.0, roof_offset=0.0),
-    )
-    controller: Any = _PlanController(run, max_command)  # which has no solver, nor parameters
-    simulation = Simulation(known, controller)
-    for _ in simulation.ticks():
-        pass
-    return simulation.metrics.results(simulation.site.state).metrics
-
-
-class _PlanController:
-    """Controller that fills the roof to the levels of a plan for the whole run."""
-
-    def __init__(self, run: Run, max_command: float) -> None:
-        """Make the plan; see :func:`simulate_plan`."""
-        site, n = run.site, run.steps
-        self._site, self._p, self._max_command = site, plant_parameters(site), max_command
-        self._tick = -1
-        starts = np.arange(0, n, max(1, round(_STEP_S / site.tau), -(-n // _MAX_STEPS)))
-        rain, evaporated, *stopped = run.read_ticks(0, n, site)
-        rain, evaporated, pumping = (
-            np.add.reduceat(values, starts) / np.diff(starts, append=n)
-            for values in (rain, evaporated, 1.0 - np.any(stopped, axis=0))
-        )
-        flow = max_command * maximum_pump_flow(self._p, run.x1) * pumping
-        self._program, edges = OrderUpTo(site, fine=_NODES), site.tau * np.append(starts, n)
-        together = np.zeros((1, len(starts)), dtype=np.intp)
-        self._program.solve(edges, run.x1, run.x2, rain[None], evaporated, flow, together)
-
-    def command(
-        self, cistern_level: float, roof_level: float, precipitation: Sequence[float],
-        evapotranspiration: Sequence[float],
-    ) -> float:
-        """Return the command for the current tick."""
-        self._tick += 1
-        site = self._site
-        x1, x2 = site.cistern_volume(cistern_level), site.roof_volume(roof_level)
-        level = self._program.level(self._tick * site.tau, x1, x2)
-        if level < x2:
-            return 0.0
-        now = precipitation[0], evapotranspiration[0]
-        command = command_to(self._p, x1, x2, level - BELOW_M3, *now)
-        return min(command, self._max_command)
-
-    def skip(self) -> None:
-        """Count a tick in which the pumps must not run."""
-        self._tick += 1
-
-
 class FrontierPoint(NamedTuple):
     """A point of the frontier."""
 
@@ -474,7 +399,7 @@ class FrontierPoint(NamedTuple):
     wet_discharge_m3: float
     """discharge in wet weather (m3)"""
     mains_m3: float
-    """mains water"""
+    """mains water (m3)"""
 
 
 def bound_discharge(

@@ -27,8 +27,8 @@ from paper import (
     sites,
     weather_of,
 )
+from plan_of_a_run import compare, simulate_plan
 
-from greenroof_ros.commands import bound as module
 from greenroof_ros.commands.bound import main
 from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.controllers.registry import choose_class
@@ -39,7 +39,6 @@ from greenroof_ros.simulation.bound import (
     FrontierPoint,
     bound_discharge,
     clairvoyant_bound,
-    simulate_plan,
 )
 from greenroof_ros.simulation.loop import Simulation, simulate
 from greenroof_ros.simulation.run import Run
@@ -220,7 +219,19 @@ def test_a_bound_of_zero_has_no_gap() -> None:
     """A roof at its target, and no weather."""
     run = run_of_hours(DRY_HOUR, 75.0, PAPER_SITE.x2_star)
     assert clairvoyant_bound(run, BLOCK_S) == 0
-    assert module._result(run, 1.0, 0.0, simulate_plan(run), 60.0)["gap"] is None
+    assert compare(run)["gap"] == "-"
+
+
+def test_comparison_of_bound_and_plan() -> None:
+    """The tool prints both, and the gap between them; also for pumps at a part of their flow."""
+    run = paper_run("--hours", "0.5")
+    bound = clairvoyant_bound(run, BLOCK_S, 0.02)
+    plan = simulate_plan(run, 0.02)["total_deviation_m3"]
+    assert 0 < bound <= plan < 1.01 * bound
+    assert compare(run, 0.02) == {
+        "bound": f"{bound:.2f} m3", "plan": f"{plan:.2f} m3",
+        "gap": f"{100 * (plan / bound - 1):.4f} %",
+    }
 
 
 # --- the discharge ------------------------------------------------------------------------------
@@ -357,12 +368,12 @@ def test_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
     result = json.loads(capsys.readouterr().out)
     assert result["block_s"] == 30
     assert result["steps"] == 1800
-    assert 0 < result["bound_m3"] <= result["plan_m3"] < 1.01 * result["bound_m3"]
-    assert result["gap"] == pytest.approx(result["plan_m3"] / result["bound_m3"] - 1)
+    assert result["max_command"] == 0.02
+    bound = clairvoyant_bound(paper_run("--hours", "0.5"), 30.0, 0.02)
+    assert result["bound_m3"] == pytest.approx(bound) and bound > 0
     assert call(monkeypatch, *options) == 0
     shown = capsys.readouterr().out
-    totals = [f"{result[name]:.2f}" for name in ("bound_m3", "plan_m3")]
-    for words in (*totals, f"{100 * result['gap']:.4f} %", "published"):
+    for words in (f"{result['bound_m3']:.2f}", "at most 0.02", "30 s", "published"):
         assert words in shown
 
 
