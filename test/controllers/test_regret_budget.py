@@ -71,8 +71,8 @@ def test_an_adversary_costs_at_most_the_budget(
 
 
 @pytest.mark.parametrize("name", ["anticipating_onoff", "lookahead"])
-def test_waiting_ends_with_the_budget(name: str, caplog: pytest.LogCaptureFixture) -> None:
-    """Forecast rain never comes: in the end it acts as on/off, and reports it once.
+def test_waiting_ends_with_the_budget(name: str) -> None:
+    """Forecast rain never comes: in the end it acts as on/off.
 
     A controller that is made again goes on with the count, and does not begin another wait.
     """
@@ -86,7 +86,6 @@ def test_waiting_ends_with_the_budget(name: str, caplog: pytest.LogCaptureFixtur
     assert first.command(*inputs) == afresh.command(*inputs) == 0.0
     assert not any(patient.command(*inputs) for _ in range(600))
     assert [first.command(*inputs) for _ in range(600)][-1] > 0
-    assert ["more than plain on/off" in message for message in caplog.messages] == [True]
     again.learned = first.learned
     assert again.learned == first.learned
     with pytest.raises(KeyError):
