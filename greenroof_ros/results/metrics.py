@@ -300,8 +300,6 @@ class Results(NamedTuple):
 
     metrics: dict[str, float]
     """metrics by name"""
-    weeks: list[float]
-    """total deviation of each week (m3), see :func:`.sums.read_weeks`"""
     events: list[Event]
     """rain events in chronological order, excluding traces below 0.1 mm"""
 
@@ -315,10 +313,9 @@ def end_run(site: Site, sums: Any, events: Any, state: State) -> Results:
         events: table of the events.
         state: state after the last tick.
     """
-    p = plant_parameters(site)
-    s.finish(p, sums, events, state)
+    s.finish(plant_parameters(site), sums, events, state)
     rows = np.asarray(events)[: int(sums[s.EVENTS])].tolist()
-    return Results(compute_metrics(site, sums), s.read_weeks(p, sums), [
+    return Results(compute_metrics(site, sums), [
         Event._make((*values, None if math.isnan(delay) else delay, complete > 0))
         for *values, delay, complete in rows
     ])
@@ -339,7 +336,7 @@ class Metrics:
             without_rain: time without rain at the start (s).
         """
         self._site, self._parameters = site, plant_parameters(site)
-        self._sums = [0.0] * s.count_places(self._parameters, ticks)
+        self._sums = [0.0] * s.count_places(self._parameters)
         self._events = np.zeros((s.count_events(self._parameters, ticks), len(Event._fields)))
         self._new_days = set(find_new_days(site, start, ticks))
         self._tick, self._without_rain = 0, without_rain

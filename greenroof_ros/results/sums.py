@@ -5,9 +5,8 @@ compiled. All sums are sequential Euler sums: a value holds from its tick to the
 before and after a run are unknown, and are assumed to be 0.
 
 The sums of a run are one array of numbers, whose places have names here. After them come buffers of
-the last 64 intervals (of a minute, rounded up to a whole number of ticks) and of the last 24 hours,
-the deviation of each week, and, from the end backwards, a buffer of the last pump starts. Rain
-events are rows of a table of their own.
+the last 64 intervals (of a minute, rounded up to a whole number of ticks), of the last 24 hours and
+of the last pump starts. Rain events are rows of a table of their own.
 
 **Peaks** are maxima of a moving mean, whose window may begin at any time within the run. Fixed
 intervals of five minutes would underestimate the peak of a storm by an eighth on average (Weiss
@@ -32,7 +31,7 @@ target)
 PEAKS_MIN = (5, 15, 60)
 """widths of the windows of peaks (min)"""
 
-_WEEK_S, _DAY_H, _DRAINS_H = 168 * HOUR_S, 24, 6
+_DAY_H, _DRAINS_H = 24, 6
 _WATER_DENSITY = 1000.0  # kg/m3
 # Rain above which the retention of an hour and of a day is reported (mm). Sums of rain are rounded:
 # 20 mm must not be treated as more than 20 mm.
@@ -55,7 +54,7 @@ _FIRST = 1 + 1e-9  # of equal peaks, the first one counts
 # intervals; rain, pumped water and drainage of rain in the last hours (m3).
 _RING, _SUMS = 64, 3
 _HOURS = _PLACES + _SUMS * _RING
-_WEEKS = _HOURS + 3 * _DAY_H
+_LAST_STARTS = _HOURS + 3 * _DAY_H
 # Windows of an event: places of the maximum, which precedes the window's start, and of the sum, and
 # the width (min).
 _WINDOWS = ((_MAX_5, RAIN, 5), (_PEAK, WET_DISCHARGE, 5), (_MAX_60, RAIN, 60))
@@ -66,28 +65,14 @@ def _count_starts(p: PlantParameters) -> int:
     return math.ceil(HOUR_S / 2 / p.tau) + 1
 
 
-def _count_weeks(p: PlantParameters, ticks: float) -> int:
-    """Return the number of weeks, the last of which contains the middle of the last tick."""
-    return 1 + int(max(0.0, (ticks - 0.5) * p.tau) // _WEEK_S)
-
-
-def count_places(p: PlantParameters, ticks: int) -> int:
+def count_places(p: PlantParameters) -> int:
     """Return the number of places of a run's sums."""
-    return _WEEKS + _count_weeks(p, ticks) + _count_starts(p)
+    return _LAST_STARTS + _count_starts(p)
 
 
 def count_events(p: PlantParameters, ticks: int) -> int:
     """Return the maximum number of events in a run."""
     return int(ticks / p.interval_ticks / (p.dry_intervals + 1)) + 2
-
-
-def read_weeks(p: PlantParameters, sums: Any) -> list[float]:
-    """Return the deviation in each week of a run (m3); the last week may be shorter.
-
-    The sum of a season would conceal a bad fortnight. The last week includes the final state, so
-    that the weeks add up to the total.
-    """
-    return [float(week) for week in sums[_WEEKS: -_count_starts(p)]]
 
 
 def add(
@@ -120,7 +105,6 @@ def add(
     sums[TICKS] = ticks + 1
     deviation = abs(roof - p.x2_star)
     sums[DEVIATION] += deviation
-    sums[_WEEKS + int(middle // _WEEK_S)] += deviation
     sums[NEAR] += deviation <= NEAR_TARGET * p.x2_star
     sums[STRESSED] += roof < p.stress_volume or roof <= 0
     sums[EVAPORATED] += tau * evaporated
@@ -173,9 +157,11 @@ def _add_pump(
     if share > 0 and sums[_RUNNING] == 0:
         busy, count, kept, now = 1, int(sums[STARTS]), _count_starts(p), sums[TICKS]
         # The start itself, and those before it that are less than an hour ago.
-        while busy <= count and now - sums[-1 - (count - busy) % kept] <= HOUR_S / p.tau - 0.5:
+        while busy <= count and (
+            now - sums[_LAST_STARTS + (count - busy) % kept] <= HOUR_S / p.tau - 0.5
+        ):
             busy += 1
-        sums[-1 - count % kept] = now
+        sums[_LAST_STARTS + count % kept] = now
         sums[STARTS] = count + 1
         sums[BUSIEST_HOUR] = max(sums[BUSIEST_HOUR], busy)
         sums[EXCESS_STARTS] += busy > p.starts_per_hour
@@ -340,9 +326,7 @@ def finish(p: PlantParameters, sums: Any, events: Any, state: State) -> None:
         state: state after the last tick, which counts in the deviation, as in the paper's sum over
             N + 1 states.
     """
-    deviation = abs(state.roof - p.x2_star)
-    sums[DEVIATION] += deviation
-    sums[_WEEKS + _count_weeks(p, sums[TICKS]) - 1] += deviation
+    sums[DEVIATION] += abs(state.roof - p.x2_star)
     sums[CISTERN], sums[ROOF], sums[LAYER] = state.cistern, state.roof, state.layer
     if sums[TICKS] % p.interval_ticks > 0:
         _end_interval(p, sums, events)

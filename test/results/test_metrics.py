@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 from dataclasses import replace
 
 import pytest
@@ -22,23 +21,6 @@ KEPT = {"rain_kept_share", "rain_kept_share_hour", "rain_kept_share_day"}
 def at(roof: float, cistern: float = 50.0) -> State:
     """Return a state without a drainage layer."""
     return State(cistern, roof, 0.0)
-
-
-@pytest.mark.parametrize(
-    ("tau", "ticks", "weeks"),
-    # The middle of the last tick of 1792 s is the beginning of the second week.
-    [(600.0, 14 * 144, 2), (600.0, 34 * 144, 5), (1792.0, 338, 2), (1792.0, 337, 1)],
-)
-def test_weeks(tau: float, ticks: int, weeks: int) -> None:
-    """Each week's deviation by hand; the final state counts in the last week."""
-    chance, site = random.Random(ticks), replace(PAPER_SITE, tau=tau)
-    roofs = [chance.uniform(0, 4) for _ in range(ticks + 1)]
-    expected = [0.0] * weeks
-    for k, roof in enumerate(roofs):
-        expected[min(int((k + 0.5) * tau / 604_800), weeks - 1)] += abs(roof - TARGET)
-    found = summed(site, [Tick(state=at(roof)) for roof in roofs[:-1]], at(roofs[-1]))
-    assert found.weeks == expected
-    assert sum(expected) == pytest.approx(found.metrics["total_deviation_m3"], rel=1e-12)
 
 
 def test_sums_by_hand() -> None:
