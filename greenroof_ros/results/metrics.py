@@ -119,21 +119,10 @@ METRICS = (
         "actual evapotranspiration divided by potential evapotranspiration",
     ),
     Metric(
-        "rain_kept_share", "1", "rain kept", ".1%",
-        lambda site, sums: 1 - _share(sums[s.LOST], sums[s.RAIN] * site.a2),
-        "share of the rain on the roof that did not drain",
-    ),
-    Metric(
-        "rain_kept_share_hour", "1", "rain kept in hours with more than 20 mm", ".1%",
-        lambda site, sums: 1 - _share(sums[s.HOUR_LOST], sums[s.HOUR_RAIN]),
-        "share of the rain that did not drain in the same hour, over all hours with more than 20 "
-        "mm of rain",
-    ),
-    Metric(
-        "rain_kept_share_day", "1", "rain kept in 24 h periods with more than 10 mm", ".1%",
-        lambda site, sums: 1 - _share(sums[s.DAY_LOST], sums[s.DAY_RAIN]),
-        "share of the rain that did not drain within these periods, over all periods of 24 hours "
-        "with more than 10 mm of rain",
+        "roof_retention_share", "1", "retention of the roof", ".1%",
+        lambda site, sums: 1 - _share(sums[s.DRAINED], sums[s.RAIN] * site.a2 + sums[s.PUMPED]),
+        "share of the rain and the irrigation on the roof that did not drain; below 0 if the roof "
+        "lost water that it held at the start",
     ),
     Metric(
         "mains_m3", "m3", "mains water used", ".4g",

@@ -5,8 +5,8 @@ compiled. All sums are sequential Euler sums: a value holds from its tick to the
 before and after a run are unknown, and are assumed to be 0.
 
 The sums of a run are one array of numbers, whose places have names here. After them come buffers of
-the last 64 intervals (of a minute, rounded up to a whole number of ticks), of the last 24 hours and
-of the last pump starts. Rain events are rows of a table of their own.
+the last 64 intervals (of a minute, rounded up to a whole number of ticks) and of the last pump
+starts. Rain events are rows of a table of their own.
 
 **Peaks** are maxima of a moving mean, whose window may begin at any time within the run. Fixed
 intervals of five minutes would underestimate the peak of a storm by an eighth on average (Weiss
@@ -31,11 +31,7 @@ target)
 PEAKS_MIN = (5, 15, 60)
 """widths of the windows of peaks (min)"""
 
-_DAY_H, _DRAINS_H = 24, 6
 _WATER_DENSITY = 1000.0  # kg/m3
-# Rain above which the retention of an hour and of a day is reported (mm). Sums of rain are rounded:
-# 20 mm must not be treated as more than 20 mm.
-_STORM_HOUR_MM, _STORM_DAY_MM = 20.0 + 1e-6, 10.0 + 1e-6
 # More than the rounding errors of an interval's sums (m3), but no water that matters.
 _NOTHING = 1e-9
 _FIRST = 1 + 1e-9  # of equal peaks, the first one counts
@@ -44,17 +40,15 @@ _FIRST = 1 + 1e-9  # of equal peaks, the first one counts
 (
     TICKS, DEVIATION, NEAR, STRESSED, RAIN, WET_DISCHARGE, DISCHARGE, EVAPORATED, POTENTIAL,
     DRAINED, PUMPED, MAINS, OUTFLOW, OVERFLOW, MAX_COMMAND, BEYOND, LIMITED, PUMP_TICKS, STARTS,
-    BUSIEST_HOUR, EXCESS_STARTS, ENERGY_J, OVERFLOW_DAYS, PEAK_5, PEAK_15, PEAK_60, LOST, HOUR_RAIN,
-    HOUR_LOST, DAY_RAIN, DAY_LOST, EVENTS, FIRST_CISTERN, CISTERN, ROOF, LAYER, _HOUR,
-    _DAY_OVERFLOW, _RUNNING, _HOUR_RAIN, _HOUR_PUMPED, _HOUR_DRAINED, _COUNTED, _OPEN, _BEGIN, _END,
-    _GAP, _RAIN_BEFORE, _WET_BEFORE, _DISCHARGE_BEFORE, _MAX_5, _AT_5, _PEAK, _PEAK_AT, _MAX_60,
-    _AT_60, _PLACES,
-) = range(57)
+    BUSIEST_HOUR, EXCESS_STARTS, ENERGY_J, OVERFLOW_DAYS, PEAK_5, PEAK_15, PEAK_60, EVENTS,
+    FIRST_CISTERN, CISTERN, ROOF, LAYER, _DAY_OVERFLOW, _RUNNING, _OPEN, _BEGIN, _END, _GAP,
+    _RAIN_BEFORE, _WET_BEFORE, _DISCHARGE_BEFORE, _MAX_5, _AT_5, _PEAK, _PEAK_AT, _MAX_60, _AT_60,
+    _PLACES,
+) = range(47)
 # Buffers: rain, discharge in wet weather and discharge since the start, at the ends of the last
-# intervals; rain, pumped water and drainage of rain in the last hours (m3).
+# intervals; ticks of the last pump starts.
 _RING, _SUMS = 64, 3
-_HOURS = _PLACES + _SUMS * _RING
-_LAST_STARTS = _HOURS + 3 * _DAY_H
+_LAST_STARTS = _PLACES + _SUMS * _RING
 # Windows of an event: places of the maximum, which precedes the window's start, and of the sum, and
 # the width (min).
 _WINDOWS = ((_MAX_5, RAIN, 5), (_PEAK, WET_DISCHARGE, 5), (_MAX_60, RAIN, 60))
@@ -94,12 +88,9 @@ def add(
         new_day: whether the tick is the first of a day of the site's clock.
     """
     tau, ticks, roof = p.tau, sums[TICKS], state.roof
-    middle = (ticks + 0.5) * tau
     outflow, pump, drainage, evaporated, limited, mains, low_outlet = flows
     if ticks == 0:
         sums[FIRST_CISTERN] = state.cistern
-    if middle >= (sums[_HOUR] + 1) * HOUR_S:
-        _end_hour(p, sums)
     if new_day:
         sums[_DAY_OVERFLOW] = 0.0
     sums[TICKS] = ticks + 1
@@ -282,42 +273,8 @@ def _end_event(p: PlantParameters, sums: Any, events: Any) -> None:
     )
 
 
-def _end_hour(p: PlantParameters, sums: Any) -> None:
-    """End an hour, and count the rain that the roof retained in it.
-
-    The drainage of an hour is attributed to rain and pumped water in proportion to their amounts in
-    the six hours that end with this hour. Rain and its share of the drainage are counted in every
-    hour; in hours with much rain; and in every hour of a period of 24 hours with much rain.
-    """
-    hour = int(sums[_HOUR])
-    place, drained = _HOURS + 3 * (hour % _DAY_H), sums[DRAINED] - sums[_HOUR_DRAINED]
-    rain, pumped = (sums[RAIN] - sums[_HOUR_RAIN]) * p.a2, sums[PUMPED] - sums[_HOUR_PUMPED]
-    sums[place], sums[place + 1], sums[_HOUR_DRAINED] = rain, pumped, sums[DRAINED]
-    sums[_HOUR_RAIN], sums[_HOUR_PUMPED] = sums[RAIN], sums[PUMPED]
-    fallen = came = of_day = 0.0
-    for before in range(_DAY_H):
-        earlier = _HOURS + 3 * ((hour - before) % _DAY_H)
-        of_day += sums[earlier]
-        if before < _DRAINS_H:
-            fallen += sums[earlier]
-            came += sums[earlier] + sums[earlier + 1]
-    lost = fallen / came * drained if fallen > 0 else 0.0
-    sums[place + 2] = lost
-    sums[LOST] += lost
-    if rain / p.a2 * 1000 > _STORM_HOUR_MM:
-        sums[HOUR_RAIN] += rain
-        sums[HOUR_LOST] += lost
-    if of_day / p.a2 * 1000 > _STORM_DAY_MM:
-        for before in range(min(_DAY_H, hour + 1 - int(sums[_COUNTED]))):
-            earlier = _HOURS + 3 * ((hour - before) % _DAY_H)
-            sums[DAY_RAIN] += sums[earlier]
-            sums[DAY_LOST] += sums[earlier + 2]
-        sums[_COUNTED] = hour + 1
-    sums[_HOUR] += 1
-
-
 def finish(p: PlantParameters, sums: Any, events: Any, state: State) -> None:
-    """End the interval, the event and the hour that are open at the end of a run.
+    """End the interval and the event that are open at the end of a run.
 
     Args:
         p: parameters of the plant.
@@ -332,4 +289,3 @@ def finish(p: PlantParameters, sums: Any, events: Any, state: State) -> None:
         _end_interval(p, sums, events)
     if sums[_OPEN] > 0:
         _end_event(p, sums, events)
-    _end_hour(p, sums)

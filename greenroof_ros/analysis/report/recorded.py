@@ -125,4 +125,6 @@ def compute_results(
     last = State(float(samples.cistern[-1]), float(samples.roof[-1]), layer)
     known = [math.nan if place in unknown else float(each) for place, each in enumerate(sums)]
     metrics, rain_events = end_run(site, known, events, last)
+    if {"precipitation", "drainage"} & {*not_recorded}:
+        metrics.pop("roof_retention_share", None)
     return metrics, [] if s.DISCHARGE in unknown else rain_events

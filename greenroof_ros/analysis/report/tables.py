@@ -51,8 +51,8 @@ _TABLES = {
         "max_command", "pump_starts", "electric_energy_kwh",
     ),
     "Plants, rain and frost": (
-        "stress_hours", "evapotranspiration_ratio", "rain_kept_share", "rain_kept_share_hour",
-        "rain_kept_share_day", "frost_hours", "frost_pumped_m3",
+        "stress_hours", "evapotranspiration_ratio", "roof_retention_share", "frost_hours",
+        "frost_pumped_m3",
     ),
     "Pumps and water supply": (
         "beyond_hours", "limited_steps", "busiest_hour_starts", "excess_starts", "pump_hours",

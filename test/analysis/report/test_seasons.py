@@ -130,7 +130,7 @@ def test_means_by_hand(tmp_path: Path) -> None:
     """Over years, in each over its seeds; the worst year; the worst tenth of all runs."""
     lower = {year: total - 20 for year, total in ONOFF.items()}
     onoff = rows("onoff", None, ONOFF)
-    onoff[0]["rain_kept_share_day"], onoff[1]["rain_kept_share_day"] = 0.5, 0.75
+    onoff[0]["roof_retention_share"], onoff[1]["roof_retention_share"] = 0.5, 0.75
     report = study_of(
         tmp_path / "study", *onoff, *rows("mpc", 1, ONOFF), *rows("mpc", 2, lower)
     )
@@ -148,9 +148,9 @@ def test_means_by_hand(tmp_path: Path) -> None:
     assert spread["worst year"] == "2025: 190.00 m³"
     (compared,) = tables["Deviation relative to on/off"]
     assert compared["years with a smaller deviation"] == "11 of 11"
-    # The mean is over years with a storm; without one there is no number.
-    kept = "rain kept in 24 h periods with more than 10 mm"
-    assert [row[kept] for row in tables["Plants, rain and frost"]] == ["62.5%", "none"]
+    # The mean is over years with a share; without one there is no number.
+    shares = [row["retention of the roof"] for row in tables["Plants, rain and frost"]]
+    assert shares == ["62.5%", "none"]
     assert not make_notes(report)
 
 
