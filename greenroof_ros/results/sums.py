@@ -41,10 +41,10 @@ _FIRST = 1 + 1e-9  # of equal peaks, the first one counts
     TICKS, DEVIATION, NEAR, STRESSED, RAIN, WET_DISCHARGE, DISCHARGE, EVAPORATED, POTENTIAL,
     DRAINED, PUMPED, MAINS, OUTFLOW, OVERFLOW, MAX_COMMAND, BEYOND, LIMITED, PUMP_TICKS, STARTS,
     BUSIEST_HOUR, EXCESS_STARTS, ENERGY_J, OVERFLOW_DAYS, PEAK_5, PEAK_15, PEAK_60, EVENTS,
-    FIRST_CISTERN, CISTERN, ROOF, LAYER, _DAY_OVERFLOW, _RUNNING, _OPEN, _BEGIN, _END, _GAP,
-    _RAIN_BEFORE, _WET_BEFORE, _DISCHARGE_BEFORE, _MAX_5, _AT_5, _PEAK, _PEAK_AT, _MAX_60, _AT_60,
-    _PLACES,
-) = range(47)
+    FIRST_CISTERN, CISTERN, ROOF, LAYER, _INTERVALS, _DAY_OVERFLOW, _RUNNING, _OPEN, _BEGIN, _END,
+    _GAP, _RAIN_BEFORE, _WET_BEFORE, _DISCHARGE_BEFORE, _MAX_5, _AT_5, _PEAK, _PEAK_AT, _MAX_60,
+    _AT_60, _PLACES,
+) = range(48)
 # Buffers: rain, discharge in wet weather and discharge since the start, at the ends of the last
 # intervals; ticks of the last pump starts.
 _RING, _SUMS = 64, 3
@@ -102,9 +102,9 @@ def add(
     sums[POTENTIAL] += tau * potential
     if rain > 0:
         if sums[_OPEN] == 0:
-            _begin_event(sums, ticks // p.interval_ticks)
+            _begin_event(sums)
         sums[RAIN] += tau * rain
-        sums[_END] = ticks // p.interval_ticks + 1
+        sums[_END] = sums[_INTERVALS] + 1
     discharge = (1 - p.drainage_to_cistern) * drainage
     if drainage > 0:
         sums[DRAINED] += tau * drainage
@@ -130,7 +130,7 @@ def add(
         _add_pump(p, sums, state, command, rain, flows)
     else:
         sums[_RUNNING] = 0.0
-    if (ticks + 1) % p.interval_ticks == 0:
+    if ticks + 1 == (sums[_INTERVALS] + 1) * p.interval_ticks:
         _end_interval(p, sums, events)
 
 
@@ -190,7 +190,8 @@ def _find_ring(place: int) -> int:
 
 def _end_interval(p: PlantParameters, sums: Any, events: Any) -> None:
     """End an interval: keep its sums, and compare the peaks."""
-    now = math.ceil(sums[TICKS] / p.interval_ticks)
+    sums[_INTERVALS] += 1
+    now = int(sums[_INTERVALS])
     for place in range(RAIN, RAIN + _SUMS):
         sums[_find_ring(place) + now % _RING] = sums[place]
     # The shortest window has the smallest peak, and none contains more than the buffer.
@@ -240,9 +241,10 @@ def _find_maximum(
     return ends, now - width
 
 
-def _begin_event(sums: Any, interval: float) -> None:
+def _begin_event(sums: Any) -> None:
     """Begin an event before the first rain is added, in an interval that is not over."""
-    sums[_OPEN], sums[_BEGIN], sums[_GAP] = 1.0, interval, interval - sums[_END]
+    now = sums[_INTERVALS]
+    sums[_OPEN], sums[_BEGIN], sums[_GAP] = 1.0, now, now - sums[_END]
     for number in range(_SUMS):
         sums[_RAIN_BEFORE + number] = sums[RAIN + number]
     for place in range(_MAX_5, _AT_60 + 1):
@@ -262,7 +264,7 @@ def _end_event(p: PlantParameters, sums: Any, events: Any) -> None:
     begin, end, wet = sums[_BEGIN], sums[_END], sums[WET_DISCHARGE] - sums[_WET_BEFORE]
     heaviest, peak = sums[_MAX_5] / 300, sums[_PEAK] / 300
     delay = sums[_PEAK_AT] - sums[_AT_5]
-    dry = min(sums[_GAP], math.ceil(sums[TICKS] / p.interval_ticks) - end)
+    dry = min(sums[_GAP], sums[_INTERVALS] - end)
     events[number] = (
         begin * seconds / HOUR_S, (end - begin) * seconds / HOUR_S, 1000 * rain,
         1000 * HOUR_S * heaviest, 1000 * sums[_MAX_60],
@@ -285,7 +287,7 @@ def finish(p: PlantParameters, sums: Any, events: Any, state: State) -> None:
     """
     sums[DEVIATION] += abs(state.roof - p.x2_star)
     sums[CISTERN], sums[ROOF], sums[LAYER] = state.cistern, state.roof, state.layer
-    if sums[TICKS] % p.interval_ticks > 0:
+    if sums[TICKS] > sums[_INTERVALS] * p.interval_ticks:
         _end_interval(p, sums, events)
     if sums[_OPEN] > 0:
         _end_event(p, sums, events)
