@@ -14,5 +14,5 @@ for depth in (0.075, 0.100, 0.140):
             site=site, weather="config/weather/toronto_2021.csv", gaps="fill",
             start="2021-05-01", hours=4416,
         )
-        kept.append(f"{run.metrics['rain_kept_share']:.0%}")
+        kept.append(f"{run.metrics['roof_retention_share']:.0%}")
     print(f"{1000 * depth:.0f} mm:", ", ".join(kept))

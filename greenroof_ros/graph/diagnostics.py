@@ -20,7 +20,7 @@ from greenroof_ros.common.times import iso
 from greenroof_ros.graph.messages import qos_profile
 
 # Maximum length of a value on /diagnostics (characters): observers read no value longer than
-# 20,000, such as the weeks of a run of decades.
+# 20,000, such as the rain events of a run of decades.
 _MAX_LENGTH = 16_000
 
 

@@ -292,7 +292,7 @@ class PlantNode(SimulationNode):
         }
 
     def summary(self) -> dict[str, Any]:
-        """Return the metrics, weeks, events and duration (s of wall time) of the run."""
+        """Return the metrics, events and duration (s of wall time) of the run."""
         return {
             **self._metrics.results(self._site.state)._asdict(),
             "wall_s": self._wall_s,

@@ -30,7 +30,6 @@ def summary_columns(summary: Mapping[str, Any]) -> dict[str, Any]:
     solver, filled = summary.get("solver") or {}, summary.get("filled") or {}
     return {
         **{metric.name: summary[metric.name] for metric in METRICS if metric.name in summary},
-        "weekly_deviation_m3": " ".join(map(repr, summary.get("weekly_deviation_m3") or ())),
         "solves": solver.get("solves"),
         "fallbacks": solver.get("fallbacks"),
         "frost_hours": summary.get("frost_hours"),

@@ -119,21 +119,10 @@ METRICS = (
         "actual evapotranspiration divided by potential evapotranspiration",
     ),
     Metric(
-        "rain_kept_share", "1", "rain kept", ".1%",
-        lambda site, sums: 1 - _share(sums[s.LOST], sums[s.RAIN] * site.a2),
-        "share of the rain on the roof that did not drain",
-    ),
-    Metric(
-        "rain_kept_share_hour", "1", "rain kept in hours with more than 20 mm", ".1%",
-        lambda site, sums: 1 - _share(sums[s.HOUR_LOST], sums[s.HOUR_RAIN]),
-        "share of the rain that did not drain in the same hour, over all hours with more than 20 "
-        "mm of rain",
-    ),
-    Metric(
-        "rain_kept_share_day", "1", "rain kept in 24 h periods with more than 10 mm", ".1%",
-        lambda site, sums: 1 - _share(sums[s.DAY_LOST], sums[s.DAY_RAIN]),
-        "share of the rain that did not drain within these periods, over all periods of 24 hours "
-        "with more than 10 mm of rain",
+        "roof_retention_share", "1", "retention of the roof", ".1%",
+        lambda site, sums: 1 - _share(sums[s.DRAINED], sums[s.RAIN] * site.a2 + sums[s.PUMPED]),
+        "share of the rain and the irrigation on the roof that did not drain; below 0 if the roof "
+        "lost water that it held at the start",
     ),
     Metric(
         "mains_m3", "m3", "mains water used", ".4g",
@@ -300,8 +289,6 @@ class Results(NamedTuple):
 
     metrics: dict[str, float]
     """metrics by name"""
-    weeks: list[float]
-    """total deviation of each week (m3), see :func:`.sums.read_weeks`"""
     events: list[Event]
     """rain events in chronological order, excluding traces below 0.1 mm"""
 
@@ -315,10 +302,9 @@ def end_run(site: Site, sums: Any, events: Any, state: State) -> Results:
         events: table of the events.
         state: state after the last tick.
     """
-    p = plant_parameters(site)
-    s.finish(p, sums, events, state)
+    s.finish(plant_parameters(site), sums, events, state)
     rows = np.asarray(events)[: int(sums[s.EVENTS])].tolist()
-    return Results(compute_metrics(site, sums), s.read_weeks(p, sums), [
+    return Results(compute_metrics(site, sums), [
         Event._make((*values, None if math.isnan(delay) else delay, complete > 0))
         for *values, delay, complete in rows
     ])
@@ -339,7 +325,7 @@ class Metrics:
             without_rain: time without rain at the start (s).
         """
         self._site, self._parameters = site, plant_parameters(site)
-        self._sums = [0.0] * s.count_places(self._parameters, ticks)
+        self._sums = [0.0] * s.count_places(self._parameters)
         self._events = np.zeros((s.count_events(self._parameters, ticks), len(Event._fields)))
         self._new_days = set(find_new_days(site, start, ticks))
         self._tick, self._without_rain = 0, without_rain

@@ -5,9 +5,8 @@ compiled. All sums are sequential Euler sums: a value holds from its tick to the
 before and after a run are unknown, and are assumed to be 0.
 
 The sums of a run are one array of numbers, whose places have names here. After them come buffers of
-the last 64 intervals (of a minute, rounded up to a whole number of ticks) and of the last 24 hours,
-the deviation of each week, and, from the end backwards, a buffer of the last pump starts. Rain
-events are rows of a table of their own.
+the last 64 intervals (of a minute, rounded up to a whole number of ticks) and of the last pump
+starts. Rain events are rows of a table of their own.
 
 **Peaks** are maxima of a moving mean, whose window may begin at any time within the run. Fixed
 intervals of five minutes would underestimate the peak of a storm by an eighth on average (Weiss
@@ -32,11 +31,7 @@ target)
 PEAKS_MIN = (5, 15, 60)
 """widths of the windows of peaks (min)"""
 
-_WEEK_S, _DAY_H, _DRAINS_H = 168 * HOUR_S, 24, 6
 _WATER_DENSITY = 1000.0  # kg/m3
-# Rain above which the retention of an hour and of a day is reported (mm). Sums of rain are rounded:
-# 20 mm must not be treated as more than 20 mm.
-_STORM_HOUR_MM, _STORM_DAY_MM = 20.0 + 1e-6, 10.0 + 1e-6
 # More than the rounding errors of an interval's sums (m3), but no water that matters.
 _NOTHING = 1e-9
 _FIRST = 1 + 1e-9  # of equal peaks, the first one counts
@@ -45,17 +40,15 @@ _FIRST = 1 + 1e-9  # of equal peaks, the first one counts
 (
     TICKS, DEVIATION, NEAR, STRESSED, RAIN, WET_DISCHARGE, DISCHARGE, EVAPORATED, POTENTIAL,
     DRAINED, PUMPED, MAINS, OUTFLOW, OVERFLOW, MAX_COMMAND, BEYOND, LIMITED, PUMP_TICKS, STARTS,
-    BUSIEST_HOUR, EXCESS_STARTS, ENERGY_J, OVERFLOW_DAYS, PEAK_5, PEAK_15, PEAK_60, LOST, HOUR_RAIN,
-    HOUR_LOST, DAY_RAIN, DAY_LOST, EVENTS, FIRST_CISTERN, CISTERN, ROOF, LAYER, _HOUR,
-    _DAY_OVERFLOW, _RUNNING, _HOUR_RAIN, _HOUR_PUMPED, _HOUR_DRAINED, _COUNTED, _OPEN, _BEGIN, _END,
+    BUSIEST_HOUR, EXCESS_STARTS, ENERGY_J, OVERFLOW_DAYS, PEAK_5, PEAK_15, PEAK_60, EVENTS,
+    FIRST_CISTERN, CISTERN, ROOF, LAYER, _INTERVALS, _DAY_OVERFLOW, _RUNNING, _OPEN, _BEGIN, _END,
     _GAP, _RAIN_BEFORE, _WET_BEFORE, _DISCHARGE_BEFORE, _MAX_5, _AT_5, _PEAK, _PEAK_AT, _MAX_60,
     _AT_60, _PLACES,
-) = range(57)
+) = range(48)
 # Buffers: rain, discharge in wet weather and discharge since the start, at the ends of the last
-# intervals; rain, pumped water and drainage of rain in the last hours (m3).
+# intervals; ticks of the last pump starts.
 _RING, _SUMS = 64, 3
-_HOURS = _PLACES + _SUMS * _RING
-_WEEKS = _HOURS + 3 * _DAY_H
+_LAST_STARTS = _PLACES + _SUMS * _RING
 # Windows of an event: places of the maximum, which precedes the window's start, and of the sum, and
 # the width (min).
 _WINDOWS = ((_MAX_5, RAIN, 5), (_PEAK, WET_DISCHARGE, 5), (_MAX_60, RAIN, 60))
@@ -66,28 +59,14 @@ def _count_starts(p: PlantParameters) -> int:
     return math.ceil(HOUR_S / 2 / p.tau) + 1
 
 
-def _count_weeks(p: PlantParameters, ticks: float) -> int:
-    """Return the number of weeks, the last of which contains the middle of the last tick."""
-    return 1 + int(max(0.0, (ticks - 0.5) * p.tau) // _WEEK_S)
-
-
-def count_places(p: PlantParameters, ticks: int) -> int:
+def count_places(p: PlantParameters) -> int:
     """Return the number of places of a run's sums."""
-    return _WEEKS + _count_weeks(p, ticks) + _count_starts(p)
+    return _LAST_STARTS + _count_starts(p)
 
 
 def count_events(p: PlantParameters, ticks: int) -> int:
     """Return the maximum number of events in a run."""
     return int(ticks / p.interval_ticks / (p.dry_intervals + 1)) + 2
-
-
-def read_weeks(p: PlantParameters, sums: Any) -> list[float]:
-    """Return the deviation in each week of a run (m3); the last week may be shorter.
-
-    The sum of a season would conceal a bad fortnight. The last week includes the final state, so
-    that the weeks add up to the total.
-    """
-    return [float(week) for week in sums[_WEEKS: -_count_starts(p)]]
 
 
 def add(
@@ -109,27 +88,23 @@ def add(
         new_day: whether the tick is the first of a day of the site's clock.
     """
     tau, ticks, roof = p.tau, sums[TICKS], state.roof
-    middle = (ticks + 0.5) * tau
     outflow, pump, drainage, evaporated, limited, mains, low_outlet = flows
     if ticks == 0:
         sums[FIRST_CISTERN] = state.cistern
-    if middle >= (sums[_HOUR] + 1) * HOUR_S:
-        _end_hour(p, sums)
     if new_day:
         sums[_DAY_OVERFLOW] = 0.0
     sums[TICKS] = ticks + 1
     deviation = abs(roof - p.x2_star)
     sums[DEVIATION] += deviation
-    sums[_WEEKS + int(middle // _WEEK_S)] += deviation
     sums[NEAR] += deviation <= NEAR_TARGET * p.x2_star
     sums[STRESSED] += roof < p.stress_volume or roof <= 0
     sums[EVAPORATED] += tau * evaporated
     sums[POTENTIAL] += tau * potential
     if rain > 0:
         if sums[_OPEN] == 0:
-            _begin_event(sums, ticks // p.interval_ticks)
+            _begin_event(sums)
         sums[RAIN] += tau * rain
-        sums[_END] = ticks // p.interval_ticks + 1
+        sums[_END] = sums[_INTERVALS] + 1
     discharge = (1 - p.drainage_to_cistern) * drainage
     if drainage > 0:
         sums[DRAINED] += tau * drainage
@@ -155,7 +130,7 @@ def add(
         _add_pump(p, sums, state, command, rain, flows)
     else:
         sums[_RUNNING] = 0.0
-    if (ticks + 1) % p.interval_ticks == 0:
+    if ticks + 1 == (sums[_INTERVALS] + 1) * p.interval_ticks:
         _end_interval(p, sums, events)
 
 
@@ -173,9 +148,11 @@ def _add_pump(
     if share > 0 and sums[_RUNNING] == 0:
         busy, count, kept, now = 1, int(sums[STARTS]), _count_starts(p), sums[TICKS]
         # The start itself, and those before it that are less than an hour ago.
-        while busy <= count and now - sums[-1 - (count - busy) % kept] <= HOUR_S / p.tau - 0.5:
+        while busy <= count and (
+            now - sums[_LAST_STARTS + (count - busy) % kept] <= HOUR_S / p.tau - 0.5
+        ):
             busy += 1
-        sums[-1 - count % kept] = now
+        sums[_LAST_STARTS + count % kept] = now
         sums[STARTS] = count + 1
         sums[BUSIEST_HOUR] = max(sums[BUSIEST_HOUR], busy)
         sums[EXCESS_STARTS] += busy > p.starts_per_hour
@@ -213,7 +190,8 @@ def _find_ring(place: int) -> int:
 
 def _end_interval(p: PlantParameters, sums: Any, events: Any) -> None:
     """End an interval: keep its sums, and compare the peaks."""
-    now = math.ceil(sums[TICKS] / p.interval_ticks)
+    sums[_INTERVALS] += 1
+    now = int(sums[_INTERVALS])
     for place in range(RAIN, RAIN + _SUMS):
         sums[_find_ring(place) + now % _RING] = sums[place]
     # The shortest window has the smallest peak, and none contains more than the buffer.
@@ -263,9 +241,10 @@ def _find_maximum(
     return ends, now - width
 
 
-def _begin_event(sums: Any, interval: float) -> None:
+def _begin_event(sums: Any) -> None:
     """Begin an event before the first rain is added, in an interval that is not over."""
-    sums[_OPEN], sums[_BEGIN], sums[_GAP] = 1.0, interval, interval - sums[_END]
+    now = sums[_INTERVALS]
+    sums[_OPEN], sums[_BEGIN], sums[_GAP] = 1.0, now, now - sums[_END]
     for number in range(_SUMS):
         sums[_RAIN_BEFORE + number] = sums[RAIN + number]
     for place in range(_MAX_5, _AT_60 + 1):
@@ -285,7 +264,7 @@ def _end_event(p: PlantParameters, sums: Any, events: Any) -> None:
     begin, end, wet = sums[_BEGIN], sums[_END], sums[WET_DISCHARGE] - sums[_WET_BEFORE]
     heaviest, peak = sums[_MAX_5] / 300, sums[_PEAK] / 300
     delay = sums[_PEAK_AT] - sums[_AT_5]
-    dry = min(sums[_GAP], math.ceil(sums[TICKS] / p.interval_ticks) - end)
+    dry = min(sums[_GAP], sums[_INTERVALS] - end)
     events[number] = (
         begin * seconds / HOUR_S, (end - begin) * seconds / HOUR_S, 1000 * rain,
         1000 * HOUR_S * heaviest, 1000 * sums[_MAX_60],
@@ -296,42 +275,8 @@ def _end_event(p: PlantParameters, sums: Any, events: Any) -> None:
     )
 
 
-def _end_hour(p: PlantParameters, sums: Any) -> None:
-    """End an hour, and count the rain that the roof retained in it.
-
-    The drainage of an hour is attributed to rain and pumped water in proportion to their amounts in
-    the six hours that end with this hour. Rain and its share of the drainage are counted in every
-    hour; in hours with much rain; and in every hour of a period of 24 hours with much rain.
-    """
-    hour = int(sums[_HOUR])
-    place, drained = _HOURS + 3 * (hour % _DAY_H), sums[DRAINED] - sums[_HOUR_DRAINED]
-    rain, pumped = (sums[RAIN] - sums[_HOUR_RAIN]) * p.a2, sums[PUMPED] - sums[_HOUR_PUMPED]
-    sums[place], sums[place + 1], sums[_HOUR_DRAINED] = rain, pumped, sums[DRAINED]
-    sums[_HOUR_RAIN], sums[_HOUR_PUMPED] = sums[RAIN], sums[PUMPED]
-    fallen = came = of_day = 0.0
-    for before in range(_DAY_H):
-        earlier = _HOURS + 3 * ((hour - before) % _DAY_H)
-        of_day += sums[earlier]
-        if before < _DRAINS_H:
-            fallen += sums[earlier]
-            came += sums[earlier] + sums[earlier + 1]
-    lost = fallen / came * drained if fallen > 0 else 0.0
-    sums[place + 2] = lost
-    sums[LOST] += lost
-    if rain / p.a2 * 1000 > _STORM_HOUR_MM:
-        sums[HOUR_RAIN] += rain
-        sums[HOUR_LOST] += lost
-    if of_day / p.a2 * 1000 > _STORM_DAY_MM:
-        for before in range(min(_DAY_H, hour + 1 - int(sums[_COUNTED]))):
-            earlier = _HOURS + 3 * ((hour - before) % _DAY_H)
-            sums[DAY_RAIN] += sums[earlier]
-            sums[DAY_LOST] += sums[earlier + 2]
-        sums[_COUNTED] = hour + 1
-    sums[_HOUR] += 1
-
-
 def finish(p: PlantParameters, sums: Any, events: Any, state: State) -> None:
-    """End the interval, the event and the hour that are open at the end of a run.
+    """End the interval and the event that are open at the end of a run.
 
     Args:
         p: parameters of the plant.
@@ -340,12 +285,9 @@ def finish(p: PlantParameters, sums: Any, events: Any, state: State) -> None:
         state: state after the last tick, which counts in the deviation, as in the paper's sum over
             N + 1 states.
     """
-    deviation = abs(state.roof - p.x2_star)
-    sums[DEVIATION] += deviation
-    sums[_WEEKS + _count_weeks(p, sums[TICKS]) - 1] += deviation
+    sums[DEVIATION] += abs(state.roof - p.x2_star)
     sums[CISTERN], sums[ROOF], sums[LAYER] = state.cistern, state.roof, state.layer
-    if sums[TICKS] % p.interval_ticks > 0:
+    if sums[TICKS] > sums[_INTERVALS] * p.interval_ticks:
         _end_interval(p, sums, events)
     if sums[_OPEN] > 0:
         _end_event(p, sums, events)
-    _end_hour(p, sums)

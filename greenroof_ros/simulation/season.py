@@ -293,7 +293,7 @@ class _Season:
             *map(self._as_taken, (
                 np.array([(case.x1, case.x2, case.site.initial_layer) for case in cases]),
                 np.tile(make_switch(run.sensor_and_pump, site.tau), (count, 1)),
-                np.zeros((count, s.count_places(plants[0], run.steps))),
+                np.zeros((count, s.count_places(plants[0]))),
             )),
             np.zeros((count, events, len(Event._fields))), np.zeros((count, kept, len(KEPT))),
         ))

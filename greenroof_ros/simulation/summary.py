@@ -27,9 +27,8 @@ RUNNING, DONE, FAILED, INTERRUPTED = "running", "done", "failed", "interrupted"
 
 
 def make_summary(
-    run: Run, metrics: Mapping[str, float], weeks: Sequence[float], events: Sequence[Event], *,
-    wall_s: float, solver: Mapping[str, float] | None,
-    messages: Mapping[str, int] | None = None, **happened: Any,
+    run: Run, metrics: Mapping[str, float], events: Sequence[Event], *, wall_s: float,
+    solver: Mapping[str, float] | None, messages: Mapping[str, int] | None = None, **happened: Any,
 ) -> dict[str, Any]:
     """Assemble the summary of a completed run, in the same form for ``simulate`` and the graph.
 
@@ -37,7 +36,6 @@ def make_summary(
         run: the run.
         metrics: results of the run, by their names in
             :data:`greenroof_ros.results.metrics.METRICS`.
-        weeks: total deviation of each week (m3).
         events: rain events.
         wall_s: wall time of the run (s).
         solver: statistics of the controller's solver; None if there is no solver.
@@ -49,7 +47,6 @@ def make_summary(
         "frost_hours": run.series.frost_hours,
         "precipitation_in_frost_mm": run.series.precipitation_in_frost,
         **metrics,
-        "weekly_deviation_m3": list(weeks),
         "events": event_rows(run.start, events),
         "solver": solver and dict(solver),
         "wall_s": wall_s,

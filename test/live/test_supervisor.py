@@ -407,8 +407,8 @@ def test_a_report_of_any_size_arrives_whole_and_the_newest_of_each_node_waits(
     with ours, theirs:
         monkeypatch.setenv(SOCKET, str(theirs.fileno()))
         sender = SupervisorSocket()
-        weeks = [number / 7 for number in range(100_000)]
-        sender.report({"node": "pump", "state": "ready", "weeks": weeks})
+        numbers = [number / 7 for number in range(100_000)]
+        sender.report({"node": "pump", "state": "ready", "numbers": numbers})
         for tick in range(1000):
             for node in ("cistern_sensor", "roof_sensor"):
                 sender.report({"node": node, "state": "ready", "tick": tick})
@@ -419,7 +419,7 @@ def test_a_report_of_any_size_arrives_whole_and_the_newest_of_each_node_waits(
         while part := os.read(ours.fileno(), 1 << 18):
             data += part
     first, *later = map(read_report, data.splitlines())
-    assert first is not None and first["weeks"] == weeks
+    assert first is not None and first["numbers"] == numbers
     assert [(report["node"], report["tick"]) for report in later if report] == [
         ("cistern_sensor", 999), ("roof_sensor", 999),
     ]

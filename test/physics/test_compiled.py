@@ -73,7 +73,7 @@ SEASONS = (
 
 
 def seasons() -> str:
-    """Return all that seasons leave, digit by digit: sums, weeks, events, and kept ticks.
+    """Return all that seasons leave, digit by digit: sums, events, and kept ticks.
 
     Each has as many ticks as are compiled.
     """

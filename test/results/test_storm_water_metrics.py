@@ -156,7 +156,7 @@ FLOWS = [
 
 def test_storm_water_by_hand() -> None:
     """0.828 m3 left, more than the 0.6 m3 of rain: 38 % more, and that is not cut off."""
-    results, _, (event,) = summed(VALVE, FLOWS)
+    results, (event,) = summed(VALVE, FLOWS)
     expected = {
         "discharge_m3": 3600 * (1e-4 + 0.75 * 4e-5) + 18000 * 2e-5,
         # An hour of rain, and two after it.
@@ -180,7 +180,7 @@ def test_a_run_may_begin_in_wet_weather(without_rain: float, wet_m3: float) -> N
 def test_no_rain_at_all() -> None:
     """There is no share of nothing; all else is 0. The same goes for a run of no tick."""
     for ticks in ([], [Tick()] * 100):
-        results, _, events = summed(SITE, ticks)
+        results, events = summed(SITE, ticks)
         assert not any(math.isnan(value) for value in results.values())
         assert "retention_share" not in results and events == []
         assert {results[name] for name in (*PEAKS, "discharge_m3", "wet_discharge_m3")} == {0.0}
@@ -189,7 +189,7 @@ def test_no_rain_at_all() -> None:
 
 def test_unknown_discharge() -> None:
     """Nobody recorded it: there are no metrics of it, instead of the best ones."""
-    sums = [0.0] * s.count_places(plant_parameters(SITE), 1)
+    sums = [0.0] * s.count_places(plant_parameters(SITE))
     known = {*end_run(SITE, [*sums], np.zeros((0, 13)), END).metrics}
     for place in (s.WET_DISCHARGE, s.PEAK_5, s.PEAK_15, s.PEAK_60, s.OVERFLOW_DAYS, s.LIMITED):
         sums[place] = math.nan
@@ -261,7 +261,7 @@ def test_any_run(
         Tick(STILL._replace(outflow=outflow, drainage=outflow / 3), rain)
         for rain, outflow, count in drawn for _ in range(count)
     ]
-    results, _, events = summed(site, ticks)
+    results, events = summed(site, ticks)
     dry = round(separation * 3600 / tau)
     during = np.zeros(len(ticks), bool)
     first = 0

@@ -26,7 +26,7 @@ def test_storm_water_is_shown_where_it_is_collected(
     whole, _ = simulate(paper_run("--controller", "onoff", "--hours", "2"))
     rows = list(screen.rows({**whole, **changed}))
     words = {word for word, *_ in rows}
-    assert {"outflow", "pumped", "rain kept"} <= words
+    assert {"outflow", "pumped", "retention of the roof"} <= words
     storm = {
         "discharge", "discharge in wet weather", "peak discharge, 5 min", "overflow",
         "days of overflow", "retention", "rain events",

@@ -57,7 +57,7 @@ def test_a_season_in_toronto_beside_york_university() -> None:
             site=site, weather=CONFIG / "weather" / "toronto_2021.csv", gaps="fill",
             start="2021-05-01", hours=4416,
         ).metrics
-        kept.append(metrics["rain_kept_share"])
+        kept.append(metrics["roof_retention_share"])
         fallen = metrics["rain_roof_m3"] - metrics["evapotranspiration_m3"] - metrics["drainage_m3"]
         stored = metrics["final_roof_m3"] + metrics["final_layer_m3"] - 0.35 * 0.1 * 68.8
         assert math.isclose(fallen, stored, abs_tol=1e-6)

@@ -240,7 +240,7 @@ class CommandedSites:
             np.zeros(count),
         ))
         self._sums, self._ticks = map(as_taken, (
-            np.zeros((count, count_places(plant_parameters(site), run.steps))),
+            np.zeros((count, count_places(plant_parameters(site)))),
             np.zeros((count, 17)),
         ))
 

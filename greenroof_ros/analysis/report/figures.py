@@ -231,7 +231,7 @@ def draw_deviation(cases: Sequence[CaseRuns], name: str) -> Figure:
 
 def _make_row(case: CaseRuns) -> dict[str, Any]:
     """Return the row of a case: mean ``v``, minimum ``low`` and maximum ``high`` (m3)."""
-    totals = np.concatenate([*case.deviations.totals.values()])
+    totals = np.concatenate([*case.totals.values()])
     return {
         "case": case.label, "controller": case.row["controller"],
         "v": round_value(case.row[TOTAL]), "low": round_value(totals.min()),

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from greenroof_ros.analysis.report.intervals import Deviations, SeasonComparison, compare
+from greenroof_ros.analysis.report.intervals import Array, SeasonComparison, compare
 from greenroof_ros.analysis.report.run import ReportedRun, Row
 from greenroof_ros.analysis.report.sources import Sources
 from greenroof_ros.controllers.onoff import OnOff
@@ -38,14 +38,15 @@ class CaseRuns:
         runs: runs in the order of their source.
         row: the row of the first run, in which every result is the mean over the seeds of each year
             and then over the years; None if no run has the result.
-        deviations: deviations of every seed and, for a season, of every week.
+        totals: total deviation of every run (m3), shape (runs,), by the year of the season; by 0 if
+            there is no season.
         relative: comparison of the season with plain on/off control, if both controllers ran in the
             same years.
     """
 
     runs: list[ReportedRun]
     row: Row
-    deviations: Deviations
+    totals: dict[int, Array]
     relative: SeasonComparison | None = None
 
     @property
@@ -107,12 +108,7 @@ def _case(runs: list[ReportedRun]) -> CaseRuns:
         years.setdefault(year, []).append(run.row | _derived(run))
     row = {**runs[0].row, **_means(list(years.values()))}
     totals = {year: np.array([row[TOTAL] for row in rows]) for year, rows in years.items()}
-    whole = int(row["hours"] // 168)
-    weeks = {
-        year: np.array([row["weekly_deviation_m3"][:whole] for row in rows])
-        for year, rows in years.items() if season
-    }
-    return CaseRuns(runs, row, Deviations(totals, weeks))
+    return CaseRuns(runs, row, totals)
 
 
 def _means(years: Sequence[Sequence[Row]]) -> Row:
@@ -190,9 +186,9 @@ def _compare(place: Sequence[CaseRuns]) -> None:
         for case in place:
             if case is other:
                 continue
-            if case.deviations.weeks:
-                case.relative = compare(case.deviations, other.deviations)
-            if case.deviations.totals.keys() == other.deviations.totals.keys():
+            if case.row["season"]:
+                case.relative = compare(case.totals, other.totals)
+            if case.totals.keys() == other.totals.keys():
                 for volume in ("mains", "wet_discharge"):
                     case.row[f"{volume}_below_onoff_m3"] = _sum(
                         {"own": case.row[f"{volume}_m3"], "onoff": other.row[f"{volume}_m3"]},

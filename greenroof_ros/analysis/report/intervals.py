@@ -11,7 +11,7 @@ exclude 1 by chance: even if there are no differences at all, one interval in tw
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from functools import cache
 from typing import NamedTuple
 
@@ -35,35 +35,15 @@ class Ratio(NamedTuple):
     high: float
 
 
-@dataclass
-class Deviations:
-    """Deviations of a controller in one season of several years, or in any other window.
+def worst_tenth(totals: Array) -> float:
+    """Return the mean of the largest tenth of some deviations.
 
-    Attributes:
-        totals: total deviation of every seed (m3), shape (seeds,), by year; the year is 0 for a run
-            that does not belong to a season.
-        weeks: deviation in every whole week of every seed (m3), shape (seeds, weeks), by year;
-            empty for any other window than a season.
+    The value at the edge of the tenth is counted in part. A tenth is at least one whole value: with
+    fewer than ten values, it is the largest value.
     """
-
-    totals: dict[int, Array]
-    weeks: dict[int, Array] = field(default_factory=dict)
-
-    def worst_tenth(self) -> float:
-        """Return the mean of the worst tenth of the weeks of a season, or of the runs (m3).
-
-        The seeds of a year share the weight of the year. The value at the edge of the worst tenth
-        is counted in part. A tenth is at least one whole value: with fewer than ten values, it is
-        the largest value.
-        """
-        years = self.weeks or {year: runs[None, :] for year, runs in self.totals.items()}
-        values = np.concatenate([seeds.ravel() for seeds in years.values()])
-        weights = np.concatenate([np.full(seeds.size, 1 / len(seeds)) for seeds in years.values()])
-        order = np.argsort(-values)
-        count = max(1.0, weights.sum() / 10)
-        worse = np.cumsum(weights[order]) - weights[order]
-        within = np.clip(count - worse, 0, weights[order])
-        return float(within @ values[order] / count)
+    count = max(1.0, totals.size / 10)
+    weights = np.clip(count - np.arange(totals.size), 0, 1)
+    return float(weights @ np.sort(totals)[::-1] / count)
 
 
 class SeasonComparison(NamedTuple):
@@ -80,12 +60,18 @@ class SeasonComparison(NamedTuple):
     """number of years in which both ran"""
 
 
-def compare(own: Deviations, other: Deviations) -> SeasonComparison | None:
-    """Compare two controllers; None if they share fewer than two years, or a divisor is 0."""
-    years = [year for year in own.totals if year in other.totals]
-    means, others = (
-        np.array([deviations.totals[year].mean() for year in years]) for deviations in (own, other)
-    )
+def compare(own: Mapping[int, Array], other: Mapping[int, Array]) -> SeasonComparison | None:
+    """Compare two controllers in one season of several years.
+
+    Args:
+        own: total deviation of every seed (m3), shape (seeds,), by year.
+        other: the same of the other controller.
+
+    Returns:
+        The comparison; None if they share fewer than two years, or a divisor is 0.
+    """
+    years = [year for year in own if year in other]
+    means, others = (np.array([of[year].mean() for year in years]) for of in (own, other))
     counts = np.vstack((np.ones(len(years)), _draws(len(years))))
     if len(years) < 2 or not (counts @ others).all():
         return None

@@ -115,7 +115,7 @@ def compute_results(
     p, steps = plant_parameters(site), round(float(trajectory.time[-1]) / site.tau)
     new_day = np.zeros(steps, np.bool_)
     new_day[find_new_days(site, trajectory.start.timestamp(), steps)] = True
-    sums: Any = np.zeros(s.count_places(p, steps))
+    sums: Any = np.zeros(s.count_places(p))
     events = np.zeros((s.count_events(p, steps), len(Event._fields)))
     samples, add_all = arrays, compiled(add_samples)
     if steps < _MIN_COMPILED or not can_compile():
@@ -124,5 +124,7 @@ def compute_results(
     layer = add_all(p, sums, events, samples, new_day, site.initial_layer, without_rain)
     last = State(float(samples.cistern[-1]), float(samples.roof[-1]), layer)
     known = [math.nan if place in unknown else float(each) for place, each in enumerate(sums)]
-    metrics, _, rain_events = end_run(site, known, events, last)
+    metrics, rain_events = end_run(site, known, events, last)
+    if {"precipitation", "drainage"} & {*not_recorded}:
+        metrics.pop("roof_retention_share", None)
     return metrics, [] if s.DISCHARGE in unknown else rain_events

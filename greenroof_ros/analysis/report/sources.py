@@ -52,7 +52,6 @@ _READ: dict[str, Callable[[str], object]] = {
         lambda cell: _read_number(cell, 0.0) if cell else None,
     ),
     "start": lambda cell: datetime.fromisoformat(cell).isoformat() if cell else "",
-    "weekly_deviation_m3": lambda cell: list(map(_read_number, cell.split())),
 }
 
 
@@ -237,5 +236,3 @@ def _find_damage(row: Row, earlier: Container[str]) -> Iterable[tuple[str, str]]
         empty = [column for column in row if row[column] in ("", None)]
         for column in (_NEEDED - {"error", "season"}).intersection(empty):
             yield column, "must not be empty, because the run is done"
-        if row["season"] and len(row.get("weekly_deviation_m3", ())) < row["hours"] // 168:
-            yield "season", "must be empty, or weekly_deviation_m3 must contain every week"

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from greenroof_ros.analysis.report.groups import TOTAL, CaseRuns, Report
-from greenroof_ros.analysis.report.intervals import SeasonComparison
+from greenroof_ros.analysis.report.intervals import SeasonComparison, worst_tenth
 from greenroof_ros.results.metrics import METRICS
 
 Table = list[dict[str, str]]
@@ -51,8 +51,8 @@ _TABLES = {
         "max_command", "pump_starts", "electric_energy_kwh",
     ),
     "Plants, rain and frost": (
-        "stress_hours", "evapotranspiration_ratio", "rain_kept_share", "rain_kept_share_hour",
-        "rain_kept_share_day", "frost_hours", "frost_pumped_m3",
+        "stress_hours", "evapotranspiration_ratio", "roof_retention_share", "frost_hours",
+        "frost_pumped_m3",
     ),
     "Pumps and water supply": (
         "beyond_hours", "limited_steps", "busiest_hour_starts", "excess_starts", "pump_hours",
@@ -132,16 +132,15 @@ def _spread(report: Report, case: CaseRuns) -> dict[str, str]:
         (run["window"], run["from"], run["case"]) == (*case.place, case.label)
         for run in report.failed
     )
-    totals = case.deviations.totals
-    every = np.concatenate(list(totals.values()))
+    every = np.concatenate(list(case.totals.values()))
     cells = {
         "runs": str(every.size) + f", {lacking} failed ⚠" * bool(lacking),
         "mean (m³)": f"{case.row[TOTAL]:.2f}",
-        "worst tenth (m³)": f"{case.deviations.worst_tenth():.2f}",
+        "worst tenth (m³)": f"{worst_tenth(every):.2f}",
         "worst run (m³)": f"{every.max():.2f}",
     }
-    if case.deviations.weeks:
-        means = {year: of_year.mean() for year, of_year in totals.items()}
+    if case.row["season"]:
+        means = {year: of_year.mean() for year, of_year in case.totals.items()}
         worst = max(means, key=lambda year: means[year])
         cells |= {"years": str(len(means)), "worst year": f"{worst}: {means[worst]:.2f} m³"}
     return cells
@@ -187,10 +186,10 @@ def make_notes(report: Report) -> dict[str, list[str]]:
             if value:
                 shown = f"{value:.4g}" if isinstance(value, float) else str(value)
                 notes.setdefault(text, []).append(f"{run.name}: {shown}")
-    few = [case for case in report.cases if 0 < len(case.deviations.weeks) < _FEW_YEARS]
+    few = [case for case in report.cases if case.row["season"] and len(case.totals) < _FEW_YEARS]
     if few:
         notes[f"with fewer than {_FEW_YEARS} years, a lead in all years may be due to chance"] = [
-            f"{case.label}: {len(case.deviations.weeks)}" for case in few
+            f"{case.label}: {len(case.totals)}" for case in few
         ]
     return notes
 

@@ -34,9 +34,12 @@ def test_samples_of_a_real_site() -> None:
         "rain_cistern_m3": np.pi * 0.305**2 * (1e-4 + 1.2e-3), "pumped_m3": 0.3 + 0.12,
         "outflow_m3": 0.01 + 0.03, "evapotranspiration_m3": 0.01 + 0.06, "drainage_m3": 0.003,
         "pump_hours": 90 / 3600, "pump_starts": 1, "beyond_hours": 30 / 3600, "max_command": 1.5,
-        "final_cistern_m3": 7,
+        "final_cistern_m3": 7, "roof_retention_share": 1 - 0.003 / (68.8 * 1.3e-3 + 0.42),
     }
     assert {name: row[name] for name in expected} == pytest.approx(expected, rel=1e-12)
+    for unknown in ("precipitation", "drainage"):
+        row, _ = compute_results(PAPER_SITE, trajectory, [unknown])
+        assert "roof_retention_share" not in row
 
 
 def check_tally(*options: str) -> dict[str, float]:

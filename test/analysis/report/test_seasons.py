@@ -13,7 +13,7 @@ from studies import record, run_here
 
 from greenroof_ros.analysis.report.figures import make_figures
 from greenroof_ros.analysis.report.groups import TOTAL, CaseRuns, Report
-from greenroof_ros.analysis.report.intervals import Deviations, SeasonComparison, compare
+from greenroof_ros.analysis.report.intervals import Array, SeasonComparison, compare, worst_tenth
 from greenroof_ros.analysis.report.tables import make_notes, make_tables
 
 YEARS = range(2015, 2026)
@@ -21,7 +21,7 @@ ONOFF = {year: 100.0 + 10 * (year - 2015) for year in YEARS}
 
 
 def rows(controller: str, seed: int | None, totals: dict[int, float]) -> list[dict[str, Any]]:
-    """Return runs of 16 days, in which the second week is three times as bad as the first."""
+    """Return runs of 16 days."""
     forecast: dict[str, Any] = {"forecast": "perfect"}
     if seed is not None:
         forecast = {"forecast": "errors", "forecast_skill": "real", "forecast_seed": seed}
@@ -34,18 +34,14 @@ def rows(controller: str, seed: int | None, totals: dict[int, float]) -> list[di
             "outflow_m3": 1.0, "bound_m3": 50.0,
             "window": "May", "season": "from 01 May",
             "case": f"{controller} {forecast['forecast']}",
-            "weekly_deviation_m3": f"{total / 8} {3 * total / 8} {total / 2}",
         }
         for year, total in totals.items()
     ]
 
 
-def deviations(*seeds: dict[int, float]) -> Deviations:
+def deviations(*seeds: dict[int, float]) -> dict[int, Array]:
     """Return deviations with one seed for each of these totals."""
-    totals = {year: np.array([of_seed[year] for of_seed in seeds]) for year in seeds[0]}
-    return Deviations(
-        totals, {year: of_year[:, None] * (1 / 8, 3 / 8) for year, of_year in totals.items()}
-    )
+    return {year: np.array([of_seed[year] for of_seed in seeds]) for year in seeds[0]}
 
 
 def relative_to_onoff(*seeds: dict[int, float]) -> SeasonComparison:
@@ -59,17 +55,13 @@ def relative_to_onoff(*seeds: dict[int, float]) -> SeasonComparison:
 
 
 def test_a_tenth_regardless_of_the_number_of_values() -> None:
-    """Of 26 weeks 2.6, of 260 the same as 26; of five the largest.
-
-    Seeds share the weight of their year: two equal seeds change nothing.
-    """
-    weeks = np.arange(26.0)
-    for of_year, expected in (
-        (weeks, (25 + 24 + 0.6 * 23) / 2.6), (np.repeat(weeks, 10), (25 + 24 + 0.6 * 23) / 2.6),
+    """Of 26 runs 2.6, of 260 the same as 26; of five the largest."""
+    runs = np.arange(26.0)
+    for totals, expected in (
+        (runs, (25 + 24 + 0.6 * 23) / 2.6), (np.repeat(runs, 10), (25 + 24 + 0.6 * 23) / 2.6),
         (np.arange(5.0), 4.0),
     ):
-        assert Deviations({0: of_year}).worst_tenth() == pytest.approx(expected)
-    assert deviations(ONOFF, ONOFF).worst_tenth() == pytest.approx(deviations(ONOFF).worst_tenth())
+        assert worst_tenth(totals) == pytest.approx(expected)
 
 
 def test_ratios_and_what_is_reported_of_them() -> None:
@@ -135,10 +127,10 @@ def case_of(report: Report, controller: str) -> CaseRuns:
 
 
 def test_means_by_hand(tmp_path: Path) -> None:
-    """Over years, in each over its seeds; the worst year; the worst tenth of all whole weeks."""
+    """Over years, in each over its seeds; the worst year; the worst tenth of all runs."""
     lower = {year: total - 20 for year, total in ONOFF.items()}
     onoff = rows("onoff", None, ONOFF)
-    onoff[0]["rain_kept_share_day"], onoff[1]["rain_kept_share_day"] = 0.5, 0.75
+    onoff[0]["roof_retention_share"], onoff[1]["roof_retention_share"] = 0.5, 0.75
     report = study_of(
         tmp_path / "study", *onoff, *rows("mpc", 1, ONOFF), *rows("mpc", 2, lower)
     )
@@ -148,19 +140,17 @@ def test_means_by_hand(tmp_path: Path) -> None:
     assert case.row["mains_below_onoff_m3"] == pytest.approx(2.0 - 3.5)
     assert "mains_below_onoff_m3" not in case_of(report, "onoff").row  # it is the reference
     assert case.row["ratio"] == pytest.approx(140 / 50)
-    # 44 whole weeks: the worst 4.4 are the second weeks of 2025, 2024, 2025 less 20, 2023, and four
-    # tenths of the next, 2024 less 20 or 2022.
-    worst = 3 / 8 * (200 + 190 + 180 + 180 + 0.4 * 170) / 4.4
-    assert case.deviations.worst_tenth() == pytest.approx(worst)
     tables = make_tables(report)
     spread = tables["Over seeds and years"][1]
+    # 22 runs: the worst 2.2 are 2025, 2024, and two tenths of the next, 2025 less 20 or 2023.
+    assert spread["worst tenth (m³)"] == f"{(200 + 190 + 0.2 * 180) / 2.2:.2f}"
     assert (spread["runs"], spread["years"]) == ("22", "11")
     assert spread["worst year"] == "2025: 190.00 m³"
     (compared,) = tables["Deviation relative to on/off"]
     assert compared["years with a smaller deviation"] == "11 of 11"
-    # The mean is over years with a storm; without one there is no number.
-    kept = "rain kept in 24 h periods with more than 10 mm"
-    assert [row[kept] for row in tables["Plants, rain and frost"]] == ["62.5%", "none"]
+    # The mean is over years with a share; without one there is no number.
+    shares = [row["retention of the roof"] for row in tables["Plants, rain and frost"]]
+    assert shares == ["62.5%", "none"]
     assert not make_notes(report)
 
 
@@ -183,7 +173,7 @@ def test_reference_is_plain_onoff(tmp_path: Path) -> None:
     report = study_of(tmp_path / "b", *lower, *rows("mpc", None, ONOFF))
     assert all(case.relative is None for case in report.cases)
     five = [
-        {**row, "status": "failed", "error": "no solution", TOTAL: "", "weekly_deviation_m3": ""}
+        {**row, "status": "failed", "error": "no solution", TOTAL: ""}
         if row["weather"] > "2020" else row for row in tenth
     ]
     report = study_of(tmp_path / "c", *full, *five, *rows("mpc", None, ONOFF))
@@ -252,7 +242,7 @@ controllers:
 
 
 def test_a_study_of_seasons(tmp_path: Path) -> None:
-    """A case has the seeds of its forecasts, and a season its whole weeks."""
+    """A case has the seeds of its forecasts in every year."""
     record(tmp_path / "record", (2015, 2016))
     run_here(tmp_path / "record", SEASONS_GRID)
     report = report_of(tmp_path / "record" / "out")
@@ -262,11 +252,8 @@ def test_a_study_of_seasons(tmp_path: Path) -> None:
         figure.save(tmp_path)
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
     for case in report.cases:
-        weeks, totals = case.deviations.weeks, case.deviations.totals
-        assert [*weeks] == [*totals] == [2015, 2016]
-        for year, of_year in weeks.items():
-            assert of_year.shape == (len(totals[year]), 1)
-            assert (of_year[:, 0] > 0).all() and (of_year[:, 0] < totals[year]).all()
+        assert [*case.totals] == [2015, 2016]
+        assert all(len(of_year) == len(case.runs) / 2 for of_year in case.totals.values())
     assert [(case.label, len(case.runs)) for case in report.cases] == [
         ("onoff, forecast perfect", 2), ("mpc, forecast errors skill real", 4)
     ]
