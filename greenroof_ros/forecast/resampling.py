@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.memo import Memo
+from greenroof_ros.common.times import to_minutes
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.models import ForecastModel, PerfectModel, make_model
 from greenroof_ros.site.horizon import look_ahead_ends
@@ -140,13 +141,9 @@ class PerfectForecast:
     """Perfect knowledge of the weather in the next M ticks, as the paper assumes.
 
     Attributes:
-        repeats_from: earliest time from which the values of the forecast are assumed.
-        max_issue_h: length of the longest forecast (h); None if forecasts have no end.
-        notes: notes on the parts of a file's forecasts that could not be used unchanged.
+        notes: sentences about values of a file's forecasts that could not be used unchanged, and
+            about values that are assumed.
     """
-
-    max_issue_h = None
-    notes: tuple[str, ...] = ()
 
     def __init__(self, series: WeatherSeries, look_ahead: int) -> None:
         """Set the run's weather and the look-ahead M (ticks)."""
@@ -154,7 +151,7 @@ class PerfectForecast:
         self._look_ahead = look_ahead
         self._ticks = range(0)  # ticks for which the current window is valid
         self._rain = self._evapotranspiration = array("d")
-        self.repeats_from = series.repeats_from
+        self.notes = _note_end(series.repeats_from)
 
     def precipitation(self, tick: int) -> array[float]:
         """Return the rain in the next M ticks (m/s), shape (M,)."""
@@ -184,8 +181,6 @@ class SteppedForecast:
     """Means of an hourly forecast over the steps of the look-ahead, beginning with the present.
 
     Attributes:
-        repeats_from: as for :class:`PerfectForecast`.
-        max_issue_h: as for :class:`PerfectForecast`.
         notes: as for :class:`PerfectForecast`.
     """
 
@@ -217,9 +212,14 @@ class SteppedForecast:
         hours = range(int(self._offset // _HOUR_S), int(self._until // _HOUR_S) + 1)
         model.check(range(hours[0], hours[-1] + self._hours(hours[-1])))
         assumed = (model.repeats_from(hour, self._hours(hour)) for hour in hours)
-        self.repeats_from = min((time for time in assumed if time is not None), default=None)
-        self.max_issue_h = model.max_issue_h
-        self.notes = model.notes
+        repeats_from = min((time for time in assumed if time is not None), default=None)
+        self.notes = [*model.notes, *_note_end(repeats_from)]
+        horizon = float(ends[-1]) / _HOUR_S
+        if model.max_issue_h is not None and model.max_issue_h < horizon:
+            self.notes.append(
+                f"the longest forecast has {model.max_issue_h} h, but the look-ahead is "
+                f"{horizon:g} h: no rain is assumed after the end of a forecast"
+            )
 
     def precipitation(self, tick: int) -> Rain:
         """Return the mean rain (m/s), shape (steps,), or (members, steps) for all members."""
@@ -250,6 +250,13 @@ class SteppedForecast:
         return HourForecast(
             self._model.issued(hour), rain, evapotranspiration, self._site, self._ends, True
         )
+
+
+def _note_end(repeats_from: datetime | None) -> list[str]:
+    """Return a note if a forecast repeats its last value from some time on."""
+    if repeats_from is None:
+        return []
+    return [f"a forecast ends at {to_minutes(repeats_from)}; later values are assumed"]
 
 
 Forecast: TypeAlias = PerfectForecast | SteppedForecast

@@ -27,7 +27,7 @@ def summary_columns(summary: Mapping[str, Any]) -> dict[str, Any]:
     No result depends on the duration of the run. A value that the summary lacks is None or empty,
     but a missing metric has no column.
     """
-    solver, filled = summary.get("solver") or {}, summary.get("filled") or {}
+    solver = summary.get("solver") or {}
     return {
         **{metric.name: summary[metric.name] for metric in METRICS if metric.name in summary},
         "solves": solver.get("solves"),
@@ -35,12 +35,9 @@ def summary_columns(summary: Mapping[str, Any]) -> dict[str, Any]:
         "frost_hours": summary.get("frost_hours"),
         "precipitation_in_frost_mm": summary.get("precipitation_in_frost_mm"),
         "filled_hours": summary.get("filled_hours"),
-        "filled": "; ".join(f"{name}: {', '.join(hours)}" for name, hours in filled.items()),
         "weather_notes": "; ".join(
             (*(summary.get("notes") or ()), *(summary.get("weather_notes") or ()))
         ),
-        "suspicious": "; ".join(summary.get("suspicious") or ()),
-        "forecast_repeats_from": summary.get("forecast_repeats_last_record_from"),
     }
 
 

@@ -123,6 +123,10 @@ class Run:
             *note_pumps(self.site),
         ]
 
+    def weather_notes(self) -> list[str]:
+        """Return sentences about weather and forecasts that were not used as they were found."""
+        return [*self.weather.notes, *self.series.notes, *self.forecast.notes]
+
     @cached_property
     def without_rain_s(self) -> float:
         """Time without rain at the start, according to the record (s); infinite without a record.

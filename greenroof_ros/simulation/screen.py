@@ -98,22 +98,10 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
             f"at or below 0 degC, without pumping; {summary['precipitation_in_frost_mm']:.1f} mm "
             "of precipitation, treated as rain"
         )
-    for quantity, hours in summary["filled"].items():
-        yield "FILLED", quantity, ", ".join(hours)
-    for sentence in summary["suspicious"]:
-        yield "SUSPICIOUS", "weather", f"{sentence}; used unchanged"
     forecast = dict(summary["forecast"])
     model = forecast.pop("model")
     if model != PERFECT:
         yield "forecast", model, _listed(forecast)
-    if repeats_from := summary["forecast_repeats_last_record_from"]:
-        yield "forecast", "ends", f"at {repeats_from}; later values are assumed"
-    max_issue, horizon = summary["max_issue_h"], summary["parameters"].get("horizon") or 0.0
-    if max_issue is not None and max_issue < horizon:
-        yield "FORECAST", f"{max_issue} h", (
-            f"is the longest forecast, but the horizon is {horizon:g} h: no rain is assumed after "
-            "its end"
-        )
     if SensorAndPump(**summary["sensor_and_pump"]) != SensorAndPump():
         yield "sensor and pump", "", _listed(summary["sensor_and_pump"])
     if messages := summary["messages"]:

@@ -66,7 +66,7 @@ def make_unfinished_summary(run: Run, status: str, **happened: Any) -> dict[str,
             rejected values by topic; ``parameter_changes``, the latest ones with their ticks, and
             ``parameter_change_count``, the number of all.
     """
-    repeats_from, choice = run.forecast.repeats_from, run.forecast_choice
+    choice = run.forecast_choice
     return {
         "status": status,
         "reason": None,
@@ -81,12 +81,8 @@ def make_unfinished_summary(run: Run, status: str, **happened: Any) -> dict[str,
             **choice.options(),
             **({"file": str(choice.file)} if choice.file is not None else {}),
         },
-        "forecast_repeats_last_record_from": repeats_from.isoformat() if repeats_from else None,
-        "max_issue_h": run.forecast.max_issue_h,
         "sensor_and_pump": run.sensor_and_pump.values(),
-        "filled": run.series.filled,
         "filled_hours": run.series.filled_hours,
-        "suspicious": run.series.suspicious,
         "refused": {},
         "parameter_changes": [],
         "parameter_change_count": 0,
@@ -112,7 +108,7 @@ def describe_setting(run: Run) -> dict[str, Any]:
         "weather_until": weather.end.isoformat(),
         "evapotranspiration_method": weather.method,
         "notes": run.notes(),
-        "weather_notes": [*weather.notes, *run.forecast.notes],
+        "weather_notes": run.weather_notes(),
     }
 
 

@@ -330,7 +330,7 @@ def test_missing_rain_is_not_guessed() -> None:
         return make_forecast(weather, series, PAPER_SITE, start, horizon, ForecastChoice(model))
 
     for model in ("perfect", "errors"):
-        assert made(model, 12, 6.0).repeats_from is None
+        assert not made(model, 12, 6.0).notes
         refusal(made, model, 12, 12.0, match="missing at 2021-07-07T20:00")
 
 
@@ -371,7 +371,8 @@ def test_read_back(tmp_path: Path) -> None:
         series = WeatherSeries(weather, PAPER_SITE, start, 5 * 3600)
         return SteppedForecast(model, weather, series, PAPER_SITE, start, growing_steps(1.0))
 
-    assert run(first.issued).repeats_from == MIDNIGHT.replace(hour=4)  # the earliest of all ticks
+    (ends,) = run(first.issued).notes  # the earliest of all ticks
+    assert ends == "a forecast ends at 2021-07-07T04:00+00:00; later values are assumed"
     refusal(run, MIDNIGHT, match="before 2021-07-07T02:00.*needs one at 2021-07-07T00:00")
 
 
@@ -448,12 +449,12 @@ def test_evapotranspiration_in_a_part(tmp_path: Path) -> None:
 def test_end_of_the_records() -> None:
     """Perfect forecasts and errors then repeat the last record."""
     options = ("--start", "2021-07-09T00:00", "--controller", "anticipating_onoff")
-    end = "2021-07-10 00:00:00-05:00"
-    for model, hours, repeats_from in (
-        ("perfect", "12", "None"), ("perfect", "12.0025", end), ("errors", "12.0025", end),
+    end = ["a forecast ends at 2021-07-10T00:00-05:00; later values are assumed"]
+    for model, hours, notes in (
+        ("perfect", "12", []), ("perfect", "12.0025", end), ("errors", "12.0025", end),
     ):
         run = paper_run(*options, "--hours", hours, "--horizon", "12", "--forecast", model)
-        assert str(run.forecast.repeats_from) == repeats_from
+        assert run.forecast.notes == notes
 
 
 def test_choices(tmp_path: Path) -> None:

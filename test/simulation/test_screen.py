@@ -52,9 +52,6 @@ def test_no_raw_data() -> None:
         "parameter_change_count": 5,
         "excess_starts": 2, "limited_steps": 0, "frost_hours": 2.0,
         "weather_notes": ["rain was moved an hour back"],
-        "filled": {"dew point": ["2021-07-20T13:00-05:00", "2021-07-20T14:00-05:00"]},
-        "suspicious": ["79.2 mm at 2015-12-29T02:00-05:00"],
-        "forecast_repeats_last_record_from": "2021-07-31T23:00-05:00",
     }
     stream = io.StringIO()
     Console(file=stream, width=200).print(screen.grid("Result", screen.rows(result)))

@@ -70,7 +70,7 @@ def build_run(
         ConfigurationError: if an input is invalid.
     """
     run = make_inputs(controller, inputs).build()
-    for note in (*run.notes(), *run.weather.notes, *run.series.notes, *run.forecast.notes):
+    for note in (*run.notes(), *run.weather_notes()):
         if note not in warned:
             warned.add(note)
             warnings.warn(note, stacklevel=_count_own_calls())

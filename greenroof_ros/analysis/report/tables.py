@@ -159,9 +159,7 @@ def _relative(relative: SeasonComparison) -> dict[str, str]:
 # What is worth a note if a column of a run's row is neither empty nor 0.
 _NOTED = {
     "filled_hours": "hours of missing weather that were filled",
-    "weather_notes": "changes to the weather",
-    "suspicious": "suspicious weather, which was not changed",
-    "forecast_repeats_from": "time at which a forecast ends; later values are assumed",
+    "weather_notes": "notes on the weather and the forecasts",
     "fallbacks": "ticks in which the controller's solver found no solution",
     "limited_steps": "ticks in which a tank ran empty, so its outflow was limited",
     "beyond_hours": "hours with a command above 1, which exceeds the pumps' maximum flow: no real "

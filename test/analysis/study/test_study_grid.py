@@ -346,7 +346,7 @@ def test_gaps_of_a_window(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "NOTE: 6 of 6 runs had missing hours of weather filled in" in capsys.readouterr().out
     for row in rows:
         assert (row["gaps"], row["evapotranspiration"], row["rain_m3"]) == ("fill", "fao56", 0)
-        assert "precipitation: 2022-07-21T11:00-05:00" in row["filled"]
+        assert "precipitation is missing at 2022-07-21T11:00-05:00" in row["weather_notes"]
 
 
 def test_minimum_discharge_of_a_site_with_a_valve(tmp_path: Path) -> None:

@@ -174,7 +174,7 @@ def test_issues_that_are_shorter_than_the_horizon(tmp_path: Path) -> None:
         tmp_path, "simulate", "--weather", "gauge.csv", "--start", "2024-03-04T00:00",
         "--hours", "1", "--controller", "lookahead", "--horizon", "49", "--forecast", "archive.csv",
     )
-    short = "FORECAST 48 h is the longest forecast, but the horizon is 49 h: no rain is assumed"
+    short = "weather note the longest forecast has 48 h, but the look-ahead is 49 h: no rain is"
     assert short in " ".join(predicted.replace("│", " ").split())
 
 
