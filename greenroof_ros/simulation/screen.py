@@ -11,22 +11,14 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from greenroof_ros.common.times import hours_minutes, to_minutes
+from greenroof_ros.common.times import to_minutes
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.site.site import format_place
 
-# The storm-water metrics that are shown if there is any storm water, and those only in files.
-_STORM_WATER = {
-    "discharge_m3", "wet_discharge_m3", "peak_discharge_5min_l_s", "overflow_m3", "overflow_days",
-    "retention_share",
-}
-_IN_FILES = {
-    f"peak_discharge_{minutes}min_{unit}" for minutes in (5, 15, 60) for unit in ("l_s", "mm_h")
-} - _STORM_WATER
-# Storm water is collected if at least this share of the roof's rain flows into the cistern.
-_COLLECTED = 0.1
+# Peaks that are only in files: the shortest one is enough here.
+_IN_FILES = ("15min_l_s", "60min_l_s", "min_mm_h")
 
 
 def _metric_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
@@ -34,28 +26,17 @@ def _metric_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
 
     Capitals mark values over a limit.
     """
-    collects, events = _collects_storm_water(summary), summary.get("events")
-    left_out = _IN_FILES if collects else _IN_FILES | _STORM_WATER
     for metric in METRICS:
-        value = summary.get(metric.name, 0)
-        if metric.name in summary and metric.name not in left_out and (value or metric.max):
+        value = summary.get(metric.name)
+        if value is not None and (value or metric.max) and not metric.name.endswith(_IN_FILES):
             label = metric.label.upper() if value > metric.max else metric.label
             yield label, f"{value:{metric.form}}", metric.description
-    if collects and events:
+    if events := summary.get("events"):
         largest = max(events, key=lambda event: float(event["rain_mm"]))
         yield "rain events", str(len(events)), (
             f"the largest: {largest['rain_mm']:.1f} mm, with {largest['volume_reduction']:.0%} of "
             f"its volume and {largest['peak_reduction']:.0%} of its peak kept out of the sewer"
         )
-
-
-def _collects_storm_water(summary: Mapping[str, Any]) -> bool:
-    """Return whether a catchment drains to the cistern, or the cistern has an outlet valve.
-
-    The inlet of the paper's cistern, 0.3 m2, collects almost no rain.
-    """
-    rain = summary.get("rain_cistern_m3", 0.0), summary.get("rain_roof_m3", 0.0)
-    return "outlet" in summary["parameters"] or 0 < _COLLECTED * rain[1] <= rain[0]
 
 
 def grid(title: str, lines: Iterable[tuple[str, str, str]]) -> Table:
@@ -85,14 +66,11 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     if left_out := summary["parameter_change_count"] - len(summary["parameter_changes"]):
         yield "CHANGED", f"{left_out} times", "before the latest changes, which are listed below"
     for change in summary["parameter_changes"]:
-        tick = change["tick"]
         before, value = (
             "no limit" if number is None else f"{number:g}"
             for number in (change["before"], change["value"])
         )
-        yield "CHANGED", change["parameter"], (
-            f"{before} -> {value} at {hours_minutes(tick * summary['tau_s'])} (tick {tick})"
-        )
+        yield "CHANGED", change["parameter"], f"{before} -> {value} in tick {change['tick']}"
     if summary["frost_hours"]:
         yield "FROST", f"{summary['frost_hours']:.1f} h", (
             f"at or below 0 degC, without pumping; {summary['precipitation_in_frost_mm']:.1f} mm "
