@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import hashlib
 import importlib
-import logging
 import re
 import sys
 from array import array
@@ -31,7 +30,6 @@ from greenroof_ros.site.site import Site
 
 _PACKAGE = "greenroof_ros"
 _HERE = f"{_PACKAGE}.controllers"
-_log = logging.getLogger(__name__)
 BUILT_IN = {
     "mpc": f"{_HERE}.mpc:Mpc",
     "onoff": f"{_HERE}.onoff:OnOff",
@@ -320,9 +318,8 @@ class ControllerChoice:
     def read_parameters(self, path: Path, namespace: str = "") -> dict[str, Any]:
         """Return the values that a ROS 2 parameter file sets for the controller's node.
 
-        A dump of the node's parameters contains additional parameters. Parameters that rclpy
-        declares in every node are ignored. The parameter ``site_file`` is ignored with a warning,
-        since a command-line option sets it.
+        A dump of the node's parameters contains additional parameters. Those that rclpy declares in
+        every node are ignored, and so is ``site_file``, which an option of the command line sets.
 
         Args:
             path: the file.
@@ -346,9 +343,7 @@ class ControllerChoice:
                 place: dict[str, Any] = {"file": path, "line": section.lines[key], "key": key}
                 if key in known:
                     values[key] = known[key].read(value, **place)
-                elif key == "site_file":
-                    _log.warning("%s: site_file has no effect, because --site sets the site", path)
-                elif key.partition(".")[0] not in OF_EVERY_NODE:
+                elif key.partition(".")[0] not in {*OF_EVERY_NODE, "site_file"}:
                     hint = (
                         "set it with --node-parameters" if key in _OF_EVERY_NODE
                         else suggest_names(key, known)

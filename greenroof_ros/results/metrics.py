@@ -177,7 +177,7 @@ METRICS = (
     ),
     Metric(
         "overflow_days", "1", "days of overflow", "d", s.OVERFLOW_DAYS,
-        "number of calendar days, on the site's clock, with an overflow of at least 0.1 mm over "
+        "number of days, by the clock of the site, with an overflow of at least 0.1 mm over "
         "the connected area",
     ),
     Metric(

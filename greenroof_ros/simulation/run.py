@@ -26,14 +26,11 @@ from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.physics.storm_water import HOUR_S, time_without_rain
 from greenroof_ros.site.file import LITRES_PER_HOUR
-from greenroof_ros.site.site import Site, format_place, measure_distance
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
 Values = NDArray[np.float64]
 
-# A weather file from this distance or further does not represent the site (km): rain and wind
-# differ even within a city.
-_FAR_KM = 50.0
 # Hours of the record before a run that show whether it starts in wet weather: `wet_after` is less.
 _BEFORE_H = 72
 # What a substrate is assumed to let through (mm/h): 0.6 mm/min is quoted as the minimum in the FLL
@@ -118,10 +115,7 @@ class Run:
 
     def notes(self) -> list[str]:
         """Return notes that a reader should see before the results."""
-        return [
-            *_note_far(self.weather, self.site), *filter(None, [self.weather.rain_note]),
-            *note_pumps(self.site),
-        ]
+        return [*self.weather.warnings(self.site), *note_pumps(self.site)]
 
     def weather_notes(self) -> list[str]:
         """Return sentences about weather and forecasts that were not used as they were found."""
@@ -157,20 +151,6 @@ class Run:
         return self.controller.make_outlet(
             self.site, self.parameters, controller, self.without_rain_s
         )
-
-
-def _note_far(weather: Weather, site: Site) -> Iterator[str]:
-    """Yield a note for every weather file whose location is far from the site."""
-    if site.latitude is None or site.longitude is None:
-        return
-    for file, place in weather.places.items():
-        away = measure_distance(place, (site.latitude, site.longitude))
-        if away > _FAR_KM:
-            yield (
-                f"{file} is from {format_place(*place)}, {away:.0f} km from the site at "
-                f"{format_place(site.latitude, site.longitude)}; check that this weather applies "
-                "to the site"
-            )
 
 
 def note_pumps(site: Site) -> Iterator[str]:
