@@ -7,9 +7,8 @@ from pathlib import Path
 
 from greenroof_ros.common.command_line import Parser, command
 from greenroof_ros.common.errors import ConfigurationError, require_extra
-from greenroof_ros.common.files import add_path_to_errors
+from greenroof_ros.common.files import add_path_to_errors, writable
 from greenroof_ros.common.progress import ProgressBar
-from greenroof_ros.simulation.directory import writable
 
 # A report's directory contains this file and figures/.
 _PAGE = "report.html"

@@ -20,16 +20,17 @@ from greenroof_ros.common.command_line import (
     EXIT_DONE,
     EXIT_INTERRUPTED,
     Parser,
+    add_option,
     add_site,
     command,
     make_number_type,
+    option_of,
 )
 from greenroof_ros.common.errors import ConfigurationError, rename_keys, require_extra
+from greenroof_ros.common.files import writable
 from greenroof_ros.common.processes import InterruptedRun, Signals, count_cores
 from greenroof_ros.common.progress import ProgressBar
-from greenroof_ros.simulation.directory import writable
 from greenroof_ros.simulation.inputs import INPUTS
-from greenroof_ros.simulation.options import add_option, option_of
 
 _DESCRIPTION = """\
 Compare cisterns, targets and outlets of a site over all seasons of a weather record, by the share

@@ -6,6 +6,7 @@ import argparse
 import functools
 import io
 import itertools
+import math
 import os
 import re
 import signal
@@ -24,6 +25,7 @@ from greenroof_ros.common.errors import (
     describe_choices,
     find_similar,
 )
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.processes import end_with_parent, find_signal, store_signals
 from greenroof_ros.common.ranges import Range
 
@@ -294,6 +296,27 @@ def add_site(parser: argparse._ActionsContainer, about: str = "site file") -> No
         "--site", type=Path, default=default_site_file(), metavar="FILE",
         help=f"{about} (default: the paper's, config/site.yaml)",
     )
+
+
+def add_option(group: argparse._ArgumentGroup, parameter: Parameter, **settings: Any) -> None:
+    """Add the option for an input; the value of an omitted option is None."""
+    default, about = parameter.default, [] if parameter.unit in ("", "1") else [parameter.unit]
+    if isinstance(default, (int, float)) or math.isfinite(parameter.low):
+        kind = int if parameter.whole else float
+        settings |= {"metavar": "X", "type": make_number_type(parameter.low, parameter.high, kind)}
+    elif parameter.among:
+        settings["choices"] = parameter.among
+    if isinstance(default, float):
+        default = None if math.isnan(default) else f"{default:g}"
+    if default is not None:
+        about.append(f"default: {default}")
+    end = f" ({', '.join(about)})" if about else ""
+    group.add_argument(option_of(parameter.name), help=f"{parameter.meaning}{end}", **settings)
+
+
+def option_of(name: str) -> str:
+    """Return the name of the option for an input."""
+    return f"--{name.replace('_', '-')}"
 
 
 def add_foxglove(parser: argparse._ActionsContainer, about: str) -> None:

@@ -133,7 +133,7 @@ def locate_error(kind: Any, error: BaseException) -> ConfigurationError | HangEr
     """
     name = getattr(kind, "__name__", str(kind))
     text = traceback.format_exception_only(error)[-1].strip()
-    file, line, function = _find_frame(error)
+    file, line, function = find_frame(error)
     if isinstance(error, (ControllerError, HangError)) or (
         file is None and isinstance(error, ConfigurationError)
     ):
@@ -149,22 +149,14 @@ def locate_error(kind: Any, error: BaseException) -> ConfigurationError | HangEr
     )
 
 
-def not_imported(reference: str, error: BaseException) -> ConfigurationError:
-    """Return the error for a controller that cannot be imported, with file and line if known."""
-    file, line, _ = _find_frame(error)
-    if isinstance(error, SyntaxError):
-        file, line = error.filename, error.lineno
-    return ConfigurationError(
-        f"cannot be imported: {type(error).__name__}: {error}", file=file, line=line,
-        key="controller", value=reference,
-    )
-
-
-def _find_frame(error: BaseException) -> tuple[str | None, int | None, str]:
+def find_frame(error: BaseException) -> tuple[str | None, int | None, str]:
     """Return file, line and function of the last frame in the first user file on an error's way.
 
-    If the error passed through no user file, there is no file and no line.
+    If the error passed through no user file, there is no file and no line. The place of an error of
+    syntax is where the error is.
     """
+    if isinstance(error, SyntaxError):
+        return error.filename, error.lineno, ""
     frames = [
         (frame.filename, frame.lineno, frame.name)
         for frame in traceback.extract_tb(error.__traceback__)
@@ -187,26 +179,25 @@ def find_place(kind: Any, *members: str) -> tuple[str | None, int | None]:
 
 
 class TickTimes:
-    """Wall times of ticks (s): their number, mean, maximum and 99th percentile.
+    """Wall times of ticks (s): their mean, maximum and 99th percentile.
 
-    The percentile covers the last 65,536 ticks; number, mean and maximum cover all ticks.
+    The percentile covers the last 65,536 ticks, the rest all ticks.
+
+    Attributes:
+        count: number of ticks.
     """
 
     def __init__(self) -> None:
         """Start without ticks."""
-        self._count = 0
+        self.count = 0
         self._sum = 0.0
         self._max = 0.0
         self._times: deque[float] = deque(maxlen=_CAPACITY)
 
-    def __len__(self) -> int:
-        """Return the number of ticks."""
-        return self._count
-
     def append(self, seconds: float) -> None:
         """Add the time of a tick (s)."""
         self._times.append(seconds)
-        self._count += 1
+        self.count += 1
         self._sum += seconds
         self._max = max(self._max, seconds)
 
@@ -220,7 +211,7 @@ class TickTimes:
         return {
             "solves": solves,
             "fallbacks": fallbacks,
-            "mean_s": self._sum / max(1, self._count),
+            "mean_s": self._sum / max(1, self.count),
             "p99_s": float(np.percentile(list(self._times) or [0.0], 99)),
             "max_s": self._max,
         }

@@ -212,7 +212,7 @@ class Mpc:
 
         See :class:`greenroof_ros.controllers.protocol.Controller`.
         """
-        return self.solve_seconds.statistics(len(self.solve_seconds), self.fallbacks)
+        return self.solve_seconds.statistics(self.solve_seconds.count, self.fallbacks)
 
     def _solve(self, P: Array, q: Array) -> tuple[float, float] | None:
         """Return the first command and the objective of the program's solution.

@@ -22,7 +22,7 @@ from greenroof_ros.common.errors import ConfigurationError, describe_choices, su
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.parameter_sections import read_sections
 from greenroof_ros.controllers import outlet
-from greenroof_ros.controllers.decide import OwnCode, not_imported
+from greenroof_ros.controllers.decide import OwnCode, find_frame
 from greenroof_ros.controllers.outlet import OutletPolicy, requested_share
 from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.site.horizon import MAX_HORIZON, look_ahead_ends
@@ -138,7 +138,11 @@ class ControllerChoice:
         try:
             return getattr(importlib.import_module(module_name), class_name)
         except (Exception, SystemExit) as error:  # anything that a user's module raises
-            raise not_imported(self.reference, error) from error
+            file, line, _ = find_frame(error)
+            raise ConfigurationError(
+                f"cannot be imported: {type(error).__name__}: {error}", file=file, line=line,
+                key="controller", value=self.reference,
+            ) from error
 
     @property
     def parameters(self) -> dict[str, Parameter]:
@@ -199,7 +203,7 @@ class ControllerChoice:
                 finder.import_hook(name)
         digest = hashlib.sha256()
         for name, module in sorted(finder.modules.items()):
-            if file := module.__file__:
+            if file := getattr(module, "__file__", None):
                 digest.update(name.encode() + b"\0" + Path(file).read_bytes() + b"\0")
         return digest.hexdigest()[:12]
 

@@ -19,7 +19,7 @@ from greenroof_ros.common.alarms import WARN, Judge, advise
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED
 from greenroof_ros.common.disk import DISK, LatestWriter
 from greenroof_ros.common.errors import OccupiedError
-from greenroof_ros.common.files import COPIES, add_path_to_errors
+from greenroof_ros.common.files import COPIES, add_path_to_errors, writable
 from greenroof_ros.common.parameter import replace_infinity
 from greenroof_ros.common.processes import (
     IN_MEMORY,
@@ -33,6 +33,7 @@ from greenroof_ros.common.processes import (
 from greenroof_ros.common.standard_error import print_line
 from greenroof_ros.common.states import PUMP, DriveState, PumpState
 from greenroof_ros.common.times import iso
+from greenroof_ros.common.versions import versions
 from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL
 from greenroof_ros.graph.domain import lock_namespace, refuse_other_nodes, require_ros
 from greenroof_ros.graph.parameter_file import node_parameter_files
@@ -41,8 +42,7 @@ from greenroof_ros.live.pumping.ledger import RECORD, make_record
 from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart
 from greenroof_ros.simulation import summary
-from greenroof_ros.simulation.directory import writable, write_parameters
-from greenroof_ros.simulation.summary import versions
+from greenroof_ros.simulation.directory import write_parameters
 from greenroof_ros.site.file import format_site, read_site
 
 # Interval at which systemd is notified (s), and how far each notice extends the start timeout (us).

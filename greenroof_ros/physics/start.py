@@ -35,22 +35,23 @@ def initial_states(site: Site) -> dict[str, tuple[float, float]]:
 
 
 def find_state(
-    site: Site, name: str | None, volumes: tuple[float, float] | None
-) -> tuple[str, tuple[float, float]]:
+    site: Site, name: str | None = None, cistern: float | None = None, roof: float | None = None
+) -> tuple[str, float, float]:
     """Return the name of a run's initial state, and its volumes x1 and x2 (m3).
 
     Args:
         site: the site.
         name: name of an initial state, or an arbitrary name if volumes are given; None for the
             default.
-        volumes: volumes x1 and x2 (m3); None for the volumes of the named state.
+        cistern: volume x1 (m3); None for that of the named state.
+        roof: volume x2 (m3); None for that of the named state.
 
     Raises:
-        ConfigurationError: if the state does not exist, if its volumes differ from the given
-            volumes, or if the site cannot hold the volumes.
+        ConfigurationError: if the state does not exist, if only one volume is given, if the given
+            volumes are not those of the state, or if the site cannot hold the volumes.
     """
     states = initial_states(site)
-    if volumes is None:
+    if cistern is None and roof is None:
         name = next(iter(states)) if name is None else name
         if name not in states:
             raise ConfigurationError(
@@ -58,15 +59,17 @@ def find_state(
                 else f"must be one of {', '.join(INITIAL_STATES)}, or volumes (m3) must be "
                 "given for the cistern and the roof", key="initial", value=name,
             )
-        volumes = states[name]
-    elif states.get(name or "", volumes) != volumes:
+        return name, *states[name]
+    if cistern is None or roof is None:
+        lacking = "cistern" if cistern is None else "roof"
+        raise ConfigurationError("is missing; set both cistern and roof", key=lacking)
+    if states.get(name or "", (cistern, roof)) != (cistern, roof):
         raise ConfigurationError(
             "differs from the volumes given for the cistern and the roof; remove either the name "
-            "or the volumes",
-            key="initial", value=name,
+            "or the volumes", key="initial", value=name,
         )
-    check_volumes(site, *volumes)
-    return name or "custom", volumes
+    check_volumes(site, cistern, roof)
+    return name or "custom", cistern, roof
 
 
 def check_volumes(site: Site, cistern: float, roof: float) -> None:

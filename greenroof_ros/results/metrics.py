@@ -94,6 +94,10 @@ def _peaks(unit: str, label: str, meaning: str, factor: Callable[[Site], float])
     return [peak(s.PEAK_5 + number, minutes) for number, minutes in enumerate(PEAKS_MIN)]
 
 
+def _volume(name: str, place: int, meaning: str) -> Metric:
+    return Metric(f"{name}_m3", "m3", name, ".4g", place, meaning)
+
+
 METRICS = (
     Metric(
         "total_deviation_m3", "m3", "total deviation", ".2f", s.DEVIATION,
@@ -147,16 +151,11 @@ METRICS = (
         lambda site, sums: sums[s.LAYER] if site.layer_storage else math.nan,
         "water volume in the drainage layer at the end of the run, for a field-capacity soil",
     ),
-    Metric(
-        "pumped_m3", "m3", "pumped", ".4g", s.PUMPED, "water pumped from the cistern to the roof",
-    ),
-    Metric(
-        "outflow_m3", "m3", "outflow", ".4g", s.OUTFLOW,
-        "water that flowed from the cistern to the sewer",
-    ),
-    Metric("drainage_m3", "m3", "drainage", ".4g", s.DRAINED, "water that drained off the roof"),
-    Metric(
-        "discharge_m3", "m3", "discharge", ".4g", s.DISCHARGE,
+    _volume("pumped", s.PUMPED, "water pumped from the cistern to the roof"),
+    _volume("outflow", s.OUTFLOW, "water that flowed from the cistern to the sewer"),
+    _volume("drainage", s.DRAINED, "water that drained off the roof"),
+    _volume(
+        "discharge", s.DISCHARGE,
         "water that reached the sewer: the outflow, and the drainage that did not flow into the "
         "cistern",
     ),
@@ -171,10 +170,7 @@ METRICS = (
         "plus the area of the catchment times its runoff coefficient",
         lambda site: 1000 * HOUR_S / connected_area(site),
     ),
-    Metric(
-        "overflow_m3", "m3", "overflow", ".4g", s.OVERFLOW,
-        "water that left the cistern through its upper outlet",
-    ),
+    _volume("overflow", s.OVERFLOW, "water that left the cistern through its upper outlet"),
     Metric(
         "overflow_days", "1", "days of overflow", "d", s.OVERFLOW_DAYS,
         "number of days, by the clock of the site, with an overflow of at least 0.1 mm over "
@@ -199,9 +195,8 @@ METRICS = (
         "rain_roof_m3", "m3", "rain on the roof", ".4g", lambda site, sums: sums[s.RAIN] * site.a2,
         "rain that fell on the whole roof",
     ),
-    Metric(
-        "evapotranspiration_m3", "m3", "evapotranspiration", ".4g", s.EVAPORATED,
-        "water that evaporated from the soil and the plants",
+    _volume(
+        "evapotranspiration", s.EVAPORATED, "water that evaporated from the soil and the plants",
     ),
     Metric(
         "max_command", "1", "maximum command", ".6g", s.MAX_COMMAND,

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
 from itertools import count
@@ -13,7 +13,7 @@ from pathlib import Path
 import yaml
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import unique_name
+from greenroof_ros.common.files import unique_name, writable
 from greenroof_ros.formats.own_csv import write_records
 from greenroof_ros.physics.storm_water import WITHOUT_RAIN
 from greenroof_ros.simulation.inputs import find_needs
@@ -40,22 +40,6 @@ def make_run_directory(output: Path | None, controller: str) -> Path:
             )
         (directory / "configuration").mkdir()
     return directory.resolve()
-
-
-@contextmanager
-def writable(directory: Path, option: str = "--output") -> Iterator[None]:
-    """Convert a write error into a :class:`ConfigurationError` that names the directory.
-
-    Args:
-        directory: directory to which files are written.
-        option: option that sets the directory.
-    """
-    try:
-        yield
-    except OSError as error:
-        raise ConfigurationError(
-            f"cannot be written: {error.strerror}", key=option, value=str(directory)
-        ) from error
 
 
 def _make_dated_directory(controller: str) -> Path:

@@ -124,13 +124,7 @@ class RunInputs:
                 the input, as for :func:`make_inputs`.
         """
         site = self.read_site()
-        given = None
-        if self.cistern is not None and self.roof is not None:
-            given = self.cistern, self.roof
-        elif self.cistern is not None or self.roof is not None:
-            lacking = "cistern" if self.cistern is None else "roof"
-            raise ConfigurationError("is missing; set both cistern and roof", key=lacking)
-        initial, (x1, x2) = find_state(site, self.initial, given)
+        initial, x1, x2 = find_state(site, self.initial, self.cistern, self.roof)
         weather, records = self.read_records(site)
         zone = find_zone(self.weather) if is_frame(self.weather) else None
         if site.time_zone is not None:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.command_line import Parser, add_site, make_number_type
+from greenroof_ros.common.command_line import (
+    Parser,
+    add_option,
+    add_site,
+    make_number_type,
+    option_of,
+)
 from greenroof_ros.common.errors import rename_keys
-from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.registry import (
     BUILT_IN,
     DEFAULT,
@@ -19,7 +23,6 @@ from greenroof_ros.controllers.registry import (
 )
 from greenroof_ros.forecast import choice
 from greenroof_ros.forecast.choice import MODELS
-from greenroof_ros.forecast.skill import SKILLS
 from greenroof_ros.physics import sensor_and_pump
 from greenroof_ros.physics.start import INITIAL_STATES
 from greenroof_ros.simulation.inputs import INPUTS, make_inputs
@@ -41,9 +44,8 @@ def add_run_arguments(parser: Parser, arguments: Sequence[str] | None = None) ->
     add_site_arguments(group)
     group = parser.add_argument_group("forecasts")
     add_option(group, INPUTS["forecast"], metavar=f"{{{','.join(MODELS)},FILE}}")
-    skill = {"metavar": f"{{{','.join(SKILLS)},FILE.yaml}}"}
-    for name, parameter in choice.INPUTS.items():
-        add_option(group, parameter, **(skill if name == "forecast_skill" else {}))
+    for parameter in choice.INPUTS.values():
+        add_option(group, parameter)
     group = parser.add_argument_group("sensor and pumps (default: as in the paper)")
     for parameter in sensor_and_pump.PARAMETERS.values():
         add_option(group, parameter)
@@ -99,27 +101,6 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
     for name in ("hours", "cistern", "roof", "gaps"):
         add_option(group, INPUTS[name])
     add_option(group, INPUTS["evapotranspiration"], metavar="METHOD")
-
-
-def add_option(group: argparse._ArgumentGroup, parameter: Parameter, **settings: Any) -> None:
-    """Add the option for an input; the value of an omitted option is None."""
-    default, about = parameter.default, [] if parameter.unit in ("", "1") else [parameter.unit]
-    if isinstance(default, (int, float)) or math.isfinite(parameter.low):
-        kind = int if parameter.whole else float
-        settings |= {"metavar": "X", "type": make_number_type(parameter.low, parameter.high, kind)}
-    elif parameter.among:
-        settings["choices"] = parameter.among
-    if isinstance(default, float):
-        default = None if math.isnan(default) else f"{default:g}"
-    if default is not None:
-        about.append(f"default: {default}")
-    end = f" ({', '.join(about)})" if about else ""
-    group.add_argument(option_of(parameter.name), help=f"{parameter.meaning}{end}", **settings)
-
-
-def option_of(name: str) -> str:
-    """Return the name of the option for an input."""
-    return f"--{name.replace('_', '-')}"
 
 
 # Names of the inputs in messages about a command line.

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import functools
-import hashlib
 import json
-import platform
 from collections.abc import Mapping, Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros import __version__
 from greenroof_ros.common.files import replace_text
 from greenroof_ros.common.parameter import replace_infinity
+from greenroof_ros.common.versions import versions
 from greenroof_ros.physics.storm_water import Event
 from greenroof_ros.recording.events_table import EVENTS, event_rows, format_events
 from greenroof_ros.simulation.run import Run
@@ -144,30 +140,3 @@ def find_site_file(run: Path) -> Path:
     return next(iter((configuration / "site").glob("*")), configuration / SITE_FILE)
 
 
-@functools.cache
-def versions() -> Mapping[str, str]:
-    """Return the versions of the software that determines the results of a run.
-
-    ``source`` is twelve digits of a hash of this package's source files rather than a commit,
-    because an installed package does not know its commit, and edited files do not belong to any.
-    """
-    digest, root = hashlib.sha256(), Path(__file__).resolve().parent.parent
-    for file in sorted(root.rglob("*.py")):
-        digest.update(file.relative_to(root).as_posix().encode() + file.read_bytes())
-    result = {
-        "greenroof_ros": __version__,
-        "source": digest.hexdigest()[:12],
-        "python": platform.python_version(),
-    }
-    for package in ("numpy", "scipy", "osqp", "eto", "mcap", "rclpy"):
-        try:
-            result[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            continue  # rclpy, if there is no ROS
-    return result
-
-
-def format_versions(by_name: Mapping[str, str]) -> str:
-    """Return versions as human-readable text, with an intelligible name for the hash."""
-    names = {"source": "hash of its source files"}
-    return ", ".join(f"{names.get(name, name)} {version}" for name, version in by_name.items())

@@ -341,13 +341,6 @@ class Site(Place, Pump, Roof, Cistern):
         """Friction and minor head losses per squared flow in Eq. (3c) (s2/m5)."""
         return (self.F * self.l / self.D + self.k_L) / (2 * self.g * self.a_pump**2)
 
-    def climatic_evapotranspiration(self, month: int) -> float | None:
-        """Return the mean evapotranspiration in a month, 1 to 12 (m3/s); None if unknown."""
-        if self.monthly_evapotranspiration is None:
-            return None
-        reference = self.monthly_evapotranspiration[month - 1]
-        return self.crop_coefficient * reference / 1000 / 86400 * self.a2
-
 
 def measure_distance(here: tuple[float, float], there: tuple[float, float]) -> float:
     """Return the great-circle distance (km) between two points (latitude, longitude)."""

@@ -30,7 +30,7 @@ from greenroof_ros.formats.quantities import (
     TEMPERATURE,
 )
 from greenroof_ros.formats.sun import MM_PER_MJ, extraterrestrial_radiation
-from greenroof_ros.site.site import Place
+from greenroof_ros.site.site import Place, Site
 
 FAO56, HARGREAVES, MONTHLY = "fao56", "hargreaves", "monthly"
 COMPUTED = (FAO56, HARGREAVES, MONTHLY)
@@ -202,6 +202,14 @@ def repeat_monthly(records: Records, site: Place) -> NDArray[np.float64] | None:
     first = np.datetime64(records.first.replace(tzinfo=None), "h")
     months = (first + np.arange(records.hours)).astype("datetime64[M]").astype(np.int64) % 12
     return site.crop_coefficient * np.array(site.monthly_evapotranspiration)[months]
+
+
+def find_monthly_mean(site: Site, month: int) -> float | None:
+    """Return the mean evapotranspiration of a bed in a month, 1 to 12 (m3/s); None if unknown."""
+    if site.monthly_evapotranspiration is None:
+        return None
+    reference = site.monthly_evapotranspiration[month - 1]
+    return site.crop_coefficient * reference / 1000 / 86400 * site.a2
 
 
 def _find_local_seconds(records: Records, site: Place) -> NDArray[np.int64]:

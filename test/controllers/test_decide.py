@@ -131,7 +131,7 @@ def test_times_of_ticks(count: int) -> None:
     for seconds in drawn.tolist():
         times.append(seconds)
     statistics = times.statistics(7, 2)
-    assert (len(times), statistics["solves"], statistics["fallbacks"]) == (count, 7, 2)
+    assert (times.count, statistics["solves"], statistics["fallbacks"]) == (count, 7, 2)
     assert statistics["max_s"] == drawn.max(initial=0)
     assert statistics["mean_s"] == pytest.approx(drawn.mean() if count else 0, rel=1e-9)
     assert statistics["p99_s"] == (np.percentile(drawn[-65_536:], 99) if count else 0)

@@ -17,8 +17,8 @@ from commands import run_command
 from graphs import environment
 
 import greenroof_ros as gr
+from greenroof_ros.common.versions import format_versions, versions
 from greenroof_ros.simulation.directory import make_run_directory
-from greenroof_ros.simulation.summary import format_versions, versions
 
 
 def run_in_shell(command: str, cwd: Path) -> subprocess.CompletedProcess[str]:

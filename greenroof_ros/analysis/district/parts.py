@@ -212,6 +212,6 @@ def with_outlet(
         if outlet == ORIFICE:
             check_site(site)
         parameters = find_controller("onoff").complete_parameters(site, given)
-        return _Variant(site, parameters, find_state(site, None, None)[1])
+        return _Variant(site, parameters, find_state(site)[1:])
     except ConfigurationError as error:
         raise buildings.refuse(place, error) from None

@@ -20,9 +20,8 @@ from greenroof_ros.analysis.district.district_file import code_share
 from greenroof_ros.analysis.district.run import DistrictRun
 from greenroof_ros.analysis.district.totals import Flow, Totals
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import replace_file, replace_text
+from greenroof_ros.common.files import replace_file, replace_text, writable
 from greenroof_ros.common.text import number_of
-from greenroof_ros.simulation.directory import writable
 
 PAGE = "page.html"
 
