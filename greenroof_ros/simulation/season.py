@@ -159,7 +159,9 @@ def run_ticks(sites: Any, ticks: Any, hydrograph: Any, every: int, steps: int) -
     for row in range(len(sites.state)):
         p, c = sites.parameters[row], sites.controls[row]
         switch, sums, events = sites.switches[row], sites.sums[row], sites.events[row]
-        state, kept, of_group = sites.state[row], sites.kept[row], hydrograph[sites.groups[row]]
+        state, kept = sites.state[row], sites.kept[row]
+        discharged, low = hydrograph[sites.groups[row]]
+        interval_ticks, to_sewer = int(p.interval_ticks), 1 - p.drainage_to_cistern
         now, level = State(state[0], state[1], state[2]), float(sites.levels[row])
         for n in range(len(rain)):
             k, falls, frozen, demand = first + n, rain[n], frost[n], potential[n] * c.bed
@@ -184,9 +186,9 @@ def run_ticks(sites: Any, ticks: Any, hydrograph: Any, every: int, steps: int) -
                 break
             add(p, sums, events, now, command, falls, demand, flows, wet[n], new_day[n])
             if flows.outflow > 0 or flows.drainage > 0:
-                interval, to_sewer = int(k // p.interval_ticks), 1 - p.drainage_to_cistern
-                of_group[0][interval] += p.tau * (flows.outflow + to_sewer * flows.drainage)
-                of_group[1][interval] += p.tau * flows.low_outlet
+                interval = k // interval_ticks
+                discharged[interval] += p.tau * (flows.outflow + to_sewer * flows.drainage)
+                low[interval] += p.tau * flows.low_outlet
             now = after
         state[0], state[1], state[2] = now.cistern, now.roof, now.layer
 
