@@ -81,7 +81,8 @@ def compiled(function: _Function) -> _Function:
         copy.__module__ = each.__module__
         copy.__qualname__ = f"{each.__qualname__}_{digest}"
         copies[each] = copy
-    made: dict[Any, Any] = {each: numba.njit(nogil=True, forceinline=True)(copy) for each, copy in copies.items()}
+    inlined = numba.njit(nogil=True, forceinline=True)
+    made: dict[Any, Any] = {each: inlined(copy) for each, copy in copies.items()}
     for copy in copies.values():
         for name, value in copy.__globals__.items():
             if isinstance(value, FunctionType) and value in made:

@@ -54,7 +54,8 @@ class PlantParameters(NamedTuple):
     stress_onset: float
     percolation_exponent: float
     layer_storage: float
-    drainage_time: float
+    layer_rate: float
+    """k of the drainage layer, whose outflow is k V^2 (1/(m3 s)); 0 without a layer"""
     drainage_to_cistern: float
     epsilon: float
     always_drains: bool
@@ -125,6 +126,8 @@ def plant_parameters(site: Site) -> PlantParameters:
             site.wilting_volume + site.stress_onset * site.available_volume
             if has_field_capacity else 0.0
         ),
+        "layer_rate": 1 / (site.layer_storage * (site.drainage_time or 1.0)) if site.layer_storage
+        else 0.0,
         "wet_after_s": site.wet_after * HOUR_S,
         "interval_ticks": interval,
         "dry_intervals": max(1, round(site.event_separation * HOUR_S / (site.tau * interval))),

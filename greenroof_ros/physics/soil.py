@@ -170,8 +170,8 @@ def layer_outflow(p: PlantParameters, layer: float, inflow: float, seconds: floa
     """
     if p.layer_storage == 0 or (inflow == 0 and layer == 0):
         return inflow
-    k = 1 / (p.layer_storage * p.drainage_time)
-    rate = math.sqrt(inflow * k)
+    k = p.layer_rate
+    rate = math.sqrt(inflow * k) if inflow > 0 else 0.0
     g = math.tanh(rate * seconds) / rate if rate > 0 else seconds
     remaining = min((layer + inflow * g) / (1 + k * layer * g), p.layer_storage)
     return max(0.0, inflow + (layer - remaining) / seconds)

@@ -41,7 +41,7 @@ _FIRST = 1 + 1e-9  # of equal peaks, the first one counts
     TICKS, DEVIATION, NEAR, STRESSED, RAIN, WET_DISCHARGE, DISCHARGE, EVAPORATED, POTENTIAL,
     DRAINED, PUMPED, MAINS, OUTFLOW, OVERFLOW, MAX_COMMAND, BEYOND, LIMITED, PUMP_TICKS, STARTS,
     BUSIEST_HOUR, EXCESS_STARTS, ENERGY_J, OVERFLOW_DAYS, PEAK_5, PEAK_15, PEAK_60, EVENTS,
-    FIRST_CISTERN, CISTERN, ROOF, LAYER, _INTERVALS, _DAY_OVERFLOW, _RUNNING, _OPEN, _BEGIN, _END,
+    FIRST_CISTERN, CISTERN, ROOF, LAYER, INTERVALS, _DAY_OVERFLOW, _RUNNING, _OPEN, _BEGIN, _END,
     _GAP, _RAIN_BEFORE, _WET_BEFORE, _DISCHARGE_BEFORE, _MAX_5, _AT_5, _PEAK, _PEAK_AT, _MAX_60,
     _AT_60, _PLACES,
 ) = range(48)
@@ -104,7 +104,7 @@ def add(
         if sums[_OPEN] == 0:
             _begin_event(sums)
         sums[RAIN] += tau * rain
-        sums[_END] = sums[_INTERVALS] + 1
+        sums[_END] = sums[INTERVALS] + 1
     discharge = (1 - p.drainage_to_cistern) * drainage
     if drainage > 0:
         sums[DRAINED] += tau * drainage
@@ -130,7 +130,7 @@ def add(
         _add_pump(p, sums, state, command, rain, flows)
     else:
         sums[_RUNNING] = 0.0
-    if ticks + 1 == (sums[_INTERVALS] + 1) * p.interval_ticks:
+    if ticks + 1 == (sums[INTERVALS] + 1) * p.interval_ticks:
         _end_interval(p, sums, events)
 
 
@@ -190,8 +190,8 @@ def _find_ring(place: int) -> int:
 
 def _end_interval(p: PlantParameters, sums: Any, events: Any) -> None:
     """End an interval: keep its sums, and compare the peaks."""
-    sums[_INTERVALS] += 1
-    now = int(sums[_INTERVALS])
+    sums[INTERVALS] += 1
+    now = int(sums[INTERVALS])
     for place in range(RAIN, RAIN + _SUMS):
         sums[_find_ring(place) + now % _RING] = sums[place]
     # The shortest window has the smallest peak, and none contains more than the buffer.
@@ -204,9 +204,11 @@ def _end_interval(p: PlantParameters, sums: Any, events: Any) -> None:
         return
     for maximum, place, minutes in _WINDOWS:
         before = sums[_RAIN_BEFORE + place - RAIN]
-        volume, start = _find_maximum(p, sums, place, before, now, minutes)
-        if volume > sums[maximum] * _FIRST:
-            sums[maximum], sums[maximum + 1] = volume, start
+        # No window contains more than the buffer.
+        if sums[place] - max(before, sums[_find_ring(place) + (now + 1) % _RING]) > sums[maximum]:
+            volume, start = _find_maximum(p, sums, place, before, now, minutes)
+            if volume > sums[maximum] * _FIRST:
+                sums[maximum], sums[maximum + 1] = volume, start
     if now - sums[_END] >= p.dry_intervals:
         _end_event(p, sums, events)
 
@@ -243,7 +245,7 @@ def _find_maximum(
 
 def _begin_event(sums: Any) -> None:
     """Begin an event before the first rain is added, in an interval that is not over."""
-    now = sums[_INTERVALS]
+    now = sums[INTERVALS]
     sums[_OPEN], sums[_BEGIN], sums[_GAP] = 1.0, now, now - sums[_END]
     for number in range(_SUMS):
         sums[_RAIN_BEFORE + number] = sums[RAIN + number]
@@ -264,7 +266,7 @@ def _end_event(p: PlantParameters, sums: Any, events: Any) -> None:
     begin, end, wet = sums[_BEGIN], sums[_END], sums[WET_DISCHARGE] - sums[_WET_BEFORE]
     heaviest, peak = sums[_MAX_5] / 300, sums[_PEAK] / 300
     delay = sums[_PEAK_AT] - sums[_AT_5]
-    dry = min(sums[_GAP], sums[_INTERVALS] - end)
+    dry = min(sums[_GAP], sums[INTERVALS] - end)
     events[number] = (
         begin * seconds / HOUR_S, (end - begin) * seconds / HOUR_S, 1000 * rain,
         1000 * HOUR_S * heaviest, 1000 * sums[_MAX_60],
@@ -287,7 +289,7 @@ def finish(p: PlantParameters, sums: Any, events: Any, state: State) -> None:
     """
     sums[DEVIATION] += abs(state.roof - p.x2_star)
     sums[CISTERN], sums[ROOF], sums[LAYER] = state.cistern, state.roof, state.layer
-    if sums[TICKS] > sums[_INTERVALS] * p.interval_ticks:
+    if sums[TICKS] > sums[INTERVALS] * p.interval_ticks:
         _end_interval(p, sums, events)
     if sums[_OPEN] > 0:
         _end_event(p, sums, events)

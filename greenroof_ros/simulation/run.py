@@ -25,7 +25,6 @@ from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.physics.storm_water import HOUR_S, time_without_rain
-from greenroof_ros.site.file import LITRES_PER_HOUR
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
@@ -33,9 +32,6 @@ Values = NDArray[np.float64]
 
 # Hours of the record before a run that show whether it starts in wet weather: `wet_after` is less.
 _BEFORE_H = 72
-# What a substrate is assumed to let through (mm/h): 0.6 mm/min is quoted as the minimum in the FLL
-# guidelines (2018) for extensive roofs, but this was not checked in their text.
-_TAKEN_UP = 36.0
 # Maximum share of the target that the pumps should lift in a tick.
 _MAX_SHARE = 0.1
 
@@ -154,20 +150,8 @@ class Run:
 
 
 def note_pumps(site: Site) -> Iterator[str]:
-    """Yield a warning if the pumps are too large for the roof or for the duration of a tick.
-
-    The size relative to the roof is checked only for a field-capacity soil. On the soil of Table I,
-    Eq. (4), water stays on the surface until it drains at 0.28 mm/h, so every pump would fail this
-    check.
-    """
+    """Yield a warning if the pumps are too large for the duration of a tick."""
     flow = maximum_pump_flow(plant_parameters(site), site.a1 * site.z_o)
-    depth = flow / site.a2 / LITRES_PER_HOUR
-    if site.field_capacity is not None and depth > _TAKEN_UP:
-        yield (
-            f"the pumps can deliver {1000 * flow:.3g} l/s, or {depth:.0f} mm/h on {site.a2:g} m2 "
-            f"of roof. A substrate is assumed to absorb {_TAKEN_UP:g} mm/h; the excess runs off "
-            "the surface, which is not simulated. Is the pump curve or the pump flow correct?"
-        )
     share = site.tau * flow / site.x2_star
     if share > _MAX_SHARE:
         yield (

@@ -161,7 +161,7 @@ def run_ticks(sites: Any, ticks: Any, hydrograph: Any, every: int, steps: int) -
         switch, sums, events = sites.switches[row], sites.sums[row], sites.events[row]
         state, kept = sites.state[row], sites.kept[row]
         discharged, low = hydrograph[sites.groups[row]]
-        interval_ticks, to_sewer = int(p.interval_ticks), 1 - p.drainage_to_cistern
+        to_sewer = 1 - p.drainage_to_cistern
         now, level = State(state[0], state[1], state[2]), float(sites.levels[row])
         for n in range(len(rain)):
             k, falls, frozen, demand = first + n, rain[n], frost[n], potential[n] * c.bed
@@ -184,11 +184,11 @@ def run_ticks(sites: Any, ticks: Any, hydrograph: Any, every: int, steps: int) -
                 )
             if k == steps:
                 break
-            add(p, sums, events, now, command, falls, demand, flows, wet[n], new_day[n])
             if flows.outflow > 0 or flows.drainage > 0:
-                interval = k // interval_ticks
+                interval = int(sums[s.INTERVALS])
                 discharged[interval] += p.tau * (flows.outflow + to_sewer * flows.drainage)
                 low[interval] += p.tau * flows.low_outlet
+            add(p, sums, events, now, command, falls, demand, flows, wet[n], new_day[n])
             now = after
         state[0], state[1], state[2] = now.cistern, now.roof, now.layer
 
@@ -219,6 +219,7 @@ def simulate_season(
     if any((each.site.tau, each.run.steps) != (cases[0].site.tau, steps) for each in cases):
         raise ConfigurationError("all sites in a batch must have the same tau and number of steps")
     note_if_slow(steps * count)
+    progress(0.0)  # compiling can take a while
     together: dict[Any, list[int]] = {}
     # Those of a group are adjacent, so that few parts have the group's hydrograph.
     for row in sorted(range(count), key=lambda row: cases[row].group):
