@@ -11,8 +11,14 @@ import pytest
 from graphs import Process, bring_up, reserved_domain
 from hypothesis import settings
 from inherited import no_state_of_the_user, pytest_configure
-from places import Once
+from places import CONFIG, DATA, Once
 from studies import study
+
+from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.physics.compiled import can_compile
+from greenroof_ros.simulation.inputs import make_inputs
+from greenroof_ros.simulation.loop import simulate
+from greenroof_ros.site.file import read_site
 
 if TYPE_CHECKING:
     from ros_rig import Observer, Site
@@ -29,6 +35,16 @@ LONGEST = (
     "test_pump_drivers.py", "test_controller_nodes.py", "test_calibrate.py", "test_fit.py",
     "test_error_model.py", "test_report_page.py", "test_report.py",
 )
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile once what all workers then load from the cache."""
+    if getattr(session.config.option, "numprocesses", None) and can_compile():
+        simulate(make_inputs(find_controller("onoff"), {
+            "site": read_site(CONFIG / "site_valve.yaml", {"tau": 60.0}), "outlet": "plan",
+            "weather": str(DATA / "en_climate_hourly_07-2021.csv"), "start": "2021-07-01T00:00",
+            "hours": 350,
+        }).build())
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist looks at the groups
