@@ -301,18 +301,22 @@ def test_no_run_is_beneath_the_frontier(seed: int) -> None:
 
 
 def frontier_of(
-    rain: Sequence[float], pumped: Sequence[float], **changes: float
+    rain: Sequence[float], pumped: Sequence[float], drained: Sequence[float] = (0.0,),
+    **changes: float,
 ) -> list[FrontierPoint]:
-    """Return the frontier from 10 m3 on, with rain and pumped water in each hour (m3).
+    """Return the frontier from 10 m3 on, with rain, pumped and drained water in each hour (m3).
 
-    The roof neither drains nor dries, and no hour after rain is wet.
+    No hour after rain is wet.
     """
     site = replace(SITE, wet_after=0.0, **changes)
     depths = [1000 * volume / site.effective_catchment for volume in rain]
     run = run_in(weather_of(depths, 0.0), site, 10.0, site.x2_star)
     _, ticks = simulate(run, every=1)
-    pump_flow = np.append(np.repeat(np.array(pumped) / 3600, 60), 0.0)
-    return bound_discharge(run, replace(ticks, pump_flow=pump_flow, drainage=0 * pump_flow))
+    pump_flow, drainage = (
+        np.append(np.repeat(np.resize(volumes, len(rain)) / 3600, 60), 0.0)
+        for volumes in (pumped, drained)
+    )
+    return bound_discharge(run, replace(ticks, pump_flow=pump_flow, drainage=drainage))
 
 
 def test_what_the_valve_cannot_let_out_before() -> None:
@@ -325,6 +329,12 @@ def test_what_the_valve_cannot_let_out_before() -> None:
     (point,) = frontier_of([0, 8], [0, 0])
     assert point.weight == WEIGHTS[0]
     assert point.wet_discharge_m3 == pytest.approx(8 - let_out, abs=0.01)
+
+
+def test_the_roofs_drainage_counts_in_wet_weather_alone() -> None:
+    """1 m3 in the dry hour, and 2 m3 in that with rain, beside what the valve cannot let out."""
+    (plain,), (drained,) = (frontier_of([0, 8], [0, 0], volumes) for volumes in ([0, 0], [1, 2]))
+    assert drained.wet_discharge_m3 == pytest.approx(plain.wet_discharge_m3 + 2, abs=1e-6)
 
 
 def test_mains_for_discharge() -> None:
