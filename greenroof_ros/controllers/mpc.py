@@ -160,6 +160,7 @@ class Mpc:
         (a11, a12), (a21, a22) = model.A
         b1, b2 = model.B
         (c11, c12), (c21, c22) = model.C
+        # Eqs. (10a) and (10b): x~' = A x~ + B u + C w~ + k, with k = b - B times the last command.
         k1 = model.b[0] - b1 * self._command
         k2 = model.b[1] - b2 * self._command
         response = []  # change of the roof's depth one tick after a unit of command, two ticks, ...

@@ -1,8 +1,8 @@
 """Compilation of the package's functions of numbers with numba, where it is installed.
 
-Each formula stands once, as plain Python: :func:`compiled` compiles a function, and with it every
-function of this package that it calls. Without numba, the functions run as they are, with the same
-results bit for bit. numba is imported only when something is compiled.
+Both ways have the same text, which is plain Python: :func:`compiled` compiles a function, and with
+it every function of this package that it calls. Without numba, the functions run as they are, with
+the same results bit for bit. numba is imported only when something is compiled.
 
 numba keeps compiled code in a cache, which does not notice an edit in the file of a function that
 is called. The names under which this package's functions are cached therefore end with a digest of

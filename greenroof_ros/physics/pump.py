@@ -1,4 +1,7 @@
-"""The pumps in series: Eqs. (3a) to (3e), and their speed according to the affinity laws.
+"""The pumps in series, Eqs. (3a) and (3e), and their speed according to the affinity laws.
+
+Eq. (3e) is Eqs. (3b) to (3d) solved for the flow. Its coefficients b and pipe_resistance are those
+of :class:`.Site`.
 
 A pump that delivers the flow y at the head phi(y) and at its rated speed delivers the flow s y at
 the head s^2 phi(y) and at the share s of this speed (affinity laws, e.g. White, Fluid Mechanics,

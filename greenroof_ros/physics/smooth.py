@@ -48,6 +48,8 @@ def f(
 ) -> tuple[float, float]:
     """Return f^epsilon: the rates of change of the two volumes (m3/s), Eq. (5).
 
+    The mains supply of the plant is added. Drainage that flows into the cistern is neglected.
+
     Args:
         p: parameters of the plant.
         x1: water volume in the cistern (m3).
