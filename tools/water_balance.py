@@ -33,6 +33,8 @@ class House:
     """depth below which plants transpire less"""
     wilted: float
     """depth at which plants stop transpiring"""
+    exponent: float = 2.0
+    """of the filled share, which gives the share of the arriving water that percolates"""
 
 
 # Water arrives in portions of this depth (mm), and part of each portion percolates.
@@ -45,12 +47,13 @@ def find_demand(weather: pd.DataFrame, house: House, *, percolates: bool) -> pd.
     Args:
         weather: daily ``rain`` and ``evapotranspiration`` of plants that lack no water (mm).
         house: the site.
-        percolates: whether a share of the arriving water, the square of the filled share of the
-            soil as in HBV, percolates even below field capacity; otherwise the roof is a bucket.
+        percolates: whether a share of the arriving water, a power of the filled share of the soil
+            as in HBV, percolates even below field capacity; otherwise the roof is a bucket.
     """
     def hold(level: float) -> float:
         """Return the share of the arriving water that stays."""
-        return 1 - ((level - house.wilted) / (house.full - house.wilted)) ** 2 if percolates else 1
+        filled = (level - house.wilted) / (house.full - house.wilted)
+        return 1 - filled**house.exponent if percolates else 1
 
     level, demand = house.target, []
     for rain, potential in zip(weather["rain"], weather["evapotranspiration"], strict=True):
@@ -135,7 +138,7 @@ def compare(sizes: object, weather: dict[str, pd.DataFrame], target: float) -> p
         depth = 1000 * site.z_soil
         house = House(
             site.a2, site.a_in * site.runoff_coefficient, target, depth * site.field_capacity,
-            depth * onset, depth * site.wilting_point,
+            depth * onset, depth * site.wilting_point, site.percolation_exponent,
         )
         capacity = design.volume * (1 - site.mains_level / site.z_o)
         stored = design.volume * (0.5 - site.mains_level / site.z_o)

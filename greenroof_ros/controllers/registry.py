@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+import ast
 import functools
 import hashlib
-import importlib
+import importlib.util
 import re
 import sys
 from array import array
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import packages_distributions
-from modulefinder import ModuleFinder
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -28,8 +27,7 @@ from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.site.horizon import MAX_HORIZON, look_ahead_ends
 from greenroof_ros.site.site import Site
 
-_PACKAGE = "greenroof_ros"
-_HERE = f"{_PACKAGE}.controllers"
+_HERE = "greenroof_ros.controllers"
 BUILT_IN = {
     "mpc": f"{_HERE}.mpc:Mpc",
     "onoff": f"{_HERE}.onoff:OnOff",
@@ -191,20 +189,18 @@ class ControllerChoice:
         if self.reference in BUILT_IN:
             return ""
         modules = {self.path.partition(":")[0], self.kind.__module__}
-        packages = {name.partition(".")[0] for name in modules}
-        # A package that is installed in development mode is not on sys.path.
-        files = [getattr(sys.modules.get(name), "__file__", None) or "" for name in packages]
-        finder = ModuleFinder(
-            [*sys.path, *(str(Path(file.removesuffix("__init__.py")).parent) for file in files)],
-            excludes=[*_find_foreign() - packages],
-        )
-        for name in modules:
-            with suppress(ImportError):  # for instance in a notebook
-                finder.import_hook(name)
+        foreign = _find_foreign() - {name.partition(".")[0] for name in modules}
+        waiting, files = [*modules], dict[str, Path | None]()
+        while waiting:
+            name = waiting.pop()
+            if name not in files and name.partition(".")[0] not in foreign:
+                file = files[name] = _find_file(name)
+                if file is not None:
+                    waiting += [name.rpartition(".")[0], *_find_imports(name, file)]
         digest = hashlib.sha256()
-        for name, module in sorted(finder.modules.items()):
-            if file := getattr(module, "__file__", None):
-                digest.update(name.encode() + b"\0" + Path(file).read_bytes() + b"\0")
+        for name, file in sorted(files.items()):
+            if file is not None:
+                digest.update(name.encode() + b"\0" + file.read_bytes() + b"\0")
         return digest.hexdigest()[:12]
 
     def make(self, site: Site, parameters: dict[str, Any]) -> Controller:
@@ -394,7 +390,28 @@ def choose_class(kind: Any) -> ControllerChoice:
 @functools.cache
 def _find_foreign() -> frozenset[str]:
     """Return the packages of Python, of this project and of everything that is installed."""
-    return frozenset({*sys.stdlib_module_names, *packages_distributions(), _PACKAGE})
+    return frozenset({*sys.stdlib_module_names, *packages_distributions(), "greenroof_ros"})
+
+
+def _find_file(name: str) -> Path | None:
+    """Return the file of a module; None without one, as for a function or for a plain folder."""
+    try:
+        spec = sys.modules[name].__spec__ if name in sys.modules else importlib.util.find_spec(name)
+    except (ImportError, AttributeError, ValueError):
+        return None
+    return Path(spec.origin) if spec is not None and spec.has_location and spec.origin else None
+
+
+def _find_imports(name: str, file: Path) -> Iterator[str]:
+    """Yield what a module imports, and the imported names, which can also be modules."""
+    package = name if file.stem == "__init__" else name.rpartition(".")[0]
+    for node in ast.walk(ast.parse(file.read_bytes() if file.suffix == ".py" else b"")):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            parents = package.split(".")[: len(package.split(".")) - node.level + 1]
+            base = ".".join([*(parents if node.level else []), *filter(None, [node.module])])
+            yield from (base, *(f"{base}.{alias.name}" for alias in node.names))
 
 
 def _node_name(class_name: str) -> str:

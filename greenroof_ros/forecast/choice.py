@@ -46,8 +46,9 @@ class ForecastChoice:
     file: Path | None = None
     skill: str = entry(
         "skill of the forecasts that errors and ensemble generate: real for the skill of a "
-        "weather service; better or worse for the skill of real forecasts at half or twice the "
-        "lead time; or a FILE.yaml that specifies the skill", default=REAL,
+        "weather service; better or worse for that of real forecasts at half or twice the lead "
+        "time, and much_better or much_worse at a quarter or four times of it; none; or a "
+        "FILE.yaml that specifies the skill", default=REAL,
     )
     seed: int = entry(
         "random seed of the forecast errors, for errors and ensemble", 0, 2**31 - 1, default=0,

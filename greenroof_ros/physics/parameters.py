@@ -126,8 +126,7 @@ def plant_parameters(site: Site) -> PlantParameters:
             site.wilting_volume + site.stress_onset * site.available_volume
             if has_field_capacity else 0.0
         ),
-        "layer_rate": 1 / (site.layer_storage * (site.drainage_time or 1.0)) if site.layer_storage
-        else 0.0,
+        "layer_rate": 1 / (site.layer_storage * (site.drainage_time or 0.0) or math.inf),
         "wet_after_s": site.wet_after * HOUR_S,
         "interval_ticks": interval,
         "dry_intervals": max(1, round(site.event_separation * HOUR_S / (site.tau * interval))),

@@ -72,10 +72,10 @@ def _slope(exponent: float, v: float) -> float:
 
 
 def fill(exponent: float, filled: float, u: float) -> float:
-    """Return the filled share (1) after the water u (1, as a share of TAW) has arrived."""
-    if exponent == 2:
-        g = math.tanh(u)
-        return (filled + g) / (1 + filled * g)
+    """Return the filled share (1) after the water u (1, as a share of TAW) has arrived.
+
+    For beta = 2, use the closed form.
+    """
     if u <= 0 or filled >= 1:
         return filled
     u = min(u, _FULL_AFTER)
@@ -219,14 +219,3 @@ def roof_after_tick(
     """
     evaporated = potential * water_stress(p, x2)
     return x2 + p.tau * (arriving - evaporated - percolation(p, x2, arriving, p.tau))
-
-
-def max_fall_rate(p: PlantParameters, level: float) -> float:
-    """Return the maximum rate (m/s) at which drainage lowers the water from a level (m).
-
-    On the paper's soil, the rate is that of Eq. (4), even below the capacity. On a field-capacity
-    soil, the rate removes the excess within a tick.
-    """
-    if p.has_field_capacity:
-        return max(0.0, level - p.z_cap / p.a2) / p.tau
-    return p.K * (level + p.z_soil) / p.z_soil

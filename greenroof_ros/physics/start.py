@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.site.file import find_unheld
-from greenroof_ros.site.site import Site
+from greenroof_ros.site.site import HIGH, Site, describe_max_volume
 
 # Table II: factors of the volumes at the outlet's level and at the target.
 _TABLE_II = {
-    "low-low": (1 / 1.3, 1 / 1.3),
-    "high-low": (1.3, 1 / 1.3),
-    "high-high": (1.3, 1.3),
+    "low-low": (1 / HIGH, 1 / HIGH),
+    "high-low": (HIGH, 1 / HIGH),
+    "high-high": (HIGH, HIGH),
 }
 SITE_STATE = "site"
 """name of the state that a site file defines with ``initial_cistern`` and ``initial_roof``"""
@@ -73,7 +72,7 @@ def find_state(
 
 
 def check_volumes(site: Site, cistern: float, roof: float) -> None:
-    """Reject initial volumes that the site cannot hold; see :func:`.file.find_unheld`.
+    """Reject initial volumes that the site cannot hold; see :attr:`.Site.max_volumes`.
 
     Args:
         site: the site.
@@ -83,5 +82,6 @@ def check_volumes(site: Site, cistern: float, roof: float) -> None:
     Raises:
         ConfigurationError: if a volume is too large; the error's key is ``cistern`` or ``roof``.
     """
-    for key, value, expected in find_unheld(site, cistern, roof):
-        raise ConfigurationError(expected, key=key, value=value)
+    for (key, most), value in zip(site.max_volumes.items(), (cistern, roof), strict=True):
+        if value > most:
+            raise ConfigurationError(describe_max_volume(most), key=key, value=value)

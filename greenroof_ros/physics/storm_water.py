@@ -129,16 +129,6 @@ def find_wet(
     return wet, without_rain
 
 
-def wet_time_left(without_rain: float, wet_after: float) -> float:
-    """Return the time for which the weather will remain wet if no more rain falls (s).
-
-    Args:
-        without_rain: time without rain until now (s).
-        wet_after: time after rain that counts as wet weather (s).
-    """
-    return max(0.0, wet_after - without_rain)
-
-
 def interval_ticks(tau: float) -> int:
     """Return the length of an interval (ticks of tau seconds): a minute, rounded up.
 

@@ -1,8 +1,9 @@
 """A site that is simulated tick by tick, whatever decides the commands.
 
-Simulations in a single process, the plant node of the ROS graph and the simulated devices of a live
-site use a :class:`VirtualSite`. In every tick, a controller reads the levels and decides on a
-command, and the site executes the command and proceeds to the next tick.
+The plant node of the ROS graph, the simulated devices of a live site, and simulations that are
+stepped tick by tick in one process use a :class:`VirtualSite`; :mod:`.season` and the environments
+have the same functions of numbers in loops of their own. In every tick, a controller reads the
+levels and decides on a command, and the site executes the command and proceeds to the next tick.
 """
 
 from __future__ import annotations

@@ -69,15 +69,19 @@ def _demand_met(site: Site, sums: Any) -> float:
 
     The rest came from the mains, or was in the cistern at the start. Of the mains water, the part
     that raised the water below the float valve's level is still there. Of the initial water above
-    this level, what remains or may have flowed to the sewer was not pumped.
+    this level, what remains or may have flowed to the sewer was not pumped. If drainage flows back
+    into the cistern, water is pumped more than once, but no more rain than fell.
     """
-    if site.mains_level is None:
+    if site.mains_level is None or not sums[s.PUMPED]:
         return math.nan
     supplied = site.cistern_volume(site.mains_level)
     first, last = sums[s.FIRST_CISTERN], sums[s.CISTERN]
     from_mains = max(0.0, sums[s.MAINS] - (min(last, supplied) - min(first, supplied)))
     fallen = max(first, supplied) - max(last, supplied)
-    return 1 - _share(from_mains + max(0.0, fallen - sums[s.OUTFLOW]), sums[s.PUMPED])
+    other = from_mains + max(0.0, fallen - sums[s.OUTFLOW])
+    collected = site.effective_catchment + site.drainage_to_cistern * site.a2
+    rain = min(max(0.0, sums[s.PUMPED] - other), sums[s.RAIN] * collected)
+    return _share(rain, rain + other)
 
 
 def _peaks(unit: str, label: str, meaning: str, factor: Callable[[Site], float]) -> list[Metric]:

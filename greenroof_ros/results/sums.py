@@ -142,7 +142,7 @@ def _add_pump(
     share = _running_share(p, state, command, rain, flows)
     flow = flows.pump / share if share > 0 else flows.pump
     # The head while they run, Eq. (3c); a mean over a tick in which they stop would be too low.
-    head = p.pipe_resistance * (flow * flow) + p.d - state.cistern / p.a1
+    head = max(0.0, p.pipe_resistance * (flow * flow) + p.d - state.cistern / p.a1)
     sums[ENERGY_J] += _WATER_DENSITY * p.g * flows.pump * head * p.tau
     sums[PUMP_TICKS] += share
     if share > 0 and sums[_RUNNING] == 0:

@@ -22,7 +22,7 @@ _IN_FILES = ("15min_l_s", "60min_l_s", "min_mm_h")
 
 
 def _metric_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield the metrics that are not 0 as expected, and the number of rain events.
+    """Yield the metrics, without those that are 0 as expected, and the number of rain events.
 
     Capitals mark values over a limit.
     """
@@ -82,8 +82,6 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
         yield "forecast", model, _listed(forecast)
     if SensorAndPump(**summary["sensor_and_pump"]) != SensorAndPump():
         yield "sensor and pump", "", _listed(summary["sensor_and_pump"])
-    if messages := summary["messages"]:
-        yield "messages", str(sum(messages.values())), f"in the bag, on {len(messages)} topics"
     factor = f"{summary['times_real_time']:.0f} times real time"
     yield "wall time", f"{summary['wall_s']:.1f} s", factor
 

@@ -132,11 +132,3 @@ def write(summary: Mapping[str, Any], directory: Path) -> None:
             raise OSError(error.errno, error.strerror, str(path)) from error
     if "events" in summary:
         replace_text(directory / EVENTS, format_events(summary["events"]))
-
-
-def find_site_file(run: Path) -> Path:
-    """Return the path of a run's site file, which is in its own directory for a live site."""
-    configuration = run / "configuration"
-    return next(iter((configuration / "site").glob("*")), configuration / SITE_FILE)
-
-

@@ -20,7 +20,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import is_there, read_yaml, shared_directory
 from greenroof_ros.common.parameter import Parameter, entry, make_record, parameters_of
 from greenroof_ros.site.clock import standard_offset
-from greenroof_ros.site.site import Site
+from greenroof_ros.site.site import HIGH, Site, describe_max_volume
 
 LITRES_PER_HOUR = 1 / 3.6e6
 """factor from l/h to m3/s, and from mm/h on 1 m2 to m3/s"""
@@ -32,7 +32,7 @@ _HEAD_OF_CONSTANT_FLOW = 1e6
 
 # The pump of a site that is not irrigated: its numbers have no effect.
 _NO_PUMP: dict[str, Any] = {
-    "a_hat": -1.0, "c_hat": 1e6, "a_pump": 1.0, "D": 1.0, "F": 1.0, "k_L": 0.0, "l": 1.0,
+    "a_hat": -1.0, "c_hat": 1e6, "a_pump": 1.0, "d": 1e6, "D": 1.0, "F": 1.0, "k_L": 0.0, "l": 1.0,
     "z_pump": 0.0, "z_H": 0.0,
 }
 
@@ -43,8 +43,6 @@ SUBSTRATES: dict[str, dict[str, Any]] = {
 
 # Relative error up to which a product rounded by a person, such as x2_star, counts as consistent.
 _ROUNDING = 1e-6
-# A cistern fills up to this multiple of its outlet's level (Table II), which is below the roof.
-_ABOVE_OUTLET = 1.3
 # Products, computed if a file omits them; the paper's roof has no field capacity.
 _PRODUCTS = {"x2_star": ("a2", "z_veg"), "z_cap": ("a2", "z_soil", "field_capacity")}
 # Volumes, and what they are proportional to.
@@ -205,28 +203,6 @@ def _product(site: Site, names: Collection[str]) -> float:
     return math.prod(getattr(site, name) or 1.0 for name in names)
 
 
-def find_unheld(site: Site, x1: float, x2: float) -> Iterator[tuple[str, float, str]]:
-    """Yield each store (``cistern`` or ``roof``) that cannot hold its volume, and a message.
-
-    The highest levels are those of Table II, 1.3 times those of the overflow and of the target, or
-    a soil that is full.
-
-    Args:
-        site: the site.
-        x1: volume in the cistern (m3).
-        x2: volume on the roof (m3).
-    """
-    for name, volume, area, level in (
-        ("cistern", x1, site.a1, _ABOVE_OUTLET * site.z_o),
-        ("roof", x2, site.a2, max(site.z_cap / site.a2, _ABOVE_OUTLET * site.z_veg)),
-    ):
-        if volume > level * area * (1 + _ROUNDING):
-            yield name, volume, (
-                f"must be at most {level * area:.6g} m3, which is a level of {level:.4g} m. Is the "
-                f"unit wrong? A level of {volume:g} mm is {volume / 1000 * area:g} m3"
-            )
-
-
 def format_site(site: Site, notes: Mapping[str, str] | None = None) -> str:
     """Return the text of a complete site file, from which :func:`read_site` reads the same site.
 
@@ -365,6 +341,13 @@ def _make_site(
                 if volume in entries and entries[volume].file is not None
             }
         site = replace(site, **volumes)
+        # Volumes that are not stated here are no more than what the store holds.
+        stated = path if unchanged is None else None
+        site = replace(site, **{
+            f"initial_{name}": min(getattr(site, f"initial_{name}"), most)
+            for name, most in site.max_volumes.items()
+            if f"initial_{name}" in entries and entries[f"initial_{name}"].file != stated
+        })
         for name, expected in _find_contradictions(site, given):
             raise ConfigurationError(expected, key=name, value=getattr(site, name))
         return Site(**{field.name: getattr(site, field.name) for field in fields(Site)})
@@ -423,9 +406,9 @@ def _find_contradictions(site: Site, given: Collection[str]) -> Iterator[tuple[s
                 f"must be above z_pump + z_H = {site.suction_level:g} m, below which the pumps do "
                 f"not work, and below {above} = {limit:g} m, above which water flows to the sewer"
             )
-    if site.initial_cistern is not None and site.initial_roof is not None:
-        for name, _, expected in find_unheld(site, site.initial_cistern, site.initial_roof):
-            yield f"initial_{name}", expected
+    for name, most in site.max_volumes.items():
+        if (getattr(site, f"initial_{name}") or 0.0) > most:
+            yield f"initial_{name}", describe_max_volume(most)
     for name, factors in _PRODUCTS.items():
         product = _product(site, factors)
         if not math.isclose(getattr(site, name), product, rel_tol=_ROUNDING):
@@ -433,11 +416,11 @@ def _find_contradictions(site: Site, given: Collection[str]) -> Iterator[tuple[s
             yield name, (
                 f"must be {formula} = {product:g} m3; leave this line out to have it computed"
             )
-    climate, top = site.monthly_evapotranspiration, site.d / _ABOVE_OUTLET
+    climate, top = site.monthly_evapotranspiration, site.d / HIGH
     for name, holds, expected in (
         ("monthly_evapotranspiration", climate is None or len(climate) == 12,
          "a list of twelve numbers, January to December"),
-        ("z_o", site.z_o < top, f"below d / {_ABOVE_OUTLET} = {top:.4g} m, so that even a cistern "
+        ("z_o", site.z_o < top, f"below d / {HIGH} = {top:.4g} m, so that even a cistern "
          f"filled above its overflow is below the roof at d = {site.d:g} m"),
         ("initial_layer", site.initial_layer <= site.layer_storage, "at most the volume of the "
          f"drainage layer, a2 drainage_storage = {site.layer_storage:g} m3"),

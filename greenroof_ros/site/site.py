@@ -17,6 +17,9 @@ _POSITIVE, _NOT_NEGATIVE = (1e-12, 1e9), (0.0, 1e9)
 _NEGATIVE = (-1e21, -1e-12)
 
 _EARTH_KM = 6371.0
+_ROUNDING = 1 + 1e-9
+HIGH = 1.3
+"""the high states of Table II, as multiples of the volumes at the overflow and at the target"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -316,6 +319,15 @@ class Site(Place, Pump, Roof, Cistern):
         """The place alone, for readers of weather."""
         return Place(**{field.name: getattr(self, field.name) for field in fields(Place)})
 
+    @property
+    def max_volumes(self) -> dict[str, float]:
+        """The most water with which ``cistern`` and ``roof`` can start (m3).
+
+        These are the high states of Table II, or a full soil.
+        """
+        roof = max(self.z_cap, HIGH * self.x2_star)
+        return {"cistern": HIGH * self.a1 * self.z_o * _ROUNDING, "roof": roof * _ROUNDING}
+
     @cached_property
     def c_out(self) -> float:
         """Coefficient of the cistern's overflow in Eq. (2) (m^2.5/s)."""
@@ -340,6 +352,11 @@ class Site(Place, Pump, Roof, Cistern):
     def pipe_resistance(self) -> float:
         """Friction and minor head losses per squared flow in Eq. (3c) (s2/m5)."""
         return (self.F * self.l / self.D + self.k_L) / (2 * self.g * self.a_pump**2)
+
+
+def describe_max_volume(most: float) -> str:
+    """Return what an initial volume must be (m3)."""
+    return f"must be at most {most:.6g} m3, which is all that fits; is the unit wrong?"
 
 
 def measure_distance(here: tuple[float, float], there: tuple[float, float]) -> float:

@@ -129,7 +129,7 @@ REFUSED = {
     "nodes.controller --controller mpc --ros-args -p weight:=-1.0":
         ("weight", "-1.0", "greater than 0"),
     "nodes.plant --ros-args -p initial_roof_volume:=250.0":
-        ("at most 159.96 m3", "A level of 250 mm is 17.2 m3"),
+        ("at most 34.4 m3", "is the unit wrong?"),
     "nodes.plant --ros-args -p speed": ("-p speed",),
     "nodes.plant --ros-args --params-file wrong.yaml":
         ("wrong.yaml, line 2: parameter run_lenght of plant = 4: ", "closest match is run_length"),

@@ -13,9 +13,9 @@ from greenroof_ros.common.errors import ConfigurationError
 @pytest.mark.parametrize(("cistern", "roof", "wrong"), [
     # Table II: 1.3 times the 75 m3 up to the overflow at 3 m; the soil holds 68.8 m2 x 0.5 m.
     ("97.5", "34.4", ""),
-    ("98", "2", "--cistern = 98.0: must be at most 97.5 m3, which is a level of 3.9 m"),
-    ("60", "34.5", "--roof = 34.5: must be at most 34.4 m3, which is a level of 0.5 m"),
-    ("60", "45.7", "A level of 45.7 mm is 3.14416 m3"),  # the target
+    ("98", "2", "--cistern = 98.0: must be at most 97.5 m3, which is all that fits"),
+    ("60", "34.5", "--roof = 34.5: must be at most 34.4 m3, which is all that fits"),
+    ("60", "45.7", "is the unit wrong"),  # the target in mm
 ])
 def test_a_run_begins_with_what_cistern_and_roof_can_hold(
     cistern: str, roof: str, wrong: str

@@ -11,6 +11,7 @@ from paper import PAPER_SITE, metrics_of, run_of_hours, site_with
 from summed import STILL, Tick, summed
 
 from greenroof_ros.physics.parameters import Flows, State
+from greenroof_ros.simulation.loop import Simulation
 
 TARGET, FULL = PAPER_SITE.x2_star, 0.00842205211502804
 """of Table I: the roof's target (m3), and the pumps' maximum flow from a level of 3 m (m3/s)"""
@@ -141,7 +142,8 @@ def test_mains_water_by_hand(
     first: float, last: float, mains: float, pumped: float, outflow: float, share: float | None
 ) -> None:
     flows = STILL._replace(mains=mains / 2, pump=pumped / 2, outflow=outflow / 2)
-    results = summed(MAINS, [Tick(flows, state=at(1.0, first))], at(1.0, last)).metrics
+    tick = Tick(flows, rain=0.02, state=at(1.0, first))  # 12 litres on the inlet
+    results = summed(MAINS, [tick], at(1.0, last)).metrics
     assert results["mains_m3"] == pytest.approx(mains, rel=1e-12)
     assert results.get("demand_met_share") == (share and pytest.approx(share, abs=1e-9))
 
@@ -169,6 +171,24 @@ def test_what_is_in_the_cistern_at_the_start_is_no_rain(
     if share is not None:
         assert -1e-9 <= share <= 1
         assert sum(rain) > 0 or share == pytest.approx(0.0, abs=1e-9)
+
+
+def test_water_that_is_pumped_twice_is_no_rain() -> None:
+    """Without rain, no share of what drains back into the cistern is rain, whatever it held."""
+    site = replace(FILLED, drainage_to_cistern=1.0)
+    for cistern in (14.0, 0.7):
+        results = metrics_of(run_of_hours([(0.0, 1.0, False)] * 720, cistern, 2.0, site))
+        assert results["pumped_m3"] > 0
+        assert results["demand_met_share"] == 0
+
+
+def test_no_energy_is_negative() -> None:
+    """A narrow overflow lets the water rise above the roof, to which it then flows by itself."""
+    site = replace(PAPER_SITE, a1=0.5, z_o=1.0, r_o=0.005, d=1.4, a_in=300.0, tau=60.0, c_hat=1.0)
+    run = run_of_hours([(100.0, 0.0, False)] * 3, 0.5, 2.0, site)
+    levels = [tick.cistern_level for tick in Simulation(run).ticks()]
+    assert max(levels) > site.d
+    assert metrics_of(run)["hydraulic_energy_kwh"] >= 0
 
 
 def test_an_owners_metrics_by_hand() -> None:

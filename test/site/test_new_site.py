@@ -220,11 +220,6 @@ def test_bad_answers(tmp_path: Path, options: tuple[str, ...], message: str) -> 
 
 
 @pytest.mark.parametrize(("options", "note"), [
-    # 4 m3/h on 40 m2 is 100 mm/h, which no substrate can take.
-    (
-        ("--roof", "40", "--pump-flow", "4000"),
-        "the pumps can deliver 1.11 l/s, or 100 mm/h on 40 m2 of roof",
-    ),
     # Water stress begins at 35.1 mm, and cm were meant.
     (
         ("--target", "5"),

@@ -131,8 +131,8 @@ CLOCK: dict[str, object] = {
         (MAINS, {"mains_level": 0.75}, "mains_level", "above z_pump + z_H = 0.75 m"),
         (LOW, {"low_outlet_level": 3.0}, "low_outlet_level", "above z_pump + z_H = 0.75 m, below"),
         (OWN, {"initial_roof": None}, "initial_cistern", "needs initial_roof as well"),
-        (OWN, {"initial_cistern": 98.0}, "initial_cistern", "at most 97.5 m3, which is a level"),
-        ({**ROOF, **OWN}, {"initial_roof": 21.0}, "initial_roof", "at most 20.64 m3, which is a"),
+        (OWN, {"initial_cistern": 98.0}, "initial_cistern", "at most 97.5 m3, which is all"),
+        ({**ROOF, **OWN}, {"initial_roof": 21.0}, "initial_roof", "at most 20.64 m3, which is all"),
         (ROOF, {"initial_layer": 5.5}, "initial_layer", "at most the volume of the drainage layer"),
         (PAPERS, {CLIMATE: MONTHS[:11]}, CLIMATE, "a list of twelve numbers, January to December"),
         (PAPERS, {CLIMATE: [*MONTHS[:11], 20.1]}, f"{CLIMATE}.12", "a number from 0 to 20 mm/day"),
@@ -208,6 +208,26 @@ def test_a_site_that_extends_another(tmp_path: Path) -> None:
     child.write_text("extends: site_neubrandenburg.yaml\na1: 50.0\n")
     measured = read_site(shared_directory() / "config" / "site_neubrandenburg.yaml")
     assert read_site(child) == replace(measured, a1=50.0)
+
+
+@pytest.mark.parametrize(("changes", "volumes"), [
+    # The valve site starts with 5 m3 and with its target of 39 mm on 68.8 m2.
+    ({}, (5.0, 2.6832)), ({"cistern_volume": 3}, (3.9, 2.6832)),  # 1.3 times 3 m3
+    ({"roof_area": 30}, (5.0, 30 * 0.108 * 0.63)),  # of which 63 % can be water
+    ({"substrate_depth": 0.05, "z_veg": 0.017}, (5.0, 68.8 * 0.05 * 0.63)),
+])
+def test_inherited_volumes_are_no_more_than_what_fits(
+    changes: dict[str, float], volumes: tuple[float, float], tmp_path: Path
+) -> None:
+    """A smaller cistern or roof than that of the file that it extends starts full."""
+    lines = [f"{key}: {value}\n" for key, value in changes.items()]
+    (tmp_path / "own.yaml").write_text(f"extends: site_valve.yaml\n{''.join(lines)}")
+    site = read_site(tmp_path / "own.yaml")
+    assert (site.initial_cistern, site.initial_roof) == pytest.approx(volumes, rel=1e-8)
+    if "substrate_depth" in changes:  # in Python
+        assert read_site(
+            shared_directory() / "config" / "site_valve.yaml", changes
+        ).initial_roof == site.initial_roof
 
 
 def test_a_site_is_written_as_a_complete_file(tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ from greenroof_ros.common.errors import ConfigurationError, require_extra, sugge
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.controllers.registry import choose_class
 from greenroof_ros.physics.compiled import can_compile
-from greenroof_ros.physics.storm_water import HOUR_S, wet_time_left
+from greenroof_ros.physics.storm_water import HOUR_S
 from greenroof_ros.simulation.loop import Tick
 
 with require_extra("gym"):
@@ -228,7 +228,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         values /= self._scale
         if self._has_valve:
             wet_after = self.site.wet_after * HOUR_S
-            left = wet_time_left(float(self._roof._sites.without_rain[0]), wet_after)
+            left = max(0.0, wet_after - float(self._roof._sites.without_rain[0]))  # s
             values = np.append(values, left / wet_after if left > 0 else 0.0)
         return np.asarray(np.clip(values, 0.0, 1.0), np.float32)
 

@@ -27,7 +27,7 @@ from greenroof_ros.common.processes import count_cores
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.forecast.models import make_model
 from greenroof_ros.physics.compiled import can_compile, compiled
-from greenroof_ros.physics.storm_water import HOUR_S, wet_time_left
+from greenroof_ros.physics.storm_water import HOUR_S
 from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.weather.series import PerTick, rain_per_tick
@@ -103,7 +103,7 @@ def observe(
                 mean += np.divide(rate[i + 1] - rate[i], lengths[i]) * since
                 values[entry + i] = min(np.divide(max(mean, 0.0), scale[entry + i]), 1.0)
         if len(values) > len(scale):
-            left = wet_time_left(without_rain[row], wet_after)
+            left = max(0.0, wet_after - without_rain[row])  # s
             values[len(scale)] = left / wet_after if left > 0 else 0.0
 
 

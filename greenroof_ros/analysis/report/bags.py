@@ -22,7 +22,7 @@ from greenroof_ros.recording.bag_writer import METADATA, name_recovered_bag
 from greenroof_ros.recording.events_table import event_rows
 from greenroof_ros.recording.results_table import format_exactly
 from greenroof_ros.recording.trajectory import CSV, TRAJECTORY
-from greenroof_ros.simulation.summary import find_site_file
+from greenroof_ros.simulation.summary import SITE_FILE
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 
@@ -83,9 +83,15 @@ def read_run(path: Path, site: Path | Site | None = None) -> ReportedRun:
         raise
 
 
+def _find_site_file(run: Path) -> Path:
+    """Return the path of a run's site file, which is in its own directory for a live site."""
+    configuration = run / "configuration"
+    return next(iter((configuration / "site").glob("*")), configuration / SITE_FILE)
+
+
 def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRun:
     run, bag, notes = run_directory(path), _bag_in(path), list(about.notes)
-    own_site = find_site_file(run)
+    own_site = _find_site_file(run)
     file = given if isinstance(given, Path) else own_site if own_site.is_file() else None
     site = given if isinstance(given, Site) else read_site(file or default_site_file())
     if file is None and given is None:

@@ -13,9 +13,9 @@ from typing import NamedTuple
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 from greenroof_ros.physics.cistern import low_outlet_flow, overflow
-from greenroof_ros.physics.parameters import plant_parameters
+from greenroof_ros.physics.parameters import PlantParameters, plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow
-from greenroof_ros.physics.soil import max_fall_rate, retained_share
+from greenroof_ros.physics.soil import retained_share
 from greenroof_ros.site.site import Site
 
 # An input that has not arrived since the start is treated as silent after this time (s).
@@ -75,9 +75,20 @@ def roof_bounds(site: Site) -> LevelBounds:
     pump = maximum_pump_flow(p, site.cistern_volume(site.z_o)) / site.a2
 
     def fall(level: float) -> float:
-        return _MARGIN * (_MAX_EVAPOTRANSPIRATION + max_fall_rate(p, level))
+        return _MARGIN * (_MAX_EVAPOTRANSPIRATION + _find_max_fall(p, level))
 
     return LevelBounds(lambda level: _MARGIN * (_MAX_RAIN + pump), fall, site.max_roof_level)
+
+
+def _find_max_fall(p: PlantParameters, level: float) -> float:
+    """Return the maximum rate (m/s) at which drainage lowers the water from a level (m).
+
+    On the paper's soil, the rate is that of Eq. (4), even below the capacity. On a field-capacity
+    soil, the rate removes the excess within a tick.
+    """
+    if p.has_field_capacity:
+        return max(0.0, level - p.z_cap / p.a2) / p.tau
+    return p.K * (level + p.z_soil) / p.z_soil
 
 
 class Movement(NamedTuple):
