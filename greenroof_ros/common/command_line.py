@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from greenroof_ros import INTERRUPTED, SIGNALS, end_interrupted
 from greenroof_ros.common.errors import (
@@ -25,9 +25,11 @@ from greenroof_ros.common.errors import (
     describe_choices,
     find_similar,
 )
-from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.processes import end_with_parent, find_signal, store_signals
 from greenroof_ros.common.ranges import Range
+
+if TYPE_CHECKING:  # it reads YAML, which a command's help does not need
+    from greenroof_ros.common.parameter import Parameter
 
 EXIT_DONE = 0
 EXIT_FAILED = 1
