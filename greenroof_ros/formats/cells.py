@@ -54,8 +54,6 @@ _CODES = {
 _HUGE = 1e15  # fill values of GRIB are larger
 # No unit makes a plausible value so negative; MeteoSwiss writes -1000000.
 _HUGE_NEGATIVE = 1e5
-# Rain and evapotranspiration above this (mm) that have the digits of a code are codes.
-_RARE_DEPTH = 99.0
 # Water that is less than a gauge can measure: T, as services write it, or less than a small amount.
 _TRACE = re.compile(
     r"(0?[.,]?0*\s*)?(t|tr|traces?)\.?|<\s*(?P<below>\d*[.,]?\d+)", re.IGNORECASE | re.ASCII
@@ -343,21 +341,12 @@ def take_code(cell: Cell) -> Verdict | None:
     return (math.nan, CODE) if is_code else None
 
 
-def take_code_of_rain(cell: Cell) -> Verdict | None:
-    """Treat 99.9 and similar values as missing if they are plausible but are probably codes."""
-    is_depth = cell.quantity.is_water and "l" not in cell.quantity.units
-    rare = is_depth and cell.number > _RARE_DEPTH and _has_digits_of_code(cell.text)
-    return (math.nan, CODE) if rare else None
-
-
 def _has_digits_of_code(text: str) -> bool:
     digits = text.lstrip("+-").replace(".", "").strip("0")
     return digits in _CODES or re.fullmatch("9{2,}", digits) is not None
 
 
-CELL_RULES = (
-    take_code_of_rain, take_plausible, take_missing, take_trace, take_near, take_code,
-)
+CELL_RULES = take_plausible, take_missing, take_trace, take_near, take_code
 """Rules for cells, in order. The first rule that accepts a cell decides; else the cell is wrong."""
 
 
@@ -404,10 +393,6 @@ _MAX_FALLS, _MAX_FALLS_IN_RAIN, _NOISE = 0.4, 0.15, 0.02
 _MIN_SPELLS, _NEARLY_DRY = 8, 0.5
 # A sum is rounded.
 _NEARLY_SUM = 1e-3
-# Scales of temperature sensors end at -40 degC or below and at 50 degC or above. Air does not jump
-# this far (K) from one row to the next: in the hours of twelve years at Toronto its temperature
-# changed by no more than 10 K, and its dew point by no more than 14 K.
-_MAX_COLD, _MIN_HOT, _APART, _MIN_TEMPERATURES = -30.0, 49.0, 20.0, 24
 # A saturated sensor reports fractions slightly above 1.
 _MAX_FRACTION = 1.05
 
@@ -503,21 +488,6 @@ def find_sliding_sum(given: Given) -> str:
     )
 
 
-def _find_end_of_scale(given: Given) -> float | None:
-    """Return a temperature far below or above all other temperatures; None if there is none.
-
-    Air temperature changes continuously, so a value is not a temperature if other readings never
-    come close to it.
-    """
-    values = np.unique(given.values)
-    if given.quantity.unit != "degC" or len(given.values) < _MIN_TEMPERATURES or len(values) < 3:
-        return None
-    for end, gap in ((values[0], values[1] - values[0]), (values[-1], values[-1] - values[-2])):
-        if gap >= _APART and not _MAX_COLD < end < _MIN_HOT:
-            return float(end)
-    return None
-
-
 def _is_sum_of_rows(spells: Iterable[tuple[float, ...]], rows: int, nearly: float) -> bool:
     """Return True if every value could be the sum of the rain in the given number of rows.
 
@@ -539,9 +509,7 @@ def _is_sum_of_rows(spells: Iterable[tuple[float, ...]], rows: int, nearly: floa
     return math.gcd(*wet_at) == 1 == math.gcd(*changed_at)
 
 
-COLUMN_RULES = (find_running_total, find_fraction, find_sum, find_sliding_sum)
-"""Rules that reject a column: each returns the reason, or an empty text."""
-COLUMN_DOUBTS = (find_event_total,)
+COLUMN_RULES = find_running_total, find_event_total, find_fraction, find_sum, find_sliding_sum
 """Rules that question a column: each returns a note, or an empty text."""
 
 
@@ -580,9 +548,6 @@ class Column:
         self._step_h = step_h
         self._cell = cell or (lambda row: table.cell(row, name))
         self._values, self._given = array("d"), array("d")
-        # The first number like 1.019; whether others have other decimals, or are 100 or more.
-        self._grouped: Row | None = None
-        self._has_decimals = self._has_hundreds = False
         self._odd: dict[str, list[Row]] = {NEAR: [], CODE: [], WRONG: []}
 
     def add(self, row: Row) -> None:
@@ -595,12 +560,6 @@ class Column:
             raise self._table.refuse(
                 f"contains a separator between digits. {_PLAIN}", self._name, row,
             )
-        if "." not in cell.text:
-            self._has_hundreds = self._has_hundreds or abs(cell.number) >= _A_HUNDRED
-        elif _THOUSANDS.fullmatch(cell.text):
-            self._grouped = self._grouped or row
-        else:
-            self._has_decimals = True
         if what:
             self._odd[what].append(row)
 
@@ -613,23 +572,14 @@ class Column:
         """Return the values of all rows, shape (rows,); NaN for values that cannot be used.
 
         Raises:
-            ConfigurationError: if too few values are plausible, or if one of :data:`COLUMN_RULES`
-                rejects the column.
+            ConfigurationError: if too few values are plausible.
         """
-        if self._grouped and self._has_hundreds and not self._has_decimals:
-            raise self._table.refuse(
-                "is in a column in which numbers of 100 or more have no decimals: does it "
-                f"contain a thousands separator? {_PLAIN}", self._name, self._grouped,
-            )
         numbers = np.array(self._given)
         given = Given(
             self._quantity, self.unit.name, numbers[~np.isnan(numbers)], self._step_h, self._of
         )
         for rule in self._rules:
-            if why := rule(given):
-                raise self._table.refuse(why, self._name)
-        for doubt in COLUMN_DOUBTS if self._rules else ():
-            if note := doubt(given):
+            if note := rule(given):
                 self._table.notes.append(f"{self._table.file.name}: {self._name} {note}")
         values = np.array(self._values)
         known = values[~np.isnan(values)]
@@ -638,14 +588,6 @@ class Column:
             not known.size and (wrong or (codes and not self._optional))
         ):
             raise self._refuse((wrong or codes)[0])
-        if (end := _find_end_of_scale(given)) is not None:
-            ends = np.isclose(values, end, rtol=0, atol=1e-9)
-            values[ends] = math.nan
-            self._table.notes.append(
-                f"{self._table.file.name}: {self._name} of {end:g} degC in "
-                f"{np.count_nonzero(ends)} rows differs from all other values by at least "
-                f"{_APART:g} K, like the end of a sensor's scale, and is treated as missing"
-            )
         unit, low, high, *_ = self._quantity
         self._note(near, f"was set to the nearest limit of the range, {low:g} to {high:g} {unit}")
         self._note(sorted(codes + wrong), "is not a plausible value, and is treated as missing")

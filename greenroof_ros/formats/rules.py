@@ -12,14 +12,12 @@ levels separate simulated levels of these roofs in the same way.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from datetime import timedelta
-from typing import NamedTuple
 
 import numpy as np
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
 from greenroof_ros.formats.hourly import Records, find_gaps, number_days
 from greenroof_ros.formats.quantities import (
@@ -43,32 +41,14 @@ from greenroof_ros.formats.sun import MM_PER_MJ, extraterrestrial_radiation
 from greenroof_ros.site.site import Place, Site
 
 
-class Rule(NamedTuple):
-    """A rule that detects one kind of implausible data."""
-
-    find: Callable[[StepRecord, Place], Iterator[str]]
-    """function that yields a sentence for each finding"""
-    refuses: bool = False
-    """whether a finding of the rule rejects the record; otherwise its sentences are warnings"""
-
-
 def check_steps(record: StepRecord, site: Place) -> list[str]:
-    """Return one sentence about each implausible finding in a record.
+    """Return one sentence about each implausible finding in a record, which is used unchanged.
 
     Args:
         record: the measurements; NaN for measurements that are not checked.
         site: site with the roof and its location.
-
-    Raises:
-        ConfigurationError: if a rule rejects the record.
     """
-    warnings = []
-    for rule in RULES:
-        for sentence in rule.find(record, site):
-            if rule.refuses:
-                raise ConfigurationError(sentence, file=record.source)
-            warnings.append(sentence)
-    return warnings
+    return [sentence for find in RULES for sentence in find(record, site)]
 
 
 def check_hours(records: Records, site: Place, hours: range) -> list[str]:
@@ -493,15 +473,7 @@ def find_outlying_rain(record: StepRecord, _site: Place) -> Iterator[str]:
 
 
 RULES = (
-    Rule(find_wrong_amounts, refuses=True),
-    Rule(find_much_rain),
-    Rule(find_wrong_rain),
-    Rule(find_unlike_sun),
-    Rule(find_unlike_air),
-    Rule(find_imbalance),
-    Rule(find_shifted_clock),
-    Rule(find_stuck_sensor),
-    Rule(find_blocked_gauge),
-    Rule(find_outlying_rain),
+    find_wrong_amounts, find_much_rain, find_wrong_rain, find_unlike_sun, find_unlike_air,
+    find_imbalance, find_shifted_clock, find_stuck_sensor, find_blocked_gauge, find_outlying_rain,
 )
 """all rules, in the order of their application"""

@@ -91,7 +91,7 @@ def test_texts_that_are_no_numbers(text: str) -> None:
         ("500.4", 500.0, NEAR), ("-999", np.nan, CODE), ("7999", np.nan, CODE),
         ("9.96921e36", np.nan, CODE), ("inf", np.nan, CODE), ("ice", np.nan, CODE),
         ("-1", np.nan, CODE), ("501", np.nan, WRONG), ("1_0", np.nan, WRONG),
-        ("5 h", np.nan, WRONG), ("99.9", np.nan, CODE), ("327.67", np.nan, CODE),
+        ("5 h", np.nan, WRONG), ("99.9", 99.9, ""), ("327.67", 327.67, ""),
         ("#DIV/0!", np.nan, CODE), ("9.9", 9.9, ""), ("99", 99.0, ""),
     ],
 )
