@@ -113,6 +113,7 @@ def test_memory_of_a_valid_file(tmp_path: Path) -> None:
         f"{hour}-05:00,{hour.astype(int) % 9 / 10},{hour.astype(int) % 300 / 10}\n"
         for hour in hours
     ))
+    read_records(file, TORONTO)  # imports what it needs
     tracemalloc.start()
     hours_read = read_records(file, TORONTO).hours
     peak = tracemalloc.get_traced_memory()[1]

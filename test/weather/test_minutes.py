@@ -351,6 +351,7 @@ def test_ten_years_of_minutes() -> None:
     ), SITE)
     assert weather.minutes is not None
     assert weather.minutes.nbytes == pytest.approx(42e6, rel=0.01)
+    WeatherSeries(weather, replace(SITE, tau=1.0, M=10), weather.first, 3600)  # imports
     tracemalloc.start()
     series = WeatherSeries(weather, replace(SITE, tau=1.0, M=10), weather.first, 87_000 * 3600)
     series.at(87_000 * 3600)
