@@ -201,6 +201,7 @@ def test_an_owners_metrics_by_hand() -> None:
         for roof, actual in ((TARGET + 0.1, 4e-6), (TARGET - 0.3, 2e-6), (0.0, 1e-6), (0.0, 0.0))
     ], at(TARGET + 0.2)).metrics
     assert results["mean_deviation_mm"] == pytest.approx(1377.664 / 68.8, rel=1e-12)
+    assert results["near_target_hours"] == pytest.approx(2 / 3600, rel=1e-12)  # 5 % are 0.157 m3
     assert results["stress_hours"] == pytest.approx(4 / 3600, rel=1e-12)
     assert results["evapotranspiration_ratio"] == pytest.approx(7 / 16, rel=1e-12)
     assert "roof_retention_share" not in results  # nothing arrived
