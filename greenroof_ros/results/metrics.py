@@ -81,7 +81,7 @@ def _demand_met(site: Site, sums: Any) -> float:
     other = from_mains + max(0.0, fallen - sums[s.OUTFLOW])
     collected = site.effective_catchment + site.drainage_to_cistern * site.a2
     rain = min(max(0.0, sums[s.PUMPED] - other), sums[s.RAIN] * collected)
-    return _share(rain, rain + other)
+    return rain / (rain + other) if rain > 0 else 0.0
 
 
 def _peaks(unit: str, label: str, meaning: str, factor: Callable[[Site], float]) -> list[Metric]:

@@ -207,7 +207,7 @@ def test_a_season_without_rain_or_irrigation() -> None:
     """Shares of nothing are left out; what was in the cistern at the start meets no demand."""
     dry = gr.size(**{**OPTIONS, "season": "07-03/07-03", "outlets": ["none"], "volumes": [2, 5]})
     assert dry.sentence == (
-        "A cistern of 2 m³ meets 0 % of the demand and receives no rain; 5 m³: 0 %."
+        "A cistern of 2 m³ meets none of the demand and receives no rain; 5 m³: 0 %."
     )
     kept = dry.spread("storm_water_kept_share", dry.designs[0])
     assert format_spread(kept, COLUMNS["storm_water_kept_share"]) == "none"
