@@ -152,11 +152,8 @@ def locate_error(kind: Any, error: BaseException) -> ConfigurationError | HangEr
 def find_frame(error: BaseException) -> tuple[str | None, int | None, str]:
     """Return file, line and function of the last frame in the first user file on an error's way.
 
-    If the error passed through no user file, there is no file and no line. The place of an error of
-    syntax is where the error is.
+    If the error passed through no user file, there is no file and no line.
     """
-    if isinstance(error, SyntaxError):
-        return error.filename, error.lineno, ""
     frames = [
         (frame.filename, frame.lineno, frame.name)
         for frame in traceback.extract_tb(error.__traceback__)

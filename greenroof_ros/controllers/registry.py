@@ -137,6 +137,8 @@ class ControllerChoice:
             return getattr(importlib.import_module(module_name), class_name)
         except (Exception, SystemExit) as error:  # anything that a user's module raises
             file, line, _ = find_frame(error)
+            if isinstance(error, SyntaxError):
+                file, line = error.filename, error.lineno
             raise ConfigurationError(
                 f"cannot be imported: {type(error).__name__}: {error}", file=file, line=line,
                 key="controller", value=self.reference,

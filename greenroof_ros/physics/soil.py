@@ -74,7 +74,7 @@ def _slope(exponent: float, v: float) -> float:
 def fill(exponent: float, filled: float, u: float) -> float:
     """Return the filled share (1) after the water u (1, as a share of TAW) has arrived.
 
-    For beta = 2, use the closed form.
+    For beta = 2, :func:`percolation` has the closed form.
     """
     if u <= 0 or filled >= 1:
         return filled
