@@ -69,7 +69,6 @@ _NO_TEXT = f" ,;\t\x1a{_LINE_END}"
 _DECIMAL_COMMA = re.compile(r"^([-+]?\d*),(\d+(?:e[-+]?\d+)?)$", re.ASCII | re.IGNORECASE)
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}[,.]\d{3}", re.ASCII)
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+", re.ASCII)
-_A_HUNDRED = 100.0
 _HUNDREDS = re.compile(r"[-+]?[1-9]\d{2}", re.ASCII)
 # Digits in groups, which may be separated by narrow or non-breaking spaces.
 _GROUPS = re.compile(r"[-+]?\d{1,3}([ '_.,\u2019\u00a0\u202f]\d{2,3})+([.,]\d+)?", re.ASCII)
