@@ -41,21 +41,21 @@ from greenroof_ros.analysis.district.district_file import (
     Draw,
     Orifice,
 )
-from greenroof_ros.common.alarms import Alarm
-from greenroof_ros.common.conditions import (
+from greenroof_ros.base.files import read_yaml, shared_directory
+from greenroof_ros.base.parameter import Key, Parameter, Word, keys, parameters_of
+from greenroof_ros.controllers.outlet import PARAMETERS
+from greenroof_ros.controllers.registry import BUILT_IN, find_controller
+from greenroof_ros.forecast.skill import Climate, Errors
+from greenroof_ros.formats.quantities import QUANTITIES, ROOF
+from greenroof_ros.interface.alarm import Alarm
+from greenroof_ros.interface.conditions import (
     LATCHED,
     Condition,
     Interlock,
     read_conditions,
     read_interlocks,
 )
-from greenroof_ros.common.files import read_yaml, shared_directory
-from greenroof_ros.common.interface import Topic, read_topics
-from greenroof_ros.common.parameter import Key, Parameter, Word, keys, parameters_of
-from greenroof_ros.controllers.outlet import PARAMETERS
-from greenroof_ros.controllers.registry import BUILT_IN, find_controller
-from greenroof_ros.forecast.skill import Climate, Errors
-from greenroof_ros.formats.quantities import QUANTITIES, ROOF
+from greenroof_ros.interface.topics import Topic, read_topics
 from greenroof_ros.live.devices import drive_file, relay_file, sensor_file
 from greenroof_ros.live.pumping.limits import pump_parameters
 from greenroof_ros.physics.storm_water import Event

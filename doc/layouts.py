@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
 
-from greenroof_ros.common.files import shared_directory
-from greenroof_ros.common.interface import Display, read_topics
+from greenroof_ros.base.files import shared_directory
+from greenroof_ros.interface.topics import Display, read_topics
 from greenroof_ros.site.file import read_site
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.site.site import Site
 
 

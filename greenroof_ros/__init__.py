@@ -66,7 +66,7 @@ def end_interrupted(*_: Any) -> None:
     """Exit on a signal during a command's imports, which take seconds, or after the command's end.
 
     A KeyboardInterrupt would print a traceback, or would raise another error in the import of a
-    compiled module. :func:`greenroof_ros.common.command_line.command` replaces this handler.
+    compiled module. :func:`greenroof_ros.base.command_line.command` replaces this handler.
     """
     os.write(2, b"interrupted\n")
     os._exit(INTERRUPTED)
@@ -96,11 +96,11 @@ if _PROGRAM:
     end_on_interrupt()
 
 # After it, as Ctrl-C may come at any time.
-from greenroof_ros.common.registration import register  # noqa: E402
+from greenroof_ros.base.registration import register  # noqa: E402
 
 register()
 
 if _PROGRAM.split(".")[1:2] in (["nodes"], ["live"]) and not _PROGRAM.endswith(".greenroof"):
-    from greenroof_ros.common.ros_environment import end_without_ros
+    from greenroof_ros.base.ros_environment import end_without_ros
 
     end_without_ros()

@@ -13,8 +13,8 @@ import importlib
 from dataclasses import dataclass
 from typing import Any
 
-from greenroof_ros.common.command_line import EXIT_DONE, Parser, command
-from greenroof_ros.common.errors import suggest_names
+from greenroof_ros.base.command_line import EXIT_DONE, Parser, command
+from greenroof_ros.base.errors import suggest_names
 
 
 @dataclass(frozen=True)

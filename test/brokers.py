@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from greenroof_ros.common.mqtt import make_client, parse_broker
+from greenroof_ros.base.mqtt import make_client, parse_broker
 
 _FOUND = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
 needs_mosquitto = pytest.mark.skipif(_FOUND is None, reason="there is no mosquitto here")

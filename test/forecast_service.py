@@ -23,7 +23,7 @@ from http_service import HttpService
 from numpy.typing import NDArray
 from places import CONFIG
 
-from greenroof_ros.common.times import hours_since_1970
+from greenroof_ros.base.times import hours_since_1970
 from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.hourly import Records
 from greenroof_ros.formats.open_meteo import UNITS, VARIABLES

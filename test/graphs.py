@@ -23,7 +23,7 @@ from commands import Forked
 from mcap.reader import make_reader
 from places import words_of
 
-from greenroof_ros.common.processes import child_environment
+from greenroof_ros.base.processes import child_environment
 
 
 @contextmanager

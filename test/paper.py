@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 from places import CONFIG
 
-from greenroof_ros.common.command_line import Parser
+from greenroof_ros.base.command_line import Parser
 from greenroof_ros.controllers.lookahead import Lookahead
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.forecast.choice import ForecastChoice

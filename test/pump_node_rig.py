@@ -15,7 +15,7 @@ from ros_rig import LATE, Observer
 from simulators import Simulator
 from std_msgs.msg import Float64, String
 
-from greenroof_ros.common.states import PumpState
+from greenroof_ros.interface.states import PumpState
 
 # The node's tau, and a drive that ramps ten times as fast as in real time.
 PERIOD_S = 0.1

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 
 
 def refusal(read: Callable[..., object], *arguments: object, match: str | None = None) -> str:

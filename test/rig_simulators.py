@@ -24,9 +24,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from greenroof_ros.common.command_line import add_site, command
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.mqtt import parse_topic
+from greenroof_ros.base.command_line import add_site, command
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.mqtt import parse_topic
 from greenroof_ros.live.devices.drive_file import DriveFile, find_drive_file, read_drive_file
 from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine, parse_address
 from greenroof_ros.live.devices.relay_file import read_relay_file

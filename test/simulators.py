@@ -19,7 +19,7 @@ from graphs import environment
 from places import CHECKOUT, words_of
 from rig_simulators import DEFAULT, PseudoLine
 
-from greenroof_ros.common.processes import child_environment
+from greenroof_ros.base.processes import child_environment
 from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine, parse_address
 
 # How long to wait for a workbench (s): as long as a loaded machine needs.

@@ -15,7 +15,7 @@ from commands import Forked, run_command
 from greenroof_ros.analysis.study.case_run import bound_case, bound_discharge, run_case
 from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.analysis.study.store import StudyStore
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.base.files import shared_directory
 
 CONFIG = shared_directory() / "config"
 WEATHER = CONFIG / "weather" / "toronto_2021-07.csv"

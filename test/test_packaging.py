@@ -107,7 +107,7 @@ def assert_installed(module, prefix):
 
 PRINT_SHARED_DIRECTORY = """
 import greenroof_ros
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.base.files import shared_directory
 print(greenroof_ros.__file__)
 print(shared_directory())
 """

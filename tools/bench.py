@@ -34,9 +34,9 @@ def echo(role: str) -> None:
     from rclpy.node import Node
     from std_msgs.msg import Float64
 
-    from greenroof_ros.common.interface import read_topics
     from greenroof_ros.graph.messages import qos_profile
     from greenroof_ros.graph.spin import make_executor
+    from greenroof_ros.interface.topics import read_topics
 
     rclpy.init(args=[])
     node = Node(role)
@@ -138,7 +138,7 @@ def _drain(leader: int) -> None:
 
 def measure_simulated(*arguments: str) -> tuple[float, dict[str, float]]:
     """Return the time of a tick of ``simulate`` with metrics (s), and its decision times (s)."""
-    from greenroof_ros.common.command_line import Parser
+    from greenroof_ros.base.command_line import Parser
     from greenroof_ros.simulation.loop import Simulation
     from greenroof_ros.simulation.options import add_run_arguments, build_run
 

@@ -22,7 +22,7 @@ from greenroof_ros.analysis.api.scenarios import (
     read_references,
     scenarios,
 )
-from greenroof_ros.common.files import replace_text, shared_directory
+from greenroof_ros.base.files import replace_text, shared_directory
 
 A_WEEK_LATE = "a week late"
 

@@ -8,12 +8,12 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from typing import Any
 
+from greenroof_ros.base.progress import RunProgress
 from greenroof_ros.bringup.watchdog import Watchdog
-from greenroof_ros.common.progress import RunProgress
-from greenroof_ros.common.states import RECORDER
 from greenroof_ros.controllers.registry import EXTERNAL
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.spin import destroy_nodes, end_nodes, ros, spin
+from greenroof_ros.interface.states import RECORDER
 from greenroof_ros.nodes.controller import ControllerNode
 from greenroof_ros.nodes.plant import PlantNode
 from greenroof_ros.nodes.recorder import RecorderNode

@@ -9,18 +9,17 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greenroof_ros.bringup.start import bring_up
-from greenroof_ros.common.command_line import (
+from greenroof_ros.base.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
     EXIT_INTERRUPTED,
     Parser,
     command,
 )
-from greenroof_ros.common.processes import InterruptedRun, Signals
-from greenroof_ros.common.progress import RunProgress
-from greenroof_ros.common.standard_error import LINES, print_line
-from greenroof_ros.common.states import RECORDER
+from greenroof_ros.base.processes import InterruptedRun, Signals
+from greenroof_ros.base.progress import RunProgress
+from greenroof_ros.base.standard_error import LINES, print_line
+from greenroof_ros.bringup.start import bring_up
 from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL, find_controller
 from greenroof_ros.graph.arguments import add_graph_arguments
 from greenroof_ros.graph.domain import (
@@ -33,7 +32,8 @@ from greenroof_ros.graph.domain import (
 from greenroof_ros.graph.errors import explain
 from greenroof_ros.graph.parameter_file import node_parameter_files
 from greenroof_ros.graph.ros_arguments import read_ros_arguments, split_ros_arguments
-from greenroof_ros.recording.bag_reader import count_ticks
+from greenroof_ros.interface.states import RECORDER
+from greenroof_ros.results.bag_read import count_ticks
 from greenroof_ros.simulation import screen, summary
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration
 from greenroof_ros.simulation.options import (

@@ -13,9 +13,9 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
-from greenroof_ros.common.command_line import EXIT_DONE, EXIT_INTERRUPTED
-from greenroof_ros.common.processes import InterruptedRun, Signals, child_environment
-from greenroof_ros.common.standard_error import print_line
+from greenroof_ros.base.command_line import EXIT_DONE, EXIT_INTERRUPTED
+from greenroof_ros.base.processes import InterruptedRun, Signals, child_environment
+from greenroof_ros.base.standard_error import print_line
 
 # How long the watcher may take to end (s) before it is killed.
 _ENDING_S = 3.0

@@ -9,8 +9,8 @@ import threading
 from collections.abc import Callable
 from types import FrameType
 
-from greenroof_ros.common.command_line import EXIT_FAILED
-from greenroof_ros.common.errors import HangError
+from greenroof_ros.base.command_line import EXIT_FAILED
+from greenroof_ros.base.errors import HangError
 
 # How often the watchdog checks whether the callbacks return (s).
 _CHECK_S = 0.25

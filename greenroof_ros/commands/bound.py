@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from greenroof_ros.common.command_line import (
+from greenroof_ros.base.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
     Parser,
@@ -12,8 +12,8 @@ from greenroof_ros.common.command_line import (
     command,
     make_number_type,
 )
-from greenroof_ros.common.progress import ProgressBar
-from greenroof_ros.common.times import hours_minutes_seconds
+from greenroof_ros.base.progress import ProgressBar
+from greenroof_ros.base.times import hours_minutes_seconds
 from greenroof_ros.simulation.bound import (
     BLOCK_S,
     NoBoundError,

@@ -6,9 +6,9 @@ import os
 import signal
 from contextlib import suppress
 
-from greenroof_ros.common.command_line import Parser, add_namespace, command
-from greenroof_ros.common.mqtt import parse_broker
-from greenroof_ros.common.processes import InterruptedRun, Signals
+from greenroof_ros.base.command_line import Parser, add_namespace, command
+from greenroof_ros.base.mqtt import parse_broker
+from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.watch.bridge import Bridge
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.store import GraphStore

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from greenroof_ros.common.command_line import (
+from greenroof_ros.base.command_line import (
     CheckResult,
     Parser,
     add_site,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from greenroof_ros.common.command_line import (
+from greenroof_ros.base.command_line import (
     Parser,
     add_site,
     command,

@@ -18,15 +18,15 @@ from greenroof_ros.analysis.workers.choice import (
     describe_end,
     open_workers,
 )
-from greenroof_ros.common.command_line import (
+from greenroof_ros.base.command_line import (
     EXIT_DONE,
     Parser,
     command,
 )
-from greenroof_ros.common.errors import require_extra
-from greenroof_ros.common.files import find_shipped
-from greenroof_ros.common.processes import InterruptedRun, Signals, count_cores
-from greenroof_ros.common.progress import ProgressBar
+from greenroof_ros.base.errors import require_extra
+from greenroof_ros.base.files import find_shipped
+from greenroof_ros.base.processes import InterruptedRun, Signals, count_cores
+from greenroof_ros.base.progress import ProgressBar
 
 _DESCRIPTION = """\
 Simulate a district of many buildings with green roofs and cisterns, which are drawn from

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from greenroof_ros.common.command_line import (
+from greenroof_ros.base.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
     Parser,
@@ -12,8 +12,8 @@ from greenroof_ros.common.command_line import (
     command,
     make_number_type,
 )
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.times import to_people
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.times import to_people
 from greenroof_ros.forecast.service import (
     ATTRIBUTION,
     MAX_DAYS,

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from greenroof_ros.common.command_line import (
+from greenroof_ros.base.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
     Parser,
@@ -19,10 +19,10 @@ from greenroof_ros.common.command_line import (
     make_number_type,
     refuse_unwritable,
 )
-from greenroof_ros.common.files import replace_text
-from greenroof_ros.common.http_client import ServiceError
-from greenroof_ros.common.progress import ProgressBar
-from greenroof_ros.common.times import FIRST_YEAR, to_people
+from greenroof_ros.base.files import replace_text
+from greenroof_ros.base.http_client import ServiceError
+from greenroof_ros.base.progress import ProgressBar
+from greenroof_ros.base.times import FIRST_YEAR, to_people
 from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.hourly import name_hours
 from greenroof_ros.formats.quantities import PRECIPITATION

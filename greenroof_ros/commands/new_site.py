@@ -13,6 +13,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from zoneinfo import ZoneInfo
 
+from greenroof_ros.base.command_line import (
+    Parser,
+    command,
+    make_number_type,
+    refuse_unwritable,
+)
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import TextInMemory, add_path_to_errors
+from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.base.ranges import read_number
 from greenroof_ros.commands.new_site_file import (
     HEIGHT,
     LIFT,
@@ -21,16 +31,6 @@ from greenroof_ros.commands.new_site_file import (
     SUBSTRATE,
     format_new_site,
 )
-from greenroof_ros.common.command_line import (
-    Parser,
-    command,
-    make_number_type,
-    refuse_unwritable,
-)
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import TextInMemory, add_path_to_errors
-from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.common.ranges import read_number
 from greenroof_ros.simulation.run import note_pumps
 from greenroof_ros.site.clock import standard_offset
 from greenroof_ros.site.file import SITE_KEYS, SUBSTRATES, read_site

@@ -11,7 +11,7 @@ import textwrap
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from greenroof_ros.common.files import default_site_file
+from greenroof_ros.base.files import default_site_file
 from greenroof_ros.physics.cistern import EMPTIED_H, find_outlet_radius
 from greenroof_ros.site.clock import standard_offset
 from greenroof_ros.site.file import LITRES_PER_HOUR, SITE_KEYS, SUBSTRATES, read_site

@@ -10,7 +10,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from greenroof_ros.common.command_line import (
+from greenroof_ros.base.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
     Parser,
@@ -18,9 +18,9 @@ from greenroof_ros.common.command_line import (
     command,
     make_number_type,
 )
-from greenroof_ros.common.states import PUMP
-from greenroof_ros.common.times import parse_time, to_people
+from greenroof_ros.base.times import parse_time, to_people
 from greenroof_ros.graph.domain import require_ros
+from greenroof_ros.interface.states import PUMP
 from greenroof_ros.watch import wire
 from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, PumpRequestError
 from greenroof_ros.watch.registry import Registry

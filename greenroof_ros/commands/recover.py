@@ -10,11 +10,12 @@ from typing import NamedTuple
 
 from mcap.records import Channel, Message, Schema
 
-from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, Parser, command
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_yaml
-from greenroof_ros.common.times import from_epoch_ns, to_people
-from greenroof_ros.recording.bag_writer import (
+from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, Parser, command
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import read_yaml
+from greenroof_ros.base.times import from_epoch_ns, to_people
+from greenroof_ros.results.bag_mend import read_whole_chunks
+from greenroof_ros.results.bag_write import (
     METADATA,
     find_files,
     name_next_file,
@@ -22,8 +23,7 @@ from greenroof_ros.recording.bag_writer import (
     read_index,
     write_metadata,
 )
-from greenroof_ros.recording.mcap_writer import McapWriter
-from greenroof_ros.recording.whole_chunks import read_whole_chunks
+from greenroof_ros.results.mcap import McapWriter
 
 
 class Recovered(NamedTuple):

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from greenroof_ros.common.command_line import Parser, command
-from greenroof_ros.common.errors import ConfigurationError, require_extra
-from greenroof_ros.common.files import add_path_to_errors, writable
-from greenroof_ros.common.progress import ProgressBar
+from greenroof_ros.base.command_line import Parser, command
+from greenroof_ros.base.errors import ConfigurationError, require_extra
+from greenroof_ros.base.files import add_path_to_errors, writable
+from greenroof_ros.base.progress import ProgressBar
 
 # A report's directory contains this file and figures/.
 _PAGE = "report.html"

@@ -14,19 +14,19 @@ from typing import Any
 
 import numpy as np
 
-from greenroof_ros.common.command_line import (
+from greenroof_ros.base.command_line import (
     Parser,
     check_interrupts,
     command,
     end_repeats,
     make_number_type,
 )
-from greenroof_ros.common.files import add_path_to_errors
-from greenroof_ros.common.progress import INTERVAL_S, RunProgress
-from greenroof_ros.common.times import hours_minutes_seconds
+from greenroof_ros.base.files import add_path_to_errors
+from greenroof_ros.base.progress import INTERVAL_S, RunProgress
+from greenroof_ros.base.times import hours_minutes_seconds
 from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.physics.sensor_and_pump import read_errors
-from greenroof_ros.recording.trajectory import CSV, Trajectory, columns_of
+from greenroof_ros.results.trajectory import CSV, Trajectory, columns_of
 from greenroof_ros.simulation import screen, summary
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration
 from greenroof_ros.simulation.loop import Simulation, Tick, simulate

@@ -9,8 +9,8 @@ from collections.abc import Coroutine, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from greenroof_ros.common.command_line import Parser, command
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.command_line import Parser, command
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.endpoint import Endpoint, read_endpoint
 from greenroof_ros.live.devices.modbus_line import check_installed

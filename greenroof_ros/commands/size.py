@@ -16,7 +16,7 @@ from greenroof_ros.analysis.sizing.columns import format_per_roof, format_spread
 from greenroof_ros.analysis.sizing.designs import OUTLETS, TARGETS, VOLUMES
 from greenroof_ros.analysis.sizing.run import JOBS, KNEE_RANGE, OPTIONS, PRICES, size_site
 from greenroof_ros.analysis.sizing.sizes import PAGE, TABLE, Sizes
-from greenroof_ros.common.command_line import (
+from greenroof_ros.base.command_line import (
     EXIT_DONE,
     EXIT_INTERRUPTED,
     Parser,
@@ -26,10 +26,10 @@ from greenroof_ros.common.command_line import (
     make_number_type,
     option_of,
 )
-from greenroof_ros.common.errors import ConfigurationError, rename_keys, require_extra
-from greenroof_ros.common.files import writable
-from greenroof_ros.common.processes import InterruptedRun, Signals, count_cores
-from greenroof_ros.common.progress import ProgressBar
+from greenroof_ros.base.errors import ConfigurationError, rename_keys, require_extra
+from greenroof_ros.base.files import writable
+from greenroof_ros.base.processes import InterruptedRun, Signals, count_cores
+from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.simulation.inputs import INPUTS
 
 _DESCRIPTION = """\

@@ -24,7 +24,7 @@ from greenroof_ros.analysis.workers.choice import (
     open_workers,
 )
 from greenroof_ros.analysis.workers.processes import Workers
-from greenroof_ros.common.command_line import (
+from greenroof_ros.base.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -32,9 +32,9 @@ from greenroof_ros.common.command_line import (
     command,
     make_number_type,
 )
-from greenroof_ros.common.files import find_shipped, shared_directory
-from greenroof_ros.common.processes import InterruptedRun, Signals
-from greenroof_ros.common.progress import ProgressBar
+from greenroof_ros.base.files import find_shipped, shared_directory
+from greenroof_ros.base.processes import InterruptedRun, Signals
+from greenroof_ros.base.progress import ProgressBar
 
 _Bound: TypeAlias = tuple[Callable[[Path, Case], Any], Case, Callable[[Case, Any], None]]
 """Function that computes a bound, the case, and function that stores the bound."""

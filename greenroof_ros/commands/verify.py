@@ -17,17 +17,17 @@ from rich.table import Table
 from greenroof_ros.analysis.verification.checks import check_forecasts
 from greenroof_ros.analysis.verification.pairs import Class, Sum, read_issued_forecasts, tally_pairs
 from greenroof_ros.analysis.verification.scores import SHOWN, Tally
-from greenroof_ros.common.command_line import (
+from greenroof_ros.base.command_line import (
     Parser,
     add_site,
     command,
     make_number_type,
     refuse_unwritable,
 )
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import add_path_to_errors
-from greenroof_ros.common.progress import ProgressBar
-from greenroof_ros.common.times import to_people
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import add_path_to_errors
+from greenroof_ros.base.progress import ProgressBar
+from greenroof_ros.base.times import to_people
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.reading import find_files, read_weather
 

@@ -8,16 +8,16 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-from greenroof_ros.common.command_line import (
+from greenroof_ros.base.command_line import (
     Parser,
     add_foxglove,
     add_namespace,
     command,
     make_number_type,
 )
-from greenroof_ros.common.errors import ConfigurationError, describe_extra
-from greenroof_ros.common.files import state_directory
-from greenroof_ros.common.processes import InterruptedRun, Signals
+from greenroof_ros.base.errors import ConfigurationError, describe_extra
+from greenroof_ros.base.files import state_directory
+from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.foxglove_server import FoxgloveServer
 from greenroof_ros.watch.listening import LOOPBACK, PORTS, is_loopback, new_token, read_token

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from greenroof_ros.common.command_line import Parser, add_site, command, refuse_unwritable
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import add_path_to_errors
-from greenroof_ros.common.times import to_people
+from greenroof_ros.base.command_line import Parser, add_site, command, refuse_unwritable
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import add_path_to_errors
+from greenroof_ros.base.times import to_people
 from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.comments import STAMPS
 from greenroof_ros.formats.hourly import Records, name_hours

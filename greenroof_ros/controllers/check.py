@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from greenroof_ros.common.command_line import CheckResult
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.interface import optional_topics
+from greenroof_ros.base.command_line import CheckResult
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.decide import COMMANDS, ControllerError, TickTimes, locate_error
 from greenroof_ros.controllers.outlet import requested_share
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
+from greenroof_ros.interface.topics import optional_topics
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
 

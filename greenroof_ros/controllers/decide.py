@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 import greenroof_ros
-from greenroof_ros.common.errors import ConfigurationError, HangError, describe_value
-from greenroof_ros.common.ranges import Range
+from greenroof_ros.base.errors import ConfigurationError, HangError, describe_value
+from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.protocol import Controller
 
 # Places that are not a user's code: this package, and what Python uses to import.

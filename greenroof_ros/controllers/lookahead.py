@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.controllers.anticipating import OF_FORECAST, OF_WAITING, Anticipating, Forecasts
 from greenroof_ros.controllers.decide import TickTimes
 from greenroof_ros.controllers.order_up_to import BELOW_M3, OrderUpTo, halve_by_rain

@@ -15,8 +15,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.controllers.decide import TickTimes
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.smooth import linearise

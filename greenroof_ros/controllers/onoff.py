@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import ClassVar
 
-from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.site.site import Site
 
 FRACTION = Parameter(

@@ -15,8 +15,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.common.ranges import Range
+from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.decide import OwnCode, valid_number
 from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, find_levels
 from greenroof_ros.physics.cistern import low_outlet_flow

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, ClassVar, Protocol
 
-from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.base.parameter import Parameter
 
 
 class Controller(Protocol):
@@ -73,7 +73,7 @@ class Controller(Protocol):
 
         A forecast can be missing, which means that it is empty, has another length, or contains
         NaN. In this case, the method must return a command or raise a
-        :class:`~greenroof_ros.common.errors.ConfigurationError`, which ends a simulated run; a live
+        :class:`~greenroof_ros.base.errors.ConfigurationError`, which ends a simulated run; a live
         site treats this error as a missing forecast. Any other error also ends a simulated run,
         with a message that names the file and the line; on a live site, on/off control then takes
         over.

@@ -17,9 +17,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from greenroof_ros.common.errors import ConfigurationError, describe_choices, suggest_names
-from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.common.parameter_sections import read_sections
+from greenroof_ros.base.errors import ConfigurationError, describe_choices, suggest_names
+from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.base.parameter_sections import read_sections
 from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.decide import OwnCode, find_frame
 from greenroof_ros.controllers.outlet import OutletPolicy, requested_share

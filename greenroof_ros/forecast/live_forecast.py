@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.times import duration, to_people
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.times import duration, to_people
 from greenroof_ros.forecast.resampling import HourForecast, Outlook
 from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.forecasts import IssuedForecast, Repetition

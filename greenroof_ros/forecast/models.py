@@ -33,9 +33,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.memo import Memo
-from greenroof_ros.common.times import from_epoch_ns, hours_since_1970, to_minutes
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.memo import Memo
+from greenroof_ros.base.times import from_epoch_ns, hours_since_1970, to_minutes
 from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
 from greenroof_ros.forecast.skill import Climate, Skill, read_skill
 from greenroof_ros.formats.cells import HOUR

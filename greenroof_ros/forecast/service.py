@@ -26,17 +26,17 @@ from pathlib import Path
 
 import numpy as np
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import replace_text
-from greenroof_ros.common.http_client import (
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import replace_text
+from greenroof_ros.base.http_client import (
     ServiceError,
     check_url,
     name_url,
     read_reason,
     request,
 )
-from greenroof_ros.common.processes import IN_MEMORY, scratch_directory
-from greenroof_ros.common.times import to_people
+from greenroof_ros.base.processes import IN_MEMORY, scratch_directory
+from greenroof_ros.base.times import to_people
 from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.forecasts import IssuedForecast, Repetition, mend_forecast
 from greenroof_ros.formats.hourly import bridge_gaps

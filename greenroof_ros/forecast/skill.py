@@ -31,8 +31,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.files import shared_directory
-from greenroof_ros.common.parameter import entry, read_record
+from greenroof_ros.base.files import shared_directory
+from greenroof_ros.base.parameter import entry, read_record
 
 Array = NDArray[np.float64]
 

@@ -20,10 +20,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_lines
-from greenroof_ros.common.ranges import Range, read_number
-from greenroof_ros.common.times import (
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import read_lines
+from greenroof_ros.base.ranges import Range, read_number
+from greenroof_ros.base.times import (
     DEFAULT_START,
     FIRST_YEAR,
     LAST_YEAR,

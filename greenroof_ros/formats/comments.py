@@ -6,8 +6,8 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.ranges import Range, read_number
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.ranges import Range, read_number
 
 LATITUDE, LONGITUDE = "latitude", "longitude"
 """Position of the measurements (degrees), positive to the north and east, or written as 79.40 W or

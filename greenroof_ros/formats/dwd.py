@@ -19,7 +19,7 @@ import re
 from datetime import datetime, timezone
 from pathlib import Path
 
-from greenroof_ros.common.times import parse_time
+from greenroof_ros.base.times import parse_time
 from greenroof_ros.formats.cells import HOUR, Column, read_table
 from greenroof_ros.formats.hourly import Records, add_dew_point
 from greenroof_ros.formats.quantities import (

@@ -13,9 +13,9 @@ from collections.abc import Callable, Container, Iterable, Mapping
 from datetime import timedelta, timezone
 from pathlib import Path
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.ranges import Range
-from greenroof_ros.common.times import parse_local_time
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.ranges import Range
+from greenroof_ros.base.times import parse_local_time
 from greenroof_ros.formats.cells import Column, Row, Table, read_table
 from greenroof_ros.formats.hourly import Records
 from greenroof_ros.formats.quantities import DEW_POINT, PRECIPITATION, TEMPERATURE

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.times import to_minutes
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.times import to_minutes
 from greenroof_ros.formats.hourly import bridge_gaps
 from greenroof_ros.site.horizon import MAX_MEMBERS
 

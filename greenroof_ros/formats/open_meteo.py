@@ -59,11 +59,11 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_lines, read_text
-from greenroof_ros.common.ranges import Range, read_number
-from greenroof_ros.common.text import clean_text
-from greenroof_ros.common.times import (
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import read_lines, read_text
+from greenroof_ros.base.ranges import Range, read_number
+from greenroof_ros.base.text import clean_text
+from greenroof_ros.base.times import (
     hours_since_1970,
     parse_local_time,
     parse_time,

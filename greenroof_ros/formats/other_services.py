@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_lines
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import read_lines
 
 _TIME, _RAIN, _TEMPERATURE = "time", "rain [mm]", "temperature [degC]"
 _DEW_POINT, _WIND, _PRESSURE = "dew point [degC]", "wind speed [km/h]", "station pressure [kPa]"

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError, suggest_names
-from greenroof_ros.common.files import read_lines
-from greenroof_ros.common.ranges import Range
-from greenroof_ros.common.times import duration, parse_time, to_minutes
+from greenroof_ros.base.errors import ConfigurationError, suggest_names
+from greenroof_ros.base.files import read_lines
+from greenroof_ros.base.ranges import Range
+from greenroof_ros.base.times import duration, parse_time, to_minutes
 from greenroof_ros.formats.cells import (
     HOUR,
     Column,

@@ -9,8 +9,8 @@ from types import ModuleType
 
 import numpy as np
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.times import to_minutes
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.times import to_minutes
 from greenroof_ros.formats import dwd, eccc, open_meteo, own_csv
 from greenroof_ros.formats.forecasts import Archive, IssuedForecast, check_same_form
 from greenroof_ros.formats.hourly import Records

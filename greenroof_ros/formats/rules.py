@@ -18,7 +18,7 @@ from datetime import timedelta
 
 import numpy as np
 
-from greenroof_ros.common.times import to_minutes
+from greenroof_ros.base.times import to_minutes
 from greenroof_ros.formats.hourly import Records, find_gaps, number_days
 from greenroof_ros.formats.quantities import (
     DEW_POINT,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from greenroof_ros.common.command_line import add_foxglove, make_number_type, parse_namespace
+from greenroof_ros.base.command_line import add_foxglove, make_number_type, parse_namespace
 from greenroof_ros.controllers.registry import EXTERNAL
 
 

@@ -10,8 +10,8 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-from greenroof_ros.common.errors import rename_keys
-from greenroof_ros.common.parameter import Parameter, replace_infinity
+from greenroof_ros.base.errors import rename_keys
+from greenroof_ros.base.parameter import Parameter, replace_infinity
 from greenroof_ros.controllers.decide import locate_error
 from greenroof_ros.controllers.outlet import OutletPolicy
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller

@@ -14,10 +14,10 @@ from rclpy.clock import Clock
 from rclpy.duration import Duration
 from rclpy.node import Node
 
-from greenroof_ros.common.interface import read_topics
-from greenroof_ros.common.states import STARTING
-from greenroof_ros.common.times import iso
+from greenroof_ros.base.times import iso
 from greenroof_ros.graph.messages import qos_profile
+from greenroof_ros.interface.states import STARTING
+from greenroof_ros.interface.topics import read_topics
 
 # Maximum length of a value on /diagnostics (characters): observers read no value longer than
 # 20,000, such as the rain events of a run of decades.
@@ -30,8 +30,9 @@ class NodeDiagnostics:
     As usual in ROS, all nodes of a domain share the topic /diagnostics. The name of a status is the
     node's fully qualified name, and its values are JSON. The name and the hardware ID of a status
     stay the same after a restart, since tools identify the status by them. A status that is not OK,
-    or that comes from a waiting node, includes a code from :mod:`greenroof_ros.common.conditions`:
-    programs should evaluate the code and the values, never the sentence.
+    or that comes from a waiting node, includes a code from
+    :mod:`greenroof_ros.interface.conditions`: programs should evaluate the code and the values,
+    never the sentence.
 
     Attributes:
         state: the node's state.

@@ -18,10 +18,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.errors import ConfigurationError, OccupiedError, describe_extra
-from greenroof_ros.common.files import shared_directory
-from greenroof_ros.common.processes import LockedError, acquire_name_lock
-from greenroof_ros.common.ros_environment import DISCOVERY, PROFILES, check_environment, read_domain
+from greenroof_ros.base.errors import ConfigurationError, OccupiedError, describe_extra
+from greenroof_ros.base.files import shared_directory
+from greenroof_ros.base.processes import LockedError, acquire_name_lock
+from greenroof_ros.base.ros_environment import DISCOVERY, PROFILES, check_environment, read_domain
 
 # Used in all profiles files: how long the others consider a killed process to be there (s). In
 # lockstep, a node stopped for longer than this is discovered a second time, and its recent messages
@@ -71,7 +71,7 @@ def choose_transport() -> None:
     sockets to the loopback interface.
 
     Raises:
-        ConfigurationError: if :func:`greenroof_ros.common.ros_environment.check_environment` raises
+        ConfigurationError: if :func:`greenroof_ros.base.ros_environment.check_environment` raises
             one.
     """
     check_environment()

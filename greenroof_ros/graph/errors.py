@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import traceback
 
-from greenroof_ros.common.command_line import EXIT_FAILED, exit_code
-from greenroof_ros.common.errors import ConfigurationError, HangError
+from greenroof_ros.base.command_line import EXIT_FAILED, exit_code
+from greenroof_ros.base.errors import ConfigurationError, HangError
 
 
 class LockstepError(Exception):

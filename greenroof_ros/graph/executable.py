@@ -12,15 +12,15 @@ from typing import Any, NoReturn
 
 from rclpy.utilities import remove_ros_args
 
-from greenroof_ros.common.command_line import (
+from greenroof_ros.base.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
     EXIT_USAGE,
     command,
 )
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.common.processes import InterruptedRun, Signals
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.graph.errors import LockstepError, explain
 from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.node import SimulationNode

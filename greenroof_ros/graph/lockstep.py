@@ -33,7 +33,7 @@ from array import array
 from collections.abc import Callable
 from typing import NamedTuple
 
-from greenroof_ros.common.errors import OccupiedError
+from greenroof_ros.base.errors import OccupiedError
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.inputs import Input
 

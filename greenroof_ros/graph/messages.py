@@ -30,8 +30,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64, Float64MultiArray, String
 
-from greenroof_ros.common.interface import Qos
 from greenroof_ros.graph.errors import MalformedMessageError
+from greenroof_ros.interface.topics import Qos
 
 _HEADER = b"\x00\x01\x00\x00"  # little-endian, no options
 _NUMBER = struct.Struct("<4sd")

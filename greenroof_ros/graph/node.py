@@ -17,9 +17,7 @@ from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.time import Time
 
-from greenroof_ros.common.errors import OccupiedError
-from greenroof_ros.common.interface import Qos, Topic, read_topics
-from greenroof_ros.common.states import FINISHED, PLANT, READY
+from greenroof_ros.base.errors import OccupiedError
 from greenroof_ros.graph.diagnostics import NodeDiagnostics
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.graph_node import GraphNode
@@ -30,6 +28,8 @@ from greenroof_ros.graph.parameters import USE_SIM_TIME, fix
 from greenroof_ros.graph.peers import Peers
 from greenroof_ros.graph.publishers import Publishers
 from greenroof_ros.graph.rclpy_internals import NoClockSubscription
+from greenroof_ros.interface.states import FINISHED, PLANT, READY
+from greenroof_ros.interface.topics import Qos, Topic, read_topics
 
 # How often publishers are counted and the node's state is reported (s of wall time): counting takes
 # at least a tenth of a millisecond.

@@ -12,11 +12,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.command_line import refuse
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import default_site_file
-from greenroof_ros.common.parameter import find_closest, suggest_parameter
-from greenroof_ros.common.parameter_sections import read_sections
+from greenroof_ros.base.command_line import refuse
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import default_site_file
+from greenroof_ros.base.parameter import find_closest, suggest_parameter
+from greenroof_ros.base.parameter_sections import read_sections
 from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
 from greenroof_ros.site.file import read_site
 

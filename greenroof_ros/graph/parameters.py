@@ -22,10 +22,10 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import default_site_file
-from greenroof_ros.common.parameter import Parameter, suggest_parameter
-from greenroof_ros.common.parameter_sections import read_sections
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import default_site_file
+from greenroof_ros.base.parameter import Parameter, suggest_parameter
+from greenroof_ros.base.parameter_sections import read_sections
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import MAX_HORIZON
 from greenroof_ros.site.site import Site

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 
 _BEGIN, _END = "--ros-args", "--"
 _REMAP, _PARAMETER, _FILE = ("-r", "--remap"), ("-p", "--param"), "--params-file"

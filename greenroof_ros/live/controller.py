@@ -16,15 +16,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.conditions import Diagnosis
-from greenroof_ros.common.disk import NumberFile
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.interface import optional_topics
-from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.common.processes import time_limit
-from greenroof_ros.common.ranges import Range
-from greenroof_ros.common.states import ENDED
-from greenroof_ros.common.times import from_epoch_ns, to_people
+from greenroof_ros.base.disk import NumberFile
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.base.processes import time_limit
+from greenroof_ros.base.ranges import Range
+from greenroof_ros.base.times import from_epoch_ns, to_people
 from greenroof_ros.controllers.decide import (
     ControllerError,
     decide,
@@ -37,6 +34,9 @@ from greenroof_ros.controllers.protocol import set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.graph.controller_parameters import ControllerParameters, of_reference
 from greenroof_ros.graph.parameters import declare, site_file
+from greenroof_ros.interface.conditions import Diagnosis
+from greenroof_ros.interface.states import ENDED
+from greenroof_ros.interface.topics import optional_topics
 from greenroof_ros.live.engine import RECOVERY, Levels, live_parameters
 from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.node import LiveNode, live_command

@@ -6,7 +6,7 @@ import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
-from greenroof_ros.common.command_line import refuse
+from greenroof_ros.base.command_line import refuse
 from greenroof_ros.controllers.registry import EXTERNAL
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.endpoint import CHOICE, Endpoint, read_endpoint

@@ -10,9 +10,9 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from greenroof_ros.common.conditions import Diagnosis, Value, identity_of
-from greenroof_ros.common.times import iso
+from greenroof_ros.base.times import iso
 from greenroof_ros.graph.diagnostics import NodeDiagnostics
+from greenroof_ros.interface.conditions import Diagnosis, Value, identity_of
 from greenroof_ros.live.supervisor_socket import supervisor_socket
 
 # The levels of a diagnosis, as ROS tools know them.

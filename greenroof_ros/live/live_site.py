@@ -8,13 +8,13 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
-from greenroof_ros.common.command_line import Parser, add_site, make_number_type, refuse
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.states import PUMP, RECORDER
+from greenroof_ros.base.command_line import Parser, add_site, make_number_type, refuse
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.decide import find_place
 from greenroof_ros.controllers.registry import EXTERNAL, FOR_A_SITE, ControllerChoice
 from greenroof_ros.forecast.service import ENSEMBLE, FORECAST, OPEN_METEO
 from greenroof_ros.graph.arguments import add_graph_arguments
+from greenroof_ros.interface.states import PUMP, RECORDER
 from greenroof_ros.live.devices.drive import DriveEndpoint
 from greenroof_ros.live.devices.modbus_line import parse_address
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, ModbusSensor, Sensors, read_sensors

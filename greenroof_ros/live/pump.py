@@ -29,13 +29,13 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import parameter_value_to_python
 from std_srvs.srv import SetBool, Trigger
 
-from greenroof_ros.common.conditions import Diagnosis
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import state_directory
-from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.common.states import DriveState, PumpState
-from greenroof_ros.common.times import boot_time, suspended_time
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import state_directory
+from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.base.times import boot_time, suspended_time
 from greenroof_ros.graph.parameters import declare, site_file
+from greenroof_ros.interface.conditions import Diagnosis
+from greenroof_ros.interface.states import DriveState, PumpState
 from greenroof_ros.live.devices.drive import DriveStatus
 from greenroof_ros.live.devices.drive_file import MAX_RAMP_S, find_drive_file
 from greenroof_ros.live.devices.endpoint import CHOICE, Endpoint, read_endpoint

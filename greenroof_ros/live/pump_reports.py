@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from greenroof_ros.common.conditions import Diagnosis, join_diagnoses, read_interlocks
-from greenroof_ros.common.states import PumpState
+from greenroof_ros.interface.conditions import Diagnosis, join_diagnoses, read_interlocks
+from greenroof_ros.interface.states import PumpState
 from greenroof_ros.live.devices.exchange import DriveExchange, DriveSnapshot
 from greenroof_ros.live.live_diagnostics import ERROR, OK, WARN, LiveDiagnostics
 from greenroof_ros.live.live_input import LiveInput, bad_inputs

@@ -12,9 +12,9 @@ import math
 import time
 from pathlib import Path
 
-from greenroof_ros.common.conditions import Diagnosis
-from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.graph.parameters import declare
+from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.devices.modbus_sensor import ModbusReader, SensorLine
 from greenroof_ros.live.devices.mqtt_sensor import MqttReader
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS, ModbusSensor, read_sensors

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.alarm_log import ALARMS, AlarmLog
-from greenroof_ros.common.alarms import Judge, NodeReport, is_starting
-from greenroof_ros.common.interface import read_live_topics
-from greenroof_ros.common.states import STARTING
+from greenroof_ros.graph.alarms import Judge, NodeReport, is_starting
+from greenroof_ros.interface.alarm import ALARMS, AlarmLog
+from greenroof_ros.interface.states import STARTING
+from greenroof_ros.interface.topics import read_live_topics
 from greenroof_ros.live.supervisor import NodeStart
 
 # A longer gap between two updates means that this process was paused (s), so what it has not read

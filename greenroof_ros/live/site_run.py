@@ -14,14 +14,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
-from greenroof_ros.common.alarm_log import add_alarm_count
-from greenroof_ros.common.alarms import WARN, Judge, advise
-from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED
-from greenroof_ros.common.disk import DISK, LatestWriter
-from greenroof_ros.common.errors import OccupiedError
-from greenroof_ros.common.files import COPIES, add_path_to_errors, writable
-from greenroof_ros.common.parameter import replace_infinity
-from greenroof_ros.common.processes import (
+from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED
+from greenroof_ros.base.disk import DISK, LatestWriter
+from greenroof_ros.base.errors import OccupiedError
+from greenroof_ros.base.files import COPIES, add_path_to_errors, writable
+from greenroof_ros.base.parameter import replace_infinity
+from greenroof_ros.base.processes import (
     IN_MEMORY,
     InterruptedRun,
     LockedError,
@@ -30,13 +28,15 @@ from greenroof_ros.common.processes import (
     notify,
     scratch_directory,
 )
-from greenroof_ros.common.standard_error import print_line
-from greenroof_ros.common.states import PUMP, DriveState, PumpState
-from greenroof_ros.common.times import iso
-from greenroof_ros.common.versions import versions
+from greenroof_ros.base.standard_error import print_line
+from greenroof_ros.base.times import iso
+from greenroof_ros.base.versions import versions
 from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL
+from greenroof_ros.graph.alarms import Judge
 from greenroof_ros.graph.domain import lock_namespace, refuse_other_nodes, require_ros
 from greenroof_ros.graph.parameter_file import node_parameter_files
+from greenroof_ros.interface.alarm import WARN, add_alarm_count, advise
+from greenroof_ros.interface.states import PUMP, DriveState, PumpState
 from greenroof_ros.live.live_site import MIN_BAG_MB, LiveSite
 from greenroof_ros.live.pumping.ledger import RECORD, make_record
 from greenroof_ros.live.site_alarms import SiteAlarms

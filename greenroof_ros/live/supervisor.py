@@ -21,16 +21,16 @@ from logging.handlers import RotatingFileHandler
 from pathlib import Path
 from typing import Any, cast
 
-from greenroof_ros.common.command_line import (
+from greenroof_ros.base.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
     EXIT_OCCUPIED,
     EXIT_USAGE,
 )
-from greenroof_ros.common.disk import DISK
-from greenroof_ros.common.processes import child_environment
-from greenroof_ros.common.states import PUMP, READY, RECORDER
+from greenroof_ros.base.disk import DISK
+from greenroof_ros.base.processes import child_environment
 from greenroof_ros.graph.domain import LEASE, ros_arguments
+from greenroof_ros.interface.states import PUMP, READY, RECORDER
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS
 from greenroof_ros.live.supervisor_socket import SOCKET, read_report
 

@@ -12,11 +12,10 @@ from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.conditions import Diagnosis
-from greenroof_ros.common.disk import DiskThread, LatestWriter
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.common.times import from_epoch_ns, to_people
+from greenroof_ros.base.disk import DiskThread, LatestWriter
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.base.times import from_epoch_ns, to_people
 from greenroof_ros.forecast.live_forecast import (
     ForecastFile,
     LiveForecast,
@@ -35,6 +34,7 @@ from greenroof_ros.forecast.service import (
 from greenroof_ros.formats.forecasts import IssuedForecast
 from greenroof_ros.graph.parameters import declare, look_ahead_parameters, site_file
 from greenroof_ros.graph.weather_outputs import EVAPOTRANSPIRATION, FROST, RAIN, WeatherOutputs
+from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.engine import live_parameters
 from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.live_input import LiveInput

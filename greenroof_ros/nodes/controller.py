@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from greenroof_ros.common.interface import optional_topics
-from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.controllers.decide import decide, may_decide, read_statistics
 from greenroof_ros.controllers.protocol import set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
@@ -18,6 +17,7 @@ from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare, site_file
+from greenroof_ros.interface.topics import optional_topics
 from greenroof_ros.physics.storm_water import WITHOUT_RAIN
 
 

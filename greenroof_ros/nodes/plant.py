@@ -15,15 +15,15 @@ from typing import Any
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
-from greenroof_ros.common.errors import OccupiedError, rename_keys
-from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.common.states import PLANT
-from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
+from greenroof_ros.base.errors import OccupiedError, rename_keys
+from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.base.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare, site_file
+from greenroof_ros.interface.states import PLANT
 from greenroof_ros.physics.parameters import Flows
 from greenroof_ros.physics.sensor_and_pump import PARAMETERS, SensorAndPump
 from greenroof_ros.physics.start import check_volumes, initial_states

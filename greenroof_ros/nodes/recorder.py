@@ -8,10 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.interface import recorded_topics
-from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.common.states import RECORDER
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.controllers.registry import DEFAULT, find_controller
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.executable import node_command
@@ -19,7 +17,9 @@ from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.messages import decode_clock
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare, site_file
-from greenroof_ros.recording.bag_writer import BagWriter
+from greenroof_ros.interface.states import RECORDER
+from greenroof_ros.interface.topics import recorded_topics
+from greenroof_ros.results.bag_write import BagWriter
 from greenroof_ros.site.site import Site
 
 

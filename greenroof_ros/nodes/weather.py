@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from greenroof_ros.common.errors import rename_keys
-from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
+from greenroof_ros.base.errors import rename_keys
+from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.base.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.forecast.choice import INPUTS, MODELS, PERFECT, ForecastChoice, choose
 from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.graph.errors import LockstepError

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.parameter import entry, parameters_of
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.parameter import entry, parameters_of
 
 # Ticks whose noise is drawn together: one draw at a time takes ten times as long.
 _BLOCK = 4096

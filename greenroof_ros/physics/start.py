@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.site.site import HIGH, Site, describe_max_volume
 
 # Table II: factors of the volumes at the outlet's level and at the target.

@@ -1,1 +1,1 @@
-"""What a run leaves."""
+"""What a run leaves: metrics, tables, trajectories and bags."""

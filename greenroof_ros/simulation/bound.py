@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.physics.cistern import low_outlet_flow
 from greenroof_ros.physics.parameters import PlantParameters, State, plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow
@@ -29,7 +29,7 @@ from greenroof_ros.physics.soil import (
 )
 from greenroof_ros.physics.storm_water import HOUR_S, find_wet, interval_seconds
 from greenroof_ros.physics.tick import step
-from greenroof_ros.recording.trajectory import Trajectory
+from greenroof_ros.results.trajectory import Trajectory
 from greenroof_ros.simulation.run import Run
 
 Values = NDArray[np.float64]

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import yaml
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import unique_name, writable
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import unique_name, writable
 from greenroof_ros.formats.own_csv import write_records
 from greenroof_ros.physics.storm_water import WITHOUT_RAIN
 from greenroof_ros.simulation.inputs import find_needs

@@ -13,17 +13,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.errors import ConfigurationError, suggest_names
-from greenroof_ros.common.files import default_site_file
-from greenroof_ros.common.interface import read_topics
-from greenroof_ros.common.parameter import Parameter, entry, make_record, parameters_of
-from greenroof_ros.common.times import DEFAULT_START, read_start
+from greenroof_ros.base.errors import ConfigurationError, suggest_names
+from greenroof_ros.base.files import default_site_file
+from greenroof_ros.base.parameter import Parameter, entry, make_record, parameters_of
+from greenroof_ros.base.times import DEFAULT_START, read_start
 from greenroof_ros.controllers.outlet import find_horizon
 from greenroof_ros.controllers.registry import DEFAULT, ControllerChoice, find_controller
 from greenroof_ros.forecast import choice
 from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
 from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.formats.hourly import Records
+from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.physics import sensor_and_pump
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.physics.start import INITIAL_STATES, find_state

@@ -20,8 +20,8 @@ from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.physics.parameters import Flows
 from greenroof_ros.physics.virtual_site import VirtualSite
-from greenroof_ros.recording.trajectory import COLUMNS, Trajectory, recorded_columns
 from greenroof_ros.results.metrics import Metrics
+from greenroof_ros.results.trajectory import COLUMNS, Trajectory, recorded_columns
 from greenroof_ros.simulation import summary
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.simulation.season import KEPT, Case, simulate_season

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.command_line import (
+from greenroof_ros.base.command_line import (
     Parser,
     add_option,
     add_site,
     make_number_type,
     option_of,
 )
-from greenroof_ros.common.errors import rename_keys
+from greenroof_ros.base.errors import rename_keys
 from greenroof_ros.controllers.registry import (
     BUILT_IN,
     DEFAULT,

@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from greenroof_ros.common.times import to_minutes
+from greenroof_ros.base.times import to_minutes
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.results.metrics import METRICS

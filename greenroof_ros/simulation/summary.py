@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.files import replace_text
-from greenroof_ros.common.parameter import replace_infinity
-from greenroof_ros.common.versions import versions
+from greenroof_ros.base.files import replace_text
+from greenroof_ros.base.parameter import replace_infinity
+from greenroof_ros.base.versions import versions
 from greenroof_ros.physics.storm_water import Event
-from greenroof_ros.recording.events_table import EVENTS, event_rows, format_events
+from greenroof_ros.results.events_table import EVENTS, event_rows, format_events
 from greenroof_ros.simulation.run import Run
 
 # The file's name in the directory of a run.

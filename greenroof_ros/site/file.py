@@ -16,9 +16,9 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import is_there, read_yaml, shared_directory
-from greenroof_ros.common.parameter import Parameter, entry, make_record, parameters_of
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import is_there, read_yaml, shared_directory
+from greenroof_ros.base.parameter import Parameter, entry, make_record, parameters_of
 from greenroof_ros.site.clock import standard_offset
 from greenroof_ros.site.site import HIGH, Site, describe_max_volume
 

@@ -8,7 +8,7 @@ from datetime import timedelta, timezone, tzinfo
 from functools import cached_property
 from zoneinfo import ZoneInfo
 
-from greenroof_ros.common.parameter import entry
+from greenroof_ros.base.parameter import entry
 from greenroof_ros.site.clock import QuietHours
 
 # Bounds of all sites' parameters: within them, nothing that is computed overflows.

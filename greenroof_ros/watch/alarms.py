@@ -1,6 +1,6 @@
 """Alarms and events of a graph, as shown by the page, the status command and the bridge.
 
-:mod:`greenroof_ros.common.alarms` decides which conditions are alarms, as it does for the
+:mod:`greenroof_ros.graph.alarms` decides which conditions are alarms, as it does for the
 supervisor of a live site.
 """
 
@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from greenroof_ros.common.alarms import Alarm
-from greenroof_ros.common.states import PUMP
-from greenroof_ros.common.text import clean_text
+from greenroof_ros.base.text import clean_text
+from greenroof_ros.interface.alarm import Alarm
+from greenroof_ros.interface.states import PUMP
 from greenroof_ros.watch.store import GraphStore
 
 _MAX_ROWS = 100

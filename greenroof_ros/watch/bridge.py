@@ -11,9 +11,9 @@ from contextlib import suppress
 from datetime import datetime, timezone
 from typing import Any
 
-from greenroof_ros.common.mqtt import Broker, make_client
-from greenroof_ros.common.processes import Signals
-from greenroof_ros.common.standard_error import print_seldom
+from greenroof_ros.base.mqtt import Broker, make_client
+from greenroof_ros.base.processes import Signals
+from greenroof_ros.base.standard_error import print_seldom
 from greenroof_ros.watch.document import join_summary, list_present, make_document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.graph_client import PumpRequestError

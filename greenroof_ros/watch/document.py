@@ -15,8 +15,8 @@ from functools import partial
 from itertools import accumulate
 from typing import Any
 
-from greenroof_ros.common.ranges import Range
-from greenroof_ros.common.text import clean_text
+from greenroof_ros.base.ranges import Range
+from greenroof_ros.base.text import clean_text
 from greenroof_ros.watch import alarms, tiles, words
 from greenroof_ros.watch.history import choose_stretch
 from greenroof_ros.watch.outlook import AHEAD_S

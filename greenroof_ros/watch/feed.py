@@ -16,10 +16,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from greenroof_ros.common.disk import DISK
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import default_site_file
-from greenroof_ros.common.interface import read_topics
+from greenroof_ros.base.disk import DISK
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import default_site_file
+from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.site.file import read_site
 from greenroof_ros.watch import wire
 from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, PumpRequestError

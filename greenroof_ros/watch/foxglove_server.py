@@ -12,10 +12,10 @@ import os
 import socket
 import time
 
-from greenroof_ros.common.errors import ConfigurationError, require_extra
-from greenroof_ros.common.interface import read_topics
-from greenroof_ros.common.processes import Signals
-from greenroof_ros.recording.bag_writer import read_definition
+from greenroof_ros.base.errors import ConfigurationError, require_extra
+from greenroof_ros.base.processes import Signals
+from greenroof_ros.interface.topics import read_topics
+from greenroof_ros.results.bag_write import read_definition
 from greenroof_ros.watch import wire
 from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient
 from greenroof_ros.watch.listening import LOOPBACK

@@ -19,9 +19,9 @@ from collections.abc import Callable, Collection, Mapping
 from itertools import islice
 from typing import Any
 
-from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.domain import SHUTDOWN_S, join
 from greenroof_ros.graph.rclpy_internals import take_messages
+from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.watch.words import list_names
 
 # How many messages on a topic can wait for the next poll: 1 s at 60 times real time.

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.files import replace_file
-from greenroof_ros.common.processes import LockedError, acquire_file_lock
+from greenroof_ros.base.files import replace_file
+from greenroof_ros.base.processes import LockedError, acquire_file_lock
 
 Values = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import json
 from typing import Any
 
 from greenroof_ros import __version__
-from greenroof_ros.common.states import PUMP_STATES
+from greenroof_ros.interface.states import PUMP_STATES
 from greenroof_ros.watch.words import find_display
 
 PREFIX = "homeassistant"

@@ -12,8 +12,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import check_private
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import check_private
 
 LOOPBACK = "127.0.0.1"
 # The ports to try unless one is specified; the first free one is used.

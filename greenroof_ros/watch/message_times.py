@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from greenroof_ros.common.interface import Topic
-from greenroof_ros.common.states import PLANT
+from greenroof_ros.interface.states import PLANT
+from greenroof_ros.interface.topics import Topic
 from greenroof_ros.watch.registry import Registry
 
 # A message further than this from the clock (ticks) comes from a publisher that was restarted: the

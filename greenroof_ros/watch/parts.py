@@ -7,7 +7,7 @@ import traceback
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from greenroof_ros.common.text import clean_text
+from greenroof_ros.base.text import clean_text
 
 _Part = TypeVar("_Part")
 # Failures that were printed, once for each place in the code, since it fails again twice a second.

@@ -18,20 +18,18 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.alarms import (
-    ERROR,
-    OK,
+from greenroof_ros.base.text import clean_text
+from greenroof_ros.graph.alarms import (
     SILENT_S,
-    STALE,
     NodeReport,
     PartReport,
     StatusDiagnosis,
     is_starting,
     make_diagnosis,
 )
-from greenroof_ros.common.interface import read_topics
-from greenroof_ros.common.states import ENDED, FINISHED, PLANT, PUMP, STATES
-from greenroof_ros.common.text import clean_text
+from greenroof_ros.interface.alarm import ERROR, OK, STALE
+from greenroof_ros.interface.states import ENDED, FINISHED, PLANT, PUMP, STATES
+from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.watch.wire import WireStatus
 from greenroof_ros.watch.words import clean_sentence, list_names
 

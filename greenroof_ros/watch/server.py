@@ -39,9 +39,9 @@ from urllib.parse import urlsplit
 
 from aiohttp import web
 
-from greenroof_ros.common.processes import InterruptedRun, Signals
-from greenroof_ros.common.ranges import Range, read_number
-from greenroof_ros.common.standard_error import print_seldom
+from greenroof_ros.base.processes import InterruptedRun, Signals
+from greenroof_ros.base.ranges import Range, read_number
+from greenroof_ros.base.standard_error import print_seldom
 from greenroof_ros.watch import words
 from greenroof_ros.watch.document import HOURS, make_document, make_series
 from greenroof_ros.watch.feed import Feed

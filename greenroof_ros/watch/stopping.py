@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from greenroof_ros.common.conditions import command_for
+from greenroof_ros.interface.conditions import command_for
 from greenroof_ros.watch import words
 from greenroof_ros.watch.registry import Node
 from greenroof_ros.watch.store import GraphStore

@@ -15,12 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from greenroof_ros.common.alarms import Alarm, Judge
-from greenroof_ros.common.files import default_site_file
-from greenroof_ros.common.interface import read_topics
-from greenroof_ros.common.states import PUMP, PUMP_STATES, PumpState
-from greenroof_ros.common.text import clean_text
-from greenroof_ros.common.times import duration
+from greenroof_ros.base.files import default_site_file
+from greenroof_ros.base.text import clean_text
+from greenroof_ros.base.times import duration
+from greenroof_ros.graph.alarms import Judge
+from greenroof_ros.interface.alarm import Alarm
+from greenroof_ros.interface.states import PUMP, PUMP_STATES, PumpState
+from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import MAX_MEMBERS
 from greenroof_ros.site.site import Site

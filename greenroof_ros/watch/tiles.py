@@ -11,8 +11,9 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from greenroof_ros.common.alarms import WARN, find_publishers
-from greenroof_ros.common.states import PUMP, PumpState
+from greenroof_ros.graph.alarms import find_publishers
+from greenroof_ros.interface.alarm import WARN
+from greenroof_ros.interface.states import PUMP, PumpState
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import running_flow
 from greenroof_ros.results.sums import NEAR_TARGET

@@ -9,9 +9,9 @@ from datetime import datetime, timedelta, tzinfo
 from functools import cache, lru_cache
 from zoneinfo import ZoneInfo
 
-from greenroof_ros.common.interface import Display, read_topics
-from greenroof_ros.common.text import clean_text
-from greenroof_ros.common.times import duration
+from greenroof_ros.base.text import clean_text
+from greenroof_ros.base.times import duration
+from greenroof_ros.interface.topics import Display, read_topics
 
 NOT_PLAUSIBLE = "not a plausible value"
 UNKNOWN = "unknown"

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import TextInMemory
-from greenroof_ros.common.processes import refuse_forked_polars
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import TextInMemory
+from greenroof_ros.base.processes import refuse_forked_polars
 from greenroof_ros.formats.hourly import Records
 from greenroof_ros.site.site import Place
 from greenroof_ros.weather.reading import read_measured

@@ -17,8 +17,8 @@ import numpy as np
 from eto import ETo
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.ranges import Range
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.ranges import Range
 from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.hourly import Records, find_gaps, name_hours, number_days
 from greenroof_ros.formats.quantities import (

@@ -28,17 +28,17 @@ from datetime import date, datetime, timedelta, timezone
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import replace_file, replace_text
-from greenroof_ros.common.http_client import (
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import replace_file, replace_text
+from greenroof_ros.base.http_client import (
     ServiceError,
     check_url,
     name_url,
     read_reason,
     request,
 )
-from greenroof_ros.common.progress import ProgressBar
-from greenroof_ros.common.times import FIRST_YEAR, duration
+from greenroof_ros.base.progress import ProgressBar
+from greenroof_ros.base.times import FIRST_YEAR, duration
 from greenroof_ros.formats import eccc
 from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.hourly import Records

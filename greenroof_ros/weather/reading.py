@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import shared_directory
 from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.hourly import Records, bridge_gaps, join_records
 from greenroof_ros.formats.quantities import (

@@ -17,8 +17,8 @@ from typing import NamedTuple, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.times import duration, to_minutes
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.times import duration, to_minutes
 from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.forecasts import IssuedForecast
 from greenroof_ros.formats.hourly import Records, name_hours

@@ -15,9 +15,9 @@ from modbus_wire import Wire, acs880
 from paper import VALVE, site_file
 from places import CHECKOUT
 
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.processes import acquire_file_lock
 from greenroof_ros.bringup.simulated import make_parser, simulated_run
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.processes import acquire_file_lock
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.graph.parameter_file import node_parameter_files
 from greenroof_ros.live.devices.drive_file import find_drive_file

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from paper import PAPER_SITE
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.decide import (
     ControllerError,
     TickTimes,

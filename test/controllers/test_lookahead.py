@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from paper import PAPER_SITE, advance, lookahead, paper_run, site_with, virtual_site
 from places import CONFIG
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.lookahead import Lookahead
 from greenroof_ros.controllers.order_up_to import OrderUpTo, halve_by_rain
 from greenroof_ros.site.file import read_site

@@ -10,7 +10,7 @@ import pytest
 from paper import PAPER_SITE, paper_run
 from places import CONFIG
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.site.file import read_site
 
@@ -157,7 +157,7 @@ def test_how_far_a_controller_looks_ahead_follows_from_the_roof(name: str, tmp_p
 OWN = """
 import numpy
 from . import law
-from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.base.parameter import Parameter
 class Mine:
     parameters = ()
     def __init__(self, site): pass

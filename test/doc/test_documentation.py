@@ -114,7 +114,7 @@ def test_drawings_show_the_interface() -> None:
 
 
 def test_picture_shows_the_topics() -> None:
-    from greenroof_ros.common.interface import read_topics
+    from greenroof_ros.interface.topics import read_topics
 
     picture = (DOC / "_static" / "graph.svg").read_text()
     shown = set(re.findall(r"/[a-z]+(?:/[a-z]+)?(?=[<, \u00a0])", picture))

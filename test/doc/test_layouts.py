@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import pytest
 from places import CHECKOUT, CONFIG
 
-from greenroof_ros.common.interface import read_topics
+from greenroof_ros.interface.topics import read_topics
 
 sys.path.append(str(CHECKOUT / "doc"))
 

@@ -25,7 +25,7 @@ from skill_figures import (
     table,
 )
 
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.base.files import shared_directory
 from greenroof_ros.forecast.models import ErrorModel
 from greenroof_ros.forecast.skill import SKILLS, read_skill
 from greenroof_ros.simulation.directory import write_configuration

@@ -19,8 +19,8 @@ from http_service import HttpService
 from places import CONFIG
 from refusals import refusal
 
-from greenroof_ros.common import http_client
-from greenroof_ros.common.http_client import ServiceError
+from greenroof_ros.base import http_client
+from greenroof_ros.base.http_client import ServiceError
 from greenroof_ros.forecast import service as module
 from greenroof_ros.forecast.models import FileModel
 from greenroof_ros.forecast.service import (

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from refusals import refusal
 
-from greenroof_ros.common.ranges import Range, read_number
-from greenroof_ros.common.times import DEFAULT_START, parse_time
+from greenroof_ros.base.ranges import Range, read_number
+from greenroof_ros.base.times import DEFAULT_START, parse_time
 from greenroof_ros.formats.cells import (
     CODE,
     NEAR,

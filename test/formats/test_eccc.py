@@ -12,7 +12,7 @@ import pytest
 from places import DATA
 from refusals import refusal
 
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.base.files import shared_directory
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.reading import read_weather
 from greenroof_ros.weather.series import Weather, WeatherSeries

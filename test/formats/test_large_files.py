@@ -14,7 +14,7 @@ from refusals import refusal
 from twins import TWIN
 
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.formats.reading import read_archive, read_records
 from greenroof_ros.site.file import read_site
 

@@ -19,7 +19,7 @@ from archives import answer
 from places import CONFIG, DATA
 from refusals import refusal
 
-from greenroof_ros.common.times import parse_time
+from greenroof_ros.base.times import parse_time
 from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.reading import read_weather

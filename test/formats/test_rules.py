@@ -16,7 +16,7 @@ from twins import DAY, TWIN, a_record, record_of, record_rows
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
 from greenroof_ros.analysis.calibration.record import select_months
 from greenroof_ros.analysis.calibration.simulation import simulate
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.formats.rules import check_hours, check_steps, find_outlying_rain
 from greenroof_ros.formats.step_record import StepRecord
 from greenroof_ros.site.file import read_site

@@ -18,7 +18,7 @@ from paper import PAPER_SITE
 from places import CONFIG, DATA
 from refusals import refusal
 
-from greenroof_ros.common.times import parse_time
+from greenroof_ros.base.times import parse_time
 from greenroof_ros.formats.own_csv import read_forecasts
 from greenroof_ros.formats.reading import read_archive, read_records
 from greenroof_ros.site.file import read_site

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import pytest
 from places import CONFIG
 
-from greenroof_ros.common.errors import OccupiedError
+from greenroof_ros.base.errors import OccupiedError
 from greenroof_ros.graph.domain import lock_namespace
 
 

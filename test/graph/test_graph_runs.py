@@ -13,9 +13,9 @@ from commands import run_command
 from graphs import Process, bring_up, environment, messages_of, summary_of
 from paper import VALVE, paper_run, site_file
 
-from greenroof_ros.common.files import shared_directory
-from greenroof_ros.common.interface import read_topics
+from greenroof_ros.base.files import shared_directory
 from greenroof_ros.controllers.lookahead import Lookahead
+from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.simulation.loop import Simulation
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")

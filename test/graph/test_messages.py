@@ -28,7 +28,6 @@ from std_msgs.msg import (  # noqa: E402
     MultiArrayLayout,
 )
 
-from greenroof_ros.common.interface import Qos, read_topics  # noqa: E402
 from greenroof_ros.graph.errors import MalformedMessageError  # noqa: E402
 from greenroof_ros.graph.inputs import Input  # noqa: E402
 from greenroof_ros.graph.messages import (  # noqa: E402
@@ -37,6 +36,7 @@ from greenroof_ros.graph.messages import (  # noqa: E402
     encoder,
     find_lacking,
 )
+from greenroof_ros.interface.topics import Qos, read_topics  # noqa: E402
 
 NUMBER, NUMBERS, CLOCK = (
     "std_msgs/msg/Float64", "std_msgs/msg/Float64MultiArray", "rosgraph_msgs/msg/Clock"

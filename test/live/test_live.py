@@ -49,7 +49,7 @@ from ros_rig import (
 from rosbags.highlevel import AnyReader
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
-from greenroof_ros.common.interface import read_live_topics
+from greenroof_ros.interface.topics import read_live_topics
 from greenroof_ros.live.devices.sensor_file import QUANTITIES
 from greenroof_ros.site.horizon import growing_steps
 
@@ -232,7 +232,7 @@ def test_onoff_commands_without_a_forecast(site: Site) -> None:
 
 MINE = """
 import math, time
-from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.base.parameter import Parameter
 
 class Waiting:
     parameters = (Parameter("answer", 0.0, "1", 0.0, 2.0, "of its commands", may_change=True),)
@@ -327,7 +327,7 @@ def test_classes_of_a_users_own(site: Site) -> None:
 BROKEN = """
 import math, time
 from pathlib import Path
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 
 asked = 0
 
@@ -373,7 +373,7 @@ LEFT = {
     "never returns": ("import time\ntime.sleep(1000)", "did not return within 12 s", 2),
     "of another range": (
         "from greenroof_ros.controllers.onoff import OnOff\n"
-        "from greenroof_ros.common.parameter import Parameter\n"
+        "from greenroof_ros.base.parameter import Parameter\n"
         "class Mine(OnOff):\n    parameters = (Parameter('fraction', 0.5, '1', 0.4, 0.6, 'x'),)",
         "parameter fraction of mine = 0.3: must be a number from 0.4 to 0.6", None,
     ),

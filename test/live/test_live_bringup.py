@@ -29,8 +29,8 @@ from ros_rig import FORECASTS, USUAL_EVAPOTRANSPIRATION, Site, newest, write_for
 from rosbags.highlevel import AnyReader
 from simulators import Simulator, serial_line
 
-from greenroof_ros.common.alarm_log import read_alarms
-from greenroof_ros.common.files import read_yaml
+from greenroof_ros.base.files import read_yaml
+from greenroof_ros.interface.alarm import read_alarms
 
 EXTERNAL = (
     "--controller", "mpc", "--sensors", "external", "--pump", "external", "--weather", "external",

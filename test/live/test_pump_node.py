@@ -30,8 +30,8 @@ from ros_rig import ERROR, LATE, OK, SUSPENDED, WARN, Observer
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
+from greenroof_ros.base.times import to_people
 from greenroof_ros.commands.pump_requests import _parse_future_time
-from greenroof_ros.common.times import to_people
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.endpoint import read_endpoint
 from greenroof_ros.live.devices.exchange import DriveExchange, DriveSnapshot

@@ -16,9 +16,9 @@ from typing import Any
 import pytest
 
 from greenroof_ros import __version__
-from greenroof_ros.common.alarm_log import ALARMS, read_alarms
-from greenroof_ros.common.disk import DISK
-from greenroof_ros.common.times import iso
+from greenroof_ros.base.disk import DISK
+from greenroof_ros.base.times import iso
+from greenroof_ros.interface.alarm import ALARMS, read_alarms
 from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.supervisor import NodeStart
 from greenroof_ros.live.supervisor_socket import read_report
@@ -166,7 +166,7 @@ int clock_gettime(clockid_t clock, struct timespec *now) {
 JUMPS = """
 import ctypes, sys, time
 from pathlib import Path
-from greenroof_ros.common.conditions import Diagnosis
+from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.live_diagnostics import ERROR, LiveDiagnostics
 from greenroof_ros.live.site_alarms import SiteAlarms
 from unittest.mock import MagicMock

@@ -20,7 +20,7 @@ import pytest
 from graphs import alive, wait_for
 from places import CHECKOUT
 
-from greenroof_ros.common.disk import DISK
+from greenroof_ros.base.disk import DISK
 from greenroof_ros.live import supervisor
 from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.site_run import _StartReport, describe_site

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from paper import paper_run, site_file
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 
 
 @pytest.mark.parametrize(("cistern", "roof", "wrong"), [

@@ -9,8 +9,8 @@ import pytest
 from commands import run_command
 from graphs import environment
 
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.commands.simulate import main
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.formats.own_csv import read_forecasts
 
 HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day]"

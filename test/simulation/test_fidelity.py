@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from places import DATA
 
-from greenroof_ros.common.files import shared_directory
-from greenroof_ros.recording.trajectory import Trajectory, read_trajectory
+from greenroof_ros.base.files import shared_directory
+from greenroof_ros.results.trajectory import Trajectory, read_trajectory
 
 TOTALS = shared_directory() / "config" / "paper" / "totals.csv"
 VOLUME = 2e-5  # m3

@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 from paper import field_capacity_sites, metrics_of, run_of_hours, sites, weather_of
 from places import CONFIG, DATA
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.physics import compiled as compilation
-from greenroof_ros.recording.trajectory import Trajectory
+from greenroof_ros.results.trajectory import Trajectory
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.loop import Simulation, record, simulate
 from greenroof_ros.simulation.run import Run

@@ -16,9 +16,9 @@ from paper import paper_run
 from places import CHECKOUT, CONFIG
 
 import greenroof_ros as gr
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.bringup import simulated
 from greenroof_ros.commands import simulate
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.simulation.loop import Simulation
 from greenroof_ros.simulation.options import build_run
 from greenroof_ros.simulation.run import note_pumps

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from places import CONFIG
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.times import epoch_ns
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.times import epoch_ns
 from greenroof_ros.site.clock import QuietHours, standard_offset
 from greenroof_ros.site.file import read_site
 

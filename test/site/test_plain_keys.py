@@ -10,7 +10,7 @@ from studies import GRID, grid
 
 import greenroof_ros as gr
 from greenroof_ros.analysis.study.grid import read_grid
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.base.files import shared_directory
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.site.file import DETERMINES, format_site, read_site
 from greenroof_ros.site.site import Site

@@ -13,7 +13,7 @@ from refusals import refusal
 from studies import GRID, grid
 
 from greenroof_ros.analysis.study.grid import read_grid
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.base.files import shared_directory
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration
 from greenroof_ros.site.file import format_site, read_site
 from greenroof_ros.site.site import Site

@@ -9,7 +9,7 @@ import pytest
 from places import CHECKOUT, CONFIG
 
 import greenroof_ros as gr
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.live.valve import refuse_valve
 from greenroof_ros.site.file import format_site, read_site
 

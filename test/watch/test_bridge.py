@@ -21,9 +21,9 @@ from graphs import Process, environment, wait_for
 from page_inputs import ERROR, SECOND, START, add_values, fail, node, store
 from test_watch_command import end, running_pump
 
-from greenroof_ros.common.mqtt import parse_broker
-from greenroof_ros.common.processes import InterruptedRun, Signals
-from greenroof_ros.common.standard_error import LINES
+from greenroof_ros.base.mqtt import parse_broker
+from greenroof_ros.base.processes import InterruptedRun, Signals
+from greenroof_ros.base.standard_error import LINES
 from greenroof_ros.watch import feed
 from greenroof_ros.watch.bridge import Bridge, make_alarms, make_state
 from greenroof_ros.watch.document import make_document as read_document

@@ -30,7 +30,7 @@ from page_inputs import (
 )
 from paper import PAPER_SITE
 
-from greenroof_ros.common.conditions import read_conditions
+from greenroof_ros.interface.conditions import read_conditions
 from greenroof_ros.site.horizon import growing_steps
 from greenroof_ros.site.site import Site
 from greenroof_ros.watch import words

@@ -25,7 +25,7 @@ pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import Float64
 
-from greenroof_ros.common.command_line import EXIT_INTERRUPTED
+from greenroof_ros.base.command_line import EXIT_INTERRUPTED
 from greenroof_ros.watch import feed
 from greenroof_ros.watch.document import make_document as read_document
 from greenroof_ros.watch.feed import Feed

@@ -23,7 +23,7 @@ from graphs import Process, alive, environment, wait_for
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from test_watch_command import tcp_addresses_of
 
-from greenroof_ros.common.interface import read_topics
+from greenroof_ros.interface.topics import read_topics
 
 pytest.importorskip("aiohttp", reason="the client uses it")
 pytest.importorskip("foxglove", reason="serves Foxglove")

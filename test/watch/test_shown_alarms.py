@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from page_inputs import ERROR, HELD, HOLD, OK, STALE, WARN, node
 
-from greenroof_ros.common.alarms import advise
-from greenroof_ros.common.conditions import read_conditions
+from greenroof_ros.interface.alarm import advise
+from greenroof_ros.interface.conditions import read_conditions
 from greenroof_ros.watch.alarms import choose_advice, count_alarms, list_alarms, list_events
 from greenroof_ros.watch.document import make_document
 from greenroof_ros.watch.store import GraphStore

@@ -27,8 +27,8 @@ from graphs import (
 from page_server import Stream, request
 from simulators import Simulator
 
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.commands.watch import _find_past_file
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.watch.listening import listen, read_token
 
 URL = re.compile(r"http://127\.0\.0\.1:(\d+)/\n")

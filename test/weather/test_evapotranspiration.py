@@ -13,7 +13,7 @@ from paper import PAPER_SITE, weather_of
 from places import CHECKOUT, CONFIG
 
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
-from greenroof_ros.common.times import parse_time
+from greenroof_ros.base.times import parse_time
 from greenroof_ros.formats.reading import read_records
 from greenroof_ros.formats.sun import extraterrestrial_radiation
 from greenroof_ros.site.file import read_site

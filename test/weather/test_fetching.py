@@ -23,9 +23,9 @@ from places import CHECKOUT, DATA
 from refusals import refusal
 from weather_service import WeatherService, open_meteo_values
 
-from greenroof_ros.common import http_client
-from greenroof_ros.common.http_client import ServiceError
-from greenroof_ros.common.progress import ProgressBar
+from greenroof_ros.base import http_client
+from greenroof_ros.base.http_client import ServiceError
+from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.formats.quantities import PRECIPITATION, TEMPERATURE
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather import fetching

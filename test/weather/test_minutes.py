@@ -17,7 +17,7 @@ from places import CONFIG, DATA
 from refusals import refusal
 
 import greenroof_ros as gr
-from greenroof_ros.common.times import parse_time
+from greenroof_ros.base.times import parse_time
 from greenroof_ros.forecast.choice import choose
 from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.formats.hourly import Records

@@ -15,7 +15,7 @@ from paper import PAPER_SITE, weather_of
 from places import CONFIG, DATA
 from refusals import refusal
 
-from greenroof_ros.common.times import parse_time
+from greenroof_ros.base.times import parse_time
 from greenroof_ros.forecast.resampling import PerfectForecast
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.reading import read_weather

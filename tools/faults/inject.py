@@ -32,9 +32,9 @@ from faults.watcher import Watcher
 from graphs import Process, environment, reserved_domain
 from ros_rig import FORECAST_HEADER, write_forecast
 
-from greenroof_ros.common.command_line import EXIT_OCCUPIED
-from greenroof_ros.common.interface import read_topics
-from greenroof_ros.common.processes import child_environment
+from greenroof_ros.base.command_line import EXIT_OCCUPIED
+from greenroof_ros.base.processes import child_environment
+from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.live.devices.drive_file import read_drive_file
 from greenroof_ros.live.devices.modbus_line import encode, parse_address
 from greenroof_ros.live.simulators.control_profiles import DRIVES
@@ -59,7 +59,7 @@ _READERS_S, _APART_S = 6.5, 0.4
 _READER = """
 import rclpy
 from std_msgs.msg import Float64
-from greenroof_ros.common.processes import end_with_parent
+from greenroof_ros.base.processes import end_with_parent
 end_with_parent()
 rclpy.init()
 node = rclpy.create_node("reader", start_parameter_services=False)

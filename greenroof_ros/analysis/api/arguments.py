@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from greenroof_ros.analysis.api.control import FunctionController
-from greenroof_ros.common.files import default_site_file
+from greenroof_ros.base.files import default_site_file
 from greenroof_ros.controllers.registry import ControllerChoice, choose_class
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.run import Run

@@ -10,8 +10,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice, choose_class, find_controller
 from greenroof_ros.site.horizon import MAX_HORIZON

@@ -19,7 +19,7 @@ from greenroof_ros.analysis.api.control import (
     SiteState,
     read_number,
 )
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.outlet import SHARE
 from greenroof_ros.controllers.registry import choose_class
 from greenroof_ros.forecast.resampling import make_forecast

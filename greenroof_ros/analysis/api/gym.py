@@ -25,8 +25,8 @@ from greenroof_ros.analysis.api.arguments import read_weather
 from greenroof_ros.analysis.api.control import FunctionController, SiteState
 from greenroof_ros.analysis.api.environment import Environment
 from greenroof_ros.analysis.api.starts import Starts
-from greenroof_ros.common.errors import ConfigurationError, require_extra, suggest_names
-from greenroof_ros.common.ranges import Range
+from greenroof_ros.base.errors import ConfigurationError, require_extra, suggest_names
+from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.registry import choose_class
 from greenroof_ros.physics.compiled import can_compile
 from greenroof_ros.physics.storm_water import HOUR_S

@@ -19,15 +19,16 @@ from greenroof_ros.analysis.api.control import (
     choose_controller,
     read_parameters,
 )
-from greenroof_ros.common.errors import ConfigurationError, rename_keys, require_extra
-from greenroof_ros.common.processes import refuse_forked_polars
-from greenroof_ros.common.ranges import Range
-from greenroof_ros.common.times import duration, to_minutes
+from greenroof_ros.base.errors import ConfigurationError, rename_keys, require_extra
+from greenroof_ros.base.processes import refuse_forked_polars
+from greenroof_ros.base.ranges import Range
+from greenroof_ros.base.times import duration, to_minutes
 from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.soil import layer_outflow, percolation
 from greenroof_ros.physics.storm_water import Event
-from greenroof_ros.recording.trajectory import (
+from greenroof_ros.results.metrics import METRICS
+from greenroof_ros.results.trajectory import (
     COLUMNS,
     LAYER,
     TRAJECTORY,
@@ -35,7 +36,6 @@ from greenroof_ros.recording.trajectory import (
     Trajectory,
     zone_name,
 )
-from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.simulation import loop, summary
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration
 from greenroof_ros.simulation.run import Run

@@ -6,7 +6,7 @@ from typing import Any
 
 from greenroof_ros.analysis.sizing.run import OPTIONS, size_site
 from greenroof_ros.analysis.sizing.sizes import Sizes
-from greenroof_ros.common.errors import ConfigurationError, suggest_names
+from greenroof_ros.base.errors import ConfigurationError, suggest_names
 
 
 def size(**options: Any) -> Sizes:

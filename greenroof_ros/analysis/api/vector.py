@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from greenroof_ros.analysis.api.commanded import CommandedSites, Surroundings, follow
 from greenroof_ros.analysis.api.gym import RANDOM, GreenRoofEnv, read_actions
-from greenroof_ros.common.errors import ConfigurationError, require_extra
-from greenroof_ros.common.processes import count_cores
+from greenroof_ros.base.errors import ConfigurationError, require_extra
+from greenroof_ros.base.processes import count_cores
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.forecast.models import make_model
 from greenroof_ros.physics.compiled import can_compile, compiled

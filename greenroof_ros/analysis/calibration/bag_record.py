@@ -9,11 +9,11 @@ import numpy as np
 
 from greenroof_ros.analysis.report.bags import run_directory
 from greenroof_ros.analysis.report.run import read_about
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.formats.step_record import StepRecord, Values
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import running_flow
-from greenroof_ros.recording.bag_reader import load_bag
+from greenroof_ros.results.bag_read import load_bag
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import COMPUTED

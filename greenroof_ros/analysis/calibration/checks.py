@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from greenroof_ros.analysis.calibration.scores import FitScores
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.formats.rules import check_steps
 from greenroof_ros.formats.step_record import HOUR_S, StepRecord
 from greenroof_ros.site.site import Site

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.analysis.calibration.record import select_months
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.formats.comments import RAIN_LATE
 from greenroof_ros.formats.hourly import find_gaps
 from greenroof_ros.formats.own_csv import read_rows

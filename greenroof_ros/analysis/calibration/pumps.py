@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from greenroof_ros.analysis.calibration.fit import FittedParameter, compute_half_intervals
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.formats.hourly import find_gaps
 from greenroof_ros.formats.step_record import StepRecord, Steps, Values, prolong_steps
 from greenroof_ros.physics.pump import maximum_pump_flow

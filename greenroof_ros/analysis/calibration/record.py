@@ -8,7 +8,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.formats.hourly import find_gaps
 from greenroof_ros.formats.step_record import (
     AFTER_STORM_S,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from greenroof_ros.analysis.calibration.fit import FILLED, Fit
 from greenroof_ros.analysis.calibration.percolation import EXPONENT
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.site.file import format_site, read_site
 
 CROP_NOTE = (

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from greenroof_ros.analysis.district.district_file import District, Draw, building_keys
-from greenroof_ros.common.errors import ConfigurationError, describe_choices, find_similar
+from greenroof_ros.base.errors import ConfigurationError, describe_choices, find_similar
 from greenroof_ros.formats.cells import Row, Table, read_table
 from greenroof_ros.site.site import Site
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.errors import ConfigurationError, suggest_names
-from greenroof_ros.common.files import YamlMapping, is_there, shared_directory
-from greenroof_ros.common.parameter import Parameter, entry, find, read_record
+from greenroof_ros.base.errors import ConfigurationError, suggest_names
+from greenroof_ros.base.files import YamlMapping, is_there, shared_directory
+from greenroof_ros.base.parameter import Parameter, entry, find, read_record
 from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.onoff import LEVEL
 from greenroof_ros.forecast.choice import PERFECT

@@ -21,8 +21,8 @@ from greenroof_ros.analysis.report.drawing import (
     series_panel,
 )
 from greenroof_ros.analysis.report.page import make_page
-from greenroof_ros.common.text import number_of
-from greenroof_ros.common.times import to_people
+from greenroof_ros.base.text import number_of
+from greenroof_ros.base.times import to_people
 
 LABELS = {
     NONE: "overflow only", ORIFICE: "orifice", DRAIN: "valve, drain", PLAN: "valve, plan",

@@ -19,7 +19,7 @@ from greenroof_ros.analysis.district.district_file import (
     District,
     is_of_policy,
 )
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.onoff import LEVEL
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.forecast.choice import PERFECT

@@ -19,9 +19,9 @@ from greenroof_ros.analysis.district import page, swmm
 from greenroof_ros.analysis.district.district_file import code_share
 from greenroof_ros.analysis.district.run import DistrictRun
 from greenroof_ros.analysis.district.totals import Flow, Totals
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import replace_file, replace_text, writable
-from greenroof_ros.common.text import number_of
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import replace_file, replace_text, writable
+from greenroof_ros.base.text import number_of
 
 PAGE = "page.html"
 

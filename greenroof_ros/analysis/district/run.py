@@ -28,9 +28,9 @@ from greenroof_ros.analysis.district.parts import (
 from greenroof_ros.analysis.district.totals import Totals
 from greenroof_ros.analysis.workers.input_files import write_inputs
 from greenroof_ros.analysis.workers.processes import Workers
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import YamlMapping
-from greenroof_ros.common.processes import scratch_directory
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import YamlMapping
+from greenroof_ros.base.processes import scratch_directory
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.physics.storm_water import HOUR_S, find_wet, interval_seconds
 from greenroof_ros.simulation.inputs import make_inputs

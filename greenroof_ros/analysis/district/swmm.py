@@ -14,7 +14,7 @@ from datetime import datetime, timedelta
 import numpy as np
 
 from greenroof_ros.analysis.district.buildings import Values
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.base.files import shared_directory
 
 NETWORK = "combined_sewer.inp"
 """name of the example network"""

@@ -13,15 +13,15 @@ import numpy as np
 
 from greenroof_ros.analysis.report.recorded import compute_results
 from greenroof_ros.analysis.report.run import About, ReportedRun, Row, load_trajectory, read_about
-from greenroof_ros.common.alarm_log import read_alarms
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import default_site_file
-from greenroof_ros.common.times import to_people
-from greenroof_ros.recording.bag_reader import load_bag
-from greenroof_ros.recording.bag_writer import METADATA, name_recovered_bag
-from greenroof_ros.recording.events_table import event_rows
-from greenroof_ros.recording.results_table import format_exactly
-from greenroof_ros.recording.trajectory import CSV, TRAJECTORY
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import default_site_file
+from greenroof_ros.base.times import to_people
+from greenroof_ros.interface.alarm import read_alarms
+from greenroof_ros.results.bag_read import load_bag
+from greenroof_ros.results.bag_write import METADATA, name_recovered_bag
+from greenroof_ros.results.events_table import event_rows
+from greenroof_ros.results.table import format_exactly
+from greenroof_ros.results.trajectory import CSV, TRAJECTORY
 from greenroof_ros.simulation.summary import SITE_FILE
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import altair as alt
 import vl_convert
 
-from greenroof_ros.common.files import add_path_to_errors
+from greenroof_ros.base.files import add_path_to_errors
 
 # Okabe and Ito's colours without yellow, which is too pale on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")

@@ -19,10 +19,10 @@ from greenroof_ros.physics.compiled import can_compile, compiled
 from greenroof_ros.physics.parameters import Flows, PlantParameters, State, plant_parameters
 from greenroof_ros.physics.soil import flows_in_tick, layer_outflow
 from greenroof_ros.physics.storm_water import Event, is_wet, time_without_rain
-from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.results import sums as s
 from greenroof_ros.results.metrics import end_run, find_new_days
 from greenroof_ros.results.sums import add
+from greenroof_ros.results.trajectory import Trajectory
 from greenroof_ros.site.site import Site
 
 Values = NDArray[np.float64]

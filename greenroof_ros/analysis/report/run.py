@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_text, read_yaml
-from greenroof_ros.common.times import hours_minutes_seconds
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import read_text, read_yaml
+from greenroof_ros.base.times import hours_minutes_seconds
 from greenroof_ros.forecast.choice import OPTIONS
 from greenroof_ros.physics.storm_water import WITHOUT_RAIN
-from greenroof_ros.recording.events_table import EventRow, check_event, read_events
-from greenroof_ros.recording.results_table import parameter_columns, summary_columns
-from greenroof_ros.recording.trajectory import Trajectory, read_trajectory
+from greenroof_ros.results.events_table import EventRow, check_event, read_events
 from greenroof_ros.results.metrics import METRICS
+from greenroof_ros.results.table import parameter_columns, summary_columns
+from greenroof_ros.results.trajectory import Trajectory, read_trajectory
 from greenroof_ros.simulation import summary
 from greenroof_ros.site.site import Site
 

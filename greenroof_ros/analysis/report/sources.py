@@ -14,17 +14,17 @@ from pathlib import Path
 
 from greenroof_ros.analysis.report.bags import read_run, run_directory
 from greenroof_ros.analysis.report.run import ReportedRun, Row, read_about
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import file_digest, read_text
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import file_digest, read_text
 from greenroof_ros.physics.sensor_and_pump import PARAMETERS
-from greenroof_ros.recording.events_table import EVENTS
-from greenroof_ros.recording.results_table import (
+from greenroof_ros.results.events_table import EVENTS
+from greenroof_ros.results.metrics import METRICS
+from greenroof_ros.results.table import (
     find_differing_keys,
     format_exactly,
     row_parameters,
 )
-from greenroof_ros.recording.trajectory import TRAJECTORY
-from greenroof_ros.results.metrics import METRICS
+from greenroof_ros.results.trajectory import TRAJECTORY
 from greenroof_ros.site.file import read_site
 
 _NEEDED = {

@@ -22,9 +22,9 @@ from greenroof_ros.analysis.report.drawing import (
     round_value,
     series_panel,
 )
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.times import to_minutes
-from greenroof_ros.recording.trajectory import Trajectory
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.times import to_minutes
+from greenroof_ros.results.trajectory import Trajectory
 from greenroof_ros.site.site import Site
 
 MAX_POINTS = 500

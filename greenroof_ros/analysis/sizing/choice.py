@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.parameter import entry
+from greenroof_ros.base.parameter import entry
 
 Values = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from greenroof_ros.common.errors import ConfigurationError, describe_choices
-from greenroof_ros.common.ranges import Range
+from greenroof_ros.base.errors import ConfigurationError, describe_choices
+from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.outlet import DRAIN, PLAN
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.physics.cistern import EMPTIED_H, find_outlet_radius

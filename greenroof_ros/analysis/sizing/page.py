@@ -23,7 +23,7 @@ from greenroof_ros.analysis.sizing.columns import (
     format_share,
     format_spread,
 )
-from greenroof_ros.common.text import number_of
+from greenroof_ros.base.text import number_of
 
 
 def render(figures: Sequence[Figure], sizes: object, columns: Mapping[str, Column]) -> str:

@@ -14,10 +14,10 @@ from greenroof_ros.analysis.sizing.columns import COST, KEPT
 from greenroof_ros.analysis.sizing.seasons import find_seasons, list_notes, read_window
 from greenroof_ros.analysis.sizing.simulation import HALF, Case, simulate_cases
 from greenroof_ros.analysis.sizing.sizes import Sizes
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.parameter import make_record, parameters_of
-from greenroof_ros.common.ranges import Range
-from greenroof_ros.common.text import number_of
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.parameter import make_record, parameters_of
+from greenroof_ros.base.ranges import Range
+from greenroof_ros.base.text import number_of
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.simulation.inputs import make_inputs
 

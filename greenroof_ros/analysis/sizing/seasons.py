@@ -8,8 +8,8 @@ from dataclasses import replace
 from datetime import date, datetime, timedelta
 from typing import NamedTuple
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.times import FIRST_YEAR, LAST_YEAR, to_minutes
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.times import FIRST_YEAR, LAST_YEAR, to_minutes
 from greenroof_ros.simulation.inputs import RunInputs
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.site import Site

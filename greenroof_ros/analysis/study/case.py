@@ -11,11 +11,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.parameter import parameters_of
+from greenroof_ros.base.parameter import parameters_of
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.forecast.choice import OPTIONS, ForecastChoice
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
-from greenroof_ros.recording.results_table import format_exactly
+from greenroof_ros.results.table import format_exactly
 from greenroof_ros.simulation.inputs import RunInputs
 from greenroof_ros.weather.series import REFUSE
 

@@ -9,9 +9,9 @@ from typing import Any
 
 from greenroof_ros.analysis.study.case import Case
 from greenroof_ros.controllers.outlet import PRICE
-from greenroof_ros.recording.events_table import EVENTS, format_events
-from greenroof_ros.recording.results_table import summary_columns
-from greenroof_ros.recording.trajectory import TRAJECTORY
+from greenroof_ros.results.events_table import EVENTS, format_events
+from greenroof_ros.results.table import summary_columns
+from greenroof_ros.results.trajectory import TRAJECTORY
 from greenroof_ros.simulation import bound
 from greenroof_ros.simulation.loop import simulate
 from greenroof_ros.simulation.run import Run

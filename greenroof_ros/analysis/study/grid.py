@@ -12,15 +12,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from greenroof_ros.analysis.study.case import Case, InputFile, place_files
-from greenroof_ros.common.errors import ConfigurationError, suggest_names
-from greenroof_ros.common.files import (
+from greenroof_ros.base.errors import ConfigurationError, suggest_names
+from greenroof_ros.base.files import (
     YamlMapping,
     is_there,
     read_yaml,
     shared_directory,
     unique_name,
 )
-from greenroof_ros.common.ranges import Range
+from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.outlet import find_horizon
 from greenroof_ros.controllers.registry import BUILT_IN, ControllerChoice, find_controller
 from greenroof_ros.forecast.choice import MODELS, OPTIONS, PERFECT, ForecastChoice
@@ -30,7 +30,7 @@ from greenroof_ros.formats.own_csv import write_forecasts
 from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.physics.sensor_and_pump import PARAMETERS, SensorAndPump
 from greenroof_ros.physics.start import INITIAL_STATES
-from greenroof_ros.recording.results_table import format_exactly
+from greenroof_ros.results.table import format_exactly
 from greenroof_ros.simulation.bound import BLOCK_S
 from greenroof_ros.simulation.inputs import RunInputs, make_inputs
 from greenroof_ros.simulation.run import Run, count_ticks

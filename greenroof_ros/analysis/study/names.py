@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from greenroof_ros.analysis.study.case import Case
-from greenroof_ros.recording.results_table import find_differing_keys, format_exactly
+from greenroof_ros.results.table import find_differing_keys, format_exactly
 
 _SEASON_HOURS = 168
 """minimum length of a season (h); shorter runs are none, even if they start on the same day of

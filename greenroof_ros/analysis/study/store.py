@@ -16,13 +16,13 @@ from greenroof_ros.analysis.study.case import Case, collect_contents
 from greenroof_ros.analysis.study.case_run import Outcome
 from greenroof_ros.analysis.study.names import Names
 from greenroof_ros.analysis.workers.input_files import write_inputs
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import add_path_to_errors, replace_text
-from greenroof_ros.common.processes import LockedError, acquire_file_lock
-from greenroof_ros.common.versions import versions
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import add_path_to_errors, replace_text
+from greenroof_ros.base.processes import LockedError, acquire_file_lock
+from greenroof_ros.base.versions import versions
 from greenroof_ros.forecast.skill import REAL, read_skill
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
-from greenroof_ros.recording.results_table import parameter_columns
+from greenroof_ros.results.table import parameter_columns
 
 _OUTCOME = "outcome.json"
 _DIGEST = "digest"

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.analysis.verification.scores import Tally
-from greenroof_ros.common.times import to_people
+from greenroof_ros.base.times import to_people
 from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.site.site import Site

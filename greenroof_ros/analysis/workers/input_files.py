@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from greenroof_ros.common.files import add_path_to_errors
+from greenroof_ros.base.files import add_path_to_errors
 
 
 def write_inputs(files: Mapping[str, bytes], directory: Path) -> None:

@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 from uuid import uuid4
 
 from greenroof_ros.analysis.workers.input_files import write_inputs
-from greenroof_ros.common.files import add_path_to_errors
-from greenroof_ros.common.processes import end_worker_with_command, scratch_directory
+from greenroof_ros.base.files import add_path_to_errors
+from greenroof_ros.base.processes import end_worker_with_command, scratch_directory
 
 
 class WorkersLostError(BrokenExecutor):

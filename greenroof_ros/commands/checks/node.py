@@ -18,10 +18,9 @@ import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from greenroof_ros.common.command_line import CheckResult
-from greenroof_ros.common.errors import ConfigurationError, OccupiedError
-from greenroof_ros.common.interface import read_topics
-from greenroof_ros.common.standard_error import ProgressLines
+from greenroof_ros.base.command_line import CheckResult
+from greenroof_ros.base.errors import ConfigurationError, OccupiedError
+from greenroof_ros.base.standard_error import ProgressLines
 from greenroof_ros.graph.domain import choose_transport
 from greenroof_ros.graph.errors import MalformedMessageError
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
@@ -35,6 +34,7 @@ from greenroof_ros.graph.messages import (
 )
 from greenroof_ros.graph.publishers import display_name
 from greenroof_ros.graph.spin import make_executor
+from greenroof_ros.interface.topics import read_topics
 
 # More ticks than a check ever takes.
 _LAST_TICK = 1e9

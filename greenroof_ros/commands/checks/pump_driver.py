@@ -12,7 +12,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 from greenroof_ros.commands.checks.node import NodeCheck, require
-from greenroof_ros.common.states import PumpState
+from greenroof_ros.interface.states import PumpState
 from greenroof_ros.physics.start import initial_states
 from greenroof_ros.site.site import Site
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from greenroof_ros.common.conditions import Diagnosis
+from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.devices.drive_file import (
     Codes,
     DriveFile,

@@ -8,9 +8,9 @@ from dataclasses import dataclass, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.errors import ConfigurationError, suggest_names
-from greenroof_ros.common.files import YamlMapping, as_started, shared_directory
-from greenroof_ros.common.parameter import Word, entry, find, read_record
+from greenroof_ros.base.errors import ConfigurationError, suggest_names
+from greenroof_ros.base.files import YamlMapping, as_started, shared_directory
+from greenroof_ros.base.parameter import Word, entry, find, read_record
 from greenroof_ros.live.devices.modbus_line import (
     WIDTHS,
     WORD_ORDERS,

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TypeAlias
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_yaml
-from greenroof_ros.common.mqtt import parse_topic
-from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import read_yaml
+from greenroof_ros.base.mqtt import parse_topic
+from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.live.devices.drive import Drive, DriveEndpoint
 from greenroof_ros.live.devices.drive_file import read_drive_file
 from greenroof_ros.live.devices.modbus_line import parse_drive_address

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 
-from greenroof_ros.common.processes import LockedError, acquire_name_lock
+from greenroof_ros.base.processes import LockedError, acquire_name_lock
 from greenroof_ros.live.devices.endpoint import Endpoint
 from greenroof_ros.live.devices.modbus_line import DriveError
 

@@ -25,9 +25,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from greenroof_ros.common.errors import ConfigurationError, require_extra
-from greenroof_ros.common.mqtt import parse_host
-from greenroof_ros.common.parameter import entry
+from greenroof_ros.base.errors import ConfigurationError, require_extra
+from greenroof_ros.base.mqtt import parse_host
+from greenroof_ros.base.parameter import entry
 
 if TYPE_CHECKING:
     from pymodbus.client import ModbusSerialClient, ModbusTcpClient

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from string import Template
 
-from greenroof_ros.common.files import YamlMapping
-from greenroof_ros.common.parameter import entry, find, read_record
+from greenroof_ros.base.files import YamlMapping
+from greenroof_ros.base.parameter import entry, find, read_record
 from greenroof_ros.live.devices.drive_file import Source
 
 MQTT = "mqtt"

@@ -10,11 +10,11 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import shared_directory
-from greenroof_ros.common.interface import Topic, read_topics
-from greenroof_ros.common.mqtt import Broker, parse_topic
-from greenroof_ros.common.parameter import Word, entry, read_record
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import shared_directory
+from greenroof_ros.base.mqtt import Broker, parse_topic
+from greenroof_ros.base.parameter import Word, entry, read_record
+from greenroof_ros.interface.topics import Topic, read_topics
 from greenroof_ros.live.devices.modbus_line import (
     WIDTHS,
     WORD_ORDERS,

@@ -62,7 +62,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from greenroof_ros.common.conditions import Diagnosis
+from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.pumping.limits import PumpSettings
 from greenroof_ros.physics.cistern import low_outlet_flow
 from greenroof_ros.physics.parameters import plant_parameters

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from greenroof_ros.common.conditions import Diagnosis
+from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.site.site import Site
 
 EXPIRES_S = 60.0

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
-from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
+from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.physics.cistern import low_outlet_flow, overflow
 from greenroof_ros.physics.parameters import PlantParameters, plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow

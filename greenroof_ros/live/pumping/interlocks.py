@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from greenroof_ros.common.conditions import Diagnosis, read_interlocks
+from greenroof_ros.interface.conditions import Diagnosis, read_interlocks
 
 
 def evaluate(reasons: Iterable[Diagnosis]) -> dict[str, Diagnosis]:

@@ -51,12 +51,12 @@ from io import FileIO
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.alarm_log import ALARMS
-from greenroof_ros.common.conditions import Diagnosis
-from greenroof_ros.common.disk import DISK, PATIENCE_S, LatestWriter
-from greenroof_ros.common.processes import LOCK_BYTES, LockedError, acquire_file_lock
-from greenroof_ros.common.ranges import Range
-from greenroof_ros.common.times import boot_id, boot_time, to_people
+from greenroof_ros.base.disk import DISK, PATIENCE_S, LatestWriter
+from greenroof_ros.base.processes import LOCK_BYTES, LockedError, acquire_file_lock
+from greenroof_ros.base.ranges import Range
+from greenroof_ros.base.times import boot_id, boot_time, to_people
+from greenroof_ros.interface.alarm import ALARMS
+from greenroof_ros.interface.conditions import Diagnosis
 
 DAY_S = 86_400.0
 RECORD = "pump.json"

@@ -9,9 +9,9 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from greenroof_ros.common.conditions import Diagnosis
-from greenroof_ros.common.parameter import Parameter, entry, parameters_of
-from greenroof_ros.common.times import to_people
+from greenroof_ros.base.parameter import Parameter, entry, parameters_of
+from greenroof_ros.base.times import to_people
+from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.pumping.ledger import DAY_S, Ledger
 from greenroof_ros.live.pumping.pump_inputs import Observation
 from greenroof_ros.physics.parameters import plant_parameters

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from greenroof_ros.common.conditions import (
+from greenroof_ros.interface.conditions import (
     INHIBIT,
     LATCHED,
     PERMISSIVE,

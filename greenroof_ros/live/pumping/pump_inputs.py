@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from greenroof_ros.common.conditions import Diagnosis
+from greenroof_ros.interface.conditions import Diagnosis
 
 
 class PumpInput(NamedTuple):

@@ -15,7 +15,7 @@ from pymodbus.server.requesthandler import ServerRequestHandler
 from pymodbus.simulator import DataType, SimData, SimDevice
 from pymodbus.transport import CommType
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.live.devices.modbus_line import Address, Serial
 
 WRITES = (5, 6, 15, 16, 22, 23)

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 
 from pymodbus.constants import ExcCodes
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.live.devices.drive_file import DriveFile, Register
 from greenroof_ros.live.devices.modbus_line import Address, decode, encode
 from greenroof_ros.live.simulators.server import Device, Server

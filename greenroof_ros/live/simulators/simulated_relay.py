@@ -14,7 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, ClassVar
 
-from greenroof_ros.common.mqtt import Broker, make_client
+from greenroof_ros.base.mqtt import Broker, make_client
 
 _STEP_S = 0.01
 # A topic and the payload that is published there.

@@ -17,7 +17,7 @@ from commanded_sites import VALVE_SITE as LIMITED_SITE
 from paper import VALVE
 
 import greenroof_ros as gr
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 
 gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed")
 

@@ -29,7 +29,7 @@ from refusals import refusal
 import greenroof_ros as gr
 from greenroof_ros.analysis.api.control import ForecastSteps, SiteState
 from greenroof_ros.analysis.report.sources import find_runs
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
 from greenroof_ros.controllers.lookahead import Lookahead
 from greenroof_ros.controllers.onoff import OnOff
@@ -509,7 +509,7 @@ def test_importing_it_loads_nothing() -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=CHECKOUT
     )
     assert done.stdout == (
-        "['greenroof_ros.common', 'greenroof_ros.common.registration', 'greenroof_ros']\n"
+        "['greenroof_ros.base', 'greenroof_ros.base.registration', 'greenroof_ros']\n"
     )
     assert set(gr.__all__) <= set(dir(gr))
     for name in set(gr.__all__) - {"gym", "scenarios"}:

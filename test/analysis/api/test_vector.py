@@ -16,7 +16,7 @@ from places import CONFIG
 from refusals import refusal
 
 import greenroof_ros as gr
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 
 gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed")
 

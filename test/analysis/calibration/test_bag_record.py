@@ -13,9 +13,9 @@ from refusals import refusal
 from twins import TWIN
 
 from greenroof_ros.analysis.calibration.bag_record import read_bag_record
-from greenroof_ros.common.files import shared_directory
-from greenroof_ros.common.interface import read_topics
-from greenroof_ros.recording.bag_writer import BagWriter
+from greenroof_ros.base.files import shared_directory
+from greenroof_ros.interface.topics import read_topics
+from greenroof_ros.results.bag_write import BagWriter
 from greenroof_ros.site.file import format_site, read_site
 
 START_NS = 1625641200 * 10**9  # 2021-07-07T07:00 UTC, by date -d

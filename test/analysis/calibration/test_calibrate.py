@@ -16,7 +16,7 @@ from refusals import refusal
 from twins import TWIN, record_rows, summed, write
 
 from greenroof_ros.analysis.calibration.site_file import format_fitted_site
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.base.files import shared_directory
 from greenroof_ros.site.file import format_site, read_site
 
 PUMPED = replace(TWIN, a_in=300.0, a_hat=-1e6, c_hat=45.0)

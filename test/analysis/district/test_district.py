@@ -24,7 +24,7 @@ from greenroof_ros.analysis.district.page import COLUMNS
 from greenroof_ros.analysis.district.run import distribute_district, read_run, simulate_district
 from greenroof_ros.analysis.district.totals import Flow
 from greenroof_ros.analysis.workers.cluster import cluster
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 
 SHORT = edit("hours: 72", "hours: 24").replace("T00:00", "T20:00")
 

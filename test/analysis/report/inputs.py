@@ -28,7 +28,7 @@ from greenroof_ros.analysis.report.groups import Report
 from greenroof_ros.analysis.report.page import render
 from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.physics.storm_water import Event
-from greenroof_ros.recording.trajectory import Trajectory
+from greenroof_ros.results.trajectory import Trajectory
 from greenroof_ros.simulation import summary
 from greenroof_ros.simulation.loop import Simulation, record
 from greenroof_ros.simulation.run import Run

@@ -24,8 +24,8 @@ from greenroof_ros.analysis.report.trajectories import (
     select_samples,
 )
 from greenroof_ros.formats.step_record import StepRecord
-from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.results.metrics import METRICS
+from greenroof_ros.results.trajectory import Trajectory
 
 
 def size(directory: Path, figure: Figure) -> tuple[int, int]:

@@ -40,10 +40,10 @@ from greenroof_ros.analysis.report.bags import read_run
 from greenroof_ros.analysis.report.run import Row
 from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.analysis.report.tables import make_notes, make_tables
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.commands.recover import recover
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.recording.events_table import event_rows
-from greenroof_ros.recording.trajectory import Trajectory, read_trajectory
+from greenroof_ros.results.events_table import event_rows
+from greenroof_ros.results.trajectory import Trajectory, read_trajectory
 from greenroof_ros.site.file import format_site, read_site
 
 TOTAL = "total_deviation_m3"

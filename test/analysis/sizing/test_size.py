@@ -23,8 +23,8 @@ import greenroof_ros as gr
 from greenroof_ros.analysis.sizing.choice import Prices
 from greenroof_ros.analysis.sizing.columns import COLUMNS, format_spread
 from greenroof_ros.analysis.sizing.sizes import Sizes
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.commands.size import show
-from greenroof_ros.common.errors import ConfigurationError
 
 VALVE = CONFIG / "site_valve.yaml"
 JULIES = [DATA / f"en_climate_hourly_07-{year}.csv" for year in (2021, 2022)]

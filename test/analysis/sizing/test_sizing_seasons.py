@@ -11,7 +11,7 @@ import pytest
 from places import CONFIG
 
 from greenroof_ros.analysis.sizing.seasons import find_seasons, read_window
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.run import Run

@@ -15,7 +15,7 @@ from places import Once
 from studies import GRID, begun, edit_grid, grid, rows_of, store_of, stored, study
 
 from greenroof_ros.analysis.study.case_run import Outcome
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError
 
 
 def test_bound_next_to_each_run(papers: Path) -> None:

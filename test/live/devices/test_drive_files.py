@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from refusals import refusal
 
-from greenroof_ros.common.files import shared_directory
-from greenroof_ros.common.parameter import Word
+from greenroof_ros.base.files import shared_directory
+from greenroof_ros.base.parameter import Word
 from greenroof_ros.live.devices.drive import DriveEndpoint
 from greenroof_ros.live.devices.drive_file import Codes, find_drive_file, read_drive_file
 from greenroof_ros.live.devices.exchange import DriveExchange

@@ -26,7 +26,7 @@ from modbus_wire import (
 )
 from simulators import until
 
-from greenroof_ros.common.conditions import Diagnosis
+from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.devices.drive import Drive, DriveStatus
 from greenroof_ros.live.devices.drive_file import find_drive_file, read_drive_file
 from greenroof_ros.live.devices.modbus_line import DriveError, parse_drive_address

@@ -12,7 +12,7 @@ from paper import PAPER_SITE, site_with
 from places import CONFIG
 from pump_rig import Rig, settings_for
 
-from greenroof_ros.common.conditions import Diagnosis
+from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.pumping.delivery import DeliveryCheck
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.site.file import read_site

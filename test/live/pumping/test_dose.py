@@ -10,7 +10,7 @@ import pytest
 from paper import PAPER_SITE
 from pump_rig import Rig, settings_for
 
-from greenroof_ros.common.conditions import Diagnosis
+from greenroof_ros.interface.conditions import Diagnosis
 
 SITE = replace(PAPER_SITE, max_dose=0.5)
 

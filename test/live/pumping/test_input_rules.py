@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE
 from places import CHECKOUT
 
-from greenroof_ros.common.conditions import Diagnosis
+from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.pumping.input_rules import (
     InputRules,
     LevelBounds,

@@ -15,7 +15,7 @@ from paper import PAPER_SITE
 from places import CHECKOUT
 from pump_rig import Rig, settings_for
 
-from greenroof_ros.common.conditions import (
+from greenroof_ros.interface.conditions import (
     INHIBIT,
     LATCHED,
     PERMISSIVE,
@@ -23,7 +23,7 @@ from greenroof_ros.common.conditions import (
     read_conditions,
     read_interlocks,
 )
-from greenroof_ros.common.interface import read_topics
+from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.live.pumping.interlocks import evaluate
 from greenroof_ros.live.pumping.limits import pump_parameters
 from greenroof_ros.live.pumping.pump_control import Decision

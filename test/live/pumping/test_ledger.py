@@ -25,8 +25,8 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE
 from pump_rig import Rig, settings_for
 
-from greenroof_ros.common.files import state_directory
-from greenroof_ros.common.times import to_people
+from greenroof_ros.base.files import state_directory
+from greenroof_ros.base.times import to_people
 from greenroof_ros.live.pumping import ledger as ledger_module
 from greenroof_ros.live.pumping.ledger import Ledger, PumpRecord
 from greenroof_ros.live.pumping.pump_control import PumpControl

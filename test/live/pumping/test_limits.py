@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE, site_with
 from pump_rig import Rig, settings_for
 
-from greenroof_ros.common.conditions import Diagnosis
+from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.devices.drive_file import MAX_RAMP_S
 from greenroof_ros.live.pumping.ledger import Ledger
 from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings

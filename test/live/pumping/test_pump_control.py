@@ -10,7 +10,7 @@ import pytest
 from paper import PAPER_SITE
 from pump_rig import Rig, settings_for
 
-from greenroof_ros.common.conditions import Diagnosis
+from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.pumping.ledger import Ledger
 from greenroof_ros.live.pumping.pump_control import Decision, Observation, PumpControl
 from greenroof_ros.physics.pump import maximum_pump_flow

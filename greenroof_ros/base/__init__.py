@@ -1,0 +1,1 @@
+"""Tools that know no roof: errors, parameters, files, times, processes and the command line."""

@@ -1,0 +1,385 @@
+"""Code shared by all commands: exit codes, error reports, and the option parser."""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import io
+import itertools
+import math
+import os
+import re
+import signal
+import sys
+import textwrap
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from greenroof_ros import INTERRUPTED, SIGNALS, end_interrupted
+from greenroof_ros.base.errors import (
+    ConfigurationError,
+    OccupiedError,
+    describe_choices,
+    find_similar,
+)
+from greenroof_ros.base.processes import end_with_parent, find_signal, store_signals
+from greenroof_ros.base.ranges import Range
+
+if TYPE_CHECKING:  # it reads YAML, which a command's help does not need
+    from greenroof_ros.base.parameter import Parameter
+
+EXIT_DONE = 0
+EXIT_FAILED = 1
+EXIT_USAGE = 2
+EXIT_OCCUPIED = 3
+EXIT_INTERRUPTED = INTERRUPTED
+_HAS_TIMER = hasattr(signal, "setitimer")  # Windows has none
+
+
+def exit_code(error: Exception) -> int:
+    """Return the exit code for a configuration error: 3 if another graph is running, or else 2."""
+    return EXIT_OCCUPIED if isinstance(error, OccupiedError) else EXIT_USAGE
+
+
+class Interrupted(KeyboardInterrupt):
+    """Raised if a signal asks the command to stop; the message names the signal.
+
+    After a plain KeyboardInterrupt, Python may kill its own process with the signal, which would
+    make the exit code unpredictable.
+    """
+
+
+class _Interrupts:
+    """Signal handler that raises an error, and repeats it every second until the command stops.
+
+    Compiled code can discard an exception or replace it with another exception. A module that is
+    being imported can also discard an exception, or continue without a module that it tried to
+    import. Therefore the exception is raised after the import, or during the import if the import
+    takes a long time.
+    """
+
+    _IMPORT_S, _MAX_IMPORTS, _REPEAT_S = 0.05, 40, 1.0
+
+    def __init__(self) -> None:
+        self.received = 0
+        self._numbers = [
+            number for number in SIGNALS if signal.getsignal(number) is end_interrupted
+        ]
+        for number in self._numbers:
+            signal.signal(number, self)
+        if self._numbers:
+            store_signals()
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        self.received += 1
+        is_importing = False
+        while frame is not None and self.received <= self._MAX_IMPORTS:
+            is_importing |= frame.f_code.co_filename.startswith("<frozen importlib")
+            frame = frame.f_back
+        if _HAS_TIMER:
+            # As the signal again, for whatever handler is installed by then.
+            signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))
+            signal.setitimer(signal.ITIMER_REAL, self._IMPORT_S if is_importing else self._REPEAT_S)
+        if not (is_importing and _HAS_TIMER):
+            raise Interrupted(signal.Signals(number).name)
+
+    def end(self) -> None:
+        """Make all later signals kill the process immediately."""
+        for number in self._numbers:
+            signal.signal(number, end_interrupted)
+        if self.received:
+            end_repeats()
+
+
+def end_repeats() -> None:
+    """Stop raising :class:`Interrupted`, because the command is stopping and writing its result."""
+    if _HAS_TIMER:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+def check_interrupts() -> None:
+    """Raise :class:`Interrupted` if a signal was received, even if other code discarded it.
+
+    A user's class can handle signals itself, or discard a KeyboardInterrupt.
+    """
+    if (received := find_signal()) is not None:
+        raise Interrupted(received.name)
+
+
+def _discard_what_cannot_be_printed() -> None:
+    """Discard buffered output that cannot be printed, so that Python does not retry at exit."""
+    try:
+        print(end="", flush=True)
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+
+
+def command(
+    main: Callable[[], int | None], *, failed: int | None = None
+) -> Callable[[], NoReturn]:
+    """Turn a function into a command that exits with the function's return value, or with 0.
+
+    A :class:`ConfigurationError` is reported in one line on standard error, with exit code 2, or 3
+    if another graph is running. A file or an output that cannot be written is reported in one line
+    with exit code 1. A signal that asks the command to stop, such as Ctrl-C, results in exit code
+    130. No traceback is printed in any of these cases. If the reader of the output has closed it,
+    as after ``| head``, nothing is printed and the exit code is 1.
+
+    Args:
+        main: the function to turn into a command.
+        failed: exit code to use instead of 1, 2 and 3, for a command whose own results use these
+            codes; None for other commands.
+    """
+
+    def run() -> str | int | None:
+        code: str | int | None
+        try:
+            try:
+                code = main()
+            except SystemExit as end:  # from argparse: after --help or wrong usage
+                code = end.code and (failed or end.code)
+            print(end="", flush=True)
+        except (ConfigurationError, argparse.ArgumentError) as error:
+            print(f"error: {error}", file=sys.stderr)
+            code = failed or exit_code(error)
+        except OSError as error:
+            if not isinstance(error, BrokenPipeError):
+                # When copying, it is the second file that has no room.
+                parts = (error.filename2 or error.filename, error.strerror or str(error))
+                print("error:", ": ".join(filter(None, parts)), file=sys.stderr)
+            code = failed or EXIT_FAILED
+            _discard_what_cannot_be_printed()
+        return code
+
+    @functools.wraps(main)
+    def wrapper() -> NoReturn:
+        end_with_parent()
+        if isinstance(sys.stdout, io.TextIOWrapper):  # not if a Python caller replaced it
+            sys.stdout.reconfigure(line_buffering=True)
+        interrupts = _Interrupts()
+        try:
+            code = run()
+            interrupts.end()
+            if interrupts.received:
+                raise Interrupted
+        except BaseException as error:
+            interrupts.end()
+            # Compiled code can turn it into any other error.
+            if not isinstance(error, KeyboardInterrupt) and not interrupts.received:
+                raise
+            print("interrupted", file=sys.stderr)
+            code = EXIT_INTERRUPTED
+        sys.exit(code)
+
+    return wrapper
+
+
+class _HelpFormatter(argparse.HelpFormatter):
+    """Formatter that wraps paragraphs at the terminal's width, except for indented lines."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        filled: list[str] = []
+        for is_laid_out, lines in itertools.groupby(
+            text.strip().splitlines(), lambda line: not line or line.startswith(" ")
+        ):
+            if is_laid_out:
+                filled += lines
+            else:
+                filled += textwrap.wrap(" ".join(lines), width, break_on_hyphens=False)
+        return "\n".join(filled)
+
+
+class Parser(argparse.ArgumentParser):
+    """The parser of a command's options.
+
+    Options must be written in full, because an abbreviation that is unambiguous now would become
+    ambiguous if a later version added an option that begins with the same letters. In a description
+    or an epilog, indented lines, such as examples, stay unchanged; all other lines are wrapped.
+
+    Attributes:
+        hint: text added to the message about an unknown option; empty for none.
+    """
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(allow_abbrev=False, formatter_class=_HelpFormatter, **settings)
+        self.hint = ""
+
+    def parse_args(self, args: Iterable[str] | None = None, namespace: Any = None) -> Any:
+        """Parse a command line; for an unknown option, suggest the likely options."""
+        parsed, unknown = self.parse_known_args(args, namespace)
+        if unknown:
+            option = next((word[2:] for word in unknown if word.startswith("--")), "")
+            known = [known[2:] for known in self._option_string_actions if known.startswith("--")]
+            similar = find_similar(option.partition("=")[0], known)
+            meant = " or ".join(f"--{name}" for name in similar)
+            self.error(
+                f"unrecognized arguments: {' '.join(unknown)}"
+                + (f"; did you mean {meant}?" if meant else "")
+                + (f" ({self.hint})" if self.hint else "")
+            )
+        return parsed
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Reject a value that is not one of the option's choices, and suggest likely choices."""
+        if action.choices is not None and value not in action.choices:
+            wrong = f"{value!r} {describe_choices([*action.choices], str(value))}"
+            raise argparse.ArgumentError(action, wrong)
+
+
+def make_number_type(
+    low: float, high: float, kind: type[float] = float, *, word: str = ""
+) -> Callable[[str], float]:
+    """Return a parser for an option whose value is a number in a range (an integer for ``int``).
+
+    Args:
+        low: the minimum value.
+        high: the maximum value.
+        kind: ``float`` or ``int``.
+        word: a word that the option also accepts as 0; empty for none.
+    """
+    allowed = Range(low, high, whole=kind is int, words=(word,) if word else ())
+
+    def parse(text: str) -> float:
+        try:
+            return 0.0 if text in allowed.words else allowed.parse(text)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(f"{error}, not {text}") from None
+
+    # The documentation shows this as the value that the option accepts.
+    parse.__name__ = str(allowed).removeprefix("a ")
+    return parse
+
+
+def refuse(*rules: tuple[object, str, object, str]) -> None:
+    """Reject a command line that breaks a rule, and report the first broken rule.
+
+    Args:
+        rules: one tuple for each rule: a value that is true if the rule is broken, the option, the
+            option's value, and the description of the expected value.
+
+    Raises:
+        ConfigurationError: if a rule is broken.
+    """
+    for broken, option, value, expected in rules:
+        if broken:
+            raise ConfigurationError(expected, key=option, value=value)
+
+
+def parse_namespace(text: str) -> str:
+    """Return a namespace in ROS notation, such as ``/site1``; empty for no namespace."""
+    name = text.strip("/")
+    if name and not re.fullmatch(r"([A-Za-z_]\w*/)*[A-Za-z_]\w*", name, re.ASCII):
+        raise ValueError
+    return f"/{name}" if name else ""
+
+
+# argparse shows this in its error message
+parse_namespace.__name__ = (
+    "namespace of letters, digits and _ that does not begin with a digit, such as site1"
+)
+
+
+def add_namespace(parser: argparse.ArgumentParser, more: str = "") -> None:
+    """Add the option for the namespace of the graph that a command joins."""
+    parser.add_argument(
+        "--namespace", type=parse_namespace, default="", metavar="NAME",
+        help=f"namespace of the graph, as passed to greenroof run or live{more} (default: none)",
+    )
+
+
+def add_site(parser: argparse._ActionsContainer, about: str = "site file") -> None:
+    """Add the option for the site file."""
+    from greenroof_ros.base.files import default_site_file  # reads YAML: not for every --help
+
+    parser.add_argument(
+        "--site", type=Path, default=default_site_file(), metavar="FILE",
+        help=f"{about} (default: the paper's, config/site.yaml)",
+    )
+
+
+def add_option(group: argparse._ArgumentGroup, parameter: Parameter, **settings: Any) -> None:
+    """Add the option for an input; the value of an omitted option is None."""
+    default, about = parameter.default, [] if parameter.unit in ("", "1") else [parameter.unit]
+    if isinstance(default, (int, float)) or math.isfinite(parameter.low):
+        kind = int if parameter.whole else float
+        settings |= {"metavar": "X", "type": make_number_type(parameter.low, parameter.high, kind)}
+    elif parameter.among:
+        settings["choices"] = parameter.among
+    if isinstance(default, float):
+        default = None if math.isnan(default) else f"{default:g}"
+    if default is not None:
+        about.append(f"default: {default}")
+    end = f" ({', '.join(about)})" if about else ""
+    group.add_argument(option_of(parameter.name), help=f"{parameter.meaning}{end}", **settings)
+
+
+def option_of(name: str) -> str:
+    """Return the name of the option for an input."""
+    return f"--{name.replace('_', '-')}"
+
+
+def add_foxglove(parser: argparse._ActionsContainer, about: str) -> None:
+    """Add the option to serve a graph to Foxglove, with the default port of Foxglove's viewers."""
+    parser.add_argument(
+        "--foxglove", nargs="?", const=8765, type=make_number_type(0, 65535, int), metavar="PORT",
+        help=f"{about} PORT is 8765 if omitted; 0 selects any free port. Requires the extra "
+        "[foxglove]",
+    )
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """The result of one check.
+
+    Attributes:
+        check: the requirement that is checked.
+        problem: description of the deviation from the requirement; empty if the check passed.
+        result: result to show for a passed check; empty for none.
+    """
+
+    check: str
+    problem: str
+    result: str = ""
+
+
+def print_check_results(title: str, results: Sequence[CheckResult]) -> int:
+    """Print results as a table, and return exit code 0 if every check passed, otherwise 1."""
+    from rich.console import Console  # most commands print none
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for name in ("check", "result"):
+        table.add_column(name)
+    for result in results:
+        passed = f"passed: {result.result}" if result.result else "passed"
+        table.add_row(result.check, result.problem or passed)
+    Console().print(table)
+    failed = [result for result in results if result.problem]
+    print(f"{len(results) - len(failed)} of {len(results)} checks passed")
+    return EXIT_FAILED if failed else EXIT_DONE
+
+
+def refuse_unwritable(file: Path, endings: Sequence[str], key: str) -> None:
+    """Reject a file that has the wrong extension, already exists, or cannot be written.
+
+    Args:
+        file: the file to write.
+        endings: the allowed file extensions, such as ``.html``.
+        key: option that specifies the file.
+
+    Raises:
+        ConfigurationError: if the file has the wrong extension, already exists, or cannot be
+            written.
+    """
+    def error(expected: str) -> ConfigurationError:
+        return ConfigurationError(expected, key=key, value=str(file))
+
+    if file.suffix not in endings:
+        raise error(f"must be a file name that ends in {' or '.join(endings)}")
+    if not (file.parent.is_dir() and os.access(file.parent, os.W_OK)):
+        raise error("must be in an existing, writable directory")
+    if file.exists():
+        raise error("exists; choose another file name")

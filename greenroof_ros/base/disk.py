@@ -1,0 +1,189 @@
+"""Disk access in a separate thread, so that time-critical code never waits for a disk."""
+
+from __future__ import annotations
+
+import errno
+import json
+import math
+import os
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Mapping
+from itertools import islice
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import replace_text
+
+_T = TypeVar("_T")
+
+# The most that may wait, and the overhead of one job (bytes): enough for minutes of a live site.
+_ROOM, _JOB = 32_000_000, 200
+# A job that waits for longer than this (s) is late: the disk does not respond.
+PATIENCE_S = 2.0
+
+
+class DiskThread:
+    """A thread that runs jobs for reading and writing files, one after another.
+
+    The thread starts with the first job, and ends when the process exits, without delaying the
+    exit.
+
+    Attributes:
+        refused: number of jobs that were rejected because the queue was full or there was no
+            thread.
+    """
+
+    def __init__(self) -> None:
+        """Create the object without jobs; the thread does not start yet."""
+        self.refused = 0
+        self._room = _ROOM  # free (bytes)
+        # Each job with its size (bytes), and when it was requested (steady clock, s).
+        self._jobs: deque[tuple[Callable[[], object], int, float]] = deque()
+        self._changed = threading.Condition()
+        self._thread: threading.Thread | None = None
+
+    def do(self, job: Callable[[], object], size: int = 0) -> bool:
+        """Queue a job, and return True if the job was accepted.
+
+        Args:
+            job: function that handles its own errors. A job that equals a waiting job is not queued
+                again, so a method that writes the latest value is queued only once.
+            size: memory that the job's data occupies (bytes).
+        """
+        size += _JOB
+        with self._changed:
+            if any(job == waiting for waiting, *_ in islice(self._jobs, 1, None)):
+                return True
+            if size > self._room or not self._started():
+                self.refused += 1
+                return False
+            self._room -= size
+            self._jobs.append((job, size, time.monotonic()))
+            self._changed.notify_all()
+        return True
+
+    @property
+    def late(self) -> bool:
+        """Whether a job was requested more than 2 s ago and is still not done."""
+        with self._changed:
+            return bool(self._jobs) and time.monotonic() - self._jobs[0][2] > PATIENCE_S
+
+    def wait(self, within: float) -> bool:
+        """Wait up to the given time (s) until all jobs are done; return True if they are."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not self._jobs, within)
+
+    def _started(self) -> bool:
+        """Start the thread if necessary; return False if the system cannot create one."""
+        if self._thread is None:
+            thread = threading.Thread(target=self._do_all, name="disk", daemon=True)
+            try:
+                thread.start()
+            except RuntimeError:
+                return False
+            self._thread = thread
+        return True
+
+    def _do_all(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._jobs)
+                job, size, _ = self._jobs[0]
+            try:
+                job()
+            except Exception:  # an error in one job must not stop the others
+                traceback.print_exc()
+            with self._changed:
+                self._jobs.popleft()
+                self._room += size
+                self._changed.notify_all()
+
+
+# The disk thread of this process.
+DISK = DiskThread()
+
+
+class LatestWriter(Generic[_T]):
+    """Writer of a changing value; a newer value replaces a value that has not been written yet.
+
+    Attributes:
+        problem: reason why the last value could not be written; empty if it was written.
+    """
+
+    def __init__(self, write: Callable[[_T], None], explain: Callable[[Exception], str]) -> None:
+        """Create the writer without a value.
+
+        Args:
+            write: function that writes a value; it is called in the disk thread.
+            explain: function that returns a description of an error.
+        """
+        self.problem = ""
+        self._write, self._explain = write, explain
+
+    def write(self, value: _T) -> None:
+        """Queue a value for writing."""
+        self._value = value
+        if not DISK.do(self._write_latest):
+            self.problem = self._explain(OSError(errno.ENOMEM, os.strerror(errno.ENOMEM)))
+
+    def _write_latest(self) -> None:
+        try:
+            self._write(self._value)
+            self.problem = ""
+        except Exception as error:  # whatever it is, the next value is still tried
+            self.problem = self._explain(error)
+
+
+_CLOSE_S = 2.0
+
+
+class NumberFile:
+    """A file of named numbers, written by the disk thread because a disk may stop responding.
+
+    The file is replaced as a whole, so that a power cut leaves either the old or the new file.
+    """
+
+    def __init__(self, file: Path) -> None:
+        """Store the path of the file, which need not exist yet."""
+        self._file = file
+        self._newest = LatestWriter[dict[str, float]](
+            lambda values: replace_text(file, json.dumps(values, indent=1), parents=True), str
+        )
+
+    @property
+    def problem(self) -> str:
+        """The reason why the latest numbers are not being written; empty if there is no problem."""
+        return "the disk does not respond" if DISK.late else self._newest.problem
+
+    def read(self) -> dict[str, float]:
+        """Return the numbers in the file; an empty mapping if there is no file.
+
+        Raises:
+            ConfigurationError: if the file cannot be read, or is not a mapping of names to finite
+                numbers.
+        """
+        try:
+            content: Any = json.loads(self._file.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValueError) as error:
+            raise ConfigurationError(f"cannot be read: {error}", file=self._file) from error
+        if not isinstance(content, dict) or not all(
+            isinstance(value, float) and math.isfinite(value) for value in content.values()
+        ):
+            raise ConfigurationError("must be a mapping of names to finite floating-point "
+            "numbers", file=self._file)
+        return content
+
+    def write(self, values: Mapping[str, float]) -> None:
+        """Queue numbers for writing."""
+        self._newest.write(dict(values))
+
+    def close(self) -> None:
+        """Wait at most two seconds until all numbers are written."""
+        DISK.wait(_CLOSE_S)
+

@@ -1,0 +1,475 @@
+"""Access to the package's own config/ and msg_defs/, and reading and writing of files."""
+
+from __future__ import annotations
+
+import codecs
+import ctypes
+import functools
+import hashlib
+import io
+import os
+import re
+from collections.abc import Callable, Container, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path, PosixPath
+from typing import Any, BinaryIO
+
+import yaml
+
+from greenroof_ros.base.errors import ConfigurationError
+
+try:
+    from yaml import CBaseLoader as _LibYaml
+except ImportError:  # PyYAML without libyaml
+    from yaml import BaseLoader as _LibYaml  # type: ignore[assignment]
+
+
+class _Loader(_LibYaml):
+    """Loader that adds no tags, so that every tag on a node comes from the file itself."""
+
+    def resolve(self, kind: type[yaml.Node], value: Any, implicit: Any) -> str:
+        return ""
+
+
+def shared_directory() -> Path:
+    """Return the directory that contains ``config/`` and ``msg_defs/``.
+
+    In a checkout, or an editable installation of a checkout, this directory is the checkout itself.
+    Otherwise it is ``share/greenroof_ros`` in the installation prefix of the package (a virtual
+    environment, ``~/.local``, or colcon's ``install/greenroof_ros``).
+    """
+    package = Path(__file__).resolve().parent
+    for parent in package.parents:
+        for candidate in (parent / "share" / "greenroof_ros", parent):
+            if (candidate / "msg_defs" / "topics.yaml").is_file() and (
+                candidate / "config" / "site.yaml"
+            ).is_file():
+                return candidate
+    raise ConfigurationError(
+        "greenroof_ros was installed without its directory share/greenroof_ros (config, "
+        "msg_defs); reinstall it with pip or colcon",
+        file=package,
+    )
+
+
+def default_site_file() -> Path:
+    """Return the path of the paper's site file, the default of all commands and nodes."""
+    return shared_directory() / "config" / "site.yaml"
+
+
+def find_shipped(file: Path) -> Path:
+    """Return the file or, if it does not exist (as outside a checkout), the package's own copy."""
+    shipped = shared_directory() / file
+    return shipped if shipped.is_file() and not file.exists() else file
+
+
+def state_directory() -> Path:
+    """Return the user's default directory for state files according to the XDG specification."""
+    directory = os.environ.get("XDG_STATE_HOME")
+    return (Path(directory) if directory else Path.home() / ".local" / "state") / "greenroof_ros"
+
+
+def unique_name(file: Path, existing: Container[str]) -> str:
+    """Return the file's name, with -2, -3, ... appended to the stem if the name is in use."""
+    name, number = file.name, 1
+    while name in existing:
+        number += 1
+        name = f"{file.stem}-{number}{file.suffix}"
+    return name
+
+
+COPIES = "GREENROOF_ROS_COPIES"
+"""environment variable of a live site's nodes: the directory with copies of the files that the site
+was started with, each under its full path"""
+
+
+def as_started(file: Path) -> Path:
+    """Return the path to read for a file: in a live site's node, the path of any copy of it.
+
+    Because of the copy, a restarted node does not use later edits to the file. Messages name the
+    original file.
+    """
+    copies = os.environ.get(COPIES)
+    copy = Path(f"{copies}{file.absolute()}") if copies else file
+    return copy if copy.exists() else file
+
+
+def is_there(path: Path) -> bool:
+    """Return True if the path exists, and False if it is too long for a file name."""
+    try:
+        return path.exists()
+    except OSError:
+        return False
+
+
+def file_digest(path: Path) -> str:
+    """Return a hash of a file's content; empty if the file does not exist."""
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+
+
+MAX_BYTES = 100_000_000
+"""Maximum size of a user's file (bytes): 100 years of hourly weather, three years of a record by
+the minute, or a year of hourly forecast runs with one member. So no file exhausts the memory."""
+
+
+# How files of other kinds begin, what they are, and what to do about it.
+_OTHER_KINDS = (
+    (rb"\x1f\x8b", "is compressed by gzip: unpack it with gunzip"),
+    (rb"\xfd7zXZ|BZh|\x28\xb5\x2f\xfd|7z\xbc\xaf", "is compressed: unpack it"),
+    (rb"PK[\x03\x05]", "is a zip archive or a spreadsheet workbook (.xlsx, .ods): unpack it, or "
+        "save the sheet as CSV in UTF-8"),
+    (rb"\xd0\xcf\x11\xe0", "is an Excel workbook (.xls): save the sheet as CSV in UTF-8"),
+    (rb"\xff\xfe|\xfe\xff", "is text in UTF-16: save it in UTF-8"),
+    (rb"%PDF-", "is a PDF file, from which no values can be read"),
+    (rb"CDF[\x01\x02\x05]|\x89HDF", "is NetCDF or HDF5: write its values as CSV"),
+    (rb"GRIB|BUFR", "is GRIB or BUFR: write its values as CSV"),
+    (rb"SQLite format 3", "is an SQLite database: write its values as CSV"),
+    (rb"\s*<(!doctype|html|\?xml|head|body|!--|script)",
+     "is a web page or XML, perhaps a message from the service: open it to check, and download the "
+     "file again"),
+)
+
+
+def _refuse_other_kinds(path: Path, head: bytes) -> None:
+    """Reject a file whose first bytes show that it is of another type; the error names the type."""
+    start = head.removeprefix(codecs.BOM_UTF8)
+    for pattern, what in _OTHER_KINDS:
+        if re.match(pattern, start, re.IGNORECASE):
+            raise ConfigurationError(what, file=path)
+
+
+class TextInMemory(PosixPath):
+    """Text in memory that is read like a file of the given name; the caller sets :attr:`text`."""
+
+    text = ""
+
+    def open(self, mode: str = "r", *_: object, **__: object) -> Any:
+        """Open the text for reading."""
+        stream = io.BufferedReader(io.BytesIO(self.text.encode()))
+        return stream if "b" in mode else io.TextIOWrapper(stream, "utf-8")
+
+    def exists(self, **_: object) -> bool:
+        """Return True."""
+        return True
+
+    is_file = exists
+
+
+def read_lines(path: Path) -> Iterator[str]:
+    """Read a UTF-8 text file line by line, without any byte order mark at the beginning.
+
+    An invalid line is rejected as soon as it is read, so an error near the beginning of a large
+    file is reported immediately.
+
+    Yields:
+        Each line, including its line ending.
+
+    Raises:
+        ConfigurationError: if the file cannot be read, is too large or empty, or contains a line
+            that is not UTF-8 text.
+    """
+    source = as_started(path)
+    if source.exists() and not source.is_file():
+        raise ConfigurationError("must be a regular file", file=path)
+    blank = True
+    try:
+        with source.open("rb") as stream:
+            _refuse_other_kinds(path, stream.peek(1 << 10)[: 1 << 10])
+            size = stream.seek(0, os.SEEK_END)
+            stream.seek(0)
+            if size > MAX_BYTES:
+                raise ConfigurationError(
+                    f"is {size / 1e6:.0f} MB in size, but the limit is {MAX_BYTES / 1e6:g} MB: "
+                    "delete the data that no run needs, or split the file (weather can be given "
+                    "as several files, and forecasts as a directory of files)", file=path,
+                )
+            for number, raw in enumerate(stream, start=1):
+                try:
+                    line = (raw if number > 1 else raw.removeprefix(codecs.BOM_UTF8)).decode()
+                except UnicodeDecodeError as error:
+                    form = "" if path.suffix in (".yaml", ".json") else " as CSV"
+                    raise ConfigurationError(
+                        f"is not UTF-8 text; save it{form} in UTF-8", file=path, line=number
+                    ) from error
+                if "\x00" in line:
+                    raise ConfigurationError(
+                        "is not a text file (it contains a NUL byte)", file=path, line=number
+                    )
+                blank = blank and not line.strip()
+                yield line
+    except OSError as error:
+        raise ConfigurationError(f"cannot be read: {error.strerror}", file=path) from error
+    if blank:
+        raise ConfigurationError("is empty", file=path)
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file; see :func:`read_lines`."""
+    return "".join(read_lines(path))
+
+
+# Maximum depth of nesting: far more than our files need, far less than a thread's stack allows.
+_DEEPEST = 200
+# Maximum size of a YAML file (characters): the metadata of a bag of 3,000 files. And the number of
+# values that its aliases may add: a few lines of nested aliases would make billions.
+_MAX_YAML, _MAX_ALIASED = 1_000_000, 10_000
+# PyYAML, unlike libyaml, takes seconds for a text longer than this (characters).
+_EXPLAINED = 20_000
+# Longer integers (digits) are read as floating-point numbers: no quantity needs so many digits.
+_MAX_DIGITS = 20
+_TRUE = {"yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"}
+_FALSE = {"no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"}
+_NOTHING = {"", "~", "null", "Null", "NULL"}
+_INTEGER = re.compile(r"[-+]?[0-9]+")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+
+
+class YamlMapping(dict[str, Any]):
+    """A mapping from a YAML file, with the line number of every key."""
+
+    def __init__(
+        self, values: Mapping[str, Any] | None = None, lines: Mapping[str, int] | None = None
+    ) -> None:
+        super().__init__(values or {})
+        self.lines = {**(lines or {})}
+
+
+def _parse_plain(text: str) -> Any:
+    """Return the value of an unquoted text, reading numbers according to YAML 1.2.
+
+    PyYAML follows YAML 1.1, according to which 5.78e5 is text, 016 is 14, and 3:0 is 180.
+    """
+    if text in _TRUE | _FALSE:
+        return text in _TRUE
+    if _INTEGER.fullmatch(text):
+        return int(text) if len(text) <= _MAX_DIGITS else float(text)
+    if _FLOAT.fullmatch(text):
+        return float(text)
+    if _NOT_FINITE.fullmatch(text):
+        return float(text.replace(".", ""))
+    return None if text in _NOTHING else text
+
+
+def _parse_as_rcl(text: str) -> bool | int | float | str | None:
+    """Return a value as rcl reads it (rcl_yaml_param_parser, parse.c), for example 010 as 8."""
+    if text in _TRUE | _FALSE | {"Y", "y", "N", "n"}:
+        return text in _TRUE | {"Y", "y"}
+    of_c = (text.replace(".", "") if _NOT_FINITE.fullmatch(text) else text).encode()
+    libc, end = ctypes.CDLL(None, use_errno=True), ctypes.c_char_p()
+    libc.strtoll.restype, libc.strtod.restype = ctypes.c_longlong, ctypes.c_double
+    for number, base in ((libc.strtoll, (0,)), (libc.strtod, ())):
+        ctypes.set_errno(0)
+        value: float = number(ctypes.c_char_p(of_c), ctypes.byref(end), *base)
+        if of_c and not end.value and not ctypes.get_errno():
+            return value
+    return text or None
+
+
+def _measure_nesting(text: str) -> int:
+    """Return an upper bound on a YAML text's nesting depth, from brackets and indentation."""
+    depth = deepest = 0
+    for bracket in re.findall(r"[][{}]", text):
+        depth = max(0, depth + (1 if bracket in "[{" else -1))
+        deepest = max(deepest, depth)
+    indented = max((len(line) - len(line.lstrip(" -?")) for line in text.splitlines()), default=0)
+    return max(deepest, indented)
+
+
+def _compose(text: str) -> yaml.Node | None:
+    """Parse YAML with libyaml; for an invalid text, raise PyYAML's more detailed error.
+
+    Every process reads the interface when it starts, and libyaml is ten times as fast as PyYAML.
+    """
+    try:
+        return yaml.compose(text, Loader=_Loader)
+    except (yaml.YAMLError, ValueError):
+        if len(text) <= _EXPLAINED:
+            yaml.compose(text, Loader=yaml.BaseLoader)
+        raise
+
+
+def read_ros_parameters(path: Path) -> YamlMapping:
+    """Read a ROS 2 parameter file, interpreting every value as rcl would for a node.
+
+    Raises:
+        ConfigurationError: if :func:`read_yaml` raises one, or if rcl would reject a value.
+    """
+    def check(mapping: YamlMapping) -> None:
+        for key, value in mapping.items():
+            items = value if isinstance(value, list) else [value]
+            if isinstance(value, YamlMapping):
+                check(value)
+            elif {*map(type, items)} not in ({bool}, {int}, {float}, {str}):
+                raise ConfigurationError(
+                    "must have a value, or a list of values of the same type, such as [1.0, 2.0]; "
+                    "otherwise ROS rejects this file",
+                    file=path, line=mapping.lines[key], key=key, value=value,
+                )
+
+    content = read_yaml(path, _parse_as_rcl)
+    check(content)
+    return content
+
+
+def check_private(file: Path) -> None:
+    """Check that only one user can read or change a file with a secret; the file may be missing.
+
+    Raises:
+        ConfigurationError: if other users can read or change the file.
+    """
+    with suppress(OSError):  # the error is reported when it is read
+        if as_started(file).stat().st_mode & 0o077:
+            raise ConfigurationError(
+                "can be read or changed by other users: protect the file with chmod 600, and "
+                "replace the secret in it if somebody might have read it", file=file,
+            )
+
+
+def read_yaml(path: Path, plain: Callable[[str], Any] = _parse_plain) -> YamlMapping:
+    """Read a YAML file whose top level is a mapping.
+
+    Args:
+        path: the file.
+        plain: function that returns the value of an unquoted text; a block such as ``|-`` counts as
+            unquoted.
+
+    Raises:
+        ConfigurationError: if the file cannot be read, if its top level is not a mapping, or if
+            :func:`parse_yaml` raises one.
+    """
+    content = parse_yaml(read_text(path), path, plain)
+    if not isinstance(content, YamlMapping):
+        raise ConfigurationError("must contain 'key: value' lines", file=path)
+    return content
+
+
+def parse_yaml(text: str, path: Path, plain: Callable[[str], Any] = _parse_plain) -> Any:
+    """Return the value of a YAML text, with every mapping as a :class:`YamlMapping`.
+
+    Args:
+        text: the YAML text.
+        path: the file that contains the text, for errors.
+        plain: function that returns the value of an unquoted text; a block such as ``|-`` counts as
+            unquoted.
+
+    Raises:
+        ConfigurationError: if the text is not valid YAML, is too long or too deeply nested,
+            contains a tag, repeats a key in a mapping, or adds too many values through aliases.
+    """
+    if len(text) > _MAX_YAML:
+        raise ConfigurationError(f"is longer than {_MAX_YAML / 1e6:g} MB", file=path)
+    if _measure_nesting(text) > _DEEPEST:  # libyaml would crash the process
+        raise ConfigurationError(f"is nested more than {_DEEPEST} levels deep", file=path)
+
+    def refuse(node: yaml.Node, problem: str) -> ConfigurationError:
+        line = node.start_mark.line + 1
+        return ConfigurationError(f"is not valid YAML: {problem}", file=path, line=line)
+
+    @functools.cache
+    def size_of(node: yaml.Node) -> int:
+        """Return the number of values in a node, counting every repetition by an alias."""
+        if isinstance(node, yaml.MappingNode):
+            return 1 + sum(size_of(value) for _, value in node.value)
+        return 1 + (sum(map(size_of, node.value)) if isinstance(node, yaml.SequenceNode) else 0)
+
+    @functools.cache  # a node with several aliases is built once
+    def value_of(node: yaml.Node) -> Any:
+        if node.tag:
+            raise refuse(node, f"values must not have tags such as {node.tag!r}")
+        if isinstance(node, yaml.ScalarNode):
+            return node.value if node.style in ("'", '"') else plain(node.value)
+        if isinstance(node, yaml.SequenceNode):
+            return [value_of(item) for item in node.value]
+        mapping = YamlMapping()
+        for key_node, value_node in node.value:
+            if not isinstance(key_node, yaml.ScalarNode) or key_node.tag:
+                raise refuse(key_node, "a key must be text without a tag")
+            key = str(key_node.value)
+            if key in mapping:
+                before = mapping.lines[key]
+                raise refuse(key_node, f"the key {key} appears twice, first on line {before}")
+            mapping[key] = value_of(value_node)
+            mapping.lines[key] = key_node.start_mark.line + 1
+        return mapping
+
+    try:
+        node = _compose(text)
+        if node and size_of(node) > len(text) + _MAX_ALIASED:
+            raise refuse(node, f"its aliases (*NAME) add more than {_MAX_ALIASED} values")
+        return value_of(node) if node else None
+    except yaml.MarkedYAMLError as error:
+        mark, problem = error.problem_mark, error.problem
+        if mark and mark.buffer and mark.buffer[mark.pointer] == "\t":
+            problem = "indent with spaces, not tabs"
+        line = mark.line + 1 if mark else None
+        raise ConfigurationError(f"is not valid YAML: {problem}", file=path, line=line) from error
+    except RecursionError as error:
+        raise ConfigurationError(
+            "is not valid YAML: a value contains itself, or is nested too deeply", file=path
+        ) from error
+    except (yaml.YAMLError, ValueError) as error:
+        raise ConfigurationError(f"is not valid YAML: {error}", file=path) from error
+
+
+@contextmanager
+def add_path_to_errors(path: Path) -> Iterator[None]:
+    """Add a path to an OSError without one, such as an error from reading an open file.
+
+    Raises:
+        OSError: if the block raises one; the path is added to the message if it has none.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+@contextmanager
+def writable(directory: Path, option: str = "--output") -> Iterator[None]:
+    """Convert a write error into a :class:`ConfigurationError` that names the directory.
+
+    Args:
+        directory: directory to which files are written.
+        option: option that sets the directory.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise ConfigurationError(
+            f"cannot be written: {error.strerror}", key=option, value=str(directory)
+        ) from error
+
+
+def replace_text(file: Path, text: str, *, parents: bool = False) -> None:
+    """Replace the content of a file with a text; see :func:`replace_file`."""
+    replace_file(file, lambda stream: stream.write(text.encode()), parents=parents)
+
+
+def replace_file(
+    file: Path, write: Callable[[BinaryIO], object], *, parents: bool = False
+) -> None:
+    """Replace a file as a whole, so that a power cut leaves either the old or the new file.
+
+    Args:
+        file: the file; only one process at a time may replace it.
+        write: function that writes the content to the open file.
+        parents: True to create missing directories; use False if the file's disk may be unmounted.
+
+    Raises:
+        OSError: if the file cannot be written; the old file is then unchanged.
+    """
+    if parents:
+        file.parent.mkdir(parents=True, exist_ok=True)
+    part = file.with_name(f".{file.name}.part")
+    try:
+        with add_path_to_errors(part), part.open("wb") as stream:
+            write(stream)
+            stream.flush()
+            os.fsync(stream.fileno())
+        part.replace(file)
+    except OSError:
+        part.unlink(missing_ok=True)
+        raise

@@ -1,0 +1,390 @@
+"""Functions for processes: ending with the parent, signals, locks, time limits, and systemd."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import errno
+import faulthandler
+import hashlib
+import os
+import shutil
+import signal
+import socket
+import struct
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from io import FileIO
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from greenroof_ros import SIGNALS
+from greenroof_ros.base.errors import ConfigurationError, HangError
+
+with contextlib.suppress(ImportError):  # Windows has none
+    import fcntl
+
+_PR_SET_PDEATHSIG = 1
+# The environment variable of a child that must end with its parent: the parent's number.
+_PARENT = "GREENROOF_ROS_PARENT"
+
+
+def child_environment() -> dict[str, str]:
+    """Return the environment for a child command of this package that ends with this process.
+
+    The child itself ensures that it ends with its parent, because Python code between fork and exec
+    (``preexec_fn``) can deadlock if the parent has threads.
+    """
+    return {**os.environ, _PARENT: str(os.getpid())}
+
+
+def end_with_parent() -> None:
+    """If requested, make the kernel stop this process when its parent dies, even by kill -9.
+
+    The kernel sends SIGTERM, since background processes of a shell may ignore SIGINT. If the parent
+    died before this call, the process stops immediately.
+    """
+    parent = os.environ.pop(_PARENT, None)  # children of this process have another parent
+    if parent is None:
+        return
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    if str(os.getppid()) != parent:
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+def end_worker_with_command() -> None:
+    """Stop this worker immediately when the process that requested it stops for any reason.
+
+    The requesting process is not always the parent, because workers are children of
+    multiprocessing's fork server.
+    """
+    import multiprocessing  # takes long, and only workers need it
+
+    def watch() -> None:
+        try:
+            if (command := multiprocessing.parent_process()) is not None:
+                command.join()
+        finally:
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+# Windows has no O_NOFOLLOW, and other systems no O_BINARY.
+_FLAGS = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+# Length of the address of a Unix socket (bytes), and what the kernel reports about its listener:
+# process, user and group.
+_MAX_ADDRESS = 107
+_CREDENTIALS = struct.Struct("3i")
+
+
+class LockedError(Exception):
+    """Raised if another process holds the lock.
+
+    Attributes:
+        holder: process ID of the holder of the lock; None if it is unknown.
+    """
+
+    def __init__(self, lock: Path | str, holder: int | None) -> None:
+        super().__init__(f"process {holder or 'unknown'} holds the lock {lock}")
+        self.holder = holder
+
+
+def acquire_name_lock(name: str) -> socket.socket:
+    """Acquire a machine-wide lock on a name, and return the lock, which is held until closed.
+
+    The lock is a socket in Linux's abstract namespace. Unlike a file, the lock cannot be removed by
+    a cleanup of ``/tmp`` or at the end of a login session while the lock is held, and it is
+    released when its process exits. Like a network port, the lock applies to the processes of one
+    network namespace.
+
+    Args:
+        name: the name to lock; a long name is replaced by its digest.
+
+    Raises:
+        LockedError: if another process holds the lock.
+        OSError: if the system does not support abstract sockets.
+    """
+    address = f"\0greenroof_ros-{name}"
+    if len(address.encode()) > _MAX_ADDRESS:
+        address = f"\0greenroof_ros-{hashlib.sha256(name.encode()).hexdigest()}"
+    lock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        lock.bind(address)
+        lock.listen()  # so that others can ask the kernel who holds it
+    except OSError as error:
+        lock.close()
+        if error.errno != errno.EADDRINUSE:
+            raise
+        raise LockedError(name, _find_listener(address)) from None
+    return lock
+
+
+def _find_listener(address: str) -> int | None:
+    """Return the ID of the process that listens on an address; None if it is unknown."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as visitor:
+        visitor.setblocking(False)
+        try:
+            visitor.connect(address)
+            credentials = visitor.getsockopt(
+                socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size
+            )
+        except OSError:  # it has just ended, or no one can connect any longer
+            return None
+    return int(_CREDENTIALS.unpack(credentials)[0]) or None  # 0: in another process namespace
+
+
+def _lock(descriptor: int) -> None:
+    """Lock an open file or directory until it is closed.
+
+    Raises:
+        BlockingIOError: if another process has locked it.
+    """
+    if "fcntl" in globals():
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return
+    import msvcrt
+
+    # A byte beyond the content, since Windows lets nobody else read what is locked.
+    os.lseek(descriptor, _LOCKED_BYTE, os.SEEK_SET)
+    try:
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
+    except OSError as error:
+        raise BlockingIOError(*error.args) from None
+    finally:
+        os.lseek(descriptor, 0, os.SEEK_SET)
+
+
+_LOCKED_BYTE = 1 << 30
+LOCK_BYTES = 32
+"""length of the holder's number in a lock file (bytes); what follows it belongs to the holder"""
+
+
+def acquire_file_lock(path: Path) -> FileIO:
+    """Open and lock a file, and return it; the lock is held until the file is closed.
+
+    Args:
+        path: path of the lock file, which is created if necessary; symbolic links are not followed.
+            The holder of the lock may remove the file.
+
+    Raises:
+        LockedError: if another process holds the lock.
+        OSError: if the file cannot be opened.
+    """
+    while True:
+        lock = FileIO(os.open(path, _FLAGS, 0o600), "r+")
+        try:
+            _lock(lock.fileno())
+        except BlockingIOError:
+            text = lock.read(LOCK_BYTES).decode("ascii", "replace").strip()
+            lock.close()
+            raise LockedError(path, int(text) if text.isdecimal() else None) from None
+        # The last holder may have removed the file after we opened it and before we locked it.
+        if path.exists() and path.stat().st_ino == os.fstat(lock.fileno()).st_ino:
+            break
+        lock.close()
+    with contextlib.suppress(OSError):  # the disk is full: the lock holds all the same
+        lock.write(f"{os.getpid()}\n".ljust(LOCK_BYTES).encode())
+    return lock
+
+
+IN_MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
+"""a place for files in memory; None if the system has none, as other systems than Linux"""
+# Directories of temporary files; nothing else may have such a name.
+_SCRATCH = "greenroof_ros_scratch-"
+
+
+@contextlib.contextmanager
+def scratch_directory(place: str | None = None) -> Iterator[Path]:
+    """Create a directory for temporary files, and remove the directories of killed processes.
+
+    The process holds a lock on its directory. Unlike a process ID, a lock also works between
+    containers that share ``/dev/shm``.
+
+    Args:
+        place: parent directory; None for the system's directory for temporary files.
+    """
+    if not hasattr(os, "O_DIRECTORY"):  # Windows cannot lock a directory
+        with tempfile.TemporaryDirectory(
+            prefix=_SCRATCH, dir=place, ignore_cleanup_errors=True
+        ) as made:
+            yield Path(made)
+        return
+    for stale in Path(place or tempfile.gettempdir()).glob(f"{_SCRATCH}*"):
+        with contextlib.suppress(OSError), _lock_directory(stale):  # another user's, or in use
+            shutil.rmtree(stale)
+    with contextlib.ExitStack() as ends:
+        directory, locked = Path(), False
+        while not (locked and directory.exists()):
+            directory, locked = Path(tempfile.mkdtemp(prefix=_SCRATCH, dir=place)), False
+            # Until it is locked, another process may take it for a stale one and remove it.
+            with contextlib.suppress(FileNotFoundError, BlockingIOError):
+                ends.enter_context(_lock_directory(directory))
+                locked = True
+        ends.callback(shutil.rmtree, directory, ignore_errors=True)
+        yield directory
+
+
+@contextlib.contextmanager
+def _lock_directory(directory: Path) -> Iterator[None]:
+    """Lock a directory.
+
+    Raises:
+        OSError: if another process has locked the directory, or if it cannot be opened.
+    """
+    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        _lock(descriptor)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+# Whether this process was forked from one in which polars was running threads.
+_lost_threads = False
+
+
+def _watch_polars() -> None:
+    global _lost_threads
+    if "polars" in sys.modules and not _lost_threads:
+        for task in Path("/proc/self/task").glob("*/comm"):
+            with contextlib.suppress(OSError):  # it has just ended
+                _lost_threads |= task.read_text() == "polars-0\n"
+
+
+def refuse_forked_polars() -> None:
+    """Raise an error if polars would wait forever for threads that a fork did not copy.
+
+    Raises:
+        ConfigurationError: if this process was forked after polars had been used.
+    """
+    if _lost_threads and os.getpid() != _IMPORTED_BY:
+        raise ConfigurationError(
+            "cannot be created in a process that was forked after polars was used; start the "
+            "processes with spawn: multiprocessing.get_context('spawn')", key="a data frame",
+        )
+
+
+_IMPORTED_BY = os.getpid()
+if hasattr(os, "register_at_fork"):  # Windows does not fork
+    os.register_at_fork(before=_watch_polars)
+# Sockets between which Python sends the number of each signal; None until it is set up. On Windows,
+# numbers cannot be sent through a pipe.
+_stored: tuple[socket.socket, socket.socket] | None = None
+
+
+def store_signals() -> None:
+    """Store every signal from now on for :func:`find_signal`, whatever code handles the signal."""
+    global _stored
+    _stored = socket.socketpair()
+    for end in _stored:
+        end.setblocking(False)
+    signal.set_wakeup_fd(_stored[1].fileno(), warn_on_full_buffer=False)
+
+
+def find_signal() -> signal.Signals | None:
+    """Return a stop signal received since the last call; None if none was received."""
+    if _stored is not None:
+        with contextlib.suppress(BlockingIOError):
+            for number in _stored[0].recv(4096):
+                if number in SIGNALS:
+                    return signal.Signals(number)
+    return None
+
+
+def count_cores() -> int:
+    """Return the number of processor cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):  # Linux
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class InterruptedRun(Exception):
+    """Raised if Ctrl-C, SIGTERM or a closed terminal ends a run; the message names the signal."""
+
+
+class Signals:
+    """Handler that stores a received signal, so that the run can stop at a safe point.
+
+    An exception from the handler could interrupt any code, even the shutdown of the nodes. A signal
+    that the process already ignores stays ignored: under ``nohup`` a process ignores the closing of
+    its terminal, and a shell makes background processes ignore Ctrl-C.
+    """
+
+    def __init__(self) -> None:
+        self._received: signal.Signals | None = None
+        for number in SIGNALS:
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._on_signal)
+
+    def _on_signal(self, signum: int, frame: Any) -> None:
+        self._received = signal.Signals(signum)
+
+    @property
+    def received(self) -> signal.Signals | None:
+        """The signal received so far, even if other code handled it; None if there was none."""
+        self._received = self._received or find_signal()
+        return self._received
+
+    def ignore(self) -> None:
+        """Ignore all later signals, which would interrupt the shutdown of the interpreter."""
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+
+    def check(self) -> None:
+        """Raise :class:`InterruptedRun` if a signal was received."""
+        if (received := self.received) is not None:
+            raise InterruptedRun(f"interrupted by {received.name}")
+
+
+@contextlib.contextmanager
+def time_limit(seconds: float) -> Iterator[None]:
+    """Raise an error in Python code that takes too long, and repeat it every second until it stops.
+
+    The code has to run in the main thread. Compiled code cannot be stopped; the position from which
+    it was called is then written to standard error. A pause of the whole process counts as only one
+    step, which is a tenth of the limit.
+
+    Raises:
+        HangError: if the code takes longer than the given time (s).
+    """
+    step = seconds / 10
+    left = seconds
+
+    def end(_: int, frame: FrameType | None) -> None:
+        nonlocal left
+        left -= step
+        if left > step / 2:
+            return
+        left = 1.0
+        place = "" if frame is None else f"{frame.f_code.co_filename}, line {frame.f_lineno}"
+        raise HangError(f"did not return within {seconds:g} s; it was executing {place}")
+
+    before = signal.signal(signal.SIGALRM, end)
+    signal.setitimer(signal.ITIMER_REAL, step, step)
+    faulthandler.dump_traceback_later(seconds + 1.0)
+    try:
+        yield
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def notify(*lines: str) -> None:
+    """Send lines to systemd if systemd started this process; otherwise do nothing.
+
+    Args:
+        lines: lines such as ``READY=1`` and ``STATUS=all nodes are here``.
+    """
+    path = os.environ.get("NOTIFY_SOCKET")
+    if not path:
+        return
+    address = f"\0{path[1:]}" if path.startswith("@") else path  # an abstract socket
+    # A service manager that restarts or is slow must not stop the process that it watches.
+    with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+        sender.setblocking(False)
+        sender.sendto("\n".join(lines).encode(), address)

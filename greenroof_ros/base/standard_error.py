@@ -1,0 +1,129 @@
+"""Output on standard error: lines written by a thread, and progress lines.
+
+A thread writes the lines so that time-critical code does not wait.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+
+from greenroof_ros.base.disk import DiskThread
+
+# How many lines may wait, and how long the end of the process waits for them (s).
+_MAX_LINES, _END_S = 1000, 2.0
+# How often progress is printed, and how often a line that others can cause (s).
+_EVERY_S, _SELDOM_S = 10.0, 60.0
+
+
+class Lines:
+    """Writer of lines to a file descriptor that may block, such as a full pipe.
+
+    A terminal stopped with Ctrl-S blocks as well. A separate thread writes the lines, so that
+    writing logs and the summary does not wait for the reader of standard error. If too many lines
+    are waiting, the oldest are dropped, and their number is printed.
+    """
+
+    def __init__(self, number: int) -> None:
+        """Create the writer without lines.
+
+        Args:
+            number: the file descriptor. Python's stream is bypassed, because a thread that hangs in
+                the stream holds its lock, and the interpreter would wait for the lock at exit.
+        """
+        self._number = number
+        self._waiting: deque[str] = deque()
+        self._dropped = 0
+        # By kind: when the next line is due (steady clock, s), and how many were left out.
+        self._kinds: dict[str, tuple[float, int]] = {}
+        self._lock = threading.Lock()
+        self._thread = DiskThread()
+
+    def print_line(self, text: str) -> None:
+        """Queue one or more lines for writing, and return immediately."""
+        self.write(f"{text}\n")
+
+    def print_seldom(self, kind: str, text: str) -> None:
+        """Print a message that other programs can trigger at will, at most once a minute per kind.
+
+        Args:
+            kind: kind of the message; messages of one kind are limited regardless of their text.
+                The number of omitted messages is appended.
+            text: one or more lines.
+        """
+        now = time.monotonic()
+        with self._lock:
+            due, left_out = self._kinds.get(kind, (0.0, 0))
+            if now < due:
+                self._kinds[kind] = due, left_out + 1
+                return
+            self._kinds[kind] = now + _SELDOM_S, 0
+        more = f" (and {left_out} similar messages before it)" if left_out else ""
+        self.print_line(text + more)
+
+    def write(self, text: str) -> None:
+        """Queue a text; with ``flush`` and ``isatty``, progress bars can use this as a file."""
+        with self._lock:
+            if len(self._waiting) == _MAX_LINES:
+                self._waiting.popleft()
+                self._dropped += 1
+            self._waiting.append(text)
+        self._thread.do(self._write)
+
+    def flush(self) -> None:
+        """Do nothing, because all texts are written as soon as possible."""
+
+    def isatty(self) -> bool:
+        """Return True if the file descriptor is a terminal."""
+        return os.isatty(self._number)
+
+    def wait(self, within: float) -> bool:
+        """Wait up to the given time (s) until all texts are written; return True if they are."""
+        return self._thread.wait(within)
+
+    def _write(self) -> None:
+        """Write the waiting texts in the thread; a text that cannot be written is lost."""
+        while True:
+            with self._lock:
+                if not self._waiting:
+                    return
+                text = self._waiting.popleft()
+                dropped, self._dropped = self._dropped, 0
+            if dropped:
+                text = f"{dropped} lines were dropped because standard error was blocked\n{text}"
+            data = text.encode(errors="backslashreplace")
+            try:
+                while data:
+                    data = data[os.write(self._number, data):]
+            except OSError:
+                continue
+
+
+# The lines of this process, which are written before it ends.
+LINES = Lines(2)
+print_line, print_seldom = LINES.print_line, LINES.print_seldom
+atexit.register(LINES.wait, _END_S)
+
+
+class ProgressLines:
+    """Printer that reports progress at most every ten seconds, and not in the first ten seconds."""
+
+    def __init__(self, print_line: Callable[[str], None] = print_line) -> None:
+        """Start the interval of ten seconds.
+
+        Args:
+            print_line: function that prints a line; by default, on standard error.
+        """
+        self._print_line = print_line
+        self._due = time.monotonic() + _EVERY_S
+
+    def update(self, text: str) -> None:
+        """Update the progress, and print it if a line is due."""
+        now = time.monotonic()
+        if now >= self._due:
+            self._due = now + _EVERY_S
+            self._print_line(text)

@@ -1,0 +1,221 @@
+"""Reading, writing and converting times, and clocks that cannot be set."""
+
+from __future__ import annotations
+
+import functools
+import re
+import time
+from datetime import datetime, timedelta, timezone, tzinfo
+from pathlib import Path
+
+from greenroof_ros.base.errors import ConfigurationError
+
+# The years that the time stamps of ROS 2 and of bags cover in full.
+FIRST_YEAR, LAST_YEAR = 1971, 2037
+
+# The start of the paper's window, which is also the example time in messages.
+DEFAULT_START = "2021-07-07T02:00-05:00"
+_EPOCH = datetime.fromisoformat("1970-01-01T00:00+00:00")
+
+# A calendar date, a time of day and an offset in ISO 8601, all with or without separators. Every
+# version of Python's own parser accepts other forms.
+_ISO = re.compile(
+    r"(\d{4})(-?)(\d\d)\2(\d\d)"
+    r"(?:[T ](\d\d)(?::?(\d\d)(?::?(\d\d)(?:[.,](\d+))?)?)?"
+    r" ?(?:(Z)|([+-])(\d\d)(?::?(\d\d)(?::?(\d\d))?)?)?)?",
+    re.ASCII | re.IGNORECASE,
+)
+
+# What is wrong with other forms of times.
+_HINTS = (
+    (r"\d{5}(\.\d+)?", "a spreadsheet counts days: format its cells as yyyy-mm-dd hh:mm"),
+    (r"\d{9,}(\.\d+)?", "write a date and a time, with hyphens and colons"),
+    (r".*\d *[AaPp]\.?[Mm]\.?", "hours range from 00 to 23"),
+    (r"\d{1,4}[./]\d{1,2}[./]\d{1,4}.*", "write year, month and day, in this order, with hyphens"),
+    (r".*[ T]\d:.*", "write hours with two digits, as in 00:00"),
+    (r".*:\d\d *[A-Za-z\[].*", "write the offset from UTC as a number, or Z for UTC"),
+)
+
+
+@functools.lru_cache(10_000)
+def parse_time(text: str, zone: tzinfo | None = None) -> datetime:
+    """Read an ISO 8601 time, in the given zone if it has no offset; a final ``Z`` means UTC.
+
+    Fractions of a second are truncated to microseconds; 24:00 is the end of the day.
+
+    Raises:
+        ValueError: if the text is not a time from :data:`FIRST_YEAR` to :data:`LAST_YEAR`.
+    """
+    match = _ISO.fullmatch(text.strip())
+    if match is None:
+        raise ValueError
+    year, month, day = (int(match[group]) for group in (1, 3, 4))
+    hour, minute, second = (int(match[group] or 0) for group in (5, 6, 7))
+    micro = int((match[8] or "")[:6].ljust(6, "0"))
+    if hour == 24 and (minute, second, micro) != (0, 0, 0):
+        raise ValueError
+    if match[9]:
+        zone = timezone.utc
+    elif match[10]:
+        hours, minutes, seconds = (int(match[group] or 0) for group in (11, 12, 13))
+        zone = _zone(match[10], hours, minutes, seconds)
+    time = datetime(year, month, day, hour % 24, minute, second, micro, tzinfo=zone)
+    return _within_years(time + timedelta(days=hour // 24))
+
+
+@functools.lru_cache
+def _zone(sign: str, hours: int, minutes: int, seconds: int) -> timezone:
+    offset = timedelta(hours=hours, minutes=minutes, seconds=seconds)
+    return timezone(offset if sign == "+" else -offset)
+
+
+def time_hint(text: str) -> str:
+    """Return a hint for a time that :func:`parse_time` rejects; empty if there is no hint."""
+    for pattern, what in _HINTS:
+        if re.fullmatch(pattern, text.strip()):
+            return f"; {what}"
+    return ""
+
+
+def parse_local_time(text: str, zone: tzinfo) -> datetime:
+    """Read a local time in a zone, such as ``2021-07-01 0:00`` or ``2021-07-01T00:00:00``.
+
+    Raises:
+        ValueError: if the text is not a local time, has an offset, or is outside the supported
+            years.
+    """
+    match = re.fullmatch(
+        r"(\d{4}[-/]\d\d[-/]\d\d)[ T](\d{1,2})(:\d\d(?::\d\d(?:\.\d+)?)?)", text.strip()
+    )
+    if match is None:
+        raise ValueError
+    date, hour, minutes = match.groups()
+    return parse_time(f"{date.replace('/', '-')}T{hour.zfill(2)}{minutes}", zone)
+
+
+def parse_unix_time(text: str) -> datetime:
+    """Read whole seconds since 1970 as a time in UTC.
+
+    Raises:
+        ValueError: if the time is outside the supported years.
+    """
+    return _within_years(_EPOCH + timedelta(seconds=float(text)))
+
+
+def _within_years(time: datetime) -> datetime:
+    if not FIRST_YEAR <= time.year <= LAST_YEAR:
+        raise ValueError
+    return time
+
+
+def to_minutes(time: datetime) -> str:
+    """Format a time in minutes with its offset from UTC, such as ``2021-07-07T02:00-05:00``."""
+    return time.isoformat(timespec="minutes")
+
+
+def to_people(time: datetime) -> str:
+    """Format a time for headings, such as ``2021-07-07 02:00-05:00``; omit zero seconds."""
+    return time.isoformat(" ", "seconds" if time.second else "minutes")
+
+
+def iso(seconds: float) -> str:
+    """Format a time (s since 1970) in UTC according to ISO 8601, with milliseconds."""
+    return datetime.fromtimestamp(seconds, timezone.utc).isoformat(timespec="milliseconds")
+
+
+def hours_minutes(seconds: float) -> str:
+    """Format a time since the start of a run in whole minutes, such as ``00:05``."""
+    minutes = int(seconds) // 60
+    return f"{minutes // 60:02}:{minutes % 60:02}"
+
+
+def hours_minutes_seconds(seconds: float) -> str:
+    """Format a time since the start of a run in whole seconds, such as ``00:20:34``."""
+    return f"{hours_minutes(seconds)}:{int(seconds) % 60:02}"
+
+
+def duration(seconds: float) -> str:
+    """Format a duration in a readable form, such as ``40 s``, ``27 min``, ``2 h`` or ``120 h``."""
+    if seconds < 90:
+        return f"{seconds:.3g} s"
+    if seconds < 5400:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f}".removesuffix(".0") + " h"
+
+
+def epoch_ns(time: datetime) -> int:
+    """Convert a time to nanoseconds since 1970-01-01 UTC, without intermediate rounding."""
+    return (time - _EPOCH) // timedelta(microseconds=1) * 1000
+
+
+def hours_since_1970(time: datetime) -> int:
+    """Convert a time to hours since 1970-01-01 UTC, rounded down."""
+    return (time - _EPOCH) // timedelta(hours=1)
+
+
+def from_epoch_ns(nanoseconds: int) -> datetime:
+    """Convert nanoseconds since 1970-01-01 UTC to a time in UTC, with microseconds."""
+    return _EPOCH + timedelta(microseconds=nanoseconds // 1000)
+
+
+def is_skipped(local: datetime) -> bool:
+    """Return True if clocks in the time's zone skip the time, as when they go forward in spring."""
+    shown = local.astimezone(timezone.utc).astimezone(local.tzinfo)
+    return shown.replace(tzinfo=None) != local.replace(tzinfo=None)
+
+
+def read_start(text: str, zone: tzinfo | None = None) -> datetime:
+    """Read a start time, in the given zone if it has no offset from UTC.
+
+    A time in the hour that clocks show twice is interpreted as the first occurrence. The result has
+    a fixed offset, because adding durations in a zone with daylight saving time would follow the
+    wall clock.
+
+    Args:
+        text: the start time.
+        zone: time zone of a time without an offset; None if an offset is required.
+
+    Raises:
+        ConfigurationError: if the text is not an ISO 8601 time, has no offset although no zone is
+            given, or is in an hour that the zone's clocks skip.
+    """
+    try:
+        start = parse_time(text, zone)
+    except ValueError:
+        raise ConfigurationError(
+            f"must be a time such as {DEFAULT_START}, from {FIRST_YEAR} to {LAST_YEAR}"
+            + time_hint(text),
+            key="start", value=text,
+        ) from None
+    if start.utcoffset() is None:
+        raise ConfigurationError(
+            f"must include its offset from UTC, as in {DEFAULT_START}", key="start", value=text
+        )
+    if is_skipped(start):
+        raise ConfigurationError(
+            f"is a time that the clocks in {start.tzinfo} skip", key="start", value=text
+        )
+    return start.replace(tzinfo=timezone(start.utcoffset() or timedelta()))
+
+
+def boot_time() -> float:
+    """Return the time since the machine started (s), including time spent suspended.
+
+    ``time.monotonic()`` stops during a suspend, so values measured before a suspend would still
+    seem new after it.
+    """
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+@functools.cache
+def boot_id() -> str:
+    """Return an identifier of the machine's current boot; empty if the system has none."""
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    except OSError:
+        return ""
+
+
+def suspended_time() -> float:
+    """Return the total time for which the machine has been suspended since it started (s)."""
+    return boot_time() - time.monotonic()

@@ -1,0 +1,1 @@
+"""The topics, conditions, states and alarms of ``msg_defs/``, as Python objects."""

@@ -1,0 +1,229 @@
+"""The interface of the graph, ``msg_defs/topics.yaml``, with all topics."""
+
+from __future__ import annotations
+
+import functools
+import math
+import sys
+from array import array
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import read_yaml, shared_directory
+from greenroof_ros.base.ranges import Range
+
+
+@dataclass(frozen=True)
+class Qos:
+    """A quality-of-service profile with keep-last history and automatic liveliness.
+
+    Attributes:
+        name: the profile's name in the interface.
+        reliability: ``reliable`` or ``best_effort``.
+        durability: ``transient_local`` or ``volatile``.
+        depth: history depth (number of messages).
+        lease_s: liveliness lease duration (s); infinite by default.
+    """
+
+    name: str
+    reliability: str
+    durability: str
+    depth: int
+    lease_s: float = math.inf
+
+
+@dataclass(frozen=True)
+class Display:
+    """The form in which every tool shows a topic's values to an operator.
+
+    Attributes:
+        label: name of the value, as shown to the operator.
+        unit: unit of the shown value, such as ``mm``; empty for a plain number.
+        factor: conversion factor from the topic's unit to the shown unit, such as 1000 from m to
+            mm.
+        decimals: number of decimal places of the shown value.
+    """
+
+    label: str
+    unit: str
+    factor: float
+    decimals: int
+
+
+@dataclass(frozen=True)
+class Age:
+    """The maximum age of a topic's values in a live graph, a parameter of nodes reading the topic.
+
+    Attributes:
+        parameter: name of the parameter.
+        quantity: human-readable name of the quantity.
+        default: default value of the parameter (s).
+        max: maximum value of the parameter (s).
+    """
+
+    parameter: str
+    quantity: str
+    default: float
+    max: float
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of the graph; ``msg_defs/topics.yaml`` explains every attribute."""
+
+    name: str
+    type: str
+    unit: str
+    low: float
+    high: float
+    publishers: tuple[str, ...]
+    subscribers: tuple[str, ...]
+    per_tick: bool
+    qos: Qos
+    meaning: str
+    optional: bool = False
+    of_valve: bool = False
+    display: Display | None = None
+    dimensions: tuple[str, ...] = ()
+    undecided: float | array[float] = math.nan
+    may_be_unknown: bool = False
+    absolute: bool = False
+    live: bool = True
+    live_publishers: tuple[str, ...] = ()
+    live_subscribers: tuple[str, ...] = ()
+    max_age: Age | None = None
+
+    @property
+    def range(self) -> Range:
+        """The range of valid values."""
+        return Range(self.low, self.high, self.unit)
+
+    @property
+    def graph_name(self) -> str:
+        """The relative name used in the code of nodes, so that a graph can have a namespace."""
+        return self.name if self.absolute else self.name.removeprefix("/")
+
+
+@functools.cache
+def _topics() -> dict[str, Topic]:
+    """Read the interface once per process, because sites, nodes and pages all use it."""
+    interface: dict[str, Any] = read_yaml(shared_directory() / "msg_defs" / "topics.yaml")
+    profiles = {name: Qos(name=name, **profile) for name, profile in interface["qos"].items()}
+    ages = {name: Age(parameter=name, **age) for name, age in interface["max_ages"].items()}
+    return {
+        name: _make_topic(
+            name, profiles[entry.pop("qos")],
+            max_age=ages.get(entry.pop("max_age", "")), **entry,
+        )
+        for name, entry in interface["topics"].items()
+    }
+
+
+def _make_topic(
+    name: str, qos: Qos, *, range: Sequence[float] = (-math.inf, math.inf),
+    undecided: float | list[float] = math.nan, display: Mapping[str, Any] | None = None,
+    **entry: Any,
+) -> Topic:
+    low, high = range
+    fields: dict[str, Any] = {
+        key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()
+    }
+    return Topic(
+        name=name, qos=qos,
+        # Even without limits, a value must be finite.
+        low=max(low, -sys.float_info.max), high=min(high, sys.float_info.max),
+        undecided=array("d", undecided) if isinstance(undecided, list) else undecided,
+        display=None if display is None else Display(**display), **fields,
+    )
+
+
+def read_topics() -> dict[str, Topic]:
+    """Return the topics in the order of the file, which is also their order in a bag's ticks."""
+    return dict(_topics())
+
+
+def read_live_topics() -> dict[str, Topic]:
+    """Return the topics of a live graph, which has no plant."""
+    return {
+        name: replace(
+            topic,
+            publishers=topic.live_publishers or _drop_plant(topic.publishers),
+            subscribers=_drop_plant(topic.subscribers) + topic.live_subscribers,
+        )
+        for name, topic in read_topics().items()
+        if topic.live
+    }
+
+
+def _drop_plant(roles: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(role for role in roles if role != "plant")
+
+
+def optional_topics(outputs: Mapping[str, str]) -> list[tuple[Topic, str]]:
+    """Return the topics of a controller's outputs, with the corresponding controller attributes.
+
+    Raises:
+        ConfigurationError: if the name of an output is not an optional topic of the interface.
+    """
+    topics = {name: topic for name, topic in read_topics().items() if topic.optional}
+    for name in outputs:
+        if name not in topics:
+            raise ConfigurationError(
+                "is not an output of a controller; the outputs in msg_defs/topics.yaml are "
+                f"{', '.join(topics)}",
+                key="outputs", value=name,
+            )
+    return [(topic, outputs[name]) for name, topic in topics.items() if name in outputs]
+
+
+def recorded_topics(outputs: Mapping[str, str], valve: bool) -> list[Topic]:
+    """Return the topics that a graph publishes in every tick, in the order of a bag.
+
+    Args:
+        outputs: the optional topics that the graph's controller publishes.
+        valve: True if the cistern's low outlet has a valve.
+
+    Raises:
+        ConfigurationError: if an output is not an optional topic of the interface.
+    """
+    optional_topics(outputs)  # rejects others
+    return [
+        topic for topic in read_topics().values()
+        if topic.per_tick and (not topic.optional or topic.name in outputs)
+        and (valve or not topic.of_valve)
+    ]
+
+
+def find_namespace(names: Collection[str], needed: Sequence[str], bag: Path) -> str:
+    """Return the namespace of a graph, derived from the full names of its topics.
+
+    Args:
+        names: full topic names, such as ``/site1/roof/level``.
+        needed: names of the topics in the interface, such as ``/roof/level``, that the graph must
+            have.
+        bag: the bag that contains the topics, for messages.
+
+    Returns:
+        The prefix of the names, such as ``/site1``; empty if there is no prefix, or if no namespace
+        contains all needed topics.
+
+    Raises:
+        ConfigurationError: if more than one namespace contains all needed topics.
+    """
+    first = needed[0]
+    namespaces = [
+        name.removesuffix(first)
+        for name in names
+        if name.endswith(first)
+        and all(name.removesuffix(first) + topic in names for topic in needed)
+    ]
+    if len(namespaces) > 1:
+        raise ConfigurationError(
+            "must be from a single graph, but contains topics from the namespaces "
+            + ", ".join(namespace or "/" for namespace in sorted(namespaces)),
+            file=bag,
+        )
+    return namespaces[0] if namespaces else ""

@@ -1,1 +1,0 @@
-"""Records of a run: trajectories, bags, and tables of results and rain events."""

@@ -1,0 +1,364 @@
+"""Reading a trajectory from a bag of this package, or of a real site with gaps and outliers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+from datetime import tzinfo
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.base.errors import ConfigurationError, require_extra
+from greenroof_ros.base.files import read_yaml
+from greenroof_ros.base.times import from_epoch_ns
+from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
+from greenroof_ros.interface.topics import Topic, find_namespace, read_topics
+from greenroof_ros.physics.pump import maximum_pump_flow
+from greenroof_ros.results.bag_write import METADATA
+from greenroof_ros.results.trajectory import COLUMNS, Trajectory, recorded_columns
+from greenroof_ros.site.site import Site
+
+Stamps = NDArray[np.int64]
+Values = NDArray[np.float64]
+
+# Attribute of a trajectory, by topic. A sample needs the topics below; the others count as 0 if
+# they are missing.
+_ATTRIBUTES = {column.topic: column.attribute for column in COLUMNS if column.attribute}
+_NEEDED = ("/roof/level", "/cistern/level", "/pump/command", "/pump/flow")
+_TYPE = "std_msgs/msg/Float64"
+_CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
+
+# A live graph publishes NaN for an unknown value, as defined in the interface.
+_MAY_BE_UNKNOWN = ("/weather/frost",)
+
+# A smaller share of wrong values in a topic counts as outliers of a sensor; a larger one is a
+# mistake.
+_MAX_OUTLIERS = 0.01
+
+# Tolerance for a value at the limit that was rounded elsewhere.
+_ROUNDING = 1 + 1e-9
+
+# A time without messages is a gap if it exceeds both: in seconds, and in median spacings.
+_GAP_S, _GAP_SPACINGS = 600, 10
+
+# If there are no messages for longer than this (ns), a clock is wrong.
+_MAX_GAP_NS = 366 * 86400e9
+
+_MAX_NAMED = 10
+
+
+def count_ticks(bag: Path) -> int | None:
+    """Return the number of complete ticks in a bag written by this package.
+
+    Return None if the bag was not closed, because its recorder was killed or its disk was full.
+    """
+    if not (bag / METADATA).is_file():
+        return None
+    about = read_yaml(bag / METADATA)["rosbag2_bagfile_information"]
+    return min(int(topic["message_count"]) for topic in about["topics_with_message_count"])
+
+
+class RecordedTrajectory(NamedTuple):
+    """The trajectory of a run, and notes about its reconstruction from the bag."""
+
+    trajectory: Trajectory
+    notes: tuple[str, ...] = ()
+    unknown: frozenset[str] = frozenset()
+    """attributes of the trajectory that are 0 because the bag contains nothing about them"""
+
+
+class _Series(NamedTuple):
+    """The values of a topic, and the times at which they were logged (ns since 1970)."""
+
+    times: Stamps
+    values: Values
+
+
+def load_bag(
+    bag: Path, site: Site, zone: tzinfo, *, own: bool, external_pump: bool = False,
+    repair: str = "",
+) -> RecordedTrajectory:
+    """Read a trajectory from a bag.
+
+    The trajectory has a sample at every time at which a message of a used topic was logged, with
+    the last value of every topic at or before that time. Bags written by this package log all
+    topics of a tick at the same time, so their samples are the ticks.
+
+    Args:
+        bag: directory of the bag, or a single MCAP file.
+        site: site at which the bag was recorded.
+        zone: time zone of the result.
+        own: True if the run is known to be a simulation by this package, whose plant rejected
+            implausible values and used 0 instead. In other bags, implausible values are left out or
+            cause an error.
+        external_pump: True if a pump driver sent the flow to the plant.
+        repair: instruction for repairing a damaged bag, for use in the error message; empty if
+            repair is impossible.
+
+    Raises:
+        ConfigurationError: if the bag is damaged, lacks a needed topic, or contains implausible
+            values.
+    """
+    recorded, notes = _keep_one_time(_read_series(bag, repair), zone)
+    of_site = {column.topic: column.attribute for column in recorded_columns(site)}
+    notes += [
+        f"{topic} is not in the bag; its value is assumed to be 0"
+        for topic in of_site if topic not in recorded
+    ]
+    interface, highest = read_topics(), _compute_maxima(site)
+    series = {}
+    for topic, of_topic in recorded.items():
+        if own:
+            of_topic, note = _replace_refused(interface[topic], of_topic, external_pump)
+        else:
+            of_topic, note = _drop_outliers(bag, interface[topic], highest.get(topic), of_topic)
+        notes += note
+        if len(of_topic.times):  # otherwise it was never known
+            series[topic] = of_topic
+    stamps = np.unique(np.concatenate([of_topic.times for of_topic in series.values()]))
+    samples = stamps[stamps >= max(series[topic].times[0] for topic in _NEEDED)]
+    if len(samples) < 2:
+        raise ConfigurationError(
+            f"must contain at least two samples of {', '.join(_NEEDED)}, not {len(samples)}",
+            file=bag,
+        )
+    spacings = np.diff(samples)
+    longest = max(_GAP_S * 1e9, _GAP_SPACINGS * float(np.median(spacings)))
+    gaps = np.flatnonzero(spacings > longest)  # the last sample before each gap
+    columns: dict[str, Values] = {}
+    for topic, name in of_site.items():
+        columns[name] = np.zeros(len(samples))
+        if topic in series:
+            # If several messages have the same time, the last one counts.
+            index = np.searchsorted(series[topic].times, samples, side="right") - 1
+            columns[name] = np.where(index >= 0, series[topic].values[np.maximum(index, 0)], 0.0)
+        if name not in ("roof", "cistern"):
+            columns[name][gaps] = 0.0
+    columns["roof"] = columns["roof"] * site.a2
+    columns["cistern"] = columns["cistern"] * site.a1
+    if len(gaps):
+        notes.append(_describe_gaps(samples, gaps, zone))
+    time = (samples - samples[0]) / 1e9
+    start = from_epoch_ns(int(samples[0])).astimezone(zone)
+    return RecordedTrajectory(
+        Trajectory(start=start, time=time, **columns), tuple(notes),
+        frozenset(name for topic, name in of_site.items() if topic not in series),
+    )
+
+
+def _keep_one_time(
+    recorded: Mapping[str, _Series], zone: tzinfo
+) -> tuple[dict[str, _Series], list[str]]:
+    """Remove messages that are more than a year away from most others, and return the rest.
+
+    A clock that is not set yet stamps messages with 0, or with its year of manufacture; no site
+    has a gap of a year in a bag.
+    """
+    stamps = np.sort(np.concatenate([series.times for series in recorded.values()]))
+    far = np.flatnonzero(np.diff(stamps.astype(np.float64)) > _MAX_GAP_NS) + 1
+    if not far.size:
+        return dict(recorded), []
+    edges = np.concatenate(([0], far, [len(stamps)]))
+    most = int(np.argmax(np.diff(edges)))
+    first, last = stamps[edges[most]], stamps[edges[most + 1] - 1]
+    kept = {}
+    for topic, (times, values) in recorded.items():
+        there = (times >= first) & (times <= last)
+        if there.any() or topic not in _NEEDED:
+            kept[topic] = _Series(times[there], values[there])
+    low, high = (
+        from_epoch_ns(int(stamp)).astimezone(zone).isoformat(timespec="seconds")
+        for stamp in (first, last)
+    )
+    return kept, [
+        f"{len(stamps) - int(np.diff(edges)[most])} of {len(stamps)} messages are more than a "
+        f"year before or after the other messages, {low} to {high}, and were left out: was a "
+        "clock not set?"
+    ]
+
+
+def _check_files(bag: Path) -> None:
+    """Reject a bag that lacks a file listed in its metadata; invalid metadata is rejected later."""
+    about: Any = None
+    with suppress(ConfigurationError):
+        about = read_yaml(bag / METADATA).get("rosbag2_bagfile_information")
+    names = about.get("relative_file_paths") if isinstance(about, dict) else None
+    missing = [
+        str(name) for name in (names if isinstance(names, list) else [])
+        if not (bag / str(name)).is_file()
+    ]
+    if missing:
+        raise ConfigurationError(
+            f"lacks {', '.join(missing)}, which {METADATA} lists: copy the whole directory",
+            file=bag,
+        )
+
+
+def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
+    """Read all used topics of a bag, in chronological order.
+
+    The topics may be in a namespace, such as /site1/roof/level; the result contains their names
+    without the namespace.
+
+    Raises:
+        ConfigurationError: if the bag is damaged, lacks a needed topic, or contains the times of
+            arrival of a simulation's messages instead of simulated times.
+    """
+    with require_extra("study"):
+        from rosbags import typesys
+        from rosbags.highlevel import AnyReader
+    _check_files(bag)
+    typestore = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
+    times: dict[str, list[int]] = {}
+    values: dict[str, list[float]] = {}  # for the clock in ns
+    try:
+        with AnyReader([bag], default_typestore=typestore) as reader:
+            types = {each.topic: each.msgtype for each in reader.connections}
+            namespace = find_namespace(types, list(_NEEDED), bag)
+            names = {f"{namespace}{topic}": topic for topic in _ATTRIBUTES}
+            _check_topics(bag, types, names)
+            clock = f"{namespace}{_CLOCK}"
+            if types.get(clock) == _CLOCK_TYPE:
+                names[clock] = _CLOCK
+            wanted = [each for each in reader.connections if each.topic in names]
+            for connection, stamp, raw in reader.messages(connections=wanted):
+                message: Any = reader.deserialize(raw, connection.msgtype)
+                topic = names[connection.topic]
+                times.setdefault(topic, []).append(stamp)
+                values.setdefault(topic, []).append(
+                    message.clock.sec * 10**9 + message.clock.nanosec if topic == _CLOCK
+                    else message.data
+                )
+    except ConfigurationError:
+        raise
+    except Exception as error:  # the readers pass on any error of storages and codecs
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ConfigurationError(
+            f"cannot be read as a bag: {reason}" + (repair and f". If it is damaged, {repair}"),
+            file=bag,
+        ) from error
+    silent = [topic for topic in _NEEDED if topic not in times]
+    if silent:
+        raise ConfigurationError(f"contains no messages on {', '.join(silent)}", file=bag)
+    # A recorder with simulated time stamps every message with a value of the clock.
+    if _CLOCK in times and not set(times.pop(_CLOCK)) & set(values.pop(_CLOCK)):
+        raise ConfigurationError(
+            "contains the times of arrival of a simulation's messages, not simulated times: "
+            "record with 'ros2 bag record --use-sim-time', or use the bag in the run's directory",
+            file=bag,
+        )
+    return {topic: _Series(np.array(times[topic]), np.array(values[topic])) for topic in times}
+
+
+def _check_topics(bag: Path, types: Mapping[str, str], names: Mapping[str, str]) -> None:
+    """Reject a bag that lacks a needed topic, or in which a used topic has the wrong type.
+
+    Args:
+        bag: directory of the bag.
+        types: message types of the bag's topics, keyed by topic name.
+        names: names of the used topics in the interface, keyed by their names in the bag.
+    """
+    missing = [topic for name, topic in names.items() if topic in _NEEDED and name not in types]
+    if missing:
+        topics = ", ".join(sorted(types)) or "none"
+        raise ConfigurationError(
+            f"lacks {', '.join(missing)}, which the report needs; the topics in the bag are: "
+            f"{topics}",
+            file=bag,
+        )
+    for name in names:
+        if types.get(name, _TYPE) != _TYPE:
+            raise ConfigurationError(
+                f"must be of type {_TYPE}, not {types[name]}", file=bag, key=name
+            )
+
+
+def _compute_maxima(site: Site) -> dict[str, tuple[float, str]]:
+    """Return the maximum plausible values of topics at a site, each with an explanation."""
+    full = maximum_pump_flow(site, site.a1 * site.z_o)
+    rain, evaporation = (QUANTITIES[name].high for name in (PRECIPITATION, EVAPOTRANSPIRATION))
+    # The crop coefficient scales the evapotranspiration of grass.
+    evaporation *= max(1.0, site.crop_coefficient)
+    return {
+        "/roof/level": (site.max_roof_level, f"twice the soil depth of {site.z_soil:g} m"),
+        "/cistern/level": (
+            site.max_cistern_level, f"three times the overflow level of {site.z_o:g} m"
+        ),
+        "/pump/flow": (3 * full, "three times the maximum flow of the pumps"),
+        "/weather/precipitation": (rain / 3.6e6, f"{rain:g} mm/h"),
+        "/weather/evapotranspiration": (
+            evaporation / 8.64e7 * site.a2, f"{evaporation:g} mm/day on the area a2"
+        ),
+    }
+
+
+def _replace_refused(
+    topic: Topic, series: _Series, external_pump: bool
+) -> tuple[_Series, list[str]]:
+    """Return the values of a topic that the run's plant used, with 0 for rejected values.
+
+    Values that the plant itself published are unchanged, since they are the results of the run.
+    """
+    fine = (series.values >= topic.low) & (series.values <= topic.high)  # a NaN is neither
+    plants = "plant" not in topic.subscribers or (topic.name == "/pump/flow" and not external_pump)
+    if plants or fine.all():
+        return series, []
+    return series._replace(values=np.where(fine, series.values, 0.0)), [
+        f"{np.count_nonzero(~fine)} of {len(fine)} values of {topic.name} were rejected in the "
+        f"run and replaced by 0, because a value {topic.range.expected()}"
+    ]
+
+
+def _drop_outliers(
+    bag: Path, topic: Topic, of_site: tuple[float, str] | None, series: _Series
+) -> tuple[_Series, list[str]]:
+    """Remove implausible values of a topic, and return the others with a note.
+
+    Raises:
+        ConfigurationError: if the implausible values are too many to be outliers, or if at least
+            half of the non-zero values are too large. The second condition detects a wrong unit of
+            rain, or of a pump that is active for less than a hundredth of the time.
+    """
+    high, why = topic.high, ""
+    if of_site is not None and of_site[0] * _ROUNDING < high:
+        high, why = of_site[0] * _ROUNDING, f" ({of_site[1]})"
+    times, values = series
+    fine = (values >= topic.low) & (values <= high)  # a NaN is neither
+    if fine.all():
+        return series, []
+    unknown = np.isnan(values) & (topic.name in _MAY_BE_UNKNOWN)
+    wrong = np.flatnonzero(~fine & ~unknown)
+    large = np.count_nonzero(values > high)
+    if len(wrong) and (
+        len(wrong) >= _MAX_OUTLIERS * len(values) or 2 * large >= np.count_nonzero(values)
+    ):
+        raise ConfigurationError(
+            f"{replace(topic.range, high=high).expected()}{why}, but is {values[wrong[0]]:g} "
+            f"{topic.unit} at {from_epoch_ns(int(times[wrong[0]])).isoformat()}; is a unit wrong?",
+            file=bag, key=topic.name,
+        )
+    return _Series(times[fine], values[fine]), [
+        f"{np.count_nonzero(~fine)} of {len(fine)} values of {topic.name} are left out because "
+        "they are not finite or are out of range"
+    ]
+
+
+def _describe_gaps(samples: Stamps, gaps: NDArray[np.intp], zone: tzinfo) -> str:
+    hours = (samples[gaps + 1] - samples[gaps]) / 3.6e12
+    named = [
+        " to ".join(
+            from_epoch_ns(int(samples[place])).astimezone(zone).isoformat(timespec="seconds")
+            for place in (gap, gap + 1)
+        ) + f" ({length:.3g} h)"
+        for gap, length in zip(gaps[:_MAX_NAMED], hours, strict=False)
+    ]
+    if len(gaps) > _MAX_NAMED:
+        named.append(f"and {len(gaps) - _MAX_NAMED} more gaps, {hours.sum():.3g} h in total")
+    return (
+        f"there are no messages from {', '.join(named)}: in these gaps, the command, the weather "
+        "and the flows are unknown and are treated as 0, and the levels keep their last values"
+    )

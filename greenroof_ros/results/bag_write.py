@@ -1,0 +1,520 @@
+"""Writing bags in rosbag2's format, as numbered mcap files that ``metadata.yaml`` lists.
+
+rosbag2, rosbags, Foxglove and PlotJuggler can open these bags. The bag of a simulation does not
+depend on the wall clock or on the bag's location: two identical runs produce identical bytes.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+import os
+import struct
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import yaml
+import zstandard
+from mcap.exceptions import McapError
+from mcap.reader import FOOTER_SIZE
+from mcap.records import Channel, Footer, Schema, Statistics
+from mcap.stream_reader import MAGIC_SIZE, StreamReader
+
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import parse_yaml, read_yaml, replace_text, shared_directory
+from greenroof_ros.interface.topics import Qos, Topic
+from greenroof_ros.results.mcap import McapWriter
+
+METADATA = "metadata.yaml"
+
+# Errors that reading a truncated or damaged file can raise.
+DAMAGED = (
+    McapError, EOFError, MemoryError, OverflowError, RuntimeError, ValueError, struct.error,
+    zstandard.ZstdError,
+)
+
+# Ticks passed to the operating system together. A kill -9 loses no more than the ticks by which the
+# plant is ahead of them: 32.
+_TICKS_PER_CHUNK = 16
+
+# How often a live bag is flushed to disk (s): the most that a kill -9 or a power failure can lose.
+FLUSH_S = 10.0
+# Wait until a live recording that failed, as on a full disk, is tried again (s).
+RETRY_S = 60.0
+_DAY_NS = 86_400 * 10**9
+
+# The mcap channel metadata keys of a topic's QoS profiles and type hash.
+_PROFILES, _HASH = "offered_qos_profiles", "topic_type_hash"
+
+# rosbag2's metadata version, and RMW_DURATION_INFINITE, which means "no limit".
+_METADATA_VERSION = 9
+_INFINITE = {"sec": 9223372036, "nsec": 854775807}
+
+
+class LiveBag:
+    """Writer of a live site's bag for months of recording, split into files by size and day.
+
+    A recorder that is restarted in the same directory continues with the next file number.
+    ``metadata.yaml`` lists the closed files. The metadata is replaced atomically whenever a file is
+    closed, so rosbag2 and rosbags can open the bag during recording and after the recorder was
+    killed. The file that was open when the recorder was killed is not listed; ``greenroof recover``
+    restores it.
+
+    No method raises an OSError: if recording fails, for instance because the disk is full, the node
+    continues. The current file then ends at its last flush, and a new file begins when a retry
+    succeeds.
+
+    Attributes:
+        directory: directory of the bag.
+        problem: reason why recording failed; empty if it has not failed, or once later messages are
+            flushed.
+        recorded: number of messages flushed to the bag since the start of the recorder.
+        lost: number of messages that were lost because recording failed.
+    """
+
+    def __init__(
+        self, directory: Path, topics: Sequence[Topic], *, file_bytes: int, total_bytes: int
+    ) -> None:
+        """Read the indices of an existing bag, and write nothing before the first message.
+
+        Args:
+            directory: directory of the bag, which may exist.
+            topics: topics whose messages can be recorded.
+            file_bytes: size at which a file is closed and the next file begins (bytes); a new file
+                also begins every day (UTC).
+            total_bytes: size of the bag above which its oldest files are removed (bytes); at least
+                twice ``file_bytes``.
+        """
+        self.directory = directory
+        self.problem = ""
+        self.recorded = 0
+        self.lost = 0
+        self._topics = list(topics)
+        self._index = {topic.name: index for index, topic in enumerate(self._topics)}
+        self._file_bytes = file_bytes
+        self._total_bytes = total_bytes
+        # All files, the oldest first, with their indices; None if a file was not closed.
+        self._files = {path: read_index(path) for path in find_files(directory)}
+        self._file: BagFile | None = None  # the file being written, the last of these
+        self._day = 0  # day on which it was begun (days since 1970)
+        self._before = 0  # messages recorded before it
+        self._flushed = -math.inf
+        self._again = -math.inf  # time of the next try (steady clock, s)
+
+    def write(self, topic: str, time_ns: int, message: bytes, now: float) -> None:
+        """Record a message.
+
+        Args:
+            topic: topic of the message.
+            time_ns: time of arrival (ns since 1970).
+            message: the message, serialised as CDR.
+            now: current time on the steady clock (s).
+        """
+        if now < self._again:
+            self.lost += 1
+            return
+        day = time_ns // _DAY_NS
+        try:
+            if self._file is not None and (
+                self._file.size >= self._file_bytes or day != self._day
+            ):
+                self._close(self._file)
+            if self._file is None:
+                self._file = self._open()
+                self._flushed, self._day = now, day
+            self._file.write(time_ns, [(self._index[topic], message)])
+        except OSError as error:
+            self.lost += 1
+            self._fail(error, now)
+
+    def flush_if_due(self, now: float) -> None:
+        """Flush the bag if a flush is due; call this method often.
+
+        Args:
+            now: current time on the steady clock (s).
+        """
+        if self._file is None or now - self._flushed < FLUSH_S:
+            return
+        self._flushed = now
+        try:
+            self._file.flush(to_disk=True)
+            self._count_flushed(self._file)
+            self._remove_oldest()
+        except OSError as error:
+            self._fail(error, now)
+
+    def close(self) -> None:
+        """Close the current file; if closing fails, :attr:`problem` contains the reason."""
+        try:
+            if self._file is not None:
+                self._close(self._file)
+        except OSError as error:
+            self._fail(error, -math.inf)
+
+    def _open(self) -> BagFile:
+        self.directory.mkdir(parents=True, exist_ok=True)
+        path = name_next_file(list(self._files), self.directory)
+        self._files[path] = None
+        self._before = self.recorded
+        return BagFile(path, self._topics)
+
+    def _close(self, file: BagFile) -> None:
+        file.close()
+        self._file = None
+        self._count_flushed(file)
+        self._files[file.path] = read_index(file.path)
+        self._remove_oldest()
+        write_metadata(self.directory, self._files.values())
+
+    def _count_flushed(self, file: BagFile) -> None:
+        """Update the number of recorded messages after a flush, and clear the problem."""
+        self.recorded = self._before + file.safe
+        self.problem = ""
+
+    def _fail(self, error: OSError, now: float) -> None:
+        """Stop recording until the next retry, and count the messages not yet flushed as lost."""
+        self.problem = f"{self.directory}: {error.strerror or error}"
+        self._again = now + RETRY_S
+        file, self._file = self._file, None
+        if file is not None:
+            self.lost += file.written - file.safe
+            file.cut()
+
+    def _remove_oldest(self) -> None:
+        """Remove the oldest files while the bag exceeds its limit, but never the newest file."""
+        sizes = {path: path.stat().st_size for path in self._files if path.exists()}
+        self._files = {path: self._files[path] for path in sizes}
+        while len(sizes) > 1 and sum(sizes.values()) > self._total_bytes:
+            oldest = next(iter(sizes))
+            del sizes[oldest], self._files[oldest]
+            try:
+                # Before the removal: metadata must never list a missing file.
+                write_metadata(self.directory, self._files.values())
+            finally:
+                oldest.unlink()
+
+
+class BagFile:
+    """An mcap file that is being written, and that must be truncated after a write error.
+
+    Otherwise the file would contain a part of the failed write, and the number of recoverable
+    writes would differ from ``safe``.
+
+    Attributes:
+        path: path of the file.
+        written: number of writes.
+        safe: number of writes that were flushed, and are therefore safe if the process is killed.
+    """
+
+    def __init__(self, path: Path, topics: Sequence[Topic]) -> None:
+        """Create the file, and write its header with the topics.
+
+        Args:
+            path: path of the file, which must not exist.
+            topics: topics whose messages the file can contain.
+
+        Raises:
+            FileExistsError: if the file exists.
+            OSError: if the file cannot be written.
+        """
+        self.path = path
+        self.written = self.safe = 0
+        self._safe_bytes = 0
+        self._stream: BinaryIO = path.open("xb")
+        self._writer = McapWriter(self._stream)
+        self._add = self._writer.add_message
+        types = _read_types()
+        kinds: list[str] = []
+        for number, topic in enumerate(topics, start=1):
+            kind = topic.type
+            if kind not in kinds:
+                kinds.append(kind)
+                definition = read_definition(kind).encode()
+                self._writer.add_schema(Schema(len(kinds), definition, "ros2msg", kind))
+            about = {_PROFILES: _write_yaml([_describe_qos(topic.qos)]), _HASH: types[kind]["hash"]}
+            self._writer.add_channel(
+                Channel(number, topic.name, "cdr", about, kinds.index(kind) + 1)
+            )
+        self._counts = [0] * len(topics)
+
+    @property
+    def size(self) -> int:
+        """Number of bytes written so far, excluding the current chunk."""
+        return self._stream.tell()
+
+    def write(self, time_ns: int, messages: Iterable[tuple[int, bytes]]) -> None:
+        """Write messages that share one time stamp.
+
+        Args:
+            time_ns: time of the messages (ns since 1970).
+            messages: pairs of a topic's index and a message, serialised as CDR.
+
+        Raises:
+            OSError: if writing fails, for instance because the disk is full.
+        """
+        for index, message in messages:
+            self._add(index + 1, time_ns, message, time_ns, self._counts[index])
+            self._counts[index] += 1
+        self.written += 1
+
+    def flush(self, *, to_disk: bool = False) -> None:
+        """Pass all messages written so far to the operating system.
+
+        Args:
+            to_disk: True to sync the file to the disk as well, so that it survives a power failure.
+
+        Raises:
+            OSError: if writing fails, for instance because the disk is full.
+        """
+        self._writer.flush()
+        if to_disk:
+            os.fsync(self._stream.fileno())
+        self.safe, self._safe_bytes = self.written, self._stream.tell()
+
+    def close(self) -> None:
+        """Write the index and the end of the file.
+
+        Raises:
+            OSError: if writing fails, for instance because the disk is full.
+        """
+        self._writer.finish()
+        self._stream.close()
+        self.safe = self.written
+
+    def cut(self) -> None:
+        """Close the file and truncate it to its last flush; remove it if it was never flushed."""
+        with suppress(OSError):  # the disk itself may be gone
+            self._stream.close()  # tries to write the rest again
+        with suppress(OSError):
+            os.truncate(self.path, self._safe_bytes)
+            if not self._safe_bytes:
+                self.path.unlink()
+
+
+class BagWriter(BagFile):
+    """Writer of a simulation's bag, tick by tick, in one file; `written` counts ticks.
+
+    Attributes:
+        directory: directory of the bag.
+    """
+
+    def __init__(self, directory: Path, topics: Sequence[Topic]) -> None:
+        """Create the bag's directory and its file.
+
+        Args:
+            directory: directory of the bag, which must not exist.
+            topics: the topics of every tick, in the order of writing.
+
+        Raises:
+            FileExistsError: if the directory exists.
+            OSError: if the directory or the file cannot be written.
+        """
+        self.directory = directory
+        directory.mkdir(parents=True)
+        super().__init__(name_next_file([], directory), topics)
+
+    def write_tick(self, time_ns: int, messages: Sequence[bytes]) -> None:
+        """Write the messages of a tick.
+
+        Args:
+            time_ns: simulated time of the tick (ns since 1970).
+            messages: the message of every topic, serialised as CDR, in the order of the topics.
+
+        Raises:
+            OSError: if writing fails, for instance because the disk is full.
+        """
+        self.write(time_ns, enumerate(messages))
+        if self.written % _TICKS_PER_CHUNK == 0:
+            self.flush()
+
+    def close(self) -> None:
+        """Finish the file and write ``metadata.yaml``.
+
+        Raises:
+            OSError: if writing fails, for instance because the disk is full; ``greenroof recover``
+                then restores the safe ticks.
+        """
+        super().close()
+        write_metadata(self.directory, [read_index(self.path)])
+
+
+def find_files(bag: Path) -> list[Path]:
+    """Return the files of a bag, oldest first."""
+    numbered = (path for path in bag.glob("*_*.mcap") if _read_number(path).isdecimal())
+    return sorted(numbered, key=lambda path: int(_read_number(path)))
+
+
+def name_next_file(files: Sequence[Path], bag: Path) -> Path:
+    """Return the path of the file that follows the given files, which are sorted, oldest first."""
+    number = int(_read_number(files[-1])) + 1 if files else 0
+    return bag / f"{bag.name}_{number}.mcap"
+
+
+def name_recovered_bag(bag: Path) -> Path:
+    """Return the default path of the recovered copy of a damaged bag, next to the bag."""
+    place = bag.resolve()
+    return place.parent / f"{place.name}-recovered"
+
+
+def _read_number(file: Path) -> str:
+    return file.stem.rpartition("_")[2]
+
+
+class FileIndex(NamedTuple):
+    """The index of a closed file of a bag.
+
+    Attributes:
+        name: name of the file.
+        types: message types, keyed by schema number.
+        channels: channels, one for each topic.
+        statistics: number of messages, and the times of the first and the last message (ns since
+            1970).
+    """
+
+    name: str
+    types: dict[int, str]
+    channels: list[Channel]
+    statistics: Statistics
+
+
+def seek_summary(stream: BinaryIO) -> Footer | None:
+    """Move to a file's summary, and return the footer; None if the file was not closed."""
+    stream.seek(-(FOOTER_SIZE + MAGIC_SIZE), os.SEEK_END)
+    footer = next(StreamReader(stream, skip_magic=True).records)
+    if not isinstance(footer, Footer) or not footer.summary_start:
+        return None
+    stream.seek(footer.summary_start)
+    return footer
+
+
+def read_index(path: Path) -> FileIndex | None:
+    """Return the index of a file; None if the file was not closed or cannot be read."""
+    types: dict[int, str] = {}
+    channels: list[Channel] = []
+    with suppress(OSError, *DAMAGED), path.open("rb") as stream:
+        if seek_summary(stream) is None:
+            return None
+        # Do not read to the end: a day has thousands of chunks, each with an index.
+        for record in StreamReader(stream, skip_magic=True).records:
+            if isinstance(record, Schema):
+                types[record.id] = record.name
+            elif isinstance(record, Channel):
+                channels.append(record)
+            elif isinstance(record, Statistics):
+                return FileIndex(path.name, types, channels, record)
+    return None
+
+
+def write_metadata(bag: Path, indices: Iterable[FileIndex | None]) -> None:
+    """Replace ``metadata.yaml`` atomically, so that readers find either the old or the new text.
+
+    Args:
+        bag: directory of the bag.
+        indices: indices of the bag's files, oldest first; None for a file that was not closed
+            and is therefore not listed. If no file was closed, ``metadata.yaml`` is removed.
+
+    Raises:
+        OSError: if ``metadata.yaml`` cannot be written; the old file is then unchanged.
+    """
+    files = [index for index in indices if index is not None]
+    if not files:
+        (bag / METADATA).unlink(missing_ok=True)
+        return
+    replace_text(bag / METADATA, _make_metadata(files))
+
+
+def _make_metadata(files: Sequence[FileIndex]) -> str:
+    topics: dict[str, dict[str, Any]] = {}
+    for file in files:
+        for channel in file.channels:
+            if channel.topic not in topics:
+                topics[channel.topic] = {
+                    "topic_metadata": {
+                        "name": channel.topic,
+                        "type": file.types.get(channel.schema_id, ""),
+                        "serialization_format": channel.message_encoding,
+                        "offered_qos_profiles": _read_profiles(channel.metadata.get(_PROFILES, "")),
+                        "type_description_hash": channel.metadata.get(_HASH, ""),
+                    },
+                    "message_count": 0,
+                }
+            count = file.statistics.channel_message_counts.get(channel.id, 0)
+            topics[channel.topic]["message_count"] += count
+    statistics = [file.statistics for file in files]
+    start = min(of_file.message_start_time for of_file in statistics)
+    end = max(of_file.message_end_time for of_file in statistics)
+    return _write_yaml({
+        "rosbag2_bagfile_information": {
+            "version": _METADATA_VERSION,
+            "storage_identifier": "mcap",
+            "duration": {"nanoseconds": end - start},
+            "starting_time": {"nanoseconds_since_epoch": start},
+            "message_count": sum(of_file.message_count for of_file in statistics),
+            "topics_with_message_count": list(topics.values()),
+            # Refers to whole files; the chunks are compressed, as the mcap files themselves state.
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [file.name for file in files],
+            "files": [
+                {
+                    "path": file.name,
+                    "starting_time": {"nanoseconds_since_epoch": of_file.message_start_time},
+                    "duration": {
+                        "nanoseconds": of_file.message_end_time - of_file.message_start_time
+                    },
+                    "message_count": of_file.message_count,
+                }
+                for file, of_file in zip(files, statistics, strict=True)
+            ],
+            "custom_data": None,
+            "ros_distro": "jazzy",
+        }
+    })
+
+
+def _describe_qos(qos: Qos) -> dict[str, Any]:
+    lease = dict(_INFINITE)
+    if qos.lease_s != float("inf"):
+        lease = {"sec": int(qos.lease_s), "nsec": round(qos.lease_s % 1 * 1e9)}
+    return {
+        "history": "keep_last",
+        "depth": qos.depth,
+        "reliability": qos.reliability,
+        "durability": qos.durability,
+        "deadline": dict(_INFINITE),
+        "lifespan": dict(_INFINITE),
+        "liveliness": "automatic",
+        "liveliness_lease_duration": lease,
+        "avoid_ros_namespace_conventions": False,
+    }
+
+
+@functools.cache
+def _read_types() -> dict[str, Any]:
+    types: dict[str, Any] = read_yaml(shared_directory() / "msg_defs" / "types.yaml")
+    return types
+
+
+def read_definition(name: str) -> str:
+    """Return the definition of a message type and its nested types, in the format of bags."""
+    types = _read_types()
+    parts = [types[name]["definition"]]
+    for used in types[name].get("uses", ()):
+        short = used.replace("/msg/", "/")
+        parts.append(f"{'=' * 80}\nMSG: {short}\n{types[used]['definition']}")
+    return "\n".join(parts) + "\n"
+
+
+def _write_yaml(content: object) -> str:
+    return yaml.safe_dump(content, sort_keys=False, default_flow_style=False, width=10_000)
+
+
+def _read_profiles(profiles: str) -> list[Any]:
+    """Return the QoS profiles in a channel's metadata; an empty list if the YAML is invalid."""
+    read = None
+    with suppress(ConfigurationError):
+        read = json.loads(json.dumps(parse_yaml(profiles, Path(METADATA))))  # plain mappings
+    return read or []

@@ -1,0 +1,221 @@
+"""The trajectory of a run, sample by sample, and its files, which are bit-exact."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+from zoneinfo import ZoneInfo
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.base.errors import ConfigurationError, require_extra
+from greenroof_ros.base.processes import refuse_forked_polars
+from greenroof_ros.base.times import epoch_ns
+from greenroof_ros.site.site import Site
+
+if TYPE_CHECKING:
+    import polars
+
+Samples = NDArray[np.float64]
+
+TRAJECTORY, CSV = "trajectory.parquet", "trajectory.csv"
+"""name of the file in a run's directory: for a study or Python, and for the command"""
+
+
+class TrajectoryColumn(NamedTuple):
+    """A quantity of a trajectory."""
+
+    name: str
+    """name in files and tables; it ends with the unit"""
+    tick: str
+    """attribute of a tick of a run in one process"""
+    attribute: str = ""
+    """attribute of a :class:`Trajectory`; empty if it is computed from the others and the site"""
+    topic: str = ""
+    """topic in a bag; the volumes are computed from levels"""
+    needs: str = ""
+    """key of the sites that have it; empty if all have it"""
+
+
+LAYER = TrajectoryColumn("drainage_layer_m3", "layer", needs="drainage_storage")
+
+# The columns besides the times, in the order of files and tables.
+COLUMNS = (
+    TrajectoryColumn("cistern_m3", "x1", "cistern", "/cistern/level"),
+    TrajectoryColumn("roof_m3", "x2", "roof", "/roof/level"),
+    TrajectoryColumn("cistern_level_m", "cistern_level"),
+    TrajectoryColumn("roof_level_m", "roof_level"),
+    TrajectoryColumn(
+        "precipitation_m_per_s", "precipitation", "precipitation", "/weather/precipitation",
+    ),
+    TrajectoryColumn(
+        "evapotranspiration_m3_per_s", "evapotranspiration", "evapotranspiration",
+        "/weather/evapotranspiration",
+    ),
+    TrajectoryColumn("command", "command", "command", "/pump/command"),
+    TrajectoryColumn("pump_flow_m3_per_s", "flows.pump", "pump_flow", "/pump/flow"),
+    TrajectoryColumn("outflow_m3_per_s", "flows.outflow", "outflow", "/cistern/outflow"),
+    TrajectoryColumn("drainage_m3_per_s", "flows.drainage", "drainage", "/roof/drainage"),
+    TrajectoryColumn("frost", "frost", "frost", "/weather/frost"),
+    LAYER,
+    TrajectoryColumn("outlet_command", "outlet", "outlet", "/outlet/command", "low_outlet_valve"),
+    TrajectoryColumn(
+        "low_outlet_flow_m3_per_s", "flows.low_outlet", "low_outlet", "/outlet/flow",
+        "low_outlet_valve",
+    ),
+)
+
+
+def columns_of(site: Site) -> list[TrajectoryColumn]:
+    """Return the columns of a site's files and tables."""
+    return [column for column in COLUMNS if not column.needs or getattr(site, column.needs)]
+
+
+def recorded_columns(site: Site) -> list[TrajectoryColumn]:
+    """Return the columns that a :class:`Trajectory` of a site contains."""
+    return [column for column in columns_of(site) if column.attribute]
+
+
+# Name of every column of a trajectory's file, by its attribute.
+_NAMES = {
+    "time": "time_s", **{column.attribute: column.name for column in COLUMNS if column.attribute},
+}
+_OPTIONAL = {column.name for column in COLUMNS if column.needs}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trajectory:
+    """The trajectory of a run, sample by sample; every array has shape (n,).
+
+    Attributes:
+        start: time of the first sample, with its offset from UTC.
+        time: time since ``start`` (s).
+        cistern: water volume x1 in the cistern (m3).
+        roof: water volume x2 on the roof (m3).
+        precipitation: rain rate (m/s).
+        evapotranspiration: evapotranspiration from the whole bed (m3/s), not yet limited to the
+            water on the roof.
+        command: command to the pump, as a share of the pumps' maximum flow (1).
+        pump_flow: flow from the cistern to the roof (m3/s).
+        outflow: flow from the cistern to the sewer (m3/s).
+        drainage: drainage from the roof (m3/s).
+        frost: 1 during frost, otherwise 0.
+        outlet: command to the outlet valve, as a share of its full opening (1); None without a
+            valve.
+        low_outlet: the part of the outflow through the low outlet (m3/s); None without a valve.
+        layer: water in the drainage layer (m3), 0 without one; None if it is from a file.
+    """
+
+    start: datetime
+    time: Samples
+    cistern: Samples
+    roof: Samples
+    precipitation: Samples
+    evapotranspiration: Samples
+    command: Samples
+    pump_flow: Samples
+    outflow: Samples
+    drainage: Samples
+    frost: Samples
+    outlet: Samples | None = None
+    low_outlet: Samples | None = None
+    layer: Samples | None = None
+
+    def to_frame(self) -> polars.DataFrame:
+        """Return a table with the time in its zone, in microseconds, and all arrays.
+
+        The zone is that of ``start``, or UTC if the offset is not in whole hours, because such an
+        offset has no zone name.
+
+        Raises:
+            ConfigurationError: if polars is not installed.
+        """
+        refuse_forked_polars()
+        with require_extra("study"):
+            import polars
+        since_1970 = epoch_ns(self.start) // 1000 + np.rint(1e6 * self.time).astype(np.int64)
+        time = polars.Series(since_1970).cast(polars.Datetime("us", "UTC"))
+        return polars.DataFrame({
+            "time": time.dt.convert_time_zone(zone_name(self.start)),
+            **{
+                name: getattr(self, attribute) for attribute, name in _NAMES.items()
+                if getattr(self, attribute) is not None
+            },
+        })
+
+    def to_parquet(self) -> bytes:
+        """Return the content of a parquet file that :func:`read_trajectory` can read.
+
+        Raises:
+            ConfigurationError: if polars is not installed.
+        """
+        stream = io.BytesIO()
+        self.to_frame().write_parquet(
+            stream, compression="zstd", metadata={"start": self.start.isoformat()}
+        )
+        return stream.getvalue()
+
+
+def zone_name(time: datetime) -> str:
+    """Return the name of a time's zone, such as Etc/GMT+5 for an offset of -05:00."""
+    if isinstance(time.tzinfo, ZoneInfo):
+        return time.tzinfo.key
+    hours = (time.utcoffset() or timedelta()) / timedelta(hours=1)
+    return f"Etc/GMT{-hours:+g}" if hours and hours.is_integer() else "UTC"
+
+
+def read_trajectory(path: Path) -> Trajectory:
+    """Read a trajectory from a parquet file, or from the CSV file of ``greenroof simulate``.
+
+    Raises:
+        ConfigurationError: if the file cannot be read, is damaged or is not a trajectory, or if
+            polars is not installed.
+    """
+    refuse_forked_polars()
+    with require_extra("study"):
+        import polars
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise ConfigurationError(f"cannot be read: {error.strerror}", file=path) from error
+    columns = list(_NAMES.values())
+    try:
+        there = (
+            polars.read_csv(content, n_rows=0).columns if path.suffix == ".csv"
+            else list(polars.read_parquet_schema(io.BytesIO(content)))
+        )
+        columns = [name for name in columns if name in there or name not in _OPTIONAL]
+        if path.suffix == ".csv":
+            numbers = dict.fromkeys(columns, polars.Float64)
+            table = polars.read_csv(
+                content, columns=["time", *columns], schema_overrides=numbers
+            )
+            start = datetime.fromisoformat(table["time"][0])
+        else:
+            start = datetime.fromisoformat(
+                polars.read_parquet_metadata(io.BytesIO(content))["start"]
+            )
+            table = polars.read_parquet(io.BytesIO(content), columns=columns)
+        table = table.select(columns)
+        if (
+            start.utcoffset() is None or table.is_empty()
+            or set(table.dtypes) != {polars.Float64} or any(table.null_count().row(0))
+        ):
+            raise ValueError
+    except (
+        polars.exceptions.PolarsError, polars.exceptions.PanicException, KeyError, IndexError,
+        TypeError, ValueError,
+    ) as error:
+        raise ConfigurationError(
+            "is empty, truncated or not a trajectory; repeat the run", file=path
+        ) from error
+    return Trajectory(
+        start=start, **{
+            attribute: table[name].to_numpy() for attribute, name in _NAMES.items()
+            if name in columns
+        }
+    )

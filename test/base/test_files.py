@@ -1,0 +1,228 @@
+"""Files that users edit, and how their YAML is read."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import permutations
+from pathlib import Path
+from typing import Any
+
+import pytest
+from places import CONFIG
+from refusals import refusal
+
+from greenroof_ros.analysis.study.grid import read_grid
+from greenroof_ros.base.command_line import refuse_unwritable
+from greenroof_ros.base.errors import ConfigurationError, describe_value
+from greenroof_ros.base.files import read_ros_parameters, read_yaml
+from greenroof_ros.base.parameter_sections import read_sections
+from greenroof_ros.live.devices.drive_file import read_drive_file
+from greenroof_ros.live.devices.relay_file import read_relay_file
+from greenroof_ros.live.devices.sensor_file import read_sensors
+from greenroof_ros.site.file import read_site
+
+VALUES = (
+    "on", "off", "yes", "Y", "n", "True", "tRUE", "010", "-010", "08", "0x1F", "0x1p3", "0o17",
+    "0b11", "1e-5", "1E5", "1.e3", ".5", "+.5e+3", "+5", "5.", "5-", "12e", "1_000", "3:0", "-0",
+    "1e400", "99999999999999999999", "9223372036854775807", "inf", "iNf", "+inf", "Infinity",
+    ".inf", ".Inf", ".INF", "+.inf", "+.Inf", "+.INF", "-.inf", "-.Inf", "-.INF", ".iNf",
+    ".infinity", "-.infinity", "5.inf", "nan", "-nan", "nan(1)", ".nan", ".NaN", ".NAN", ".Nan",
+    "+.nan", "-.nan", ".nan(1)", "null", "~", "'5'", '"on"', "2021-07-01", "[010, 1]", "[1e-5, .5]",
+    "[on, off]", "['1', x]", "[1, ]", "[~]", "''", "! 5", "|-\n      5", "|-\n      on",
+    "|-\n      1e3", "|\n      5", ">-\n      5", ">-\n      no", ">-\n      1e3\n      m",
+)
+REFUSED = ("", "[]", "[1.0, 2]", "[1, ~]", "[[1], [2]]", "{a: }", "|-\n      ")
+
+
+def written(directory: Path, *values: str) -> Path:
+    """Write a parameter file with a value after another."""
+    file = directory / "parameters.yaml"
+    lines = [f"    p{number}: {value}" for number, value in enumerate(values)]
+    file.write_text("\n".join(["/**:", "  ros__parameters:", *lines, ""]))
+    return file
+
+
+@contextmanager
+def node_with(file: Path, domain: int, namespace: str = "/") -> Iterator[Any]:
+    """A node that has read a parameter file by rcl."""
+    rclpy = pytest.importorskip("rclpy", reason="rcl comes with ROS 2")
+    from rclpy.node import Node
+
+    context = rclpy.Context()
+    rclpy.init(
+        args=["--ros-args", "--params-file", str(file), "-r", f"__ns:={namespace}"],
+        context=context, domain_id=domain,
+    )
+    try:
+        node = Node(
+            "reader", context=context, automatically_declare_parameters_from_overrides=True,
+            start_parameter_services=False, enable_rosout=False,
+        )
+        yield node
+        node.destroy_node()
+    finally:
+        context.try_shutdown()
+
+
+def test_values_as_rcl_reads_them(tmp_path: Path, domain: int) -> None:
+    """A node that has read the file by rcl has the same types and values."""
+    file = written(tmp_path, *VALUES)
+    ours = read_ros_parameters(file)["/**"]["ros__parameters"]
+
+    def exactly(value: Any) -> object:
+        return [exactly(item) for item in value] if isinstance(value, list) else (
+            type(value), "nan" if isinstance(value, float) and math.isnan(value) else value
+        )
+
+    with node_with(file, domain) as node:
+        for name, value in zip(ours, VALUES, strict=True):
+            theirs = node.get_parameter(name).value
+            theirs = theirs if isinstance(theirs, (str, int, float)) else list(theirs)
+            assert exactly(ours[name]) == exactly(theirs), value
+
+
+@pytest.mark.parametrize("value", REFUSED)
+def test_values_that_rcl_refuses(value: str, tmp_path: Path, domain: int) -> None:
+    """No node starts with such a file, and none of our commands reads it."""
+    file = written(tmp_path, "1.0", value)
+    reason = refusal(read_ros_parameters, file)
+    assert reason.startswith(f"{file}, line 4: ") and "must have a value, or a list of" in reason
+    with (
+        pytest.raises(Exception, match=r"No value|same type|cannot be key|NOT_SET"),
+        node_with(file, domain),
+    ):
+        pass
+
+
+SECTIONS = ("/**", "reader", "/reader", "/**/reader", "/*/reader", "/*", "/x/**", "/x/reader", "y")
+
+
+@pytest.mark.parametrize("namespace", ["/", "/x", "/x/y"])
+def test_sections_apply_to_nodes_as_rcl_applies_them(
+    namespace: str, tmp_path: Path, domain: int
+) -> None:
+    """Two sections at a time, in both orders, one in a namespace; groups become dots."""
+    file = tmp_path / "parameters.yaml"
+    for first, second in permutations(SECTIONS, 2):
+        file.write_text(
+            f"{first}:\n  ros__parameters: {{a: 1, b: {{c: {{d: 2}}}}}}\n"
+            f"{second}:\n  ros__parameters: {{a: 3}}\n"
+            "x:\n  reader:\n    ros__parameters: {e: 4}\n"
+        )
+        given = dict[str, Any]()
+        for section in read_sections(file):
+            if section.applies_to(f"{namespace.rstrip('/')}/reader"):
+                given |= section.values
+        with node_with(file, domain, namespace) as node:
+            known = node.get_parameters_by_prefix("").items()
+            theirs = {name: value.value for name, value in known if name[1:2] in ("", ".")}
+        assert given == theirs, (first, second)
+
+
+def test_numbers_of_yaml_1_2(tmp_path: Path) -> None:
+    """In all files that rcl does not read."""
+    file = tmp_path / "a.yaml"
+    file.write_text(f"a: [016, 3:0, .5, 1e-5, -.inf, {2**63}, -1{'0' * 400}]\n")
+    assert read_yaml(file)["a"] == [16, "3:0", 0.5, 1e-5, -math.inf, 2**63, -math.inf]
+
+
+def test_lines_and_anchors(tmp_path: Path) -> None:
+    """Each key has its line; an alias has its anchor's value; a byte order mark is dropped."""
+    file = tmp_path / "a.yaml"
+    file.write_text("\ufeff# c\na: &x [1, {b: 2}]\nc:\n  d: *x\n")
+    content = read_yaml(file)
+    assert content == {"a": [1, {"b": 2}], "c": {"d": [1, {"b": 2}]}}
+    assert (content.lines, content["c"].lines) == ({"a": 2, "c": 3}, {"d": 4})
+
+
+def nested(levels: int, brackets: str = "[{}]", item: str = "{1}") -> str:
+    """Return a value with lists of ten in lists of ten, by anchors and aliases."""
+    value = "x"
+    rows = []
+    for level in range(levels):
+        ten = ", ".join(item.format(number, value) for number in range(10))
+        rows.append(f"&m{level} {brackets.format(ten)}")
+        value = f"*m{level}"
+    return brackets.format(", ".join(item.format(*pair) for pair in enumerate(rows)))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a: 1\nb: 2\na: 3\n", ", line 3: is not valid YAML: the key a appears twice, first on "
+        "line"),
+        ("a: " + "[" * 300 + "]" * 300, ": is nested more than 200 levels deep"),
+        ("a: 1\nb: \0\n", ", line 2: is not a text file (it contains a NUL byte)"),
+        ("a: 1\n# m\udcb2\n", ", line 2: is not UTF-8 text; save it in UTF-8"),
+        ("a:\n\tb: 1\n", ", line 2: is not valid YAML: indent with spaces, not tabs"),
+        ("a: !!int 5\n", ", line 1: is not valid YAML: values must not have tags such as"),
+        ("a: &x {b: *x}\n", ": is not valid YAML: a value contains itself"),
+        ("a: &x [*x]\n", ": is not valid YAML: a value contains itself"),
+        (f"a: {nested(8)}\n", ": is not valid YAML: its aliases (*NAME) add more than 10000"),
+        ("a: " + nested(8, "{{{}}}", "k{0}: {1}"), ": is not valid YAML: its aliases (*NAME) add"),
+        (f"a: {{? {nested(8)} : 1}}\n", ", line 1: is not valid YAML: a key must be text"),
+        ("a: {!!str b: 1}\n", ", line 1: is not valid YAML: a key must be text without a tag"),
+        (f"a: {'x' * 1_000_000}\n", ": is longer than 1 MB"),
+        (f"a: [{'x, ' * 200_000}\n", ": is not valid YAML: "),
+    ],
+    ids=itertools.count(),
+)
+def test_what_is_refused(tmp_path: Path, text: str, words: str) -> None:
+    """The error has the file, and the line if there is one."""
+    file = tmp_path / "a.yaml"
+    file.write_text(text, encoding="utf-8", errors="surrogateescape")
+    for read in (read_yaml, read_ros_parameters):
+        reason = refusal(read, file)
+        assert reason.startswith(str(file)) and words in reason
+
+
+@pytest.mark.parametrize("value", [
+    nested(4), "x" * 900_000, "7" * 5000, "-" + "9" * 400, f"[{'12345, ' * 100_000}]",
+    f"{{{', '.join(f'k{number}: 1' for number in range(5000))}}}", "2021-07-07", "[[[1]]]", "~",
+], ids=itertools.count())
+@pytest.mark.parametrize(("read", "file", "key"), [
+    (read_site, "site.yaml", "tau"), (read_site, "site.yaml", "extends"),
+    (read_sensors, "sensors.yaml", "scale"), (read_drive_file, "drives/abb_acs880.yaml", "unit"),
+    (read_relay_file, "drives/tasmota.yaml", "switch"),
+    (read_grid, "studies/seasons.yaml", "site"),
+])
+def test_no_value_fills_a_message(
+    tmp_path: Path, read: Callable[[Path], object], file: str, key: str, value: str
+) -> None:
+    """Each file is refused in a few lines, or read, whatever stands in the place of a value."""
+    text, count = re.subn(
+        rf"^( *{key}: *)\S.*", lambda match: match[1] + value, (CONFIG / file).read_text(),
+        count=1, flags=re.MULTILINE,
+    )
+    changed = tmp_path / Path(file).name
+    changed.write_text(text if count else f"{text}\n{key}: {value}\n")
+    message = ""
+    try:
+        read(changed)
+    except ConfigurationError as error:
+        message = str(error)
+    assert len(message) < 5000
+
+
+@pytest.mark.parametrize(("value", "shown"), [
+    ("a'b", '"a\'b"'), ([1, "x", None], "[1, 'x', None]"), ({"a": {"b": 1.5}}, "{'a': {'b': 1.5}}"),
+    (10**5000, "a number with thousands of digits"), (Path("/a"), "PosixPath('/a')"),
+], ids=itertools.count())
+def test_how_a_value_is_shown(value: object, shown: str) -> None:
+    assert describe_value(value) == shown
+
+
+def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    existing = tmp_path / "there.csv"
+    existing.touch()
+    for file, reason in (
+        (tmp_path / "a.pdf", "must be a file name that ends in .html or .csv"),
+        (tmp_path / "no" / "a.csv", "must be in an existing, writable directory"),
+        (existing, "exists; choose another file name"),
+    ):
+        message = refusal(refuse_unwritable, file, (".html", ".csv"), "--output")
+        assert message.startswith(f"--output = '{file}': {reason}")

@@ -1,0 +1,68 @@
+"""Addresses of brokers and their topics, and a client that reconnects."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from brokers import mosquitto, needs_mosquitto
+from graphs import wait_for
+from refusals import refusal
+
+from greenroof_ros.base.mqtt import Broker, make_client, parse_broker, parse_topic
+
+SOON_S = 10.0
+
+
+def test_an_address_names_broker_and_topic() -> None:
+    assert parse_broker("mqtt://roof.local", "broker") == Broker("roof.local", 1883)
+    assert parse_broker("mqtts://[::1]:99", "broker") == Broker("::1", 99, tls=True)
+    assert parse_topic("mqtt://h:1/a/b", "address") == (Broker("h", 1), "a/b")
+    for wrong in ("roof.local", "mqtt://", "mqtt://no..where", "mqtt://h:0", "mqtt://h:70000", "http://h"):
+        refusal(parse_broker, wrong, "broker", match=r"broker = .*: must be mqtt://HOST")
+    for wrong in ("mqtt://h", "mqtt://h/", "mqtt://h/a/#", "mqtt://h/+/b"):
+        refusal(parse_topic, wrong, "address", match=r"address = .*: must be mqtt://HOST")
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o602])
+def test_a_login_that_others_may_know_is_refused(mode: int, tmp_path: Path) -> None:
+    """As the page's token; it is the login of bridge, sensors and relay alike."""
+    pytest.importorskip("paho.mqtt")
+    file = tmp_path / "login.yaml"
+    file.write_text("username: roof\npassword: secret\n")
+    broker = parse_broker("mqtt://h", "broker", str(file))
+    file.chmod(mode)
+    message = refusal(
+        make_client, broker, "roof", int, print, match="can be read or changed by other users"
+    )
+    assert str(file) in message and "secret\n" not in message
+    file.chmod(0o600)
+    make_client(broker, "roof", int, print).disconnect()
+
+
+@needs_mosquitto
+def test_a_client_connects_again_and_hears_nothing_of_before(tmp_path: Path) -> None:
+    payloads: list[bytes] = []
+    connected: list[int | None] = []
+    with mosquitto(tmp_path) as server:
+        client = make_client(
+            parse_broker(server.address, "broker"), "roof",
+            lambda: connected.append(client.subscribe("level")[1]),
+            lambda topic, payload, retained: payloads.append(payload),
+        )
+        client.loop_start()
+        try:
+            wait_for(lambda: connected, SOON_S, "a connection")
+            client.publish("level", "1")
+            wait_for(lambda: payloads, SOON_S, "a message")
+            server.kill()
+            wait_for(lambda: not client.is_connected(), SOON_S, "the end of the connection")
+            client.publish("level", "2")
+            server.start()
+            wait_for(lambda: len(connected) > 1, SOON_S, "another connection")
+            client.publish("level", "3")
+            wait_for(lambda: b"3" in payloads, SOON_S, "another message")
+        finally:
+            client.disconnect()
+            client.loop_stop()
+    assert payloads == [b"1", b"3"]

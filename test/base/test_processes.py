@@ -1,0 +1,168 @@
+"""Processes that end with their parent, and the messages that systemd receives."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from places import CHECKOUT
+
+from greenroof_ros.base.processes import (
+    LockedError,
+    acquire_name_lock,
+    child_environment,
+    scratch_directory,
+)
+
+TOO_LONG_S = 60
+
+# A command of this package that prints whether its own children are asked to end with it.
+_CHILD = """
+import os
+from greenroof_ros.base.command_line import command
+@command
+def main():
+    print("GREENROOF_ROS_PARENT" in os.environ)
+main()
+"""
+
+
+@pytest.mark.parametrize(("parent", "code", "printed"), [
+    (None, 0, "False\n"), ("1", -signal.SIGTERM, ""),
+])
+def test_a_child_whose_parent_died_while_it_started_ends(
+    parent: str | None, code: int, printed: str
+) -> None:
+    """Before it could ask the kernel: without any output. It does not pass the request on.
+
+    For parents that are killed later see test_watch_command.py and test_live_bringup.py.
+    """
+    environment = child_environment()
+    environment["GREENROOF_ROS_PARENT"] = parent or environment["GREENROOF_ROS_PARENT"]
+    done = subprocess.run(
+        [sys.executable, "-c", _CHILD], env=environment, stdout=subprocess.PIPE, cwd=CHECKOUT,
+        text=True, check=False,
+    )
+    assert (done.returncode, done.stdout) == (code, printed)
+
+
+# --- locks --------------------------------------------------------------------------------------
+
+_HOLDER = """
+import sys, time
+from greenroof_ros.base.processes import acquire_name_lock
+lock = acquire_name_lock(sys.argv[1])
+print("locked", flush=True)
+time.sleep(600)
+"""
+
+
+def test_a_lock_is_its_process_alone_until_that_ends(tmp_path: Path) -> None:
+    """By kill -9, too; and stopped (SIGSTOP) it still holds the lock. Long names are no others.
+
+    It is held by a process of an unprivileged user, if root can start it.
+    """
+    name = f"test-{tmp_path}" + 300 * "x"
+    code = _HOLDER
+    if os.getuid() == 0:
+        code = code.replace("lock =", "import os; os.setuid(65534); lock =")
+    holder = subprocess.Popen(
+        [sys.executable, "-c", code, name], stdout=subprocess.PIPE, cwd=CHECKOUT
+    )
+    try:
+        assert holder.stdout is not None and holder.stdout.readline() == b"locked\n"
+        holder.send_signal(signal.SIGSTOP)
+        for _ in range(2):
+            with pytest.raises(LockedError) as caught:
+                acquire_name_lock(name)
+            assert caught.value.holder == holder.pid
+        acquire_name_lock(name + "y").close()
+    finally:
+        holder.kill()
+        holder.communicate()
+    acquire_name_lock(name).close()
+
+
+# --- systemd ------------------------------------------------------------------------------------
+
+
+def test_a_full_socket_stops_no_one(tmp_path: Path) -> None:
+    """With a service manager that reads nothing; the time limit is the test."""
+    path = tmp_path / "notify"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(str(path))
+        code = "from greenroof_ros.base.processes import notify\n" \
+            "for _ in range(10_000): notify('WATCHDOG=1')"
+        subprocess.run(
+            [sys.executable, "-c", code], env={"NOTIFY_SOCKET": str(path)}, timeout=300, check=True,
+            cwd=CHECKOUT,
+        )
+
+
+_SCRATCH = """
+import sys, time
+from greenroof_ros.base.processes import scratch_directory
+with scratch_directory(sys.argv[1]) as directory:
+    (directory / "configuration").mkdir()
+    print(directory, flush=True)
+    time.sleep(600)
+"""
+
+
+def test_what_a_killed_process_leaves_is_removed_at_the_next_start(tmp_path: Path) -> None:
+    """With what is in it; what a process still uses, even a stopped one, is not touched."""
+    (tmp_path / "someone's").mkdir()
+    (tmp_path / "greenroof_ros_scratch-link").symlink_to(tmp_path / "someone's")
+    with subprocess.Popen(
+        [sys.executable, "-c", _SCRATCH, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    ) as other:
+        try:
+            assert other.stdout is not None
+            left = Path(other.stdout.readline().strip())
+            other.send_signal(signal.SIGSTOP)
+            with scratch_directory(str(tmp_path)) as mine:
+                assert mine.is_dir() and left.is_dir()
+                other.kill()
+                other.wait(TOO_LONG_S)
+                with scratch_directory(str(tmp_path)) as another:
+                    assert mine.is_dir() and another != mine
+                    assert not left.exists()
+            assert not mine.exists()
+            assert (tmp_path / "someone's").is_dir()
+        finally:
+            other.kill()
+
+
+LIMITED = """
+import sys, time
+from greenroof_ros.base.errors import HangError
+from greenroof_ros.base.processes import time_limit
+print("started", flush=True)
+try:
+    with time_limit(2.0):
+        until = time.process_time() + float(sys.argv[1])
+        while time.process_time() < until:
+            pass
+except HangError:
+    print("ended")
+"""
+
+
+@pytest.mark.parametrize(("busy_s", "expected"), [("0.3", ""), ("1000", "ended\n")])
+def test_a_pause_of_the_process_is_no_hang(busy_s: str, expected: str) -> None:
+    """Stopped for longer than the limit, code that needs little time is not ended."""
+    with subprocess.Popen(
+        [sys.executable, "-c", LIMITED, busy_s], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "started\n"
+        process.send_signal(signal.SIGSTOP)
+        time.sleep(2.5)
+        process.send_signal(signal.SIGCONT)
+        assert process.stdout.read() == expected

@@ -1,0 +1,96 @@
+"""Lines on standard error delay neither their writer nor its end, whoever reads them; progress."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+from disks import full_pipe
+from graphs import wait_for
+from places import CHECKOUT
+
+from greenroof_ros.base.progress import RunProgress
+from greenroof_ros.base.standard_error import Lines
+
+TOO_LONG_S = 60
+
+
+def test_what_waits_for_too_long_is_dropped_and_counted() -> None:
+    """The oldest are dropped; as soon as someone reads, output is complete and in order again."""
+    with full_pipe() as (reading, writing):
+        lines = Lines(writing)
+        lines.print_line("first\n  more of it, in °C")
+        wait_for(lambda: not lines._waiting, TOO_LONG_S, "the first, which is being written")
+        for number in range(1090):
+            lines.print_line(f"line {number}")
+        assert not lines.wait(0.0)
+        printed = b""
+        while not lines.wait(0.01):
+            printed += _empty(reading)
+        printed += _empty(reading)
+    assert printed.lstrip(b"\0").decode().splitlines() == [
+        "first", "  more of it, in °C", "90 lines were dropped because standard error was blocked",
+        *(f"line {number}" for number in range(90, 1090)),
+    ]
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_the_end_of_a_process(full: bool) -> None:
+    """It writes what waits, and gives up after two seconds."""
+    program = (
+        "from greenroof_ros.base.standard_error import print_line\n"
+        "for number in range(3): print_line(f'line {number}')"
+    )
+    with full_pipe() as (reading, writing):
+        if not full:
+            _empty(reading)
+        command = [sys.executable, "-c", program]
+        done = subprocess.run(command, cwd=CHECKOUT, stderr=writing, timeout=TOO_LONG_S)
+        assert done.returncode == 0
+        printed = _empty(reading).lstrip(b"\0")
+    assert printed == (b"" if full else b"line 0\nline 1\nline 2\n")
+
+
+def test_a_line_every_ten_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With progress every second for 35 s, there are lines at 10, 20 and 30 s, and no bar."""
+    now, printed = 1000.0, io.StringIO()
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    progress = RunProgress(100, 60.0, printed)
+    for second in range(36):
+        now = 1000.0 + second
+        progress.show_tick(second, 3.0, 0.04, 0.5)
+    assert [line.split(", command 0.500")[0] for line in printed.getvalue().splitlines()] == [
+        f"00:{second}:00, cistern 3.000 m, roof 0.0400 m" for second in (10, 20, 30)
+    ]
+
+
+def _empty(reading: int) -> bytes:
+    """Return all that is in a pipe, without waiting for more."""
+    os.set_blocking(reading, False)
+    printed = b""
+    try:
+        while True:
+            printed += os.read(reading, 1 << 20)
+    except BlockingIOError:
+        return printed
+    finally:
+        os.set_blocking(reading, True)
+
+
+def test_a_line_that_others_can_cause_is_printed_once_a_minute(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
+    printed: list[str] = []
+    lines, now = Lines(2), 100.0
+    monkeypatch.setattr(lines, "print_line", printed.append)
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    for now in (100.0, 130.0, 159.0, 160.0):
+        lines.print_seldom("stop", f"refused at {now:g}")
+    lines.print_seldom("another kind", "printed")
+    assert printed == [
+        "refused at 100", "refused at 160 (and 2 similar messages before it)", "printed",
+    ]

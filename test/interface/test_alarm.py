@@ -1,0 +1,135 @@
+"""What is printed and stored of alarms, and how it is read back."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from greenroof_ros.base.disk import DISK
+from greenroof_ros.interface import alarm as alarms
+from greenroof_ros.interface.alarm import (
+    ALARMS,
+    Alarm,
+    AlarmLog,
+    Change,
+    add_alarm_count,
+    read_alarms,
+    to_record,
+)
+
+BEGAN = 1_795_000_000.25
+LOST = Alarm(
+    1, "/pump", "drive", "pump", "drive_lost", "error", "no connection", BEGAN,
+    about=("/pump/flow",),
+)
+
+
+def begins(number: int = 1, **more: object) -> Change:
+    return Change("begins", replace(LOST, number=number, **more))  # type: ignore[arg-type]
+
+
+def ends(number: int = 1) -> Change:
+    return Change("ends", replace(LOST, number=number, ended=BEGAN + 9, seconds=7.8))
+
+
+def written(directory: Path, *changes: Change, read: Callable[[str], None] = print) -> AlarmLog:
+    """Return a log that has stored these changes."""
+    log = AlarmLog(read, directory / ALARMS)
+    log.add(changes)
+    assert DISK.wait(60)
+    return log
+
+
+def test_each_change_is_printed_and_stored_at_once(tmp_path: Path) -> None:
+    """The last line with a number counts; a level or cause that changes is stored only."""
+    printed: list[str] = []
+    follows = {"follows": "/pump: drive", "part": "pump", "level": "warn"}
+    log = written(
+        tmp_path, begins(), begins(2, **follows), Change("changes", replace(LOST, level="stale")),
+        ends(), Change("returns", LOST), ends(), read=printed.append,
+    )
+    assert printed == [
+        "alarm 1: /pump: drive: no connection",
+        "warning 2: /pump: pump: no connection (follows from /pump: drive)",
+        "alarm 1 is over, after 7.8 s: /pump: drive",
+        "alarm 1 has returned: /pump: drive: no connection",
+        "alarm 1 is over, after 7.8 s: /pump: drive",
+    ]
+    assert read_alarms(tmp_path) == [ends().alarm, begins(2, **follows).alarm]
+    assert log.as_records() == [*map(to_record, read_alarms(tmp_path))]
+    assert (log.count, log.changes) == (1, 6)
+    assert add_alarm_count("done", log.count) == "done, with 1 alarm"
+    first = json.loads((tmp_path / ALARMS).read_text().splitlines()[0])
+    assert first["since"] == "2026-11-18T11:06:40.250+00:00" and first["ended"] is None
+    (tmp_path / ALARMS).unlink()
+    (tmp_path / "summary.json").write_text(json.dumps({"alarms": log.as_records()}))
+    assert [alarm.number for alarm in read_alarms(tmp_path)] == [1, 2]
+
+
+def test_another_start_keeps_what_was_before(tmp_path: Path) -> None:
+    """Numbers continue; older alarms have ended by then at the latest; a cut line is dropped."""
+    written(tmp_path, begins(), ends(), begins(2))
+    with (tmp_path / ALARMS).open("a") as stream:
+        stream.write('{"number": 3, "no')
+    log = written(tmp_path)
+    assert log.last_number == 2
+    first, second = read_alarms(tmp_path)
+    assert (first.seconds, second.seconds) == (7.8, None)
+    assert second.ended is not None and second.ended > BEGAN
+
+
+@pytest.mark.parametrize("cut", ["", '{"number": 3, "no'])
+def test_a_killed_change_of_files_loses_no_number(tmp_path: Path, cut: str) -> None:
+    """Between the renaming and the first line, or in that line."""
+    written(tmp_path, begins(), ends(), begins(2))
+    (tmp_path / ALARMS).rename(tmp_path / f"{ALARMS}.1")
+    if cut:
+        (tmp_path / ALARMS).write_text(cut)
+    assert written(tmp_path).last_number == 2
+    assert [(alarm.number, bool(alarm.ended)) for alarm in read_alarms(tmp_path)] == [
+        (1, True), (2, True),
+    ]
+
+
+def test_a_flapping_sensor_fills_no_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two files keep the newest; what lasts is kept whenever it began."""
+    monkeypatch.setattr(alarms, "_FULL", 20_000)
+    log = written(tmp_path, begins(part="state file"))
+    for number in range(2, 502):
+        log.add([begins(number), ends(number)])
+        if number % 50 == 0:
+            assert DISK.wait(60)
+    assert DISK.wait(60)
+    assert (log.count, len(log.as_records())) == (501, 200)
+    assert sorted(file.name for file in tmp_path.iterdir()) == [ALARMS, f"{ALARMS}.1"]
+    assert all(file.stat().st_size < 21_000 for file in tmp_path.iterdir())
+    lasting, *newest = read_alarms(tmp_path)
+    assert (lasting.number, lasting.ended) == (1, None)
+    assert [alarm.number for alarm in newest] == list(range(502 - len(newest), 502))
+    assert len(newest) > 50 and all(alarm.ended for alarm in newest)
+
+
+def test_a_disk_that_is_full_and_a_damaged_file_stop_no_one(tmp_path: Path) -> None:
+    printed: list[str] = []
+    (tmp_path / "full" / ALARMS).mkdir(parents=True)
+    written(tmp_path / "full", begins(), read=printed.append)
+    assert any("Is a directory" in line for line in printed)
+    line = json.dumps(to_record(LOST))
+    for broken in ("nonsense", '{"number": 1}', "[]", "[" * 100_000):
+        (tmp_path / ALARMS).write_text(f"{line}\n{broken}\n{line}\n")
+        with pytest.raises(ValueError, match=r"alarms.jsonl, line 2: is not an alarm"):
+            read_alarms(tmp_path)
+        written(tmp_path, read=printed.append)
+        assert "alarms from before this start will not be shown" in printed[-1]
+    (tmp_path / ALARMS).unlink()
+    for foreign in ({"alarms": 7}, {"alarms": [7]}, {"alarms": [{}]}):
+        (tmp_path / "summary.json").write_text(json.dumps(foreign))
+        with pytest.raises(ValueError, match="an entry of alarms is not an alarm"):
+            read_alarms(tmp_path)
+    for other in ("{", "[]", "[" * 100_000):
+        (tmp_path / "summary.json").write_text(other)
+        assert read_alarms(tmp_path) == []

@@ -1,0 +1,152 @@
+"""The interface, msg_defs/, compared with ROS 2 and with a live graph."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from graphs import Process, wait_for
+from paper import VALVE, site_file
+from refusals import refusal
+
+from greenroof_ros.base.files import read_yaml, shared_directory
+from greenroof_ros.interface.topics import find_namespace, read_topics, recorded_topics
+
+
+def test_numbers_have_a_display() -> None:
+    """Each unit is shown in a related one: m as mm, m/s as mm/h, m3/s as L/min.
+
+    And a reader can lag by more than 32 ticks.
+    """
+    factors = {
+        ("s", "s"): 1, ("m", "mm"): 1e3, ("m/s", "mm/h"): 1e3 * 3600, ("m3/s", "L/min"): 1e3 * 60,
+        ("1", ""): 1, ("1", "%"): 100, ("m2", "mm²"): 1e6, ("m3", "m³"): 1, ("degC", "°C"): 1,
+    }
+    labels = []
+    for topic in read_topics().values():
+        assert topic.qos.depth > 32 or not topic.per_tick, topic.name
+        display = topic.display
+        assert (display is None) == (topic.unit == ""), topic.name
+        if display is not None:
+            assert factors[topic.unit, display.unit] == display.factor, topic.name
+            assert display.decimals in range(4), topic.name
+            labels.append(display.label)
+    assert len(set(labels)) == len(labels)
+
+
+def test_namespace_of_a_bag() -> None:
+    """A graph's topics are found by the ends of their names; two graphs are refused."""
+    needed, bag = ["/roof/level", "/pump/flow"], Path("bag")
+    assert find_namespace({"/roof/level", "/pump/flow", "/clock"}, needed, bag) == ""
+    assert find_namespace({"/a/b/roof/level", "/a/b/pump/flow"}, needed, bag) == "/a/b"
+    # A single topic is not a graph.
+    assert find_namespace({"/roof/level", "/pump/flow", "/s/roof/level"}, needed, bag) == ""
+    two = {"/roof/level", "/pump/flow", "/s/roof/level", "/s/pump/flow"}
+    refusal(find_namespace, two, needed, bag, match=r"bag: .*/, /s")
+
+
+def test_types_match_ros() -> None:
+    """Definitions and hashes in msg_defs/types.yaml agree with the installed ROS 2."""
+    rclpy = pytest.importorskip("rclpy", reason="the message packages come with ROS 2")
+    assert rclpy
+    types: dict[str, Any] = read_yaml(shared_directory() / "msg_defs" / "types.yaml")
+    for name, entry in types.items():
+        package, _, short = name.split("/")
+        module = importlib.import_module(f"{package}.msg")
+        share = next(
+            parent / "share" / package / "msg"
+            for parent in Path(str(module.__file__)).parents
+            if (parent / "share" / package / "msg" / f"{short}.msg").exists()
+        )
+        text = (share / f"{short}.msg").read_text()
+        fields = [line.split("#")[0].split() for line in text.splitlines()]
+        assert [line.split() for line in entry["definition"].splitlines()] == list(
+            filter(None, fields)
+        )
+        if "hash" in entry:
+            described = json.loads((share / f"{short}.json").read_text())["type_hashes"]
+            assert {"type_name": name, "hash_string": entry["hash"]} in described
+
+
+OUTPUTS = {"/controller/cost": "cost", "/controller/solver_status": "status"}
+
+
+@pytest.mark.parametrize("valve", [False, True])
+def test_live_graph_is_the_interface(domain: int, tmp_path: Path, valve: bool) -> None:
+    """The graph has exactly the topics of the interface: types, QoS, nodes."""
+    rclpy = pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+    from rclpy.duration import Duration, Infinite
+    from rclpy.node import Node
+
+    process = Process(
+        domain, "bringup", "--controller", "mpc", "--speed", "20", "--output", "run",
+        *(("--site", str(site_file(tmp_path, **VALVE))) if valve else ()), cwd=tmp_path,
+    )
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context, domain_id=domain)
+    node = Node(
+        "observer", context=context, start_parameter_services=False, enable_rosout=False
+    )
+    names = {
+        "plant": "plant", "weather": "weather", "controller": "mpc", "recorder": "recorder"
+    }
+    try:
+        process.wait_for_ticks(size=0)
+        nodes = set(names.values())
+        wait_for(lambda: nodes <= set(node.get_node_names()), 60, "discovery of the nodes")
+        interface = {
+            name: topic
+            for name, topic in read_topics().items()
+            if names.keys() & set(topic.publishers)
+            and (not topic.optional or name in OUTPUTS) and (valve or not topic.of_valve)
+        }
+        expected = {}
+        for name, topic in interface.items():
+            publish = {names[role] for role in topic.publishers if role in names}
+            take = {names[role] for role in topic.subscribers if role in names} - (
+                {"plant"} if name in ("/pump/flow", "/weather/frost") else set()
+            )
+            expected[name] = (["plant"] if name == "/pump/flow" else sorted(publish), sorted(take))
+
+        def ends() -> dict[str, tuple[list[str], list[str]]]:
+            return {
+                name: (
+                    sorted(info.node_name for info in node.get_publishers_info_by_topic(name)),
+                    sorted(info.node_name for info in node.get_subscriptions_info_by_topic(name)),
+                )
+                for name, _ in node.get_topic_names_and_types()
+                if name not in ("/rosout", "/parameter_events")
+            }
+
+        wait_for(lambda: ends() == expected, 60, "discovery of the topics")
+        time.sleep(1)  # for a topic too many
+        assert ends() == expected
+        kinds = dict(node.get_topic_names_and_types())
+        for name, topic in interface.items():
+            assert kinds[name] == [topic.type]
+            publishers = node.get_publishers_info_by_topic(name)
+            subscribers = node.get_subscriptions_info_by_topic(name)
+            for info in [*publishers, *subscribers]:
+                profile = info.qos_profile
+                assert profile.reliability.name.lower() == topic.qos.reliability
+                assert profile.durability.name.lower() == topic.qos.durability
+                assert profile.liveliness.name == "AUTOMATIC"
+                # In a simulation no reader watches a lease.
+                lease = topic.qos.lease_s if info in publishers else math.inf
+                assert profile.liveliness_lease_duration == (
+                    Duration(seconds=lease) if math.isfinite(lease) else Infinite
+                )
+        assert {topic.name for topic in recorded_topics(OUTPUTS, valve)} == {
+            name for name, topic in interface.items() if topic.per_tick
+        }
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+        process.process.send_signal(signal.SIGINT)
+    assert process.wait(300) == 130

@@ -1,0 +1,493 @@
+"""Bags of simulations and live sites: any reader gets back what was written; and recovery."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import struct
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from random import Random
+
+import pytest
+import yaml
+from commands import run_command
+from disks import bad_disk, no_file_beyond
+from graphs import environment
+from mcap.reader import make_reader
+from mcap.records import ChunkIndex
+from refusals import refusal
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.commands.recover import recover
+from greenroof_ros.interface.topics import read_topics
+from greenroof_ros.results.bag_read import count_ticks
+from greenroof_ros.results.bag_write import BagWriter, LiveBag
+from greenroof_ros.results.table import parameter_columns, row_parameters
+
+START_NS = 1625641200 * 10**9  # 07:00 UTC, by date -d
+TOPICS = (
+    "/roof/level", "/cistern/level", "/pump/command", "/pump/flow", "/weather/precipitation"
+)
+
+
+def bag_writer(directory: Path) -> BagWriter:
+    """Begin a bag of a simulation, with its clock."""
+    interface = read_topics()
+    return BagWriter(directory, [interface[name] for name in ("/clock", *TOPICS)])
+
+
+def number(value: float) -> bytes:
+    """Return a Float64 in CDR: little-endian header, then the number."""
+    return struct.pack("<Id", 256, value)
+
+
+def clock(time_ns: int) -> bytes:
+    """Return a Clock in CDR."""
+    return struct.pack("<III", 256, time_ns // 10**9, time_ns % 10**9)
+
+
+def utc(tick: int) -> str:
+    """Return the time of one of the first 3600 ticks, as messages write it."""
+    seconds = f":{tick % 60:02}" if tick % 60 else ""
+    return f"2021-07-07 07:{tick // 60:02}{seconds}+00:00"
+
+
+def write_bag(
+    directory: Path, ticks: int, size: int = 8
+) -> list[tuple[str, int, int, bytes]]:
+    """Write a bag, and return its messages of this size: topic, time, tick, content."""
+    writer, random = bag_writer(directory), Random(1)
+    written = []
+    for tick in range(ticks):
+        time_ns = START_NS + tick * 10**9
+        messages = {"/clock": clock(time_ns)} | {
+            topic: number(tick + index / 10) + random.randbytes(size - 8)
+            for index, topic in enumerate(TOPICS)
+        }
+        writer.write_tick(time_ns, list(messages.values()))
+        written += [(topic, time_ns, tick, message) for topic, message in messages.items()]
+    writer.close()
+    return written
+
+
+def messages_of(file: Path) -> list[tuple[str, int, int, bytes]]:
+    """Return a file's messages by the format's own library: topic, time, number, content."""
+    with file.open("rb") as stream:
+        return [
+            (channel.topic, message.log_time, message.sequence, message.data)
+            for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages()
+        ]
+
+
+def test_a_whole_bag_comes_out_as_it_is(tmp_path: Path) -> None:
+    """The format's own library finds what was written, before and after recovery."""
+    written = write_bag(tmp_path / "bag", 200)
+    assert messages_of(tmp_path / "bag" / "bag_0.mcap") == written
+    assert recover(tmp_path) == (tmp_path / "bag-recovered", 1200, [])
+    assert messages_of(tmp_path / "bag-recovered" / "bag-recovered_0.mcap") == written
+    about = (tmp_path / "bag" / "metadata.yaml").read_text()
+    again = (tmp_path / "bag-recovered" / "metadata.yaml").read_text()
+    assert again.replace("bag-recovered_0", "bag_0") == about
+
+
+@pytest.mark.parametrize("size", [8, 150_000])
+def test_a_bag_that_was_cut_keeps_its_whole_chunks(tmp_path: Path, size: int) -> None:
+    """From the first on, without a gap; a chunk has 16 ticks, or a megabyte."""
+    written = write_bag(tmp_path / "bag", 40 if size > 8 else 200, size)
+    ends = [part.chunk_start_offset + part.chunk_length for part in chunks(tmp_path / "bag")]
+    file = tmp_path / "bag" / "bag_0.mcap"
+    cut = file.stat().st_size * 2 // 3
+    os.truncate(file, cut)
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    new, messages, [loss] = recover(tmp_path)
+    restored = messages_of(new / "bag-recovered_0.mcap")
+    assert restored == written[:messages] and 30 < messages < len(written)
+    lost = int(loss.removeprefix("bag_0.mcap: ").split(" bytes are lost between ")[0])
+    assert cut - min(end for end in ends if end > cut) < 0 < lost < cut - max(
+        end for end in ends if end < cut
+    ) + 1
+    assert loss.endswith(f"between {utc(restored[-1][2])} and the end")
+    assert count_ticks(tmp_path / "bag") is None and count_ticks(new) == messages // 6
+
+
+def test_hostile_files_do_no_harm(tmp_path: Path) -> None:
+    """For any content of the file: whole chunks are recovered, or there is a clear error."""
+    write_bag(tmp_path / "bag", 64)
+    written, random = (tmp_path / "bag" / "bag_0.mcap").read_bytes(), Random(1)
+    (tmp_path / "hostile").mkdir()
+    amounts = set()
+    for number in range(50):
+        length = random.choice((len(written), random.randrange(len(written))))
+        content = bytearray(written[:length])
+        for _ in range(random.choice((1, 8))):
+            at = random.randrange(len(content))
+            content[at : at + 8] = random.choice((b"x", bytes(8), b"\xff" * 8, b"\0" * 7 + b"\x7f"))
+        (tmp_path / "hostile" / "hostile_0.mcap").write_bytes(content)
+        try:
+            amounts.add(recover(tmp_path / "hostile", tmp_path / str(number)).messages)
+        except ConfigurationError:
+            amounts.add(0)
+            assert not (tmp_path / str(number)).exists()
+    assert {ticks * 6 for ticks in (0, 16, 32, 48, 64)} <= amounts
+
+
+def damaged(bag: Path, at: int, content: bytes, file: str = "bag_0.mcap") -> None:
+    """Overwrite a part of a bag's file, from an offset on; from its end if that is negative."""
+    with (bag / file).open("r+b") as stream:
+        stream.seek(at, os.SEEK_END if at < 0 else os.SEEK_SET)
+        stream.write(content)
+
+
+def flipped(bag: Path, at: int, bit: int) -> None:
+    byte = (bag / "bag_0.mcap").read_bytes()[at]
+    damaged(bag, at, bytes([byte ^ 1 << bit]))
+
+
+def chunks(bag: Path) -> list[ChunkIndex]:
+    """Return where a bag's chunks are, by the format's own library."""
+    with (bag / "bag_0.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    return summary.chunk_indexes
+
+
+def lost_ticks(new: Path, written: list[tuple[str, int, int, bytes]]) -> list[int]:
+    """Return the ticks that a recovered bag lacks; two readers find the others in it, whole."""
+    restored = messages_of(new / f"{new.name}_0.mcap")
+    there = {tick for *_, tick, _ in restored}
+    assert restored == [message for message in written if message[2] in there]
+    with AnyReader([new]) as reader:
+        assert reader.message_count == len(restored)
+        assert sorted(
+            (connection.topic, stamp, data) for connection, stamp, data in reader.messages()
+        ) == sorted((topic, stamp, data) for topic, stamp, _, data in restored)
+    return sorted({message[2] for message in written} - there)
+
+
+FIRST, SECOND, THIRD_ON = list(range(16)), list(range(16, 32)), list(range(32, 361))
+# What is damaged, given its chunks, and which ticks are lost: a chunk has 16. First while the index
+# at the file's end tells where the chunks are, then without it, as after a kill.
+DAMAGE: dict[str, tuple[Callable[[Path, list[ChunkIndex]], object], list[int], list[int]]] = {
+    "a bit in the middle of a chunk's data": (
+        lambda bag, parts: flipped(
+            bag, parts[1].chunk_start_offset + parts[1].chunk_length // 2, 3
+        ), SECOND, SECOND,
+    ),
+    "the first chunk, which defines the topics": (
+        lambda bag, parts: damaged(bag, parts[0].chunk_start_offset + 200, bytes(100)), FIRST,
+        list(range(361)),
+    ),
+    "the length of a chunk": (
+        lambda bag, parts: flipped(bag, parts[1].chunk_start_offset + 3, 0), [], [],
+    ),
+    "both lengths": (
+        lambda bag, parts: (
+            damaged(bag, parts[1].chunk_start_offset + 1, b"\xff" * 8),
+            damaged(bag, parts[1].chunk_start_offset + 49, b"\xff" * 8),
+        ), SECOND, SECOND + THIRD_ON,
+    ),
+    "a block of 4 KiB, over some chunks": (
+        lambda bag, parts: damaged(bag, parts[2].chunk_start_offset + 50, bytes(4096)),
+        list(range(32, 64)), THIRD_ON,
+    ),
+    "the magic at both ends": (
+        lambda bag, parts: (damaged(bag, 0, b"X"), damaged(bag, -1, b"X")), [], [],
+    ),
+}
+
+
+@pytest.mark.parametrize("closed", [True, False])
+@pytest.mark.parametrize("what", DAMAGE)
+def test_what_is_whole_is_recovered_after_any_damage(
+    tmp_path: Path, what: str, closed: bool
+) -> None:
+    """Without the index nothing is found behind a wrong length, but that is reported."""
+    written = write_bag(tmp_path / "bag", 361)
+    damage, *lost = DAMAGE[what]
+    parts = chunks(tmp_path / "bag")
+    damage(tmp_path / "bag", parts)
+    if not closed:
+        damaged(tmp_path / "bag", -30, bytes(20))
+    if lost[not closed] == list(range(361)):
+        assert "does not contain an intact chunk" in refusal(recover, tmp_path)
+        return
+    new, messages, losses = recover(tmp_path)
+    assert messages == 6 * (361 - len(lost[not closed]))
+    assert lost_ticks(new, written) == lost[not closed]
+    assert bool(losses) == bool(lost[not closed])
+    if lost[not closed] == SECOND:
+        [by_size, by_number] = losses
+        assert by_size == (
+            f"bag_0.mcap: {parts[1].chunk_length} bytes are lost between {utc(15)} and {utc(32)}"
+        )
+        assert by_number == "bag_0.mcap: 96 of its 2166 messages are lost"
+
+
+def test_a_flipped_bit_costs_a_chunk_at_most(tmp_path: Path) -> None:
+    """Wherever it is in a closed file: nothing wrong comes out, and a loss is reported."""
+    written, random = write_bag(tmp_path / "whole", 361), Random(0)
+    content, amounts = (tmp_path / "whole" / "whole_0.mcap").read_bytes(), set()
+    for number in range(12):
+        bag = tmp_path / f"bag{number}"
+        bag.mkdir()
+        at = random.randrange(len(content))
+        (bag / "bag_0.mcap").write_bytes(
+            content[:at] + bytes([content[at] ^ 1 << random.randrange(8)]) + content[at + 1 :]
+        )
+        new, _, losses = recover(bag)
+        lost = lost_ticks(new, written)
+        amounts.add(len(lost))
+        assert bool(losses) == bool(lost)
+    assert amounts <= {0, 16, 9} and {0, 16} <= amounts
+
+
+@pytest.mark.parametrize(
+    ("what", "where"),
+    [("BAD_SECTOR", 0.0), ("BAD_SECTOR", 0.5), ("BAD_SECTOR", 1.0), ("CUT_TO", 0.6)],
+)
+def test_a_disk_that_fails_while_it_is_read(tmp_path: Path, what: str, where: float) -> None:
+    """A sector that gives an error, or a file that is cut meanwhile: what was lost is reported.
+
+    A chunk has 16 ticks; a sector can touch three. Without the index, in the last sector, each
+    record's length leads to the next.
+    """
+    written = write_bag(tmp_path / "bag", 361, size=200)
+    size = (tmp_path / "bag" / "bag_0.mcap").stat().st_size
+    at = int(where * size) // 4096 * 4096
+    done = subprocess.run(
+        [sys.executable, "-m", "greenroof_ros", "recover", "bag", "--output", "new"], cwd=tmp_path,
+        env={**environment(0), **bad_disk(tmp_path), what: str(at)}, capture_output=True,
+        text=True, check=False,
+    )
+    missing = lost_ticks(tmp_path / "new", written)
+    assert done.stdout == f"{6 * (361 - len(missing))} messages recovered to new\n"
+    assert done.returncode == bool(missing), done.stderr
+    assert bool(missing) == ("bytes are lost" in done.stderr) == (where < 1)
+    if not missing:
+        return
+    assert missing == list(range(missing[0], missing[-1] + 1))
+    assert f"lost: bag_0.mcap: {6 * len(missing)} of its 2166 messages are lost" in done.stderr
+    if what == "CUT_TO":
+        assert missing[-1] == 360 and 361 * (1 - where) - 16 < len(missing) < 361 * (1 - where) + 48
+    elif where:
+        assert len(missing) <= 48
+    else:
+        assert missing == FIRST
+
+
+@pytest.mark.parametrize("room", range(20_000, 24_000, 1000))
+def test_a_file_that_cannot_grow_keeps_what_was_safe(tmp_path: Path, room: int) -> None:
+    """Wherever in its chunks the room ends: exactly the ticks that the writer reports as safe."""
+    writer = bag_writer(tmp_path / "bag")
+    random = Random(1)
+
+    def write() -> None:
+        for tick in range(2000):
+            time_ns = START_NS + tick * 10**9
+            writer.write_tick(
+                time_ns, [clock(time_ns), *(number(random.random()) for _ in TOPICS)]
+            )
+
+    with no_file_beyond(room), pytest.raises(OSError, match="File too large"):
+        write()
+    writer.cut()
+    assert writer.safe > 0
+    assert recover(tmp_path) == (tmp_path / "bag-recovered", 6 * writer.safe, [])
+
+
+def test_parameters_are_columns_of_their_own() -> None:
+    """A parameter with the name of another column is not mistaken for it."""
+    row = {"hours": "12", **parameter_columns({"hours": "3", "gain": "20"})}
+    assert row == {"hours": "12", "parameter:hours": "3", "parameter:gain": "20"}
+    assert row_parameters(row) == {"hours": "3", "gain": "20"}
+
+
+# --- live sites: split, bounded, readable while growing, and after a kill -------------------------
+
+# 2026-11-21 23:00:00 UTC, by date -d.
+LATE_NS = 1795302000 * 10**9
+
+
+def live_bag(
+    directory: Path, file_bytes: int = 10**7, total_bytes: int = 10**9, namespace: str = ""
+) -> LiveBag:
+    interface = read_topics()
+    topics = [
+        replace(topic, name=namespace + topic.name)
+        for topic in (interface[name] for name in TOPICS[:3])
+    ]
+    topics.append(interface["/diagnostics"])
+    return LiveBag(directory, topics, file_bytes=file_bytes, total_bytes=total_bytes)
+
+
+def read(bag: Path) -> list[tuple[str, int, float]]:
+    """Return what rosbags finds in a bag, in the order of time."""
+    with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        return [
+            (connection.topic, stamp, reader.deserialize(raw, connection.msgtype).data)
+            for connection, stamp, raw in reader.messages()
+        ]
+
+
+def test_what_came_is_read_back_with_its_times(tmp_path: Path) -> None:
+    """Irregular times, one topic more often than the other, over midnight UTC: two files."""
+    bag = live_bag(tmp_path / "bag")
+    sent = [
+        (TOPICS[i % 3 % 2], LATE_NS + i * 7_000_000_123, i / 7) for i in range(1000)
+    ]  # 7000 s from 23:00 on
+    for topic, stamp, value in sent:
+        bag.write(topic, stamp, number(value), stamp / 1e9)
+    bag.close()
+    assert bag.problem == ""
+    assert (bag.recorded, bag.lost) == (1000, 0)
+    assert read(tmp_path / "bag") == sent
+    assert sorted(path.name for path in (tmp_path / "bag").iterdir()) == [
+        "bag_0.mcap", "bag_1.mcap", "metadata.yaml"
+    ]
+    with AnyReader([tmp_path / "bag" / "bag_1.mcap"]) as reader:
+        assert reader.start_time >= LATE_NS + 3600 * 10**9
+    about = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())
+    about = about["rosbag2_bagfile_information"]
+    assert about["message_count"] == 1000
+    assert about["starting_time"]["nanoseconds_since_epoch"] == LATE_NS
+    assert about["duration"]["nanoseconds"] == 999 * 7_000_000_123
+    assert [file["message_count"] for file in about["files"]] == [515, 485]  # 3600 / 7 is 514.3
+
+
+def test_oldest_files_go_beyond_the_limit(tmp_path: Path) -> None:
+    """The bag stays within the limit and always readable, and has its newest messages."""
+    bag, random = live_bag(tmp_path / "bag", file_bytes=20_000, total_bytes=100_000), Random(1)
+    at, largest, directory = 0.0, 0, tmp_path / "bag"
+    for message in range(8_000):
+        at += 0.25
+        bag.write(TOPICS[0], LATE_NS + int(at * 1e9), number(random.random()), at)
+        bag.flush_if_due(at)
+        if message % 1000 == 999:
+            size = sum(path.stat().st_size for path in directory.glob("*.mcap"))
+            largest = max(largest, size)
+            if size > 60_000:
+                assert read(directory)
+    bag.close()
+    assert bag.recorded == 8_000
+    # The forty messages since the last flush can come on top.
+    assert 80_000 < largest < 102_000
+    stamps = [stamp for _, stamp, _ in read(directory)]
+    assert stamps[-1] == LATE_NS + int(at * 1e9)
+    assert {after - before for before, after in pairwise(stamps)} == {250_000_000}
+    assert not (directory / "bag_0.mcap").exists()
+
+
+def split_bag(directory: Path, namespace: str = "") -> tuple[LiveBag, list[tuple[str, int, float]]]:
+    """Begin a live site's bag of some files; return it with its messages."""
+    sent = [
+        (namespace + TOPICS[tick % 3], LATE_NS + tick * 10**9, tick * 1.1) for tick in range(1500)
+    ]
+    bag = live_bag(directory, file_bytes=20_000, namespace=namespace)
+    for tick, (topic, stamp, value) in enumerate(sent):
+        bag.write(topic, stamp, number(value), float(tick))
+        bag.flush_if_due(float(tick))
+    return bag, sent
+
+
+def test_a_kill_costs_what_came_since_the_last_flush(tmp_path: Path) -> None:
+    """The closed files are readable at once; recover restores the last; a new start continues.
+
+    A copy of the files that are being written is what a kill leaves.
+    """
+    killed, sent = split_bag(tmp_path / "growing" / "bag", "/site1")
+    shutil.copytree(tmp_path / "growing", tmp_path, dirs_exist_ok=True)
+    killed.close()
+    files = len(list((tmp_path / "bag").glob("*.mcap")))
+    assert files > 2
+    closed = read(tmp_path / "bag")
+    assert closed == sent[: len(closed)]
+    done = run_command("recover", str(tmp_path / "bag"), cwd=tmp_path, env=environment(0))
+    assert done.returncode == 0, done.stderr
+    restored = read(tmp_path / "bag-recovered")
+    assert len(closed) < len(restored) and restored == sent[: len(restored)]
+    assert len(restored) >= 1500 - 11  # ten seconds, and the message that is followed by a flush
+    assert done.stdout.startswith(f"{len(restored)} messages recovered to ")
+    bag = live_bag(tmp_path / "bag", file_bytes=20_000, namespace="/site1")
+    bag.write("/site1/roof/level", LATE_NS + 4000 * 10**9, number(1.0), 4000.0)
+    bag.close()
+    assert (tmp_path / "bag" / f"bag_{files}.mcap").exists()
+    assert read(tmp_path / "bag") == [
+        *closed, ("/site1/roof/level", LATE_NS + 4000 * 10**9, 1.0)
+    ]
+
+
+def files_messages(file: Path) -> set[tuple[str, int]]:
+    return {(topic, stamp) for topic, stamp, *_ in messages_of(file)}
+
+
+@pytest.mark.parametrize(
+    "what", ["a chunk", "a file", "half a file", "a loop"]
+)
+def test_every_file_of_a_split_bag_is_checked(tmp_path: Path, what: str) -> None:
+    """An older one, too: ``metadata.yaml`` has its number of messages."""
+    bag, sent = split_bag(tmp_path / "bag")
+    bag.close()
+    file = tmp_path / "bag" / "bag_1.mcap"
+    had = files_messages(file)
+    if what == "a chunk":
+        damaged(tmp_path / "bag", file.stat().st_size // 2, bytes(50), file.name)
+    elif what == "a file":
+        file.unlink()
+    elif what == "a loop":  # since root may read anything
+        file.unlink()
+        file.symlink_to("bag_1.mcap")
+    else:
+        os.truncate(file, file.stat().st_size // 2)
+    new, messages, losses = recover(tmp_path)
+    restored = read(new)
+    there = {(topic, stamp) for topic, stamp, _ in restored}
+    assert restored == [message for message in sent if message[:2] in there]
+    assert messages == len(restored)
+    lost = {message[:2] for message in sent} - there
+    assert lost and lost <= had
+    assert losses[-1] == f"bag_1.mcap: {len(lost)} of its {len(had)} messages are lost"
+    assert ("bytes are lost between 2026-11-21 23:" in losses[0]) == (
+        what in ("a chunk", "half a file")
+    )
+
+
+@pytest.mark.parametrize("room", [6000, 9000, 12_000])
+def test_recording_that_fails_tries_again(tmp_path: Path, room: int) -> None:
+    """Wherever the room ends: the rest is lost, counted, and reported until something is safe."""
+    bag, random = live_bag(tmp_path / "bag"), Random(1)
+    values = [random.random() for _ in range(3000)]
+
+    def write(second: int) -> None:
+        bag.write(TOPICS[0], LATE_NS + second * 10**9, number(values[second]), float(second))
+        bag.flush_if_due(float(second))
+
+    second = 0
+    with no_file_beyond(room):
+        while not bag.problem:
+            write(second)
+            second += 1
+        assert bag.problem == f"{tmp_path / 'bag'}: File too large"
+        assert 0 < bag.lost < second
+    with no_file_beyond(50):  # it tries again in vain, and leaves nothing
+        for later in range(second, second + 100):
+            write(later)
+        assert bag.problem and bag.lost > 100 and len(list(bag.directory.iterdir())) == 1
+        second, lost_before = second + 100, bag.lost
+    for later in range(second, 3000):
+        write(later)
+    assert bag.problem == ""
+    assert bag.lost <= lost_before + 60  # one wait
+    bag.close()
+    assert bag.recorded + bag.lost == 3000
+    restored = read(recover(tmp_path).bag)
+    assert len(restored) == bag.recorded
+    assert set(restored) <= {
+        (TOPICS[0], LATE_NS + second * 10**9, value) for second, value in enumerate(values)
+    }
