@@ -46,7 +46,7 @@ from greenroof_ros.base.parameter import Key, Parameter, Word, keys, parameters_
 from greenroof_ros.controllers.outlet import PARAMETERS
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.forecast.skill import Climate, Errors
-from greenroof_ros.formats.quantities import QUANTITIES, ROOF
+from greenroof_ros.weather.quantities import QUANTITIES, ROOF
 from greenroof_ros.interface.alarm import Alarm
 from greenroof_ros.interface.conditions import (
     LATCHED,

@@ -24,14 +24,14 @@ from numpy.typing import NDArray
 from places import CONFIG
 
 from greenroof_ros.base.times import hours_since_1970
-from greenroof_ros.formats.cells import HOUR
-from greenroof_ros.formats.hourly import Records
+from greenroof_ros.weather.records import HOUR
+from greenroof_ros.weather.records import Records
 from greenroof_ros.formats.open_meteo import UNITS, VARIABLES
-from greenroof_ros.formats.quantities import PRECIPITATION, RADIATION
+from greenroof_ros.weather.quantities import PRECIPITATION, RADIATION
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import sun_height
-from greenroof_ros.weather.reading import default_weather, read_weather
+from greenroof_ros.weather.read import default_weather, read_weather
 from greenroof_ros.weather.series import FILL
 
 NONE = "none"

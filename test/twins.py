@@ -13,7 +13,7 @@ import numpy as np
 from paper import PAPER_SITE
 
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
-from greenroof_ros.formats.step_record import StepRecord
+from greenroof_ros.analysis.calibration.step_record import StepRecord
 from greenroof_ros.physics import tick
 from greenroof_ros.physics.parameters import State, plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow

@@ -155,8 +155,8 @@ class TextInMemory(PosixPath):
     is_file = exists
 
 
-def read_lines(path: Path) -> Iterator[str]:
-    """Read a UTF-8 text file line by line, without any byte order mark at the beginning.
+def read_lines(path: Path, encoding: str = "utf-8") -> Iterator[str]:
+    """Read a text file line by line, without any byte order mark at the beginning.
 
     An invalid line is rejected as soon as it is read, so an error near the beginning of a large
     file is reported immediately.
@@ -185,11 +185,14 @@ def read_lines(path: Path) -> Iterator[str]:
                 )
             for number, raw in enumerate(stream, start=1):
                 try:
-                    line = (raw if number > 1 else raw.removeprefix(codecs.BOM_UTF8)).decode()
+                    line = (raw if number > 1 else raw.removeprefix(codecs.BOM_UTF8)).decode(
+                        encoding
+                    )
                 except UnicodeDecodeError as error:
                     form = "" if path.suffix in (".yaml", ".json") else " as CSV"
                     raise ConfigurationError(
-                        f"is not UTF-8 text; save it{form} in UTF-8", file=path, line=number
+                        f"is not text in {encoding}; save it{form} in UTF-8, or state its encoding",
+                        file=path, line=number,
                     ) from error
                 if "\x00" in line:
                     raise ConfigurationError(

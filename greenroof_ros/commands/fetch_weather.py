@@ -23,9 +23,6 @@ from greenroof_ros.base.files import replace_text
 from greenroof_ros.base.http_client import ServiceError
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.times import FIRST_YEAR, to_people
-from greenroof_ros.formats.cells import HOUR
-from greenroof_ros.formats.hourly import name_hours
-from greenroof_ros.formats.quantities import PRECIPITATION
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import format_place, measure_distance
 from greenroof_ros.weather.fetching import (
@@ -36,6 +33,8 @@ from greenroof_ros.weather.fetching import (
     prepare_directory,
     write_weather,
 )
+from greenroof_ros.weather.quantities import PRECIPITATION
+from greenroof_ros.weather.records import HOUR, name_hours
 
 _DESCRIPTION = """\
 Fetch several years of hourly weather, with all the data needed to compute evapotranspiration, into

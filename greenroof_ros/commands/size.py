@@ -31,6 +31,7 @@ from greenroof_ros.base.files import writable
 from greenroof_ros.base.processes import InterruptedRun, Signals, count_cores
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.simulation.inputs import INPUTS
+from greenroof_ros.simulation.screen import print_weather
 
 _DESCRIPTION = """\
 Compare cisterns, targets and outlets of a site over all seasons of a weather record, by the share
@@ -128,7 +129,7 @@ def main() -> int:
                 signals.check()
                 bar.show(text, share)
 
-            sizes = size_site(given, report)
+            sizes = size_site(given, report, print_weather)
             report("drawing", 1.0)
             page = sizes.save(arguments.output)
     except InterruptedRun as error:

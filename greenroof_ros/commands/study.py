@@ -35,6 +35,7 @@ from greenroof_ros.base.command_line import (
 from greenroof_ros.base.files import find_shipped, shared_directory
 from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.base.progress import ProgressBar
+from greenroof_ros.simulation.screen import print_weather
 
 _Bound: TypeAlias = tuple[Callable[[Path, Case], Any], Case, Callable[[Case, Any], None]]
 """Function that computes a bound, the case, and function that stores the bound."""
@@ -112,7 +113,7 @@ def main() -> int:
     grid = shared_directory() / "config/studies/paper.yaml"
     if arguments.grid is not None:
         grid = find_shipped(arguments.grid)
-    cases = read_grid(grid, arguments.weather)
+    cases = read_grid(grid, arguments.weather, print_weather)
     every = None if arguments.no_trajectories else arguments.trajectory_every
     store = StudyStore(
         arguments.output or Path("studies") / grid.stem, grid, cases, trajectory_every=every

@@ -29,7 +29,7 @@ from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.times import to_people
 from greenroof_ros.site.file import read_site
-from greenroof_ros.weather.reading import find_files, read_weather
+from greenroof_ros.weather.read import find_files, read_weather
 
 _DESCRIPTION = """\
 Score rain forecasts against records, by lead time and by the number of hours over which the rain is

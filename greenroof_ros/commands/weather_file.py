@@ -2,78 +2,118 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from argparse import Namespace
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 
 from greenroof_ros.base.command_line import Parser, add_site, command, refuse_unwritable
-from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError, rename_keys
 from greenroof_ros.base.files import add_path_to_errors
+from greenroof_ros.base.parameter import Key, keys
 from greenroof_ros.base.times import to_people
-from greenroof_ros.formats.cells import HOUR
-from greenroof_ros.formats.comments import STAMPS
-from greenroof_ros.formats.hourly import Records, name_hours
-from greenroof_ros.formats.own_csv import write_records
-from greenroof_ros.formats.quantities import PRECIPITATION, QUANTITIES
-from greenroof_ros.formats.reading import name_format
-from greenroof_ros.formats.rules import check_hours
 from greenroof_ros.simulation.screen import grid
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site, format_place, measure_distance
+from greenroof_ros.weather.describe import describe
+from greenroof_ros.weather.description import TIME, Description, make_description
 from greenroof_ros.weather.evapotranspiration import FAO56, HARGREAVES
-from greenroof_ros.weather.reading import complete_records, find_files, read_measured
+from greenroof_ros.weather.hours import write_records
+from greenroof_ros.weather.read import complete_records, find_files, read_measured
+from greenroof_ros.weather.records import HOUR, Records
 from greenroof_ros.weather.series import Weather
+from greenroof_ros.weather.summary import as_lines, summarize
 
 _DESCRIPTION = """\
-Read weather files in the same way as simulate, and describe the weather: service, location, period,
-columns, rainfall totals, gaps, suspicious values, and the method by which evapotranspiration would
-be computed. If more than one file is specified, the files are joined into one record. Your own file
-needs only the times and a column 'rain [mm]' with the amount of rain in the interval that begins at
-the time of the row. The intervals must be of equal length, at most one hour. If there is a column
-'temperature [degC]', evapotranspiration is computed with Hargreaves' equation. Otherwise, the
-site's monthly means are used, and it is assumed that there is no frost.
+Read weather files in the same way as simulate, and show what they contain: the period, the rain of
+each month or year, the wettest hour and day, the range of every quantity, missing hours, and the
+method by which evapotranspiration would be computed. Nothing in a file is guessed or changed: what
+its columns mean is stated by its header or by a description, a YAML file beside it, whose keys are
+also options of this command. If more than one file is given, the files are joined.
 """
 _EPILOG = """\
-your own file:
-  time,rain [mm]
-  2024-06-01T00:00-05:00,0.0
-  2024-06-01T00:05-05:00,0.2
+a file in the package's own form needs no description:
+  time,rain [mm],temperature [degC]
+  2024-06-01T00:00-05:00,0.0,17.3
+  2024-06-01T00:05-05:00,0.2,17.2
 
 examples:
   greenroof weather logger.csv --site my_site.yaml
-  greenroof weather 'hourly_*.csv' --output toronto.csv
-  greenroof weather gauge.csv --stamped end --output toronto.csv
-  greenroof simulate --weather toronto.csv --start 2021-07-01
+  greenroof weather gauge.csv --describe > gauge.yaml
+  greenroof weather gauge.yaml --output gauge_plain.csv
+  greenroof weather gauge.csv --columns time=Datum "rain=Niederschlag [mm]" --rows end
+  greenroof simulate --weather gauge.yaml --start 2021-07-01
 
 exit codes: 0 done, 2 bad usage, configuration or file
 """
-# For more months than this, rain is summed by year.
-_MAX_MONTHS = 24
-# Maximum number of spans of hours, and of implausible things, that the table names.
-_MAX_NAMED = 3
+_NOT_OPTIONS = "name", "file", "header", "flags", "flag_values"
 
 
 def make_parser() -> Parser:
     """Return the command's parser."""
     parser = Parser(prog="greenroof weather", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument(
-        "files", nargs="+", metavar="FILE", help="weather files, or a glob pattern in quotes"
+        "files", nargs="+", metavar="FILE",
+        help="weather files, descriptions of weather files, directories, or a pattern in quotes",
     )
     add_site(parser, "use the location, time zone and monthly means in this site file")
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE.csv",
-        help="write the weather to this new CSV file, in this project's format; a run with this "
+        help="write the weather to this new CSV file, in the package's own form; a run with this "
         "file yields the same numbers",
     )
     parser.add_argument(
-        "--stamped", choices=STAMPS,
-        help="treat the time of each row in your own file as the start or the end of the row's "
-        "interval (default: end if the file has the comment 'stamped: end', otherwise start)",
+        "--describe", action="store_true",
+        help="print a description of the file, filled in as far as its first lines say it; a "
+        "person must replace each question mark",
     )
+    group = parser.add_argument_group(
+        "keys of a description", "They apply to files that are not named by a description."
+    )
+    for key in _options():
+        group.add_argument(
+            _flag(key), help=key.entry.description.replace("%", "%%"), dest=key.name,
+            metavar="NAME=VALUE" if _is_mapping(key) else "VALUE",
+            nargs="+" if _is_mapping(key) or "tuple" in str(key.kind) else None,
+        )
     return parser
+
+
+def _options() -> list[Key]:
+    return [key for key in keys(Description) if key.name not in _NOT_OPTIONS]
+
+
+def _flag(key: Key) -> str:
+    return f"--{key.name.replace('_', '-')}"
+
+
+def _is_mapping(key: Key) -> bool:
+    return "dict" in str(key.kind)
+
+
+def _read_options(arguments: Namespace) -> Description | None:
+    """Return the description that the options state; None without such options."""
+    given = dict[str, Any]()
+    for key in _options():
+        value = getattr(arguments, key.name)
+        if value is None:
+            continue
+        if _is_mapping(key):
+            pairs = [item.partition("=") for item in value]
+            value = {
+                name: text.split("+") if name == TIME else text for name, _, text in pairs
+            }
+        elif key.kind is not str and "tuple" not in str(key.kind):
+            value = float(value)
+        elif key.name == "skiprows":
+            value = int(value[0]) if len(value) == 1 else [int(number) for number in value]
+        given[key.name] = value
+    with rename_keys({key.name: _flag(key) for key in _options()}):
+        return make_description(given) if given else None
 
 
 @command
@@ -83,20 +123,22 @@ def main() -> None:
     output: Path | None = arguments.output
     if output is not None:
         refuse_unwritable(output, (".csv",), "--output")
+    files = find_files(arguments.files, "FILE")
+    if arguments.describe:
+        print(describe(files[0]), end="")
+        return
     site = read_site(arguments.site)
     # A file for another place is described, too; a run rejects it, or warns.
     anywhere = replace(site, latitude=None, longitude=None, elevation=None)
-    measured = read_measured(find_files(arguments.files, "FILE"), anywhere, arguments.stamped)
-    table = grid("Weather", _describe(measured, site))
+    measured = read_measured(files, anywhere, _read_options(arguments))
+    console = Console()
+    console.print(grid("Weather", _describe(measured, site)))
     if output is not None:
         with add_path_to_errors(output):
             output.write_text(
-                write_records(measured, f"{_name_formats(measured)}; written by greenroof weather"),
-                encoding="utf-8",
+                write_records(measured, "\n".join((*measured.left_out, "Written by greenroof "
+                                                   "weather."))), encoding="utf-8",
             )
-    console = Console()
-    console.print(table)
-    if output is not None:
         console.print(f"written: {output}", soft_wrap=True, highlight=False)
 
 
@@ -107,39 +149,25 @@ def _describe(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
         unknown = ""
     except ConfigurationError as error:
         weather, unknown = complete_records(measured, site, rain_only=True), str(error)
-    names = [file.name for file in measured.files]
-    yield (
-        "file", _name_formats(measured),
-        names[0] if len(names) == 1 else f"{len(names)} files, {names[0]} to {names[-1]}",
-    )
+    for note in measured.notes:
+        yield "read", "", note
     yield from _describe_places(measured, site)
     last = measured.first + (measured.hours - 1) * HOUR
     yield "hours", str(measured.hours), f"{to_people(measured.first)} to {to_people(last)}"
-    for name, series in measured.values.items():
-        yield name, QUANTITIES[name].unit, (
-            f"{np.nanmin(series):g} to {np.nanmax(series):g}, mean {np.nanmean(series):.3g}"
-            + _count_missing("; ", np.isnan(series).sum())
-        )
-    yield from _sum_rain(measured)
     if measured.rain_late:
         yield "rain", "1 h late", "each time is the end of an hour; a run treats it as the start"
     if measured.rain_kind:
         yield "rain", measured.rain_kind, measured.rain_note
-    missing = {name: np.isnan(weather.values[name]) for name in measured.values}
-    for what, marked in (("MISSING", missing), ("interpolated", weather.filled)):
-        for name, marks in marked.items():
-            if marks.any():
-                yield what, name, _shorten(name_hours(measured.first, np.flatnonzero(marks)))
-    if suspicious := check_hours(measured, site, range(measured.hours)):
-        yield "SUSPICIOUS", "", _shorten(suspicious)
+    summary = summarize(measured, site)
+    for name, about in summary["quantities"].items():
+        yield name, about["unit"], (
+            f"{about['minimum']:g} to {about['maximum']:g}, mean {about['mean']:.3g}; "
+            f"{about['missing']} hours missing"
+        )
+    for line in as_lines(summary):
+        yield "summary", "", line
     yield _describe_evapotranspiration(weather, unknown)
     yield from _average_months(weather, site)
-    for note in weather.notes:
-        yield "note", "", note
-
-
-def _name_formats(measured: Records) -> str:
-    return " and ".join(dict.fromkeys(map(name_format, measured.files)))
 
 
 def _describe_places(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
@@ -155,23 +183,6 @@ def _describe_places(measured: Records, site: Site) -> Iterator[tuple[str, str, 
         yield "place", format_place(*place), away
     if not measured.places:
         yield "place", "not stated", ""
-
-
-def _sum_rain(measured: Records) -> Iterator[tuple[str, str, str]]:
-    """Yield the rain (mm) by month, or by year for long records, on the records' clock."""
-    rain = measured.values[PRECIPITATION]
-    first = np.datetime64(measured.first.replace(tzinfo=None), "h")
-    months = (first + np.arange(len(rain))).astype("datetime64[M]")
-    long = len(np.unique(months)) > _MAX_MONTHS
-    spans, span = np.unique(months.astype("datetime64[Y]" if long else months.dtype),
-                            return_inverse=True)
-    sums = np.bincount(span, np.nan_to_num(rain))
-    hours, missing = np.bincount(span), np.bincount(span, np.isnan(rain))
-    for name, total, count, lost in zip(spans, sums, hours, missing, strict=True):
-        # Rounded twice: a sum of binary numbers just below a half belongs to the half.
-        yield "rain", f"{round(total, 6):.1f} mm", (
-            f"{name}, {count} hours{_count_missing(', ', lost)}"
-        )
 
 
 def _describe_evapotranspiration(weather: Weather, unknown: str) -> tuple[str, str, str]:
@@ -196,13 +207,3 @@ def _average_months(weather: Weather, site: Site) -> Iterator[tuple[str, str, st
         sums = np.bincount(months[known], weather.evapotranspiration[known])
         means = np.round(sums / hours / site.crop_coefficient, 2).tolist()
         yield "evapotranspiration", "monthly", f"monthly_evapotranspiration: {means}"
-
-
-def _count_missing(separator: str, missing: int) -> str:
-    return f"{separator}{missing} missing" if missing else ""
-
-
-def _shorten(texts: Sequence[str]) -> str:
-    """Join the first few strings, and state the number of the others."""
-    more = len(texts) - _MAX_NAMED
-    return "; ".join([*texts[:_MAX_NAMED], *([f"and {more} more"] if more > 0 else [])])

@@ -11,13 +11,13 @@ import numpy as np
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import duration, to_people
+from greenroof_ros.forecast.archive import read_forecasts
+from greenroof_ros.forecast.issue import IssuedForecast, Repetition
 from greenroof_ros.forecast.resampling import HourForecast, Outlook
-from greenroof_ros.formats.cells import HOUR
-from greenroof_ros.formats.forecasts import IssuedForecast, Repetition
-from greenroof_ros.formats.own_csv import read_forecasts
-from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
+from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION
+from greenroof_ros.weather.records import HOUR
 
 _HOUR_S = 3600.0
 
@@ -39,7 +39,7 @@ class ForecastFile:
         """Set the path, without reading the file yet.
 
         Args:
-            path: path of the file; see :func:`greenroof_ros.formats.own_csv.read_forecasts`. The
+            path: path of the file; see :func:`greenroof_ros.forecast.archive.read_forecasts`. The
                 file must have an evapotranspiration column.
         """
         self.issues: list[IssuedForecast] = []

@@ -1,6 +1,6 @@
 """Models of hourly forecasts: from records (perfect or with errors), or from an archive.
 
-:mod:`greenroof_ros.formats.forecasts` describes when forecasts are issued; a perfect forecast has
+:mod:`greenroof_ros.forecast.issue` describes when forecasts are issued; a perfect forecast has
 no time of issue, and a file states its own times of issue.
 
 **Forecasts with errors** are wrong in the ways real forecasts are: missed rain, false alarms, wrong
@@ -36,19 +36,20 @@ from numpy.typing import NDArray
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.memo import Memo
 from greenroof_ros.base.times import from_epoch_ns, hours_since_1970, to_minutes
+from greenroof_ros.forecast.archive import read_archive
 from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
-from greenroof_ros.forecast.skill import Climate, Skill, read_skill
-from greenroof_ros.formats.cells import HOUR
-from greenroof_ros.formats.forecasts import (
+from greenroof_ros.forecast.issue import (
     ISSUE_HOURS,
     SERVICE_DELAY_H,
     Archive,
     IssuedForecast,
+    align_to_hours,
 )
-from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
-from greenroof_ros.formats.reading import read_archive
+from greenroof_ros.forecast.skill import Climate, Skill, read_skill
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.series import Weather, align_to_hours, select_records
+from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
+from greenroof_ros.weather.records import HOUR
+from greenroof_ros.weather.series import Weather, select_records
 
 Array = NDArray[np.float64]
 
@@ -140,7 +141,7 @@ class PerfectModel(ForecastModel):
 
 
 class FileModel(ForecastModel):
-    """Forecasts from an archive; see :func:`greenroof_ros.formats.reading.read_archive`.
+    """Forecasts from an archive; see :func:`greenroof_ros.forecast.archive.read_archive`.
 
     The latest forecast in an hour is the last forecast that was available at the start of the hour.
     After the end of a forecast, no rain is assumed. The evapotranspiration of the forecast's last
@@ -315,7 +316,7 @@ class ErrorModel(ForecastModel):
     the rain, and g is drawn like xi. Members differ only in their rain. Member 0 equals the single
     forecast with the same seed.
 
-    Forecasts are limited to the ranges in :data:`greenroof_ros.formats.quantities.QUANTITIES`.
+    Forecasts are limited to the ranges in :data:`greenroof_ros.weather.quantities.QUANTITIES`.
     """
 
     def __init__(

@@ -3,7 +3,7 @@
 The service has two interfaces for the same variables: *forecast*, with one series for each
 variable, and *ensemble*, with one series for each member (``precipitation``,
 ``precipitation_member01``, ...). The responses are read like files from the service
-(:mod:`greenroof_ros.formats.open_meteo`). A response does not state which model run it comes from.
+(:mod:`greenroof_ros.forecast.archive`). A response does not state which model run it comes from.
 A forecast is assumed to be issued in the hour of its arrival, and to be available from its arrival
 on, so that no information is used too early. Open-Meteo's data are licensed under CC BY 4.0.
 
@@ -37,20 +37,19 @@ from greenroof_ros.base.http_client import (
 )
 from greenroof_ros.base.processes import IN_MEMORY, scratch_directory
 from greenroof_ros.base.times import to_people
-from greenroof_ros.formats.cells import HOUR
-from greenroof_ros.formats.forecasts import IssuedForecast, Repetition, mend_forecast
-from greenroof_ros.formats.hourly import bridge_gaps
-from greenroof_ros.formats.open_meteo import VARIABLES, read_records, read_run
-from greenroof_ros.formats.own_csv import write_forecasts
-from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, TEMPERATURE
+from greenroof_ros.forecast.archive import read_run, write_forecasts
+from greenroof_ros.forecast.issue import IssuedForecast, Repetition, mend_forecast
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import repeat_monthly
-from greenroof_ros.weather.reading import (
+from greenroof_ros.weather.open_meteo import VARIABLES, read_records
+from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, TEMPERATURE
+from greenroof_ros.weather.read import (
     MAX_GAP_H,
     compute_evapotranspiration,
     drop_empty,
     fill_long_gaps,
 )
+from greenroof_ros.weather.records import HOUR, bridge_gaps
 
 OPEN_METEO = "open-meteo"
 """name of the service, given in place of a file of forecasts"""

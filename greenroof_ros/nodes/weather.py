@@ -18,7 +18,7 @@ from greenroof_ros.graph.parameters import declare, look_ahead_parameters, site_
 from greenroof_ros.graph.weather_outputs import EVAPOTRANSPIRATION, FROST, RAIN, WeatherOutputs
 from greenroof_ros.site.horizon import MAX_HORIZON
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.reading import default_weather, find_files, read_weather
+from greenroof_ros.weather.read import default_weather, find_files, read_weather
 from greenroof_ros.weather.series import GAPS, REFUSE, WeatherSeries
 
 # A parameter of a node must have a value: this one stands for the usual delay (h).

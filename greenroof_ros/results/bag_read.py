@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from greenroof_ros.base.errors import ConfigurationError, require_extra
 from greenroof_ros.base.files import read_yaml
 from greenroof_ros.base.times import from_epoch_ns
-from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 from greenroof_ros.interface.topics import Topic, find_namespace, read_topics
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.results.bag_write import METADATA
 from greenroof_ros.results.trajectory import COLUMNS, Trajectory, recorded_columns
 from greenroof_ros.site.site import Site
+from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 
 Stamps = NDArray[np.int64]
 Values = NDArray[np.float64]

@@ -22,7 +22,6 @@ from greenroof_ros.controllers.registry import DEFAULT, ControllerChoice, find_c
 from greenroof_ros.forecast import choice
 from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
 from greenroof_ros.forecast.resampling import make_forecast
-from greenroof_ros.formats.hourly import Records
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.physics import sensor_and_pump
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
@@ -30,13 +29,14 @@ from greenroof_ros.physics.start import INITIAL_STATES, find_state
 from greenroof_ros.simulation.run import Run, count_ticks
 from greenroof_ros.site.file import check_site, read_site
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.data_frame import find_zone, is_frame, read_frame
-from greenroof_ros.weather.reading import (
+from greenroof_ros.weather.frame import find_zone, is_frame, read_frame
+from greenroof_ros.weather.read import (
     complete_records,
     default_weather,
     find_files,
     read_weather,
 )
+from greenroof_ros.weather.records import Records
 from greenroof_ros.weather.series import GAPS, REFUSE, Weather, WeatherSeries
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -16,6 +17,7 @@ from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.site.site import format_place
+from greenroof_ros.weather.summary import as_lines
 
 # Peaks that are only in files: the shortest one is enough here.
 _IN_FILES = ("15min_l_s", "60min_l_s", "min_mm_h")
@@ -140,6 +142,17 @@ def show(
     console.print(grid(title, lines))
     if end:
         console.print(end, soft_wrap=True, highlight=False)
+
+
+def print_weather(summary: Mapping[str, Any], name: str = "weather") -> None:
+    """Print what a weather record contains to standard error, before a run.
+
+    Args:
+        summary: the record's summary; see :func:`greenroof_ros.weather.summary.summarize`.
+        name: name of the record.
+    """
+    for line in as_lines(summary):
+        print(f"{name}: {line}", file=sys.stderr)
 
 
 def show_summary(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:

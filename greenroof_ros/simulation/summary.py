@@ -105,6 +105,7 @@ def describe_setting(run: Run) -> dict[str, Any]:
         "evapotranspiration_method": weather.method,
         "notes": run.notes(),
         "weather_notes": run.weather_notes(),
+        "weather_summary": run.series.summary,
     }
 
 

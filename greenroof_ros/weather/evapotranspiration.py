@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.ranges import Range
-from greenroof_ros.formats.cells import HOUR
-from greenroof_ros.formats.hourly import Records, find_gaps, name_hours, number_days
-from greenroof_ros.formats.quantities import (
+from greenroof_ros.site.site import Place, Site
+from greenroof_ros.weather.quantities import (
     EVAPOTRANSPIRATION,
     FOR_EVAPOTRANSPIRATION,
     PRESSURE,
@@ -29,8 +28,8 @@ from greenroof_ros.formats.quantities import (
     RADIATION,
     TEMPERATURE,
 )
-from greenroof_ros.formats.sun import MM_PER_MJ, extraterrestrial_radiation
-from greenroof_ros.site.site import Place, Site
+from greenroof_ros.weather.records import HOUR, Records, find_gaps, name_hours, number_days
+from greenroof_ros.weather.sun import MM_PER_MJ, extraterrestrial_radiation
 
 FAO56, HARGREAVES, MONTHLY = "fao56", "hargreaves", "monthly"
 COMPUTED = (FAO56, HARGREAVES, MONTHLY)
@@ -83,7 +82,7 @@ def compute_hourly(
         "P": values["station pressure"],
     }
     if RADIATION in values:
-        data["R_s"] = values[RADIATION] * _MJ_PER_M2_AND_HOUR
+        data["R_s"] = np.maximum(values[RADIATION], 0.0) * _MJ_PER_M2_AND_HOUR  # a sensor's offset
     else:
         data["T_min"], data["T_max"] = values["Tmin"], values["Tmax"]
 

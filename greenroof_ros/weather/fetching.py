@@ -39,15 +39,14 @@ from greenroof_ros.base.http_client import (
 )
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.times import FIRST_YEAR, duration
-from greenroof_ros.formats import eccc
-from greenroof_ros.formats.cells import HOUR
-from greenroof_ros.formats.hourly import Records
-from greenroof_ros.formats.open_meteo import VARIABLES
-from greenroof_ros.formats.own_csv import write_records
-from greenroof_ros.formats.quantities import PRECIPITATION
-from greenroof_ros.formats.reading import read_records
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.reading import read_measured
+from greenroof_ros.weather.description import find_service
+from greenroof_ros.weather.hours import write_records
+from greenroof_ros.weather.open_meteo import VARIABLES
+from greenroof_ros.weather.quantities import PRECIPITATION
+from greenroof_ros.weather.read import read_file, read_measured
+from greenroof_ros.weather.records import HOUR, Records
+from greenroof_ros.weather.table import split
 
 _OPEN_METEO_URL = "https://archive-api.open-meteo.com/v1/archive"
 _ECCC_URL = "https://climate.weather.gc.ca/climate_data/bulk_data_e.html"
@@ -228,7 +227,8 @@ def _check_open_meteo(body: bytes, block: Block) -> None:
 
 
 def _check_eccc(body: bytes, block: Block, *, is_over: bool) -> None:
-    if not eccc.recognises(body):
+    header = body.decode("utf-8-sig", "replace").partition("\n")[0]
+    if find_service(split(header, ","), ",") is None:
         raise ServiceError(f"sent no bulk file: {read_reason(body) or 'nothing'}")
     lines = body.splitlines()
     hours = len(lines) - 1
@@ -330,7 +330,7 @@ def _fetch_block(source: Source, site: Site, block: Block, file: Path) -> None:
     answer = file.with_name(f"answer{block.suffix}")
     replace_file(answer, lambda stream: stream.write(body))
     if not _is_empty(answer):
-        read_records(answer, site)
+        read_file(answer, site)
     answer.replace(file)
 
 

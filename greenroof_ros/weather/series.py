@@ -10,22 +10,21 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime, timedelta
-from typing import NamedTuple, overload
+from functools import cached_property
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import duration, to_minutes
-from greenroof_ros.formats.cells import HOUR
-from greenroof_ros.formats.forecasts import IssuedForecast
-from greenroof_ros.formats.hourly import Records, name_hours
-from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
-from greenroof_ros.formats.rules import check_hours
 from greenroof_ros.site.site import Place, Site, format_place, measure_distance
 from greenroof_ros.weather.evapotranspiration import COMPUTED, explain_missing
+from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
+from greenroof_ros.weather.records import HOUR, Records, name_hours
+from greenroof_ros.weather.summary import summarize
 
 _HOUR_NS = 3_600_000_000_000
 _MINUTE_NS = _HOUR_NS // 60
@@ -182,9 +181,9 @@ class WeatherSeries:
             extends beyond the end of the records; None if the records extend far enough.
         filled: names of the hours that were missing and have been filled, by quantity, during the
             run and on the days before and after it.
+        filled_counts: number of filled hours, by quantity.
         filled_hours: number of filled hours; an hour in which more than one quantity was filled
             counts once.
-        suspicious: sentences about implausible weather in the hours of the run.
         frost_hours: duration of frost in the run (h); None if the temperature is unknown.
         precipitation_in_frost: precipitation during frost (mm), which the model treats as rain.
     """
@@ -223,9 +222,8 @@ class WeatherSeries:
         self._rain_changes = None if weather.minutes is None else (
             1 + np.flatnonzero(np.diff(self.precipitation.values))
         )
-        self.evapotranspiration = PerTick(
-            weather.evapotranspiration / 1000 / 86400 * site.a2, clock, range(ticks)
-        )
+        depth = np.maximum(weather.evapotranspiration, 0.0)  # dew does not count
+        self.evapotranspiration = PerTick(depth / 1000 / 86400 * site.a2, clock, range(ticks))
         self.frost = PerTick(frost, clock, range(ticks))
         # From tick 0 to the end of tick N-1; the window after it is not part of the run.
         run = range(first, clock.step(steps - 1) + 1)
@@ -237,26 +235,32 @@ class WeatherSeries:
         self.precipitation_in_frost = float(
             (frozen * weather.precipitation[run.start : run.stop]).sum() * site.tau / 3600
         )
-        self.suspicious = check_hours(weather, site, run)
+        self._summarized = weather, site, run
         days = slice(max(0, run.start - 24), run.stop + 24)
         filled = {quantity: marks[days] for quantity, marks in weather.filled.items()}
         self.filled = {
             quantity: name_hours(weather.first, days.start + np.flatnonzero(marks))
             for quantity, marks in filled.items() if marks.any()
         }
+        self.filled_counts = {quantity: int(marks.sum()) for quantity, marks in filled.items()}
         self.filled_hours = int(np.any(list(filled.values()), axis=0).sum())
 
     @property
     def notes(self) -> list[str]:
-        """Sentences about filled and implausible weather values, for readers of the results."""
+        """Sentences about filled and rare weather values, for readers of the results."""
         return [
             *(
                 f"{quantity} is missing at {', '.join(hours)} and was filled"
                 + (" with 0: rain in these hours is lost" if quantity == PRECIPITATION else "")
                 for quantity, hours in self.filled.items()
             ),
-            *(f"{sentence}; used unchanged" for sentence in self.suspicious),
+            *self.summary["notes"],
         ]
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """What the records contain in the hours of the run; see :func:`.summary.summarize`."""
+        return summarize(*self._summarized)
 
     def at(self, tick: int) -> Hour:
         """Return the weather of a tick, and the tick until which it remains constant."""
@@ -339,41 +343,3 @@ def select_records(
         "another period or another kind of forecast",
     )
     return weather.values[quantity][index]
-
-
-def align_to_hours(issues: Sequence[IssuedForecast], weather: Weather) -> list[IssuedForecast]:
-    """Shift forecasts to hours that begin at the same minute as those of the records.
-
-    If the UTC offset of a location includes half an hour, the hours of its records begin between
-    the hours of UTC. A forecast is then shifted to the next hour of the records, and each of its
-    new hours is the weighted mean of the two original hours that it overlaps. A forecast of only
-    one hour is left out.
-
-    Raises:
-        ConfigurationError: if no forecast is left.
-    """
-    resampled = []
-    for issue in issues:
-        late = (weather.first - issue.issued) % HOUR
-        if late and issue.hours > 1:
-            share = late / HOUR
-            rain, evapotranspiration, temperature = (
-                series if series is None
-                else (1 - share) * series[..., :-1] + share * series[..., 1:]
-                for series in (issue.rain, issue.evapotranspiration, issue.temperature)
-            )
-            assert rain is not None
-            resampled.append(replace(
-                issue, issued=issue.issued + late, rain=rain,
-                evapotranspiration=evapotranspiration, temperature=temperature,
-            ))
-        elif not late:
-            resampled.append(issue)
-    if not resampled:
-        raise ConfigurationError(
-            "must contain more than one hour, or begin a whole number of hours before or after "
-            f"{to_minutes(weather.first)}, when {weather.source} begins",
-            file=issues[0].file, line=issues[0].line, key="issued",
-            value=to_minutes(issues[0].issued),
-        )
-    return resampled

@@ -32,10 +32,10 @@ from greenroof_ros.forecast.resampling import (
     make_forecast,
 )
 from greenroof_ros.forecast.skill import read_skill
-from greenroof_ros.formats.cells import HOUR
-from greenroof_ros.formats.forecasts import Archive, IssuedForecast
-from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
-from greenroof_ros.formats.reading import read_archive
+from greenroof_ros.weather.records import HOUR
+from greenroof_ros.forecast.issue import Archive, IssuedForecast
+from greenroof_ros.forecast.archive import read_forecasts, write_forecasts
+from greenroof_ros.forecast.archive import read_archive
 from greenroof_ros.site.horizon import growing_steps
 from greenroof_ros.weather.series import Weather, WeatherSeries
 

@@ -29,14 +29,14 @@ from greenroof_ros.forecast.service import (
     ForecastFiles,
     Service,
 )
-from greenroof_ros.formats.cells import HOUR
-from greenroof_ros.formats.forecasts import IssuedForecast
-from greenroof_ros.formats.open_meteo import VARIABLES
-from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
-from greenroof_ros.formats.quantities import PRECIPITATION, TEMPERATURE
-from greenroof_ros.formats.reading import read_archive
+from greenroof_ros.weather.records import HOUR
+from greenroof_ros.forecast.issue import IssuedForecast
+from greenroof_ros.weather.open_meteo import VARIABLES
+from greenroof_ros.forecast.archive import read_forecasts, write_forecasts
+from greenroof_ros.weather.quantities import PRECIPITATION, TEMPERATURE
+from greenroof_ros.forecast.archive import read_archive
 from greenroof_ros.site.file import read_site
-from greenroof_ros.weather.reading import default_weather, read_weather
+from greenroof_ros.weather.read import default_weather, read_weather
 from greenroof_ros.weather.series import FILL
 
 SITE = read_site(CONFIG / "site.yaml")

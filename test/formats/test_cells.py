@@ -22,7 +22,7 @@ from greenroof_ros.formats.cells import (
     read_cell,
     read_table,
 )
-from greenroof_ros.formats.quantities import QUANTITIES, Unit
+from greenroof_ros.weather.quantities import QUANTITIES, Unit
 
 FILE = Path("hours.csv")
 RAIN = "precipitation"

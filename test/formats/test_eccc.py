@@ -14,7 +14,7 @@ from refusals import refusal
 
 from greenroof_ros.base.files import shared_directory
 from greenroof_ros.site.file import read_site
-from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.read import read_weather
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
 TORONTO = read_site(shared_directory() / "config" / "site.yaml")

@@ -15,7 +15,7 @@ from twins import TWIN
 
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.formats.reading import read_archive, read_records
+from greenroof_ros.forecast.archive import read_archive, read_records
 from greenroof_ros.site.file import read_site
 
 TORONTO = read_site(CONFIG / "site.yaml")

@@ -14,7 +14,7 @@ from twins import TWIN
 
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.read import read_weather
 
 HEADER = "time,rain [mm],runoff [mm],temperature [degC],dew point [degC]"
 FIRST = datetime(2021, 6, 1, 13)  # noqa: DTZ001 - on the clock of the site

@@ -20,9 +20,9 @@ from places import CONFIG, DATA
 from refusals import refusal
 
 from greenroof_ros.base.times import parse_time
-from greenroof_ros.formats.reading import read_archive
+from greenroof_ros.forecast.archive import read_archive
 from greenroof_ros.site.file import read_site
-from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.read import read_weather
 
 TORONTO = read_site(CONFIG / "site.yaml")
 GEM = DATA / "gem_global_previous_runs_2024-03.csv"

@@ -18,9 +18,9 @@ from greenroof_ros.analysis.calibration.record import select_months
 from greenroof_ros.analysis.calibration.simulation import simulate
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.formats.rules import check_hours, check_steps, find_outlying_rain
-from greenroof_ros.formats.step_record import StepRecord
+from greenroof_ros.analysis.calibration.step_record import StepRecord
 from greenroof_ros.site.file import read_site
-from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.read import read_weather
 from greenroof_ros.weather.series import FILL, WeatherSeries
 
 TORONTO = read_site(CONFIG / "site.yaml")

@@ -19,11 +19,11 @@ from places import CONFIG, DATA
 from refusals import refusal
 
 from greenroof_ros.base.times import parse_time
-from greenroof_ros.formats.own_csv import read_forecasts
-from greenroof_ros.formats.reading import read_archive, read_records
+from greenroof_ros.forecast.archive import read_forecasts
+from greenroof_ros.forecast.archive import read_archive, read_records
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.read import read_weather
 from greenroof_ros.weather.series import Weather, align_to_hours
 
 TORONTO = read_site(CONFIG / "site.yaml")

@@ -14,10 +14,10 @@ import pytest
 from places import CONFIG
 from refusals import refusal
 
-from greenroof_ros.formats.hourly import Records
+from greenroof_ros.weather.records import Records
 from greenroof_ros.formats.rules import check_hours
 from greenroof_ros.site.file import read_site
-from greenroof_ros.weather.reading import read_measured
+from greenroof_ros.weather.read import read_measured
 
 SITE = read_site(CONFIG / "site.yaml")
 FIRST = datetime.fromisoformat("2024-06-01T00:00-05:00")

@@ -11,7 +11,7 @@ from graphs import environment
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.commands.simulate import main
-from greenroof_ros.formats.own_csv import read_forecasts
+from greenroof_ros.forecast.archive import read_forecasts
 
 HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day]"
 MEMBERS = "issued,time,member,precipitation [mm/h]"

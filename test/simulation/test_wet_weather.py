@@ -18,7 +18,7 @@ from paper import run_in, site_with, weather_of
 from greenroof_ros.simulation.directory import write_configuration
 from greenroof_ros.simulation.loop import simulate
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.read import read_weather
 
 # 10 m3 below the upper outlet at 2 m, and a valve at 0.1 m; all water leaves through the cistern.
 SITE = site_with(

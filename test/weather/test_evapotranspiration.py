@@ -26,7 +26,7 @@ from greenroof_ros.weather.evapotranspiration import (
     spread_over_day,
     sun_height,
 )
-from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.read import read_weather
 from greenroof_ros.weather.series import Weather
 
 NDIAYE = replace(

@@ -26,7 +26,7 @@ from weather_service import WeatherService, open_meteo_values
 from greenroof_ros.base import http_client
 from greenroof_ros.base.http_client import ServiceError
 from greenroof_ros.base.progress import ProgressBar
-from greenroof_ros.formats.quantities import PRECIPITATION, TEMPERATURE
+from greenroof_ros.weather.quantities import PRECIPITATION, TEMPERATURE
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather import fetching
 from greenroof_ros.weather.fetching import (
@@ -37,7 +37,7 @@ from greenroof_ros.weather.fetching import (
     open_meteo_archive,
     prepare_directory,
 )
-from greenroof_ros.weather.reading import read_measured
+from greenroof_ros.weather.read import read_measured
 
 SITE = read_site(CHECKOUT / "config" / "site.yaml")
 LOW_PEAKS = "rain is from a reanalysis"

@@ -17,7 +17,7 @@ from refusals import refusal
 from greenroof_ros.base.times import parse_time
 from greenroof_ros.simulation.directory import write_configuration
 from greenroof_ros.site.file import read_site
-from greenroof_ros.weather.reading import (
+from greenroof_ros.weather.read import (
     default_weather,
     fill_long_gaps,
     find_files,

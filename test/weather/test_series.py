@@ -18,7 +18,7 @@ from refusals import refusal
 from greenroof_ros.base.times import parse_time
 from greenroof_ros.forecast.resampling import PerfectForecast
 from greenroof_ros.site.file import read_site
-from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.read import read_weather
 from greenroof_ros.weather.series import FILL, REFUSE, Weather, WeatherSeries
 
 TORONTO = read_site(CONFIG / "site.yaml")

@@ -16,7 +16,7 @@ from paper import site_file
 from places import CONFIG, DATA
 
 from greenroof_ros.site.file import read_site
-from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.read import read_weather
 
 JULY, DECEMBER = DATA / "en_climate_hourly_07-2021.csv", DATA / "en_climate_hourly_12-2015.csv"
 PACKAGED = CONFIG / "weather" / "toronto_2021-07.csv"

@@ -9,10 +9,10 @@ import numpy as np
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.forecast.models import make_model
-from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
 from greenroof_ros.physics.storm_water import HOUR_S
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.horizon import look_ahead_ends
+from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
 
 _MAX_DRAWS = 100
 _HOUR, _HOUR_NS = timedelta(hours=1), 3_600_000_000_000

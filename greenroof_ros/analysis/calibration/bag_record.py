@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from greenroof_ros.analysis.calibration.step_record import StepRecord, Values
 from greenroof_ros.analysis.report.bags import run_directory
 from greenroof_ros.analysis.report.run import read_about
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.formats.step_record import StepRecord, Values
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import running_flow
 from greenroof_ros.results.bag_read import load_bag

@@ -10,12 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.analysis.calibration.record import select_months
+from greenroof_ros.analysis.calibration.step_record import (
+    DAY_S,
+    HOUR_S,
+    StepRecord,
+    Steps,
+    Values,
+    name_time,
+)
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.formats.comments import RAIN_LATE
-from greenroof_ros.formats.hourly import find_gaps
-from greenroof_ros.formats.own_csv import read_rows
-from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, ROOF, TEMPERATURE
-from greenroof_ros.formats.step_record import DAY_S, HOUR_S, StepRecord, Steps, Values, name_time
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import (
@@ -24,6 +27,16 @@ from greenroof_ros.weather.evapotranspiration import (
     check_place,
     find_extremes,
 )
+from greenroof_ros.weather.hours import describe_rows
+from greenroof_ros.weather.quantities import (
+    EVAPOTRANSPIRATION,
+    PRECIPITATION,
+    ROOF,
+    TEMPERATURE,
+    find_unit,
+)
+from greenroof_ros.weather.records import find_gaps
+from greenroof_ros.weather.table import read_rows
 
 _WANTED = (PRECIPITATION, EVAPOTRANSPIRATION, TEMPERATURE, *ROOF)
 _EXTREMES = "minimum temperature", "maximum temperature"
@@ -34,7 +47,7 @@ _MAX_STEP_S = 3 * HOUR_S
 
 
 def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRecord:
-    """Read a measured record from CSV; see :func:`greenroof_ros.formats.own_csv.read_rows`.
+    """Read a measured record from CSV; see :func:`greenroof_ros.weather.table.read_rows`.
 
     Each row covers the step that begins at the time given; levels are measured at that time. Rows
     are no more than a day apart. Rain, ``level`` or ``runoff``, and evapotranspiration are
@@ -69,14 +82,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
     ):
         if not there:
             raise rows.table.refuse(message)
-    step_s, count = rows.steps.step_s, len(rows.steps.steps)
-    if rows.steps.changes:
-        changed = rows.steps.changes[0]
-        raise rows.table.refuse(
-            f"the time between rows changes from {name_time(rows.steps.durations[changed - 1])} to "
-            f"{name_time(rows.steps.durations[changed])} after row {changed}; a record must have "
-            "a constant interval: write each part to a separate file"
-        )
+    step_s, count = rows.step_s, len(rows.steps)
     if count < _MIN_ROWS:
         raise ConfigurationError(
             f"has {count} rows; a record must have at least {_MIN_ROWS}", file=file
@@ -86,21 +92,21 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
         raise rows.table.refuse(
             f"the rows are {name_time(step_s)} apart; they must be no more than a day apart"
         )
-    step_h, steps = step_s / HOUR_S, int(rows.steps.steps[-1]) + 1
+    step_h, steps = step_s / HOUR_S, int(rows.steps[-1]) + 1
     series = {}
     for quantity, values in rows.values.items():
         series[quantity] = np.full(steps, np.nan)
-        series[quantity][rows.steps.steps] = values
+        series[quantity][rows.steps] = values
     for quantity, hours in (
         (PRECIPITATION, 1), ("runoff", 1), ("pumped", 1), (EVAPOTRANSPIRATION, 24),
     ):
         if quantity in series:  # mm per step
             series[quantity] = series[quantity] * step_h / hours
-    late = round(rows.about.get(RAIN_LATE, 0.0) / step_h)
+    late = round(rows.described.rain_late / step_h)
     rain = np.append(series[PRECIPITATION][late:], np.full(late, np.nan))
     last_decimal = 0.0
     if "runoff" in columns:
-        per_ours = columns["runoff"][1].per_ours
+        per_ours = find_unit("runoff", columns["runoff"][1], step_h, site.a2).per_ours
         last_decimal = _find_last_decimal(rows.values["runoff"] * per_ours) / per_ours * step_h
     record = StepRecord(
         source=file, start=rows.first, step_s=step_s, rain=rain, reference=np.zeros(steps),
@@ -109,7 +115,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
         last_decimal=last_decimal, cistern=series.get("cistern level"),
         command=series.get("pump state"),
         reference_column=columns[EVAPOTRANSPIRATION][0] if measured else "",
-        notes=tuple(rows.table.notes),
+        notes=(describe_rows(file, rows),),
     )
     counts = select_months(record, months)
     if measured:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.analysis.calibration.record import COMBINE
 from greenroof_ros.analysis.calibration.simulation import Simulated, find_min_reading, simulate
-from greenroof_ros.formats.step_record import StepRecord, Steps, Values, name_time
+from greenroof_ros.analysis.calibration.step_record import StepRecord, Steps, Values, name_time
 from greenroof_ros.site.site import Site
 
 if TYPE_CHECKING:

@@ -11,6 +11,13 @@ from greenroof_ros.analysis.calibration.fit import FILLED, Fit
 from greenroof_ros.analysis.calibration.record import COMBINE, sum_spans
 from greenroof_ros.analysis.calibration.scores import FitScores
 from greenroof_ros.analysis.calibration.site_file import CROP_NOTE, INTERVAL_NOTE
+from greenroof_ros.analysis.calibration.step_record import (
+    DAY_S,
+    StepRecord,
+    Steps,
+    Values,
+    name_time,
+)
 from greenroof_ros.analysis.report.drawing import (
     Figure,
     Rows,
@@ -19,7 +26,6 @@ from greenroof_ros.analysis.report.drawing import (
     series_panel,
 )
 from greenroof_ros.analysis.report.page import make_page
-from greenroof_ros.formats.step_record import DAY_S, StepRecord, Steps, Values, name_time
 from greenroof_ros.site.file import SITE_KEYS
 
 MEASURED, SIMULATED = "measured", "simulated"

@@ -10,7 +10,7 @@ import numpy as np
 
 from greenroof_ros.analysis.calibration.fit import Fit, FittedParameter, UpdateProgress, fit
 from greenroof_ros.analysis.calibration.scores import score
-from greenroof_ros.formats.step_record import HOUR_S, StepRecord, Steps
+from greenroof_ros.analysis.calibration.step_record import HOUR_S, StepRecord, Steps
 from greenroof_ros.site.site import Site
 
 EXPONENT = "percolation_exponent"

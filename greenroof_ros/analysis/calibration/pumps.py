@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from greenroof_ros.analysis.calibration.fit import FittedParameter, compute_half_intervals
+from greenroof_ros.analysis.calibration.step_record import StepRecord, Steps, Values, prolong_steps
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.formats.hourly import find_gaps
-from greenroof_ros.formats.step_record import StepRecord, Steps, Values, prolong_steps
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.site.site import Site
+from greenroof_ros.weather.records import find_gaps
 
 # For this long after rain, the catchment still feeds the cistern (s). At this distance from the
 # levels of outlet, valve and suction, a sensor's noise does not matter (m).

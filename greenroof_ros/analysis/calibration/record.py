@@ -8,9 +8,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.formats.hourly import find_gaps
-from greenroof_ros.formats.step_record import (
+from greenroof_ros.analysis.calibration.step_record import (
     AFTER_STORM_S,
     DAY_S,
     HOUR_S,
@@ -20,6 +18,8 @@ from greenroof_ros.formats.step_record import (
     find_storms,
     prolong_steps,
 )
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.weather.records import find_gaps
 
 # An unknown storm is forgotten after this long (s) and this much reference evapotranspiration (mm).
 _FORGOTTEN_S, _FORGOTTEN_MM = 7 * DAY_S, 20.0

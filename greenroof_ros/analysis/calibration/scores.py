@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.analysis.calibration.record import COMBINE
-from greenroof_ros.formats.step_record import DAY_S, HOUR_S, Values
+from greenroof_ros.analysis.calibration.step_record import DAY_S, HOUR_S, Values
 
 
 class FitScores(NamedTuple):

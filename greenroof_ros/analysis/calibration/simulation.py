@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greenroof_ros.formats.step_record import StepRecord, Values
+from greenroof_ros.analysis.calibration.step_record import StepRecord, Values
 from greenroof_ros.physics.compiled import compiled
 from greenroof_ros.physics.parameters import PlantParameters, plant_parameters
 from greenroof_ros.physics.soil import layer_outflow, percolation, water_stress

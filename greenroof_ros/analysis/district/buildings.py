@@ -15,8 +15,8 @@ from scipy.special import ndtr, ndtri
 
 from greenroof_ros.analysis.district.district_file import District, Draw, building_keys
 from greenroof_ros.base.errors import ConfigurationError, describe_choices, find_similar
-from greenroof_ros.formats.cells import Row, Table, read_table
 from greenroof_ros.site.site import Site
+from greenroof_ros.weather.table import Row, Table, read_table
 
 Values = NDArray[np.float64]
 
@@ -192,7 +192,8 @@ def _read(
     """Return the name, cell and line of each building in a CSV file, and its other columns."""
     table = read_table(file)
     needed = (ID, CELL) if cells else (ID,)
-    table.require_columns(needed, "lists of buildings" + " in cells" * bool(cells))
+    for name in needed:
+        table.place(name)
     known = building_keys()
     columns = [name for name in table.header if name in known]
     others = [name for name in table.header if name not in (*known, *needed)]
@@ -206,7 +207,8 @@ def _read(
             + ", ".join(others)
             + f" ({'; '.join(meant)})" * bool(meant)
         )
-    table.require_columns(columns, "")  # a column may appear only once
+    for name in columns:
+        table.place(name)  # a column may appear only once
     ids, places, lines = dict[str, int](), list[int](), list[int]()
     values: dict[str, list[Any]] = {name: [] for name in columns}
     for row in table.rows:

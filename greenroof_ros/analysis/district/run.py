@@ -37,6 +37,7 @@ from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.file import merge_site_file
 from greenroof_ros.site.site import Site
+from greenroof_ros.weather.summary import as_lines
 
 # Buildings of a part. A part needs memory for all its buildings at once.
 _PART = 500
@@ -150,7 +151,7 @@ def read_run(path: Path, places: Sequence[Path] = ()) -> DistrictRun:
                 raise
             raise district.refuse(f"weather.{error.key}", error.expected, error.value) from None
         runs.append(run)
-        notes += run.notes()
+        notes += [*as_lines(run.series.summary), *run.notes()]
     cells = [*(weather.cells or ())]
     buildings = make_buildings(district, site, cells, notes)
     return DistrictRun(district, site, buildings, runs, cells, notes)

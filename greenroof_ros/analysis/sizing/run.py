@@ -20,6 +20,7 @@ from greenroof_ros.base.ranges import Range
 from greenroof_ros.base.text import number_of
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.simulation.inputs import make_inputs
+from greenroof_ros.weather.summary import as_lines, summarize
 
 PRICES = {parameter.name: parameter for parameter in parameters_of(Prices)}
 KNEE_RANGE = Range(0.0, 1e6, "m3")
@@ -34,6 +35,7 @@ OPTIONS = (*_OF_RUN, *_OWN)
 def size_site(
     given: Mapping[str, Any],
     progress: Callable[[str, float], None] = lambda text, share: None,
+    show: Callable[[Mapping[str, Any]], None] = lambda summary: None,
 ) -> Sizes:
     """Compare the designs of a site over the seasons of its weather.
 
@@ -42,6 +44,7 @@ def size_site(
             default.
         progress: callback that receives the current task and the share of all work done, 0 to 1;
             an error that it raises ends the runs.
+        show: function that receives the summary of the weather.
 
     Raises:
         ConfigurationError: if an input is invalid; the key of the error is the option's name.
@@ -70,6 +73,8 @@ def size_site(
     )
     progress("reading weather", 0.0)
     weather, _ = inputs.read_records(site)
+    summary = summarize(weather, site)
+    show(summary)
     runs, incomplete = find_seasons(inputs, designs[0].site, weather, window)
 
     shape = len(designs), len(runs)
@@ -100,7 +105,7 @@ def size_site(
         metrics[COST] = cistern + prices.cost_water(mains, wet)
     return Sizes(
         site, designs, list(runs), f"{window}", 24.0 * window.days, metrics, incomplete,
-        [*notes, *list_notes(runs, site)], prices, knee, tried, starts,
+        [*notes, *as_lines(summary), *list_notes(runs, site)], prices, knee, tried, starts,
     )
 
 

@@ -13,6 +13,7 @@ from greenroof_ros.base.times import FIRST_YEAR, LAST_YEAR, to_minutes
 from greenroof_ros.simulation.inputs import RunInputs
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.site import Site
+from greenroof_ros.weather.quantities import FOR_EVAPOTRANSPIRATION, PRECIPITATION
 from greenroof_ros.weather.series import Weather
 
 # Any year that is not a leap year.
@@ -136,17 +137,12 @@ def list_notes(runs: Mapping[str, Run], site: Site) -> list[str]:
     """
     own = (replace(run, site=site) for run in runs.values())
     notes = [note for run in own for note in (*run.weather.notes, *run.notes())]
-    notes += [
-        f"{sentence}; this weather is used unchanged"
-        for run in runs.values() for sentence in run.series.suspicious
-    ]
-    filled = [
-        f"{run.series.filled_hours} in {name}" for name, run in runs.items()
-        if run.series.filled_hours
-    ]
-    if filled:
-        notes.append(
-            "missing hours of weather were filled, and missing rain was treated as no rain: "
-            + ", ".join(filled)
-        )
+    notes += [note for run in runs.values() for note in run.series.summary["notes"]]
+    for quantity in (PRECIPITATION, *FOR_EVAPOTRANSPIRATION):
+        hours = {name: run.series.filled_counts.get(quantity, 0) for name, run in runs.items()}
+        if any(hours.values()):
+            treated = "treated as no rain" if quantity == PRECIPITATION else "filled"
+            notes.append(f"missing hours of {quantity} were {treated}: " + ", ".join(
+                f"{count} in {name}" for name, count in hours.items() if count
+            ))
     return list(dict.fromkeys(notes))

@@ -15,7 +15,7 @@ from greenroof_ros.results.trajectory import TRAJECTORY
 from greenroof_ros.simulation import bound
 from greenroof_ros.simulation.loop import simulate
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.read import read_weather
 
 # Cases with the same weather follow each other, so a worker reads its files once.
 _read_weather = functools.lru_cache(2)(read_weather)

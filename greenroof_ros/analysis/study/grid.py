@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import glob
 import itertools
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -23,11 +23,9 @@ from greenroof_ros.base.files import (
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.outlet import find_horizon
 from greenroof_ros.controllers.registry import BUILT_IN, ControllerChoice, find_controller
+from greenroof_ros.forecast.archive import read_archive, write_forecasts
 from greenroof_ros.forecast.choice import MODELS, OPTIONS, PERFECT, ForecastChoice
 from greenroof_ros.forecast.skill import SKILLS, read_skill
-from greenroof_ros.formats.hourly import name_files
-from greenroof_ros.formats.own_csv import write_forecasts
-from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.physics.sensor_and_pump import PARAMETERS, SensorAndPump
 from greenroof_ros.physics.start import INITIAL_STATES
 from greenroof_ros.results.table import format_exactly
@@ -36,7 +34,8 @@ from greenroof_ros.simulation.inputs import RunInputs, make_inputs
 from greenroof_ros.simulation.run import Run, count_ticks
 from greenroof_ros.site.file import SITE_KEYS, format_site, read_site
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.read import read_weather, write_plain
+from greenroof_ros.weather.records import name_files
 
 # What each block must be.
 _BLOCKS = {
@@ -68,12 +67,16 @@ class _Setting(NamedTuple):
     """forecasts instead of the grid's, for instance if it uses none; empty for the grid's"""
 
 
-def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
+def read_grid(
+    path: Path, weather: Path | None = None,
+    show: Callable[[Mapping[str, Any], str], None] = lambda summary, name: None,
+) -> list[Case]:
     """Read a grid such as ``config/studies/paper.yaml``, and check every run in it.
 
     Args:
         path: path of the grid.
         weather: directory to search for weather files that are not next to the grid.
+        show: function that receives the summary of every weather record, and the record's name.
 
     Returns:
         The runs, in the order of the file: sites, windows, methods, initial states,
@@ -83,7 +86,7 @@ def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
         ConfigurationError: if the grid, or a file that it names, is invalid; this is checked before
             the first run.
     """
-    cases = list(_Grid(path, weather).cases())
+    cases = list(_Grid(path, weather, show).cases())
     identities: set[str] = set()
     for case in cases:
         if case.identity in identities:
@@ -104,8 +107,11 @@ class _Grid:
     number of runs.
     """
 
-    def __init__(self, path: Path, weather: Path | None) -> None:
-        self._path = path
+    def __init__(
+        self, path: Path, weather: Path | None, show: Callable[[Mapping[str, Any], str], None]
+    ) -> None:
+        self._path, self._show = path, show
+        self._shown = set[str]()
         # This order makes a copy of one of the package's grids run unchanged.
         self._places = [
             path.parent, *([] if weather is None else [weather]), shared_directory() / "config",
@@ -164,8 +170,13 @@ class _Grid:
                 alike.weather, site.place, alike.evapotranspiration, alike.gaps
             )
             runs[key] = replace(alike, weather=weather).build()
+            self._show_weather(runs[key])
         run = runs[key]
-        files = tuple(map(self._input, run.weather.files))
+        plain = write_plain(alike.weather, site.place)
+        if plain is None:
+            files = tuple(map(self._input, run.weather.files))
+        else:
+            files = (self._input(Path(f"{run.weather.files[0].stem}.csv"), plain.encode()),)
         name = name_files([Path(each.name) for each in files])
         forecast, forecast_files = self._carry(inputs.forecast, site)
         return Case(
@@ -312,6 +323,13 @@ class _Grid:
             + "".join(f"in --weather {place}, nor " for place in further)
             + f"among the package's own files, in {last}",
         )
+
+    def _show_weather(self, run: Run) -> None:
+        """Show what the weather of a run contains, once for every period."""
+        name = f"{Path(run.weather.source).name}, {run.steps * run.site.tau / 3600:g} h"
+        if (period := f"{name} from {run.start}") not in self._shown:
+            self._shown.add(period)
+            self._show(run.series.summary, name)
 
     def _input(self, path: Path, content: bytes | None = None) -> InputFile:
         """Return a file's content under a name that is unique in the study.

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from greenroof_ros.analysis.verification.scores import Tally
 from greenroof_ros.base.times import to_people
-from greenroof_ros.formats.cells import HOUR
-from greenroof_ros.formats.reading import read_archive
+from greenroof_ros.forecast.archive import read_archive
+from greenroof_ros.forecast.issue import align_to_hours
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.series import Weather, align_to_hours
+from greenroof_ros.weather.records import HOUR
+from greenroof_ros.weather.series import Weather
 
 Array = NDArray[np.float64]
 

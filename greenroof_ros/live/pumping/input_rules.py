@@ -10,13 +10,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
-from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.physics.cistern import low_outlet_flow, overflow
 from greenroof_ros.physics.parameters import PlantParameters, plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.physics.soil import retained_share
 from greenroof_ros.site.site import Site
+from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 
 # An input that has not arrived since the start is treated as silent after this time (s).
 _START_S = 10.0

@@ -15,7 +15,7 @@ from refusals import refusal
 
 import greenroof_ros as gr
 from greenroof_ros.analysis.api.scenarios import read_references
-from greenroof_ros.formats.reading import read_archive
+from greenroof_ros.forecast.archive import read_archive
 from greenroof_ros.simulation.bound import bound_discharge
 from greenroof_ros.simulation.loop import simulate
 

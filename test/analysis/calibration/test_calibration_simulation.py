@@ -9,7 +9,7 @@ import pytest
 from twins import TWIN, a_record, storms
 
 from greenroof_ros.analysis.calibration.simulation import find_min_reading, simulate
-from greenroof_ros.formats.step_record import StepRecord
+from greenroof_ros.analysis.calibration.step_record import StepRecord
 from greenroof_ros.physics.parameters import State, plant_parameters
 from greenroof_ros.physics.tick import step
 from greenroof_ros.site.site import Site

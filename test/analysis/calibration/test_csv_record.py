@@ -13,7 +13,7 @@ from refusals import refusal
 from twins import TWIN
 
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
-from greenroof_ros.formats.step_record import StepRecord
+from greenroof_ros.analysis.calibration.step_record import StepRecord
 from greenroof_ros.site.site import Site
 
 ROWS = 120

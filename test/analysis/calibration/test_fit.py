@@ -17,7 +17,7 @@ from greenroof_ros.analysis.calibration.fit import (
     fit,
     list_ranges,
 )
-from greenroof_ros.formats.step_record import StepRecord
+from greenroof_ros.analysis.calibration.step_record import StepRecord
 
 ELSEWHERE = replace(
     TWIN, field_capacity=0.3, z_cap=3.0, wilting_point=0.02, depletion_fraction=0.5,

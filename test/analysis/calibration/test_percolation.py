@@ -17,7 +17,7 @@ from greenroof_ros.analysis.calibration.percolation import (
 )
 from greenroof_ros.analysis.calibration.record import halve_steps
 from greenroof_ros.analysis.calibration.simulation import Simulated
-from greenroof_ros.formats.step_record import StepRecord
+from greenroof_ros.analysis.calibration.step_record import StepRecord
 
 NOTHING = Simulated(np.zeros(0), np.zeros(0))
 

@@ -11,7 +11,7 @@ from refusals import refusal
 from twins import DAY, NOISE_M, STEP_S, TWIN, a_record, storms
 
 from greenroof_ros.analysis.calibration.pumps import PumpFit, fit_pumps
-from greenroof_ros.formats.step_record import StepRecord
+from greenroof_ros.analysis.calibration.step_record import StepRecord
 from greenroof_ros.physics.parameters import State, plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.physics.tick import step

@@ -16,7 +16,7 @@ from greenroof_ros.analysis.calibration.record import (
     select_comparable,
     select_months,
 )
-from greenroof_ros.formats.step_record import StepRecord, find_storms
+from greenroof_ros.analysis.calibration.step_record import StepRecord, find_storms
 
 HOUR = 12
 DAY = 24 * HOUR

@@ -23,7 +23,7 @@ from greenroof_ros.analysis.report.trajectories import (
     select_curves,
     select_samples,
 )
-from greenroof_ros.formats.step_record import StepRecord
+from greenroof_ros.analysis.calibration.step_record import StepRecord
 from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.results.trajectory import Trajectory
 

@@ -26,7 +26,7 @@ from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.analysis.workers.input_files import write_inputs
 from greenroof_ros.base.parameter import parameters_of
 from greenroof_ros.commands.study import show
-from greenroof_ros.formats.reading import read_archive
+from greenroof_ros.forecast.archive import read_archive
 from greenroof_ros.physics.sensor_and_pump import PARAMETERS
 from greenroof_ros.simulation.inputs import RunInputs
 from greenroof_ros.site.file import format_site, read_site

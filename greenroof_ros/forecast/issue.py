@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import to_minutes
-from greenroof_ros.formats.hourly import bridge_gaps
 from greenroof_ros.site.horizon import MAX_MEMBERS
+from greenroof_ros.weather.records import HOUR, Records, bridge_gaps
 
 # Longest gap of temperature and evapotranspiration in a forecast that is bridged (h).
 _MAX_BRIDGE_H = 6
@@ -255,3 +255,41 @@ class Archive:
     def members(self) -> int:
         """Number of members in every issue."""
         return len(self.issues[0].rain)
+
+
+def align_to_hours(issues: Sequence[IssuedForecast], weather: Records) -> list[IssuedForecast]:
+    """Shift forecasts to hours that begin at the same minute as those of the records.
+
+    If the UTC offset of a location includes half an hour, the hours of its records begin between
+    the hours of UTC. A forecast is then shifted to the next hour of the records, and each of its
+    new hours is the weighted mean of the two original hours that it overlaps. A forecast of only
+    one hour is left out.
+
+    Raises:
+        ConfigurationError: if no forecast is left.
+    """
+    resampled = []
+    for issue in issues:
+        late = (weather.first - issue.issued) % HOUR
+        if late and issue.hours > 1:
+            share = late / HOUR
+            rain, evapotranspiration, temperature = (
+                series if series is None
+                else (1 - share) * series[..., :-1] + share * series[..., 1:]
+                for series in (issue.rain, issue.evapotranspiration, issue.temperature)
+            )
+            assert rain is not None
+            resampled.append(replace(
+                issue, issued=issue.issued + late, rain=rain,
+                evapotranspiration=evapotranspiration, temperature=temperature,
+            ))
+        elif not late:
+            resampled.append(issue)
+    if not resampled:
+        raise ConfigurationError(
+            "must contain more than one hour, or begin a whole number of hours before or after "
+            f"{to_minutes(weather.first)}, when {weather.source} begins",
+            file=issues[0].file, line=issues[0].line, key="issued",
+            value=to_minutes(issues[0].issued),
+        )
+    return resampled

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.formats.hourly import number_days
+from greenroof_ros.weather.records import number_days
 
 MM_PER_MJ = 0.408
 """depth of water that solar radiation could evaporate (mm per MJ/m2), FAO-56 Eq. 20"""

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import to_minutes
-from greenroof_ros.formats.cells import HOUR
-from greenroof_ros.formats.quantities import DEW_POINT, HUMIDITY, PRECIPITATION, TEMPERATURE
+from greenroof_ros.weather.quantities import DEW_POINT, HUMIDITY, PRECIPITATION, TEMPERATURE
 
+HOUR = timedelta(hours=1)
 ENOUGH = 0.75
 """Minimum share of an hour for which rain must be known; other quantities need only one value."""
 _MINUTE = timedelta(minutes=1)
-_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -45,8 +44,8 @@ class Records:
         minutes: rain in every minute (mm/h), shape (hours, 60); NaN in minutes not covered by rows
             shorter than an hour, and None without such rows. The precipitation of an hour with
             known minutes is their mean.
-        rain_kind: one of :data:`.comments.RAIN_KINDS` if any of the rain is of this kind; otherwise
-            empty.
+        rain_kind: one of :data:`.description.RAIN_KINDS` if any of the rain is of this kind;
+            otherwise empty.
     """
 
     files: tuple[Path, ...]
@@ -112,7 +111,7 @@ def add_dew_point(values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArra
     """Replace relative humidity with the dew point (FAO-56 Eqs. 11 and 14)."""
     rest = {name: series for name, series in values.items() if name != HUMIDITY}
     if HUMIDITY in values and TEMPERATURE in values:
-        share, warmth = np.maximum(values[HUMIDITY], 1.0) / 100, values[TEMPERATURE]
+        share, warmth = np.clip(values[HUMIDITY], 1.0, 100.0) / 100, values[TEMPERATURE]
         vapour = np.log(share) + 17.27 * warmth / (warmth + 237.3)
         dew_point = 237.3 * vapour / (17.27 - vapour)
         given = values.get(DEW_POINT, dew_point)
@@ -181,18 +180,18 @@ def number_days(days: NDArray[np.datetime64]) -> NDArray[np.int64]:
 def join_records(parts: Sequence[Records]) -> Records:
     """Join the records of more than one file.
 
-    The records are sorted by time. A value that is in no file is missing (NaN). If more than one
-    file contains a value, the values must be equal, except in an hour that one of the files covers
-    only in part. In such an hour, the values of other files take precedence, and the rain is
-    computed from the minutes of all files. If the hours of a file begin at a different minute from
-    those of the first file, each value becomes the mean of the two hours that it overlaps, and
-    values from other files take precedence. Some services have one file per quantity; files without
-    any quantity of the first file are joined by quantity.
+    The records are sorted by time. A value that is in no file is missing (NaN). No value may be in
+    more than one file, except in an hour that a file covers only in part. In such an hour, the
+    values of other files take precedence, and the rain is computed from the minutes of all files.
+    If the hours of a file begin at a different minute from those of the first file, each value
+    becomes the mean of the two hours that it overlaps, and values from other files take precedence.
+    Some services have one file per quantity; files without any quantity of the first file are
+    joined by quantity.
 
     Raises:
-        ConfigurationError: if two files have different values for the same hour, different
-            quantities, different methods of evapotranspiration or different conventions for time
-            stamps. The message names both files.
+        ConfigurationError: if two files have values for the same time, different quantities,
+            different methods of evapotranspiration or different conventions for time stamps. The
+            message names both files.
     """
     first = min(parts, key=lambda part: part.first)
     others = [part for part in parts if part.values.keys().isdisjoint(first.values)]
@@ -216,20 +215,15 @@ def join_records(parts: Sequence[Records]) -> Records:
             known = whole & ~np.isnan(series)
             if part.source in [other.source for other in moved]:
                 known &= np.isnan(joined)
-            unequal = np.flatnonzero(known & ~np.isnan(joined) & (joined != series))
-            if unequal.size:
-                hour = int(unequal[0])
+            both = np.flatnonzero(known & ~np.isnan(joined))
+            if both.size:
+                hour = int(both[0])
                 other = next(
                     part for at, part, whole in zip(begins, parts, wholes, strict=True)
                     if 0 <= begin + hour - at < part.hours and whole[begin + hour - at]
                     and not np.isnan(part.values[quantity][begin + hour - at])
                 )
-                raise ConfigurationError(
-                    f"must be {joined[hour]:g}, as in {other.source}, or the files must not "
-                    "overlap", file=part.source,
-                    key=f"{quantity} at {to_minutes(part.first + hour * HOUR)}",
-                    value=float(series[hour]),
-                )
+                raise _refuse_overlap(part, other.source, quantity, part.first + hour * HOUR)
             joined[known] = series[known]
     for begin, part in zip(begins, parts, strict=True):
         for quantity, series in part.values.items():
@@ -250,13 +244,22 @@ def join_records(parts: Sequence[Records]) -> Records:
     )
 
 
+def _refuse_overlap(
+    part: Records, other: str, quantity: str, time: datetime
+) -> ConfigurationError:
+    return ConfigurationError(
+        f"is also in {other}: files must not overlap", file=part.source,
+        key=f"{quantity} at {to_minutes(time)}",
+    )
+
+
 def _join_minutes(
     hours: int, parts: Iterable[tuple[int, Records]]
 ) -> NDArray[np.float64] | None:
     """Join the per-minute rain of parts, given their first hours; None if no part contains any.
 
     Raises:
-        ConfigurationError: if two parts have different rain in the same minute.
+        ConfigurationError: if two parts have rain in the same minute.
     """
     joined = None
     for begin, part in parts:
@@ -264,15 +267,11 @@ def _join_minutes(
             if joined is None:
                 joined = np.full((hours, part.minutes.shape[1]), np.nan)
             place = joined[begin : begin + part.hours]
-            unequal = np.argwhere(np.abs(place - part.minutes) > _ROUNDING)
-            if unequal.size:
-                hour, minute = (int(index) for index in unequal[0])
-                raise ConfigurationError(
-                    f"must be {place[hour, minute]:g} mm/h, as in another file, or the files "
-                    "must not overlap", file=part.source, value=float(part.minutes[hour, minute]),
-                    key=f"{PRECIPITATION} at "
-                    + to_minutes(part.first + hour * HOUR + minute * _MINUTE),
-                )
+            both = np.argwhere(~np.isnan(place) & ~np.isnan(part.minutes))
+            if both.size:
+                hour, minute = (int(index) for index in both[0])
+                time = part.first + hour * HOUR + minute * _MINUTE
+                raise _refuse_overlap(part, "another file", PRECIPITATION, time)
             np.copyto(place, part.minutes, where=np.isnan(place))
     return joined
 

@@ -12,18 +12,9 @@ from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import shared_directory
-from greenroof_ros.formats.cells import HOUR
-from greenroof_ros.formats.hourly import Records, bridge_gaps, join_records
-from greenroof_ros.formats.quantities import (
-    EVAPOTRANSPIRATION,
-    FOR_EVAPOTRANSPIRATION,
-    PRECIPITATION,
-    QUANTITIES,
-    RADIATION,
-    TEMPERATURE,
-)
-from greenroof_ros.formats.reading import read_records
 from greenroof_ros.site.site import Place
+from greenroof_ros.weather import open_meteo
+from greenroof_ros.weather.description import Description, expand
 from greenroof_ros.weather.evapotranspiration import (
     COMPUTED,
     FAO56,
@@ -34,6 +25,16 @@ from greenroof_ros.weather.evapotranspiration import (
     is_polar,
     repeat_monthly,
 )
+from greenroof_ros.weather.hours import read_hours, write_records
+from greenroof_ros.weather.quantities import (
+    EVAPOTRANSPIRATION,
+    FOR_EVAPOTRANSPIRATION,
+    PRECIPITATION,
+    QUANTITIES,
+    RADIATION,
+    TEMPERATURE,
+)
+from greenroof_ros.weather.records import HOUR, Records, bridge_gaps, join_records
 from greenroof_ros.weather.series import FILL, REFUSE, Weather
 
 Array = NDArray[np.float64]
@@ -61,21 +62,35 @@ def default_weather() -> Path:
     return shared_directory() / "config" / "weather" / "toronto_2021-07.csv"
 
 
+def read_file(file: Path, site: Place, described: Description | None = None) -> Records:
+    """Return the records of a weather file; see :func:`.hours.read_hours`.
+
+    JSON is read as an answer of Open-Meteo.
+
+    Raises:
+        ConfigurationError: if the file does not conform to its description.
+    """
+    if file.suffix == ".json" and described is None:
+        return open_meteo.read_records(file, site)
+    return read_hours(file, site, described)
+
+
 def read_measured(
-    files: Sequence[Path], site: Place, stamped: str | None = None
+    files: Sequence[Path], site: Place, described: Description | None = None
 ) -> Records:
     """Read weather files, which may have different formats, and join them without filling gaps.
 
     Args:
-        files: one or more files.
+        files: one or more weather files, or descriptions of weather files.
         site: site with its location and clock.
-        stamped: position of the time stamp in the interval that a row of this project's format
-            covers, one of :data:`.comments.STAMPS`; by default, as stated in the file.
+        described: description of files that are not named by a description.
 
     Raises:
-        ConfigurationError: if a file cannot be parsed, or if two files contradict each other.
+        ConfigurationError: if a file cannot be parsed, or if two files overlap.
     """
-    joined = join_records([read_records(file, site, stamped) for file in files])
+    joined = join_records([
+        read_file(file, site, own or described) for file, own in expand(files)
+    ])
     if PRECIPITATION not in joined.values:
         raise ConfigurationError(
             f"contains no {PRECIPITATION}, such as a column 'precipitation [mm/h]' or 'rain [mm]'; "
@@ -250,10 +265,21 @@ def _drop_partial_hours(records: Records) -> Records:
     )
 
 
+def write_plain(files: Sequence[Path], site: Place) -> str | None:
+    """Return files that have a description as one text in this project's own form, or else None.
+
+    A copy of a weather file in another directory would no longer have its description.
+    """
+    if not any(described is not None for _, described in expand(files)):
+        return None
+    return write_records(read_measured(files, site), "Written from files with a description.")
+
+
 def find_files(names: Iterable[str], key: str) -> list[Path]:
     """Find the files with given names or patterns (``data/2021_*.csv``), without duplicates.
 
-    A name that contains ``*``, ``?`` or ``[`` is a pattern, unless a file with this name exists.
+    A name that contains ``*``, ``?`` or ``[`` is a pattern, unless a file with this name exists. A
+    directory stands for all CSV and JSON files in it.
 
     Args:
         names: names of files, or patterns.
@@ -266,6 +292,10 @@ def find_files(names: Iterable[str], key: str) -> list[Path]:
     for name in names:
         path = Path(name)
         matches = [path]
+        if path.is_dir():
+            matches = sorted(
+                file for file in path.iterdir() if file.suffix in (".csv", ".txt", ".json")
+            )
         if not path.exists() and glob.has_magic(name):
             matches = [Path(match) for match in sorted(glob.glob(str(path)))]  # noqa: PTH207
             if not matches:

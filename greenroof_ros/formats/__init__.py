@@ -1,1 +1,0 @@
-"""Weather and forecast files: the services' formats, and this project's own."""

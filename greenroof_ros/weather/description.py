@@ -1,0 +1,280 @@
+"""Descriptions of weather files: what the columns mean, how times are written, what is missing.
+
+A description is a YAML file beside the weather file, with keys that are named as in
+``pandas.read_csv`` where it has them::
+
+    file: gauge_*.csv
+    columns: {time: [Datum, Uhrzeit], rain: "Niederschlag [mm]"}
+    time_format: "%d.%m.%Y %H:%M"
+    time_zone: Europe/Berlin
+    rows: end
+
+``config/formats/*.yaml`` describes the files of services in the same way, with the beginning of the
+header by which a file is recognised. Every key is optional in this project's own form, whose header
+consists of ``time`` and columns ``name [unit]``; comments at the head of such a file can contain
+the keys of :data:`IN_COMMENTS`.
+"""
+
+from __future__ import annotations
+
+import functools
+import glob
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from zoneinfo import ZoneInfo
+
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import YamlMapping, parse_yaml, read_yaml, shared_directory
+from greenroof_ros.base.parameter import entry, find, keys, make_record
+from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, QUANTITIES, SYNONYMS, known_units
+
+TIME = "time"
+START, END = "start", "end"
+STANDARD = "standard"
+"""time zone of times in the site's standard time, ``utc_offset``"""
+REANALYSIS, FORECAST = RAIN_KINDS = ("reanalysis", "forecast")
+"""Rain from a weather model, for a past and for a future period."""
+PLACE = "latitude", "longitude"
+SEPARATORS = {",": ",", ";": ";", "|": "|", "tab": "\t", "space": " "}
+"""separators by their names"""
+OWN = "own form"
+IN_COMMENTS = (
+    "rows", "step", "time_zone", "utc_offset", *PLACE, "wind_height", "rain_late", "rain_kind",
+)
+"""keys that the comments at the head of a file can contain, as in ``# rows: end``"""
+_LISTS = "na_values", "zero_values", "flag_values", "header", "skiprows"
+_COMMENT = re.compile(rf"#\s*((?:{'|'.join(IN_COMMENTS)}|stamped)\s*:.*)")
+
+
+@dataclass(frozen=True)
+class Description:
+    """What a weather file means."""
+
+    name: str = entry("name of the format, for messages", default=OWN)
+    file: str = entry("the file, or a pattern such as gauge_*.csv, beside the description",
+                      default="")
+    header: tuple[str, ...] = entry("first cells of the header, by which the file of a service is "
+                                    "recognised", default=())
+    columns: dict[str, tuple[str, ...]] = entry(
+        "column of each quantity, and of the time, which may be in two columns", factory=dict)
+    units: dict[str, str] = entry("unit of each quantity, unless the header states it in brackets",
+                                  factory=dict)
+    time_format: str = entry("form of the times, as in strptime; by default, ISO 8601", default="")
+    time_zone: str = entry(
+        f"time zone of times without an offset, such as Europe/Berlin, or {STANDARD} for the "
+        "site's utc_offset; by default, the site's time zone", default="")
+    utc_offset: float | None = entry("offset of the times from UTC, in place of time_zone",
+                                     -12.0, 14.0, unit="h", default=None)
+    rows: str = entry("whether the time of a row is the start or the end of its interval",
+                      choices=(START, END), default=START)
+    step: float | None = entry("interval between rows; by default, that of the first ten rows",
+                               1.0, 86400.0, unit="s", default=None)
+    na_values: tuple[str, ...] = entry("texts that denote a missing value", default=())
+    zero_values: tuple[str, ...] = entry("texts that denote a trace of rain, which counts as 0",
+                                         default=())
+    flags: dict[str, str] = entry("column with the flag of each quantity", factory=dict)
+    flag_values: tuple[str, ...] = entry("flags of missing values", default=())
+    encoding: str = entry("encoding of the text, such as cp1252", default="utf-8")
+    sep: str = entry("separator between cells", choices=(*SEPARATORS,), default=",")
+    decimal: str = entry("decimal mark", choices=(".", ","), default=".")
+    skiprows: tuple[int, ...] = entry("numbers of the lines to skip, from 0; a number n alone "
+                                      "means the first n lines", 0, 10_000, default=())
+    latitude: float | None = entry("latitude of the measurements, positive to the north", -90.0,
+                                   90.0, unit="degrees", default=None)
+    longitude: float | None = entry("longitude of the measurements, positive to the east", -180.0,
+                                    180.0, unit="degrees", default=None)
+    wind_height: float | None = entry("height at which the wind was measured", 0.5, 100.0,
+                                      unit="m", default=None)
+    rain_late: int = entry("delay of the rain's times, which is reported but not corrected", 0, 1,
+                           unit="h", default=0)
+    rain_kind: str = entry("source of rain that no gauge measured", choices=("", *RAIN_KINDS),
+                           default="")
+
+    @property
+    def separator(self) -> str:
+        """The character between cells."""
+        return SEPARATORS[self.sep]
+
+
+def make_description(values: Mapping[str, Any], base: Description | None = None) -> Description:
+    """Return a description with the given keys, and otherwise those of a base.
+
+    Raises:
+        ConfigurationError: if a key is unknown, or a value is not valid for it.
+    """
+    plain: dict[str, Any] = dict(values)
+    for key in _LISTS:
+        if key in plain and not isinstance(plain[key], (list, tuple)):
+            plain[key] = [*range(plain[key])] if isinstance(plain[key], int) else [plain[key]]
+        if key in plain and key != "skiprows":
+            plain[key] = [_as_text(item) for item in plain[key]]
+    if isinstance(plain.get("columns"), Mapping):
+        plain["columns"] = {
+            _name(name): [column] if isinstance(column, str) else column
+            for name, column in plain["columns"].items()
+        }
+    for key in ("units", "flags"):
+        if isinstance(plain.get(key), Mapping):
+            plain[key] = {_name(name): _as_text(item) for name, item in plain[key].items()}
+    if plain.get("sep") == "\t":
+        plain["sep"] = "tab"
+    made = make_record(Description, plain)
+    _check(made)
+    return made if base is None else replace(base, **{
+        key.name: getattr(made, key.name) for key in keys(Description) if key.name in plain
+    })
+
+
+def _as_text(value: Any) -> Any:
+    return str(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else value
+
+
+def _name(name: str) -> str:
+    """Return the usual name of a quantity, which may be written with underscores."""
+    plain = name.replace("_", " ")
+    return SYNONYMS.get(plain, plain)
+
+
+def quantity_of(name: str) -> str:
+    """Return the quantity of a name; the name of evapotranspiration begins with its method."""
+    return EVAPOTRANSPIRATION if name.endswith(EVAPOTRANSPIRATION) else name
+
+
+def _check(made: Description) -> None:
+    for key in ("columns", "units", "flags"):
+        for name in getattr(made, key):
+            if quantity_of(name) not in QUANTITIES and (
+                key != "columns" or name not in (TIME, *PLACE)
+            ):
+                raise ConfigurationError(
+                    f"must be one of {TIME}, {', '.join(QUANTITIES)}", key=f"{key}.{name}"
+                )
+    for name, columns in made.columns.items():
+        if len(columns) != 1 and name != TIME:
+            raise ConfigurationError("must be one column", key=f"columns.{name}")
+    if made.columns and TIME not in made.columns:
+        raise ConfigurationError("must name the column of the times", key=f"columns.{TIME}")
+    if made.time_zone not in ("", STANDARD):
+        try:
+            ZoneInfo(made.time_zone)
+        except (ValueError, OSError):
+            raise ConfigurationError(
+                "must be the name of a time zone, such as Europe/Berlin or UTC", key="time_zone",
+                value=made.time_zone,
+            ) from None
+    try:
+        "".encode(made.encoding)
+    except LookupError:
+        raise ConfigurationError(
+            "must be the name of an encoding, such as utf-8, cp1252 or utf-16", key="encoding",
+            value=made.encoding,
+        ) from None
+
+
+def unknown_unit(quantity: str) -> str:
+    """Return the message about a column with a unit that its quantity does not have."""
+    return f"the unit of {quantity} must be one of {', '.join(known_units(quantity))}"
+
+
+def read_description(path: Path) -> Description:
+    """Read a description.
+
+    Raises:
+        ConfigurationError: if the file is not a description; the message names the line and key.
+    """
+    return _place_errors(path, read_yaml(path))
+
+
+def _place_errors(path: Path, content: YamlMapping, first: int = 0) -> Description:
+    """Return the description in a mapping; an error names the file and the line of the key."""
+    undecided = next((key for key, value in content.items() if _is_open(value)), None)
+    try:
+        if undecided is not None:
+            raise ConfigurationError(
+                "must be decided, because the file does not say it", key=undecided, value="?"
+            )
+        return make_description(content)
+    except ConfigurationError as error:
+        line = find(content, error.key or "")[0] or min(content.lines.values(), default=1)
+        raise ConfigurationError(
+            error.expected, file=path, line=first + line, key=error.key, value=error.value
+        ) from None
+
+
+def _is_open(value: Any) -> bool:
+    if isinstance(value, Mapping):
+        return any(map(_is_open, value.values()))
+    return bool(value == "?")
+
+
+def read_comment(path: Path, number: int, text: str) -> dict[str, Any]:
+    """Return the keys that a comment at the head of a file states, such as ``# rows: end``.
+
+    Other comments are prose, and state nothing.
+
+    Args:
+        path: the file, for messages.
+        number: number of the line.
+        text: the line.
+
+    Raises:
+        ConfigurationError: if the comment begins with a key, but has no value for it.
+    """
+    match = _COMMENT.fullmatch(text.strip().strip(',;"'))
+    if match is None:
+        return {}
+    if match[1].startswith("stamped"):
+        raise ConfigurationError("is now called 'rows', as in '# rows: end'", file=path,
+                                 line=number, key="stamped")
+    try:
+        stated = parse_yaml(f"{{{match[1]}}}", path)
+    except ConfigurationError as error:
+        raise ConfigurationError(
+            "must be a key and its value alone, as in '# rows: end'", file=path, line=number,
+            value=match[1],
+        ) from error
+    _place_errors(path, stated, number - 1)
+    return dict(stated)
+
+
+@functools.cache
+def service_descriptions() -> tuple[Description, ...]:
+    """Return the descriptions of services' files, from ``config/formats``."""
+    return tuple(map(read_description, sorted(
+        (shared_directory() / "config" / "formats").glob("*.yaml")
+    )))
+
+
+def find_service(header: Sequence[str], separator: str) -> Description | None:
+    """Return the description of the service whose files begin with a header; None if unknown."""
+    return next((
+        described for described in service_descriptions()
+        if described.separator == separator
+        and (*header[: len(described.header)],) == described.header
+    ), None)
+
+
+def expand(paths: Iterable[Path]) -> list[tuple[Path, Description | None]]:
+    """Return the weather files among the paths, with the descriptions of those that have one.
+
+    Raises:
+        ConfigurationError: if a description names no file, or no file matches it.
+    """
+    files = list[tuple[Path, Description | None]]()
+    for path in paths:
+        if path.suffix not in (".yaml", ".yml"):
+            files.append((path, None))
+            continue
+        described = read_description(path)
+        pattern = str(path.parent / described.file)
+        matches = sorted(map(Path, glob.glob(pattern))) if described.file else []  # noqa: PTH207
+        if not matches:
+            raise ConfigurationError(
+                "must be the name of a weather file beside this description, or a pattern",
+                file=path, key="file", value=described.file,
+            )
+        files += [(match, described) for match in matches]
+    return files

@@ -1,0 +1,250 @@
+"""What a weather record contains, so that a person sees a wrong unit or a wrong clock at once.
+
+The summary neither changes nor refuses a value. ``config/plausible.yaml`` contains limits of
+climates; a record beyond a limit leads to a note that names the likely mistake.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterator, Mapping
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.base.files import parse_yaml, read_text, shared_directory
+from greenroof_ros.base.times import to_people
+from greenroof_ros.site.site import Place
+from greenroof_ros.weather.evapotranspiration import sun_height
+from greenroof_ros.weather.quantities import (
+    DEW_POINT,
+    HUMIDITY,
+    PRECIPITATION,
+    QUANTITIES,
+    RADIATION,
+    TEMPERATURE,
+    WIND,
+)
+from greenroof_ros.weather.records import HOUR, Records, find_gaps
+
+Values = NDArray[np.float64]
+
+_MONTHS = "Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"
+# Rain in an hour that counts as wet (mm), and rain that ends a dry spell (mm a day).
+_WET, _DRY_DAY = 0.05, 0.2
+# Hours needed for the statistics of a day's course, of the air, and of a year.
+_COURSE, _AIR, _YEAR = 5 * 24, 10 * 24, 300 * 24
+# Radiation outside the atmosphere on a level facing the sun (W/m2), FAO-56 Eq. 21, and the lowest
+# sine of the sun's elevation at which the clearness of an hour is judged.
+_SOLAR_CONSTANT, _HIGH_SUN = 1367.0, 0.3
+_MAX_MONTHS = 12
+
+
+def summarize(records: Records, site: Place, hours: range | None = None) -> dict[str, Any]:
+    """Return the contents of records, for a table, ``summary.json`` and a page.
+
+    Args:
+        records: hourly records; values that were filled count as missing.
+        site: site with its clock and location, unless the records state a position.
+        hours: the hours that matter; by default, all.
+
+    Returns:
+        ``quantities``: unit, minimum, mean, maximum and missing hours of each quantity; ``rain``:
+        total, wet hours, wettest hour and day, and the rain of months or years (mm); ``course``:
+        the local hours with the highest radiation and temperature; ``statistics`` and ``notes``, by
+        ``plausible.yaml``.
+    """
+    part = slice(0, records.hours) if hours is None else slice(hours.start, hours.stop)
+    values = {
+        name: np.where(records.filled[name], np.nan, series)[part]
+        if name in records.filled else series[part]
+        for name, series in records.values.items()
+    }
+    first = (records.first + part.start * HOUR).astimezone(_zone_of(records, site))
+    position = next(iter(records.places.values()), (site.latitude, site.longitude))
+    rain = _describe_rain(values[PRECIPITATION], first)
+    seconds = round(first.timestamp()) + 3600 * np.arange(len(values[PRECIPITATION]))
+    course = {
+        name: _hottest_hour(values[name], first)
+        for name in (RADIATION, TEMPERATURE) if name in values and _known(values[name]) >= _COURSE
+    }
+    statistics = {
+        **_judge_rain(values[PRECIPITATION], rain), **_judge_air(values),
+        **_judge_sun(values, seconds, position),
+    }
+    return {
+        "from": to_people(first), "hours": len(values[PRECIPITATION]), "quantities": {
+            name: {"unit": QUANTITIES[name].unit, **_describe(series)}
+            for name, series in values.items() if name in QUANTITIES
+        }, "rain": rain, "course": course, "statistics": statistics, "notes": [*_note(statistics)],
+    }
+
+
+def as_lines(summary: Mapping[str, Any]) -> list[str]:
+    """Return a summary in three lines, followed by one line for each note."""
+    rain = summary["rain"]
+    parts = ", ".join(f"{name} {amount:.4g}" for name, amount in rain["parts"].items())
+    quantities = dict(summary["quantities"])
+    missing = {name: about["missing"] for name, about in quantities.items() if about["missing"]}
+    lines = [
+        f"rain {rain['total']:.4g} mm in {summary['hours'] / 24:.3g} days from {summary['from']} "
+        f"({parts}); {rain['wet_hours']} wet hours; wettest hour {rain['wettest_hour']:.3g} mm, "
+        f"{rain['wettest_hour_at']}; wettest day {rain['wettest_day']:.3g} mm, "
+        f"{rain['wettest_day_at']}",
+        "; ".join(
+            f"{name} {about['minimum']:.3g} to {about['maximum']:.3g} {about['unit']}, mean "
+            f"{about['mean']:.3g}" + (
+                f", highest at {summary['course'][name]} h" if name in summary["course"] else ""
+            )
+            for name, about in quantities.items()
+            if name != PRECIPITATION and about["mean"] is not None
+        ) or "no other quantity",
+        "missing: " + (", ".join(f"{name} {hours} h" for name, hours in missing.items()) or "none"),
+    ]
+    return [*lines, *summary["notes"]]
+
+
+def _zone_of(records: Records, site: Place) -> Any:
+    has_clock = site.time_zone is not None or site.utc_offset is not None
+    return site.zone if has_clock else records.first.tzinfo
+
+
+def _known(series: Values) -> int:
+    return int(np.count_nonzero(~np.isnan(series)))
+
+
+def _describe(series: Values) -> dict[str, Any]:
+    known = series[~np.isnan(series)]
+    ends = (known.min(), known.mean(), known.max()) if known.size else (None, None, None)
+    return {
+        **{name: None if end is None else float(f"{end:.6g}")
+           for name, end in zip(("minimum", "mean", "maximum"), ends, strict=True)},
+        "missing": int(series.size - known.size),
+    }
+
+
+def _describe_rain(series: Values, first: datetime) -> dict[str, Any]:
+    rain = np.nan_to_num(series)
+    local = np.datetime64(first.replace(tzinfo=None), "h") + np.arange(len(rain))
+    days, of_day = np.unique(local.astype("datetime64[D]"), return_inverse=True)
+    by_day = np.bincount(of_day, rain)
+    months, of_month = np.unique(local.astype("datetime64[M]"), return_inverse=True)
+    names = [f"{_MONTHS[int(month.astype(int)) % 12]}" for month in months]
+    if len(months) > _MAX_MONTHS:
+        years, of_month = np.unique(local.astype("datetime64[Y]"), return_inverse=True)
+        names = [*map(str, years)]
+    hour, day = int(rain.argmax()), int(by_day.argmax())
+    return {
+        "total": float(rain.sum()), "wet_hours": int(np.count_nonzero(rain > _WET)),
+        "wettest_hour": float(rain[hour]), "wettest_hour_at": to_people(first + hour * HOUR),
+        "wettest_day": float(by_day[day]), "wettest_day_at": str(days[day]),
+        "longest_dry_days": max((end - start for start, end in find_gaps(by_day < _DRY_DAY)),
+                                default=0),
+        "parts": dict(zip(names, np.bincount(of_month, rain).tolist(), strict=True)),
+    }
+
+
+def _hottest_hour(series: Values, first: datetime) -> int:
+    """Return the hour of the local day with the highest mean."""
+    times = [(first + hour * HOUR).hour for hour in range(24)]
+    means = [
+        float(np.nanmean(series[hour::24])) if _known(series[hour::24]) else -math.inf
+        for hour in range(24)
+    ]
+    return times[int(np.argmax(means))]
+
+
+# --- climates -------------------------------------------------------------------------------------
+
+
+@functools.cache
+def _limits() -> list[dict[str, Any]]:
+    path = shared_directory() / "config" / "plausible.yaml"
+    rows: list[dict[str, Any]] = parse_yaml(read_text(path), path)
+    return rows
+
+
+def _note(statistics: Mapping[str, float]) -> Iterator[str]:
+    """Yield one sentence about each statistic beyond its limits."""
+    for row in _limits():
+        value = statistics.get(row["statistic"])
+        if value is None:
+            continue
+        low, high = row.get("low", -math.inf), row.get("high", math.inf)
+        if not low <= value <= high:
+            bound = f"less than {low:g}" if value < low else f"more than {high:g}"
+            yield (
+                f"{row['statistic']}: {value:.3g} {row['unit']}; {bound} is rare. Check "
+                f"{row['mistake']}"
+            )
+
+
+def _judge_rain(series: Values, rain: Mapping[str, Any]) -> dict[str, float]:
+    known, wet = _known(series), max(1, rain["wet_hours"])
+    found = {"wettest day": rain["wettest_day"], "wettest hour": rain["wettest_hour"]}
+    if known >= _YEAR:
+        found["rain in a year"] = rain["total"] * 8766 / known
+    if known >= _AIR:
+        found["longest dry spell"] = float(rain["longest_dry_days"])
+        found["wet hours"] = 100.0 * rain["wet_hours"] / known
+        if rain["total"] > 0:
+            found["mean of wet hours"] = rain["total"] / wet
+    return found
+
+
+def _judge_air(values: Mapping[str, Values]) -> dict[str, float]:
+    found = {}
+    for name, key, statistic in (
+        (TEMPERATURE, "mean temperature", np.nanmean), (WIND, "mean wind", np.nanmean),
+        (HUMIDITY, "highest relative humidity", np.nanmax),
+    ):
+        if name in values and _known(values[name]) >= _AIR:
+            found[key] = float(statistic(values[name]))
+    if TEMPERATURE in values and DEW_POINT in values:
+        above = values[DEW_POINT] - values[TEMPERATURE]
+        if _known(above) >= _AIR:
+            share = np.count_nonzero(above > 1) / _known(above)
+            found["dew point above temperature"] = 100.0 * share
+    constant = [
+        end - start + 1 for name in (TEMPERATURE, DEW_POINT, HUMIDITY, WIND) if name in values
+        for start, end in find_gaps(np.diff(values[name]) == 0)
+    ]
+    return found | {"longest constant value": float(max(constant, default=0))}
+
+
+def _judge_sun(
+    values: Mapping[str, Values], seconds: NDArray[np.int64],
+    position: tuple[float | None, float | None],
+) -> dict[str, float]:
+    """Return the statistics that compare the course of a day with the sun's."""
+    latitude, longitude = position
+    if latitude is None or longitude is None:
+        return {}
+    # The middle of an hour on the clock of the meridian of Greenwich.
+    sun = sun_height(latitude, seconds + 1800, longitude)
+    found = {}
+    if RADIATION in values and _known(values[RADIATION]) >= _COURSE:
+        radiation = np.nan_to_num(values[RADIATION])
+        high = sun > _HIGH_SUN
+        if high.any():
+            outside = _SOLAR_CONSTANT * sun[high]
+            found["clearest hour"] = 100.0 * float(np.max(radiation[high] / outside))
+        noon = _after_noon(seconds, longitude)
+        if radiation.sum() > 0:
+            found["middle of the sun"] = float(
+                np.average(noon, weights=radiation) - np.average(noon, weights=sun)
+            )
+    if TEMPERATURE in values and _known(values[TEMPERATURE]) >= _AIR:
+        noon = _after_noon(seconds, longitude)
+        hours = (values[TEMPERATURE][np.floor(noon) == hour] for hour in range(-12, 12))
+        means = [float(np.nanmean(series)) if _known(series) else -math.inf for series in hours]
+        found["warmest hour"] = float(np.argmax(means) - 11.5)
+    return found
+
+
+def _after_noon(seconds: NDArray[np.int64], longitude: float) -> Values:
+    """Return the mean solar time of the middle of every hour, relative to noon (h)."""
+    return np.asarray(((seconds + 1800) / 3600 + longitude / 15 - 12 + 12) % 24 - 12)
