@@ -6,6 +6,7 @@ question mark stands where a person must decide. Reading uses none of this.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -44,11 +45,11 @@ _FORMS = (
 _WORDS = {
     PRECIPITATION: r"rain|pr[eé]cip|niederschlag|regen|pluie|lluvia|neerslag|pioggia|tipping",
     DEW_POINT: r"dew|taupunkt|ros[eé]e",
-    TEMPERATURE: r"temp|lufttemp|airt|t_?air",
+    TEMPERATURE: r"temp|\bair_?t|\bt_?air",
     HUMIDITY: r"humid|\brh\b|feuchte|humidit|luftfeucht|\brf\b",
-    WIND: r"wind ?_?(speed|spd|velocity)|windgeschw|vitesse du vent|\bws\b|wind_spd|^wind\b",
+    WIND: r"wind[ _]?(speed|spd|velocity)|windgeschw|vitesse du vent|\bws(?![a-z])|^wind\b",
     PRESSURE: r"press|baro|luftdruck|\bbp\b",
-    RADIATION: r"solar|radiation|strahlung|rayonnement|pyrano|\bsrad|shortwave|globalstr",
+    RADIATION: r"solar|radiation|strahlung|rayonnement|pyrano|\bsrad|\bslr|shortwave",
 }
 _OTHER = (
     r"gust|direction|\bdir|\bmax|\bmin\b|high|low\b|soil|inside|indoor|\bin temp|batt|panel|flag|"
@@ -153,7 +154,7 @@ def _find_rows(cells: Sequence[Sequence[str]]) -> _Found | None:
             fits = [form for form in forms if _fits(form, rows, places)]
             if fits and first:
                 wide = [n for n in range(first) if len(cells[n]) >= len(row) - 1]
-                named = [n for n in wide if _quantity_of(" ".join(cells[n]))]
+                named = [n for n in wide if any(map(_quantity_of, cells[n]))]
                 if wide:
                     return _Found((named or wide)[0], first, places, fits)
     return None
@@ -204,7 +205,8 @@ def _read_values(rows: Sequence[Sequence[str]]) -> tuple[str, list[str]]:
     missing = dict[str, None]()
     for text in texts:
         try:
-            read_number(text.replace(",", ".") if comma else text)
+            if not math.isfinite(read_number(text.replace(",", ".") if comma else text)):
+                missing[text] = None
         except ValueError:
             missing[text] = None
     return "," if comma else ".", [*missing][:10]

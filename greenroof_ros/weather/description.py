@@ -185,7 +185,8 @@ def read_description(path: Path) -> Description:
     Raises:
         ConfigurationError: if the file is not a description; the message names the line and key.
     """
-    return _place_errors(path, read_yaml(path))
+    described = _place_errors(path, read_yaml(path))
+    return described if described.name != OWN else replace(described, name=path.name)
 
 
 def _place_errors(path: Path, content: YamlMapping, first: int = 0) -> Description:

@@ -100,8 +100,9 @@ _HOURS = {"s": 1 / 3600, "min": 1 / 60, "h": 1.0, "day": 24.0}
 # Other ways to write units.
 _CHARACTERS = str.maketrans({"°": "deg", "º": "deg", "²": "2", "³": "3", "^": ""})
 _SPELLINGS = {
-    "C": "degC", "F": "degF", "deg C": "degC", "deg F": "degF", "inch": "in", "inches": "in",
-    "kph": "km/h", "knots": "kn", "mb": "mbar", "hr": "h", "d": "day", "L": "l",
+    "C": "degC", "F": "degF", "Deg C": "degC", "deg C": "degC", "Deg F": "degF", "deg F": "degF",
+    "inch": "in", "inches": "in", "kph": "km/h", "knots": "kn", "mb": "mbar", "hr": "h", "d": "day",
+    "L": "l", "meters/second": "m/s",
 }
 _FACTOR = re.compile(r"(0\.\d+|1/\d+) (.+)", re.ASCII)
 

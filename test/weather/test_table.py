@@ -1,0 +1,289 @@
+"""A weather file means what its header, its comments or its description say, and nothing else."""
+
+from __future__ import annotations
+
+import time
+import tracemalloc
+from dataclasses import replace
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from places import CONFIG, DATA
+from refusals import refusal
+
+from greenroof_ros.analysis.calibration.csv_record import read_csv_record
+from greenroof_ros.site.file import read_site
+from greenroof_ros.weather.description import make_description
+from greenroof_ros.weather.read import read_measured
+from greenroof_ros.weather.records import Records
+
+SITE = read_site(CONFIG / "site.yaml")
+FIRST = datetime.fromisoformat("2024-06-01T00:00-05:00")
+
+
+def rows(values: list[object], step_s: int = 3600, late: int = 0) -> str:
+    """Return rows with these values, whose times are some seconds late."""
+    return "".join(
+        f"{(FIRST + timedelta(seconds=step_s * n + late)).isoformat()},{value}\n"
+        for n, value in enumerate(values)
+    )
+
+
+def read(directory: Path, text: str, **keys: object) -> Records:
+    file = directory / "gauge.csv"
+    encoding = str(keys.get("encoding", "utf-8"))
+    file.write_bytes(text.encode(encoding))
+    return read_measured([file], SITE, make_description(keys) if keys else None)
+
+
+def rain_of(directory: Path, text: str, **keys: object) -> list[float]:
+    values: list[float] = read(directory, text, **keys).values["precipitation"].tolist()
+    return values
+
+
+# --- values are kept ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("unit", "values", "step_s", "total"),
+    [
+        # 20.1 + 99.9 + 60.2 + 12.4 mm/h, each for five minutes, are 192.6 / 12 mm.
+        ("mm/h", [20.1, 99.9, 60.2, 12.4] + 8 * [0], 300, 16.05),
+        ("mm", [0.1, 0.2, 0.3, 0.3, 0.4], 3600, 1.3),
+        ("mm/h", [0.2, 0.4, 0.6, 0.8], 3600, 2.0),
+        ("mm", [10.125, 0, 100], 3600, 110.125),
+        ("mm", [99.9, 999, 32.767, 7777 / 100], 3600, 99.9 + 999 + 32.767 + 77.77),
+        # 31.2 mm in a minute is the record; 1,872 mm/h.
+        ("mm", [31.2] + 59 * [0], 60, 31.2),
+    ],
+)
+def test_no_rain_is_changed(
+    tmp_path: Path, unit: str, values: list[object], step_s: int, total: float
+) -> None:
+    records = read(tmp_path, f"time,rain [{unit}]\n{rows(values, step_s)}")
+    assert records.values["precipitation"].sum() == pytest.approx(total)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "unit", "value", "expected"),
+    [
+        ("rain", "mm", 2.54, 2.54), ("rain", "in", 0.1, 2.54), ("rain", "0.1 mm", 25.4, 2.54),
+        ("rain", "cm", 0.254, 2.54), ("rain", "mm/day", 60.96, 2.54), ("rain", "l/m²", 2.54, 2.54),
+        ("temperature", "°F", 68, 20), ("temperature", "K", 293.15, 20),
+        ("temperature", "0.1 degC", 200, 20), ("wind speed", "m/s", 10, 36),
+        ("wind speed", "kn", 10, 18.52), ("wind speed", "mph", 10, 16.09344),
+        ("station pressure", "hPa", 1013, 101.3), ("station pressure", "inHg", 30, 101.591670),
+        ("solar radiation", "kW/m2", 0.5, 500), ("solar radiation", "MJ/m2", 1.8, 500),
+        ("solar radiation", "J/cm²", 180, 500), ("relative humidity", "1", 0.5, 50),
+        ("evapotranspiration", "mm/h", 0.1, 2.4),
+    ],
+)
+def test_units(
+    tmp_path: Path, quantity: str, unit: str, value: float, expected: float
+) -> None:
+    """The unit in the header, for hourly rows; the factors are those of the SI brochure."""
+    text = f"time,rain [mm],{quantity} [{unit}]\n" if quantity != "rain" else f"time,rain [{unit}]\n"
+    before = "0," if quantity != "rain" else ""
+    extra = ",temperature [degC]" if quantity == "relative humidity" else ""
+    text = text.replace("\n", f"{extra}\n") + rows(2 * [f"{before}{value}{',20' if extra else ''}"])
+    values = read(tmp_path, text).values
+    if quantity == "relative humidity":  # FAO-56 Eqs. 11 and 14: 50 % at 20 degC
+        assert values["dew point"][0] == pytest.approx(9.27, abs=0.01)
+    else:
+        name = "precipitation" if quantity == "rain" else quantity
+        assert values[name][0] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    "text", ["abc", "inf", "1e999", "0x1", "1_0", "12,5", "-999", "#N/A", "nan", "١"]
+)
+def test_what_is_no_number_is_named(tmp_path: Path, text: str) -> None:
+    """With its text, line and column."""
+    cell = f'"{text}"' if "," in text else text
+    message = refusal(read, tmp_path, f"time,rain [mm]\n{rows([0, cell, 0])}")
+    assert "gauge.csv, line 3: rain [mm] = " in message
+    assert (text in message) or (text == "-999" and "must be a number from 0 to" in message)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "value", "limit"),
+    [
+        ("rain [mm/h]", 2001, "0 to 2000 mm/h"), ("rain [mm/h]", -0.1, "0 to 2000 mm/h"),
+        ("temperature [degF]", 150, "-130 to 140 degF"), ("temperature [degC]", 293, "-90 to 60"),
+        ("station pressure [kPa]", 1013, "50 to 110 kPa"), ("wind speed [m/s]", 140, "0 to 138.9"),
+        ("solar radiation [W/m2]", -20, "-15 to 2000"),
+    ],
+)
+def test_what_is_out_of_range_is_refused(
+    tmp_path: Path, quantity: str, value: float, limit: str
+) -> None:
+    both = quantity if quantity.startswith("rain") else f"rain [mm],{quantity}"
+    cells = [f"{'' if both == quantity else '0,'}{each}" for each in (0, 0, value)]
+    if "pressure" in quantity:
+        cells[:2] = ["0,100"] * 2
+    message = refusal(read, tmp_path, f"time,{both}\n{rows(cells)}")
+    assert f"gauge.csv, line 4: {quantity} = {value:.1f}: must be a number from {limit}" in message
+
+
+def test_missing_values_are_declared(tmp_path: Path) -> None:
+    """Empty cells are missing, and what na_values names, in whatever form the number is written."""
+    text = f"time,rain [mm]\n{rows([1, '', -99, '-99.0', 'n/a', 2])}"
+    assert np.isnan(rain_of(tmp_path, text, na_values=[-99, "n/a"])).tolist() == [
+        False, True, True, True, True, False,
+    ]
+    assert rain_of(tmp_path, f"time,rain [mm]\n{rows(['T', 1])}", zero_values="T") == [0, 1]
+
+
+# --- times ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("late", [-3, 0, 2, 74])
+def test_a_clock_that_is_some_seconds_off(tmp_path: Path, late: int) -> None:
+    """A time counts for the nearest boundary, at most a quarter of a step away."""
+    text = "time,rain [mm]\n" + rows([0.1] + 11 * [0] + [7] + 11 * [0], 300, late)
+    assert rain_of(tmp_path, text) == pytest.approx([0.1, 7.0])
+
+
+def test_rows_that_begin_between_the_boundaries(tmp_path: Path) -> None:
+    """Minutes 2, 7, 12: the first row is further than a quarter of a step from a boundary."""
+    records = read(tmp_path, "time,rain [mm]\n" + rows([5] + 10 * [0], 300, 120))
+    assert records.minutes is not None
+    assert np.flatnonzero(records.minutes.ravel() > 0).tolist() == [2, 3, 4, 5, 6]
+
+
+@pytest.mark.parametrize(
+    ("step_s", "rain", "expected"), [(3600, [0, 1.5, 0.2], [0, 1.5, 0.2]),
+                                     (1800, [0, 1.5, 0.2, 0.3], [1.5, 0.5])],
+)
+def test_rows_that_end_at_their_times(
+    tmp_path: Path, step_s: int, rain: list[object], expected: list[float]
+) -> None:
+    text = "time,rain [mm]\n" + rows(rain, step_s, step_s)
+    assert rain_of(tmp_path, "# rows: end\n" + text) == pytest.approx(expected)
+    records = read(tmp_path, text, rows="end")
+    assert records.first == FIRST and "whose time is their end" in records.notes[0]
+
+
+def test_missing_rows(tmp_path: Path) -> None:
+    """A multiple of the step is missing rows; the first rows must agree, or the step be stated."""
+    lines = rows(12 * [1]).splitlines(True)
+    text = "time,rain [mm]\n" + "".join(lines[:10] + lines[11:])
+    assert np.isnan(rain_of(tmp_path, text)).tolist() == 10 * [False] + [True, False]
+    text = "time,rain [mm]\n" + "".join(lines[:1] + lines[3:])
+    assert "line 3: step: this row is 3 h after the previous row" in refusal(read, tmp_path, text)
+    assert np.isnan(rain_of(tmp_path, "# step: 3600\n" + text)).sum() == 2
+    assert "a single row" in refusal(read, tmp_path, f"time,rain [mm]\n{rows([1])}")
+
+
+@pytest.mark.parametrize(
+    ("line", "change", "reason"),
+    [
+        (13, timedelta(minutes=-5), "must be later than the time of the previous row"),
+        (14, timedelta(minutes=2), "this row is 7 min after the previous row, but rows must be "
+         "5 min or a multiple apart: where the interval changes, split the file"),
+        (14, timedelta(minutes=-4), "must be 5 min or a multiple apart"),
+    ],
+)
+def test_times_that_do_not_fit(
+    tmp_path: Path, line: int, change: timedelta, reason: str
+) -> None:
+    lines = rows(14 * [0], 300).splitlines(True)
+    lines[line - 2] = f"{(FIRST + timedelta(minutes=5 * (line - 2)) + change).isoformat()},0\n"
+    assert f"line {line}: time" in refusal(
+        read, tmp_path, "time,rain [mm]\n" + "".join(lines), match=reason
+    )
+
+
+# --- tables ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("time,rain [mm]\n2024-06-01T00:00,1,2\n", "line 2: must have 2 cells, like the header"),
+        ("time,rain [mm]\n2024-06-01T00:00\n", "line 2: must have 2 cells, like the header"),
+        ('time,rain [mm]\n2024-06-01T00:00,"1\n', "line 2: is not a line of CSV"),
+        ("time,rain [mm],precipitation [mm/h]\n2024-06-01T00:00,1,1\n", "an earlier column already"),
+        ("time,rain\n2024-06-01T00:00,1\n", "the unit of precipitation must be one of mm"),
+        ("time,rain [l]\n2024-06-01T00:00,1\n", "the unit of precipitation must be one of mm"),
+        ("date,rain [mm]\n2024-06-01T00:00,1\n", "greenroof weather FILE --describe"),
+        ("# rows: sometimes\ntime,rain [mm]\n", "line 1: rows = 'sometimes'"),
+        ("# stamped: end\ntime,rain [mm]\n", "line 1: stamped: is now called 'rows'"),
+        ("# rows: end\n# rows: start\ntime,rain [mm]\n", "line 2: rows = 'start': differs"),
+        ("# latitude: north\ntime,rain [mm]\n", "line 1: latitude = 'north': must be a number"),
+        ("time,rain [mm]\n", "has a header but no rows"), ("# nothing\n", "must contain a header"),
+        ("time,rain [mm]\n01.06.2024 00:00,1\n", "line 2: time = '01.06.2024 00:00': must be a"),
+    ],
+)
+def test_what_is_no_table(tmp_path: Path, text: str, reason: str) -> None:
+    refusal(read, tmp_path, text, match=reason)
+
+
+def test_comments_and_columns_that_are_not_used(tmp_path: Path) -> None:
+    text = (
+        "# The gauge on the roof; its latitude: unknown to most\n# latitude: 52.5, longitude: 13.4\n"
+        "# rain_kind: forecast\n# wind_height: 2\ntime,rain [mm],Qualität,battery [V]\n"
+        + rows(["1,gut,12", ",schlecht,11"])
+    )
+    records = read(tmp_path, text)
+    assert [*records.places.values()] == [(52.5, 13.4)] and records.wind_height == 2
+    assert records.rain_kind == "forecast" and "not read: Qualität, battery [V]" in records.notes[0]
+
+
+def test_files_do_not_overlap(tmp_path: Path) -> None:
+    """Two files with a value for the same hour are refused, even if the values are equal."""
+    first, second = tmp_path / "first.csv", tmp_path / "second.csv"
+    first.write_text(f"time,rain [mm]\n{rows([1, 2])}")
+    second.write_text("time,rain [mm]\n" + "".join(rows([0, 2, 3]).splitlines(True)[1:]))
+    assert refusal(read_measured, [first, second], SITE) == (
+        f"{second}: precipitation at 2024-06-01T01:00-05:00: is also in {first}: files must not "
+        "overlap"
+    )
+    second.write_text("time,rain [mm]\n" + "".join(rows([0, 2, 3, 4]).splitlines(True)[2:]))
+    joined = read_measured([second, first], SITE)
+    assert joined.values["precipitation"].tolist() == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("place", ["line", "header", "columns", "comment", "quotes"])
+def test_the_time_to_refuse_a_file_is_linear_in_its_size(tmp_path: Path, place: str) -> None:
+    """2 MB take no more than some seconds; 20 kB took 2.9 s."""
+    size = 2_000_000
+    text = {
+        "line": "a " * (size // 2), "header": "time," + " [" * (size // 2) + "\n" + rows([1]),
+        "columns": "," * size + "\n" + rows([1]), "comment": "# rows" + " " * size + ": \n",
+        "quotes": 'time,rain [mm]\n"' + '""' * (size // 2) + "\n",
+    }[place]
+    began = time.process_time()
+    refusal(read, tmp_path, text)
+    assert time.process_time() - began < 10
+
+
+def test_memory_of_a_valid_file(tmp_path: Path) -> None:
+    """380 kB of weather take less than 5 MB."""
+    text = "time,precipitation [mm/h],temperature [degC]\n" + rows(
+        [f"{n % 9 / 10},{n % 300 / 10}" for n in range(12_000)]
+    )
+    read(tmp_path, text)  # imports what it needs
+    tracemalloc.start()
+    hours_read = read(tmp_path, text).hours
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert hours_read == 12_000
+    assert peak < 5e6 + 2 * len(text)
+
+
+def test_a_run_and_a_calibration_read_the_same_rain() -> None:
+    """One reader: the storms of Neubrandenburg, whose rows begin at minutes 2, 7, 12."""
+    file = DATA / "neubrandenburg_storms.csv"
+    site = read_site(CONFIG / "site_neubrandenburg.yaml")
+    listed = [
+        float(line.split(",")[1]) for line in file.read_text().splitlines()
+        if line[:1].isdigit() and line.split(",")[1]
+    ]
+    records = read_measured([file], site)
+    assert records.minutes is not None
+    assert np.nansum(records.minutes) / 60 == pytest.approx(sum(listed))
+    with pytest.raises(Exception, match="reference evapotranspiration"):
+        read_csv_record(file, site)
