@@ -41,12 +41,13 @@ from greenroof_ros.analysis.district.district_file import (
     Draw,
     Orifice,
 )
-from greenroof_ros.base.files import read_yaml, shared_directory
+from greenroof_ros.base.files import parse_yaml, read_text, read_yaml, shared_directory
 from greenroof_ros.base.parameter import Key, Parameter, Word, keys, parameters_of
 from greenroof_ros.controllers.outlet import PARAMETERS
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.forecast.skill import Climate, Errors
-from greenroof_ros.weather.quantities import QUANTITIES, ROOF
+from greenroof_ros.weather.description import Description
+from greenroof_ros.weather.quantities import QUANTITIES, ROOF, known_units
 from greenroof_ros.interface.alarm import Alarm
 from greenroof_ros.interface.conditions import (
     LATCHED,
@@ -524,24 +525,43 @@ def conditions() -> str:
     )
 
 
-def plausible_values() -> str:
-    """Return the columns of a CSV of measurements, with their units and the accepted values."""
+def quantities() -> str:
+    """Return the quantities of weather and roofs."""
     return markdown(
-        (
-            "column", "units", "record", "accepted range",
-            "tolerance beyond this range, within which a value is set to the limit",
-        ),
+        ("column", "units", "record", "physical range"),
         (
             (
-                name, ", ".join(f"`{unit}`" for unit in quantity.columns),
+                name, ", ".join(f"`{unit}`" for unit in known_units(name)),
                 "roof" if name in ROOF else "weather",
                 f"{quantity.low:g} to {quantity.high:g} {quantity.unit}".removesuffix(" 1"),
-                f"{quantity.nearly:g} "
-                f"{quantity.unit}".removesuffix(" 1") if quantity.nearly else "",
             )
             for name, quantity in QUANTITIES.items()
         ),
     )
+
+
+def description() -> str:
+    """Return the keys of a description of a weather file."""
+    return markdown(("key", "meaning"), (
+        (f"`{key.name}`", key.entry.description + (
+            f": {key.entry.limits}" if key.entry.among else ""
+        ))
+        for key in keys(Description) if key.name not in ("name", "header")
+    ))
+
+
+def plausible() -> str:
+    """Return the limits of climates."""
+    path = shared_directory() / "config" / "plausible.yaml"
+    return markdown(("statistic", "limits", "likely mistake", "source of the limits"), (
+        (
+            row["statistic"],
+            f"{row.get('low', '')} to {row.get('high', '')} {row['unit']}".removeprefix(" to ")
+            if "low" in row else f"up to {row['high']} {row['unit']}",
+            row["mistake"], row["source"],
+        )
+        for row in parse_yaml(read_text(path), path)
+    ))
 
 
 def _attributes(kind: type) -> list[tuple[str, str]]:
@@ -740,7 +760,9 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "pump settings": pump_settings,
     "interlocks": interlocks,
     "conditions": conditions,
-    "plausible values": plausible_values,
+    "quantities": quantities,
+    "description": description,
+    "plausible": plausible,
     "alarm": alarm,
     "commands": commands,
     "command groups": command_groups,

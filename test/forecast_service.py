@@ -26,7 +26,7 @@ from places import CONFIG
 from greenroof_ros.base.times import hours_since_1970
 from greenroof_ros.weather.records import HOUR
 from greenroof_ros.weather.records import Records
-from greenroof_ros.formats.open_meteo import UNITS, VARIABLES
+from greenroof_ros.weather.open_meteo import VARIABLES
 from greenroof_ros.weather.quantities import PRECIPITATION, RADIATION
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
@@ -35,6 +35,11 @@ from greenroof_ros.weather.read import default_weather, read_weather
 from greenroof_ros.weather.series import FILL
 
 NONE = "none"
+# The service's default units, and how many of them make one of ours.
+UNITS = {
+    "precipitation": ("mm", 1), "temperature": ("°C", 1), "dew point": ("°C", 1),
+    "wind speed": ("km/h", 1), "station pressure": ("hPa", 10), "solar radiation": ("W/m²", 1),
+}
 _MEMBERS = 11
 _SUN_W_PER_M2 = 0.6 * 1367
 
@@ -135,7 +140,7 @@ class ForecastService(HttpService):
                     None if math.isnan(value) or self.fault == "missing" else round(value, 2)
                     for value in series.tolist()
                 ]
-                units[name] = UNITS[quantity][0].name
+                units[name] = UNITS[quantity][0]
         if self.fault == "length":
             hourly[VARIABLES["temperature"]].pop()
         site = self._site
@@ -149,7 +154,7 @@ class ForecastService(HttpService):
         """Return values of the records, moved to the present, in the service's unit."""
         start = round((first + self._offset - self._records.first) / HOUR)
         if quantity in self._records.values:
-            series = self._records.values[quantity] * UNITS[quantity][0].per_ours
+            series = self._records.values[quantity] * UNITS[quantity][1]
             index = np.arange(start, start + hours) % len(series)
             return np.asarray(series[index], dtype=np.float64)
         assert quantity == RADIATION

@@ -136,7 +136,7 @@ def main() -> None:
     if output is not None:
         with add_path_to_errors(output):
             output.write_text(
-                write_records(measured, "\n".join((*measured.left_out, "Written by greenroof "
+                write_records(measured, "\n".join((*measured.applied, "Written by greenroof "
                                                    "weather."))), encoding="utf-8",
             )
         console.print(f"written: {output}", soft_wrap=True, highlight=False)
@@ -149,8 +149,8 @@ def _describe(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
         unknown = ""
     except ConfigurationError as error:
         weather, unknown = complete_records(measured, site, rain_only=True), str(error)
-    for note in measured.notes:
-        yield "read", "", note
+    for text in (*measured.applied, *measured.notes):
+        yield "read", "", text
     yield from _describe_places(measured, site)
     last = measured.first + (measured.hours - 1) * HOUR
     yield "hours", str(measured.hours), f"{to_people(measured.first)} to {to_people(last)}"

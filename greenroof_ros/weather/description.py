@@ -160,7 +160,7 @@ def _check(made: Description) -> None:
     if made.time_zone not in ("", STANDARD):
         try:
             ZoneInfo(made.time_zone)
-        except (ValueError, OSError):
+        except (KeyError, ValueError, OSError):
             raise ConfigurationError(
                 "must be the name of a time zone, such as Europe/Berlin or UTC", key="time_zone",
                 value=made.time_zone,

@@ -65,21 +65,21 @@ def make_hours(file: Path, rows: Rows) -> Records:
     about = rows.described
     return Records(
         (file,), first, add_dew_point(arranged), rows.method,
-        left_out=(describe_rows(file, rows),), rain_late=about.rain_late,
+        rain_late=about.rain_late, applied=(describe_rows(rows),),
         places={} if rows.position is None else {file: rows.position},
         wind_height=about.wind_height, minutes=minutes,
         rain_kind=about.rain_kind if PRECIPITATION in values else "",
     )
 
 
-def describe_rows(file: Path, rows: Rows) -> str:
-    """Return a sentence about what was applied to the rows of a file."""
+def describe_rows(rows: Rows) -> str:
+    """Return what was applied to the rows of a file."""
     units = ", ".join(
         f"{name} in {unit}" for name, (_, unit) in rows.columns.items() if name in rows.values
     )
     ignored = f"; not read: {', '.join(rows.ignored)}" if rows.ignored else ""
     return (
-        f"{file.name}: {rows.described.name}, {units}, rows of {duration(rows.step_s)} whose time "
+        f"{rows.described.name}, {units}, rows of {duration(rows.step_s)} whose time "
         f"is their {rows.described.rows}{ignored}"
     )
 

@@ -46,6 +46,8 @@ class Records:
             known minutes is their mean.
         rain_kind: one of :data:`.description.RAIN_KINDS` if any of the rain is of this kind;
             otherwise empty.
+        applied: what was applied to the rows of the files: form, units, step, and whether times are
+            starts or ends.
     """
 
     files: tuple[Path, ...]
@@ -60,6 +62,7 @@ class Records:
     wind_height: float | None = None
     minutes: NDArray[np.float64] | None = None
     rain_kind: str = ""
+    applied: tuple[str, ...] = ()
 
     @property
     def hours(self) -> int:
@@ -241,6 +244,7 @@ def join_records(parts: Sequence[Records]) -> Records:
     return replace(
         first, files=files, values=values, left_out=left_out, places=places, minutes=minutes,
         rain_kind=max(part.rain_kind for part in parts),
+        applied=tuple(dict.fromkeys(text for part in parts for text in part.applied)),
     )
 
 
@@ -305,7 +309,8 @@ def _add_quantities(first: Records, other: Records) -> Records:
         method=first.method or other.method, shifted=(*first.shifted, *other.shifted),
         rain_late=max(first.rain_late, other.rain_late),
         rain_kind=max(first.rain_kind, other.rain_kind),
-        left_out=(*first.left_out, *other.left_out), places={**first.places, **other.places},
+        left_out=(*first.left_out, *other.left_out),
+        applied=(*first.applied, *other.applied), places={**first.places, **other.places},
         wind_height=heights[0] if heights else None, minutes=minutes,
     )
 

@@ -33,8 +33,8 @@ from greenroof_ros.weather.records import HOUR, Records, find_gaps
 Values = NDArray[np.float64]
 
 _MONTHS = "Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"
-# Rain in an hour that counts as wet (mm), and rain that ends a dry spell (mm a day).
-_WET, _DRY_DAY = 0.05, 0.2
+# Rain that ends a dry spell (mm a day).
+_DRY_DAY = 0.2
 # Hours needed for the statistics of a day's course, of the air, and of a year.
 _COURSE, _AIR, _YEAR = 5 * 24, 10 * 24, 300 * 24
 # Radiation outside the atmosphere on a level facing the sun (W/m2), FAO-56 Eq. 21, and the lowest
@@ -52,7 +52,7 @@ def summarize(records: Records, site: Place, hours: range | None = None) -> dict
         hours: the hours that matter; by default, all.
 
     Returns:
-        ``quantities``: unit, minimum, mean, maximum and missing hours of each quantity; ``rain``:
+        ``applied``: what was applied to the rows of the files; ``quantities``: unit, minimum, mean, maximum and missing hours of each quantity; ``rain``:
         total, wet hours, wettest hour and day, and the rain of months or years (mm); ``course``:
         the local hours with the highest radiation and temperature; ``statistics`` and ``notes``, by
         ``plausible.yaml``.
@@ -76,7 +76,7 @@ def summarize(records: Records, site: Place, hours: range | None = None) -> dict
         **_judge_sun(values, seconds, position),
     }
     return {
-        "from": to_people(first), "hours": len(values[PRECIPITATION]), "quantities": {
+        "applied": list(records.applied), "from": to_people(first), "hours": len(values[PRECIPITATION]), "quantities": {
             name: {"unit": QUANTITIES[name].unit, **_describe(series)}
             for name, series in values.items() if name in QUANTITIES
         }, "rain": rain, "course": course, "statistics": statistics, "notes": [*_note(statistics)],
@@ -102,7 +102,8 @@ def as_lines(summary: Mapping[str, Any]) -> list[str]:
             for name, about in quantities.items()
             if name != PRECIPITATION and about["mean"] is not None
         ) or "no other quantity",
-        "missing: " + (", ".join(f"{name} {hours} h" for name, hours in missing.items()) or "none"),
+        "missing: " + (", ".join(f"{name} {hours} h" for name, hours in missing.items()) or "none")
+        + "".join(f"; read as {text}" for text in summary["applied"]),
     ]
     return [*lines, *summary["notes"]]
 
@@ -138,7 +139,7 @@ def _describe_rain(series: Values, first: datetime) -> dict[str, Any]:
         names = [*map(str, years)]
     hour, day = int(rain.argmax()), int(by_day.argmax())
     return {
-        "total": float(rain.sum()), "wet_hours": int(np.count_nonzero(rain > _WET)),
+        "total": float(rain.sum()), "wet_hours": int(np.count_nonzero(rain > 0)),
         "wettest_hour": float(rain[hour]), "wettest_hour_at": to_people(first + hour * HOUR),
         "wettest_day": float(by_day[day]), "wettest_day_at": str(days[day]),
         "longest_dry_days": max((end - start for start, end in find_gaps(by_day < _DRY_DAY)),
@@ -234,6 +235,7 @@ def _judge_sun(
             found["clearest hour"] = 100.0 * float(np.max(radiation[high] / outside))
         noon = _after_noon(seconds, longitude)
         if radiation.sum() > 0:
+            found["radiation at night"] = 100.0 * float(radiation[sun == 0].sum() / radiation.sum())
             found["middle of the sun"] = float(
                 np.average(noon, weights=radiation) - np.average(noon, weights=sun)
             )

@@ -14,8 +14,8 @@ from places import CHECKOUT, CONFIG
 
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
 from greenroof_ros.base.times import parse_time
-from greenroof_ros.formats.reading import read_records
-from greenroof_ros.formats.sun import extraterrestrial_radiation
+from greenroof_ros.weather.read import read_file as read_records
+from greenroof_ros.weather.sun import extraterrestrial_radiation
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import (

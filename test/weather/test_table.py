@@ -163,7 +163,7 @@ def test_rows_that_end_at_their_times(
     text = "time,rain [mm]\n" + rows(rain, step_s, step_s)
     assert rain_of(tmp_path, "# rows: end\n" + text) == pytest.approx(expected)
     records = read(tmp_path, text, rows="end")
-    assert records.first == FIRST and "whose time is their end" in records.notes[0]
+    assert records.first == FIRST and "whose time is their end" in records.applied[0]
 
 
 def test_missing_rows(tmp_path: Path) -> None:
@@ -229,7 +229,7 @@ def test_comments_and_columns_that_are_not_used(tmp_path: Path) -> None:
     )
     records = read(tmp_path, text)
     assert [*records.places.values()] == [(52.5, 13.4)] and records.wind_height == 2
-    assert records.rain_kind == "forecast" and "not read: Qualität, battery [V]" in records.notes[0]
+    assert records.rain_kind == "forecast" and "not read: Qualität, battery [V]" in records.applied[0]
 
 
 def test_files_do_not_overlap(tmp_path: Path) -> None:

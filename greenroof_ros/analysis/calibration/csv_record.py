@@ -115,7 +115,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
         last_decimal=last_decimal, cistern=series.get("cistern level"),
         command=series.get("pump state"),
         reference_column=columns[EVAPOTRANSPIRATION][0] if measured else "",
-        notes=(describe_rows(file, rows),),
+        notes=(f"{file.name}: {describe_rows(rows)}",),
     )
     counts = select_months(record, months)
     if measured:

@@ -1,0 +1,215 @@
+"""Files of loggers, services and cities, which are read with a description."""
+
+from __future__ import annotations
+
+import csv
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from places import CONFIG, DATA
+from refusals import refusal
+
+from greenroof_ros.site.file import read_site
+from greenroof_ros.weather.describe import describe
+from greenroof_ros.weather.description import service_descriptions
+from greenroof_ros.weather.read import read_measured, write_plain
+
+SITE = read_site(CONFIG / "site.yaml")
+TIMES = [datetime(2024, 7, 1) + timedelta(minutes=5 * n) for n in range(36)]  # noqa: DTZ001
+
+GERMAN = (
+    "Station: Klärwerk Süd\nMessgröße: Niederschlag\nZeitbezug: MEZ/MESZ\n\n"
+    "Datum;Uhrzeit;Niederschlag [mm];Lufttemperatur [°C];Qualität\n"
+) + "".join(
+    f"{time:%d.%m.%Y;%H:%M};{'0,4' if n == 20 else '0,0'};18,{n % 10};gut\n"
+    for n, time in enumerate(TIMES)
+)
+FRENCH = "Nom de la station;Lyon\nDate;Pluie (mm);Température (°C);Humidité (%)\n" + "".join(
+    f"{time:15/%m/%Y %H:%M};{'1,2' if n == 20 else '0,0'};18,{n % 10};60\n"
+    for n, time in enumerate(TIMES)
+)
+LOGGER = '"TOA5","CR1000X","1","2"\n"TIMESTAMP","Rain_Tot","AirTC_Avg","RH"\n' + (
+    '"TS","mm","Deg C","%"\n"","Tot","Avg","Smp"\n'
+) + "".join(
+    f'"{time}",{0.2 if n == 20 else 0},18.{n % 10},"NAN"\n' for n, time in enumerate(TIMES)
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "encoding", "rain", "first"),
+    [
+        (GERMAN, "cp1252", 0.4, "2024-06-30T23:55:00+02:00"),
+        (FRENCH, "utf-8", 1.2, "2024-07-14T23:55:00+02:00"),
+        (LOGGER, "utf-8", 0.2, "2024-06-30T23:55:00+02:00"),
+    ],
+)
+def test_a_description_takes_two_edits(
+    tmp_path: Path, text: str, encoding: str, rain: float, first: str
+) -> None:
+    """The rows end at their times, on the clock of Berlin; the rain is in the row of 01:40."""
+    (tmp_path / "gauge.csv").write_bytes(text.encode(encoding))
+    printed = describe(tmp_path / "gauge.csv")
+    assert printed.count('"?"') == 2
+    description = tmp_path / "gauge.yaml"
+    description.write_text(printed, encoding="utf-8")
+    assert refusal(read_measured, [description], SITE).endswith(
+        "time_zone = '?': must be decided, because the file does not say it"
+    )
+    description.write_text(
+        printed.replace('time_zone: "?"', "time_zone: Europe/Berlin")
+        .replace('rows: "?"', "rows: end"), encoding="utf-8",
+    )
+    records = read_measured([description], SITE)
+    assert records.minutes is not None
+    start = datetime.fromisoformat(first)
+    wet = np.flatnonzero(records.minutes.ravel() > 0)
+    assert records.first + timedelta(minutes=int(wet[0])) == start + timedelta(minutes=100)
+    assert np.nansum(records.minutes) / 60 == pytest.approx(rain)
+    assert records.values["temperature"][-1] == pytest.approx(18.45, abs=0.1)
+    (tmp_path / "plain.csv").write_text(write_plain([description], SITE) or "", encoding="utf-8")
+    again = read_measured([tmp_path / "plain.csv"], SITE)
+    for name, series in records.values.items():
+        assert again.values[name].tobytes() == series.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("file: no.csv", "a.yaml: file = 'no.csv': must be the name of a weather file"),
+        ("file: a.csv\ncolumns: {time: t, snow: s}", "line 2: columns.snow: must be one of time"),
+        ("file: a.csv\ncolumns: {rain: r}", "columns.time: must name the column of the times"),
+        ("file: a.csv\nrows: middle", "line 2: rows = 'middle': must be one of start, end"),
+        ("file: a.csv\ntime_zone: Berlin", "line 2: time_zone = 'Berlin': must be the name of a"),
+        ("file: a.csv\nencoding: latin9x", "line 2: encoding = 'latin9x': must be the name of an"),
+        ("file: a.csv\nskip: 3", "line 2: skip = 3: is not a valid key"),
+        ("file: a.csv\ncolumns: {time: t, rain: rain}\nunits: {rain: mm}",
+         "line 1: 'rain': must be the name of one column of the file"),
+        ("file: a.csv\ncolumns: {time: t, rain: r}", "line 1: 'r': the unit of precipitation must"),
+    ],
+)
+def test_wrong_descriptions(tmp_path: Path, text: str, reason: str) -> None:
+    (tmp_path / "a.csv").write_text("t,r\n2024-06-01T00:00,0\n2024-06-01T01:00,0\n")
+    (tmp_path / "a.yaml").write_text(text)
+    assert reason in refusal(read_measured, [tmp_path / "a.yaml"], SITE)
+
+
+# --- services -------------------------------------------------------------------------------------
+
+# The first lines of files as the services write them, and the rain, temperature and start by hand.
+DWD_RAIN = (
+    "STATIONS_ID;MESS_DATUM;QN_8;  R1;RS_IND;WRTR;eor\n"
+    "       1219;2024060100;    3;   0.0;   0;-999;eor\n"
+    "       1219;2024060101;    3;   1.5;   1;   6;eor\n"
+    "       1219;2024060102;    3;  -999;-999;-999;eor\n"
+    "       1219;2024060103;    3;   0.2;   1;   6;eor\n"
+)
+DWD_AIR = (
+    "STATIONS_ID;MESS_DATUM;QN_9;TT_TU;RF_TU;eor\n"
+    "       1219;2024060100;    3;  10.0; 100.0;eor\n"
+    "       1219;2024060101;    3;  11.0;  90.0;eor\n"
+    "       1219;2024060102;    3;  12.0;  80.0;eor\n"
+)
+KNMI = (
+    "# BRON: KONINKLIJK NEDERLANDS METEOROLOGISCH INSTITUUT (KNMI)\n"
+    "# Opmerking: door stationsverplaatsingen en veranderingen in waarneemmethodieken\n#\n"
+    "# STN,YYYYMMDD,   HH,   FH,    T,   TD,    Q,   RH,    P,    U\n\n"
+    "  260,20240601,   23,   30,  151,  120,    0,   -1,10151,   82\n"
+    "  260,20240601,   24,   20,  149,  118,    0,   12,10152,   83\n"
+    "  260,20240602,    1,   20,  148,  118,   36,    0,10152,   84\n"
+)
+SWISS = (
+    "station_abbr;reference_timestamp;tre200h0;ure200h0;tde200h0;prestah0;gre000h0;fkl010h0;"
+    "rre150h0\n"
+    "SMA;01.06.2024 01:00;15.1;82;12.0;951.5;0;3.0;0.1\n"
+    "SMA;01.06.2024 02:00;14.9;83;11.8;951.6;5;2.0;1.2\n"
+)
+
+
+FRENCH_NAMES = {
+    "Station Name": "Nom de la Station", "Climate ID": "ID climatologique",
+    "Date/Time (LST)": "Date/Heure (HNL)", "Temp Flag": "Temp Indicateur",
+    "Dew Point Temp (°C)": "Point de rosée (°C)",
+    "Dew Point Temp Flag": "Point de rosée Indicateur",
+    "Precip. Amount (mm)": "Hauteur de précip. (mm)",
+    "Precip. Amount Flag": "Hauteur de précip. Indicateur",
+    "Wind Spd (km/h)": "Vit. du vent (km/h)", "Wind Spd Flag": "Vit. du vent Indicateur",
+    "Stn Press (kPa)": "Pression à la station (kPa)",
+    "Stn Press Flag": "Pression à la station Indicateur",
+}
+
+
+@pytest.mark.parametrize(
+    ("text", "first", "rain", "temperature"),
+    [
+        (KNMI, "2024-06-01T22:00:00+00:00", [0, 1.2, 0], [15.1, 14.9, 14.8]),
+        (SWISS, "2024-06-01T00:00:00+00:00", [0.1, 1.2], [15.1, 14.9]),
+    ],
+)
+def test_hours_of_services(
+    tmp_path: Path, text: str, first: str, rain: list[float], temperature: list[float]
+) -> None:
+    """KNMI writes tenths, -1 for a trace, and 24 for midnight."""
+    (tmp_path / "hours.txt").write_text(text)
+    records = read_measured([tmp_path / "hours.txt"], SITE)
+    assert records.first.isoformat() == first
+    assert records.values["precipitation"].tolist() == pytest.approx(rain)
+    assert records.values["temperature"].tolist() == pytest.approx(temperature)
+    assert records.values["wind speed"][0] == pytest.approx(10.8)
+    assert records.values["solar radiation"][-1] == pytest.approx(100 if text == KNMI else 5)
+
+
+def test_hours_of_dwd(tmp_path: Path) -> None:
+    """R1 of 01 UTC is the rain from midnight on, and TT_TU the temperature at its time."""
+    rain, air = tmp_path / "produkt_rr_stunde_1.txt", tmp_path / "produkt_tu_stunde_1.txt"
+    rain.write_text(DWD_RAIN)
+    air.write_text(DWD_AIR)
+    alone = read_measured([rain], SITE)
+    assert alone.first.isoformat() == "2024-05-31T23:00:00+00:00"
+    both = read_measured([air, rain], SITE)
+    assert both.first == alone.first
+    rain_of_hours, air_of_hours = both.values["precipitation"], both.values["temperature"]
+    assert rain_of_hours.tolist() == pytest.approx([0.0, 1.5, np.nan, 0.2], nan_ok=True)
+    assert air_of_hours.tolist() == pytest.approx([np.nan, 10.0, 11.0, 12.0], nan_ok=True)
+    assert both.values["dew point"][1] == pytest.approx(10.0)
+    assert "contains no precipitation" in refusal(read_measured, [air], SITE)
+
+
+def test_hours_of_environment_canada(tmp_path: Path) -> None:
+    """July 2021, as in the service's file: flags, short rows, and the same in French."""
+    file = DATA / "en_climate_hourly_07-2021.csv"
+    records = read_measured([file], SITE)
+    assert records.first.isoformat() == "2021-07-01T00:00:00-05:00" and records.rain_late == 1
+    assert [*records.places.values()] == [(43.63, -79.4)]
+    with file.open(encoding="utf-8-sig") as stream:
+        header, *rows = csv.reader(stream)
+    place = header.index("Precip. Amount (mm)")
+    total = sum(float(row[place] or 0) for row in rows if len(row) > place)
+    assert np.nansum(records.values["precipitation"]) == pytest.approx(total)
+    french = tmp_path / "fr.csv"
+    with french.open("w", encoding="utf-8-sig", newline="") as stream:
+        csv.writer(stream).writerows([
+            [FRENCH_NAMES.get(name, name) for name in header],
+            *(row[:9] + [cell.replace(".", ",") for cell in row[9:]] for row in rows),
+        ])
+    again = read_measured([french], SITE)
+    for name, series in records.values.items():
+        assert again.values[name].tobytes() == series.tobytes()
+
+
+def test_a_value_beside_the_flag_of_a_missing_one(tmp_path: Path) -> None:
+    """M is missing in the service's legend; often the last observation is repeated beside it."""
+    with (DATA / "en_climate_hourly_07-2021.csv").open(encoding="utf-8-sig") as stream:
+        header, *rows = [*csv.reader(stream)][:4]
+    rows[1][header.index("Precip. Amount Flag")] = "M"
+    rows[1][header.index("Precip. Amount (mm)")] = "4.2"
+    with (tmp_path / "july.csv").open("w", encoding="utf-8", newline="") as stream:
+        csv.writer(stream).writerows([header, *rows])
+    rain = read_measured([tmp_path / "july.csv"], SITE).values["precipitation"]
+    assert np.isnan(rain).tolist() == [False, True, False]
+
+
+def test_every_service_has_a_name_and_a_header() -> None:
+    for described in service_descriptions():
+        assert described.name and described.header and described.columns

@@ -1,0 +1,117 @@
+"""What a record contains is shown, so that a person sees a wrong unit or a wrong clock."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+
+import numpy as np
+import pytest
+from places import CONFIG
+
+from greenroof_ros.site.file import read_site
+from greenroof_ros.weather.evapotranspiration import sun_height
+from greenroof_ros.weather.read import read_measured
+from greenroof_ros.weather.records import Records
+from greenroof_ros.weather.summary import as_lines, summarize
+
+SITE = read_site(CONFIG / "site.yaml")
+SEASON = CONFIG / "weather" / "toronto_2021.csv"
+
+
+def season() -> Records:
+    """May to October 2021 at Toronto, with the humidity and a radiation of a clear sky."""
+    records = read_measured([SEASON], SITE)
+    seconds = round(records.first.timestamp()) + 3600 * np.arange(records.hours) + 1800
+    sun = 1000 * sun_height(43.63, seconds, -79.4) * (0.5 + 0.5 * np.sin(seconds / 90_000))
+    humidity = np.full(records.hours, 70.0) + 25 * np.cos(seconds / 13_751)
+    return replace(records, values={
+        **records.values, "solar radiation": np.maximum(sun, 0), "relative humidity": humidity,
+    })
+
+
+def test_a_right_record_has_no_note() -> None:
+    """The figures are those of Environment Canada's file: 402.3 mm, 15.4 mm in the wettest hour."""
+    records = season()
+    summary = summarize(records, SITE)
+    assert summary["notes"] == []
+    rain = np.nan_to_num(records.values["precipitation"])
+    assert summary["rain"]["total"] == pytest.approx(rain.sum())
+    assert summary["rain"]["wettest_hour"] == 15.4
+    first, second, third = as_lines(summary)
+    assert "wettest hour 15.4 mm, 2021-" in first and "(May " in first
+    assert "temperature 2.7 to 32.7 degC" in second
+    assert "missing: " in third
+
+
+def test_known_hours_by_hand() -> None:
+    """Two days of rain, of which one hour is missing and another was filled."""
+    rain = np.zeros(48)
+    rain[[3, 4, 30]] = 2.0, 3.0, 4.0
+    rain[7] = np.nan
+    records = Records(
+        (Path("gauge.csv"),), datetime(2024, 6, 1, tzinfo=timezone(timedelta(hours=-5))),
+        {"precipitation": rain, "temperature": np.full(48, 20.0)},
+        filled={"temperature": np.arange(48) == 0},
+    )
+    summary = summarize(records, SITE)
+    assert summary["rain"] | {"longest_dry_days": 0} == {
+        "total": 9.0, "wet_hours": 3, "wettest_hour": 4.0,
+        "wettest_hour_at": "2024-06-02 06:00-05:00", "wettest_day": 5.0,
+        "wettest_day_at": "2024-06-01", "longest_dry_days": 0, "parts": {"Jun": 9.0},
+    }
+    missing = {name: about["missing"] for name, about in summary["quantities"].items()}
+    assert missing == {"precipitation": 1, "temperature": 1}
+
+
+# What is wrong with the unit or the clock, and the statistic whose note names it.
+MISTAKES = {
+    "mm in 5 min as mm/h": ("precipitation", 1 / 12, 0, "mean of wet hours"),
+    "inches as mm": ("precipitation", 1 / 25.4, 0, "mean of wet hours"),
+    "mm/h as mm in 5 min": ("precipitation", 12, 0, "mean of wet hours"),
+    "tenths of a mm": ("precipitation", 10, 0, "mean of wet hours"),
+    "cm": ("precipitation", 0.1, 0, "mean of wet hours"),
+    "kW/m2": ("solar radiation", 1e-3, 0, "clearest hour"),
+    "MJ/m2": ("solar radiation", 3.6e-3, 0, "clearest hour"),
+    "J/cm2": ("solar radiation", 0.36, 0, "clearest hour"),
+    "degF": ("temperature", 1.8, 32, "mean temperature"),
+    "a fraction for per cent": ("relative humidity", 0.01, 0, "highest relative humidity"),
+    "m/s as km/h": ("wind speed", 1 / 8, 0, "mean wind"),
+    "km/h as m/s": ("wind speed", 3.6, 0, "mean wind"),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_wrong_units_are_noted(name: str) -> None:
+    quantity, by, add, statistic = MISTAKES[name]
+    records = season()
+    values = {**records.values, quantity: records.values[quantity] * by + add}
+    notes = summarize(replace(records, values=values), SITE)["notes"]
+    assert any(note.startswith(f"{statistic}: ") for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("hours", "statistic"),
+    [(5, "middle of the sun"), (-5, "middle of the sun"), (1, "middle of the sun"),
+     (-1, "middle of the sun"), (7, "warmest hour"), (-6, "warmest hour")],
+)
+def test_wrong_clocks_are_noted(hours: int, statistic: str) -> None:
+    """UTC for local time, local time for UTC, daylight saving time, the end for the start."""
+    records = season()
+    wrong = replace(records, first=records.first + timedelta(hours=hours))
+    notes = summarize(wrong, SITE)["notes"]
+    assert any(note.startswith(f"{statistic}: ") for note in notes)
+
+
+def test_a_running_total_and_daily_means_are_noted() -> None:
+    records = season()
+    total = np.nancumsum(records.values["precipitation"])
+    daily = np.repeat(records.values["solar radiation"].reshape(-1, 24).mean(axis=1), 24)
+    for quantity, series, statistic in (
+        ("precipitation", total, "wet hours"), ("solar radiation", daily, "radiation at night"),
+    ):
+        notes = summarize(replace(records, values={**records.values, quantity: series}), SITE)[
+            "notes"
+        ]
+        assert any(note.startswith(f"{statistic}: ") for note in notes)
