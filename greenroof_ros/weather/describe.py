@@ -6,11 +6,9 @@ question mark stands where a person must decide. Reading uses none of this.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from datetime import datetime
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
@@ -25,36 +23,41 @@ from greenroof_ros.weather.quantities import (
     HUMIDITY,
     PRECIPITATION,
     PRESSURE,
+    QUANTITIES,
     RADIATION,
     TEMPERATURE,
     WIND,
     find_unit,
 )
-from greenroof_ros.weather.table import split, split_unit
+from greenroof_ros.weather.table import parse_text, split, split_unit
 
 _LINES = 2000
+_HIGHEST = 1e4  # of any quantity in our unit
 _FORMS = (
     "", "%d.%m.%Y %H:%M", "%d.%m.%Y %H:%M:%S", "%d.%m.%y %H:%M", "%d/%m/%Y %H:%M",
     "%d/%m/%Y %H:%M:%S", "%m/%d/%Y %H:%M", "%m/%d/%Y %H:%M:%S", "%d/%m/%y %H:%M", "%m/%d/%y %H:%M",
     "%m/%d/%y %I:%M:%S %p", "%d/%m/%y %I:%M:%S %p", "%m/%d/%Y %I:%M %p", "%m/%d/%y %I:%M %p",
     "%m/%d/%Y %I:%M:%S %p", "%Y/%m/%d %H:%M", "%Y/%m/%d %H:%M:%S", "%d-%m-%Y %H:%M",
     "%d-%m-%Y %H:%M:%S", "%d-%b-%Y %H:%M", "%d-%b-%Y %H:%M:%S", "%Y%m%d%H%M", "%Y%m%d%H",
-    "%Y%m%d %H%M", "%Y%m%d %H:%M", "%Y%m%d %H",
+    "%Y%m%d %H%M", "%Y%m%d %H:%M", "%Y%m%d %H", "%Y %m %d %H", "%Y %m %d %H %M", "%m/%d/%y %I:%M%p",
+    "%d/%m/%y %I:%M%p",
 )
 # Words in the names of columns, in lower case, and words of columns that are something else.
 _WORDS = {
-    PRECIPITATION: r"rain|pr[eé]cip|niederschlag|regen|pluie|lluvia|neerslag|pioggia|tipping",
+    PRECIPITATION: r"rain|pr[eé]cip|prectot|niederschlag|regen|pluie|lluvia|neerslag|pioggia|"
+    r"nedbør|nederbörd|^rr1?$",
     DEW_POINT: r"dew|taupunkt|ros[eé]e",
-    TEMPERATURE: r"temp|\bair_?t|\bt_?air",
-    HUMIDITY: r"humid|\brh\b|feuchte|humidit|luftfeucht|\brf\b",
-    WIND: r"wind[ _]?(speed|spd|velocity)|windgeschw|vitesse du vent|\bws(?![a-z])|^wind\b",
-    PRESSURE: r"press|baro|luftdruck|\bbp\b",
-    RADIATION: r"solar|radiation|strahlung|rayonnement|pyrano|\bsrad|\bslr|shortwave",
+    TEMPERATURE: r"temp|\bair_?t|\bt_?air|\bt2m$",
+    HUMIDITY: r"humid|humed|\brh|feuchte|fuktighet|\brf\b|\bhum\b",
+    WIND: r"wind[ _]?(speed|spd|velocity)|windgeschw|vitesse du vent|velocidad|middelvind|"
+    r"\bws(?![a-z])|^wind\b",
+    PRESSURE: r"press|baro|luftdruck|\bbp|^ps$",
+    RADIATION: r"solar|radiation|strahlung|rayonnement|pyrano|\bsrad|\bslr|shortwave|allsky_sfc_sw",
 }
 _OTHER = (
     r"gust|direction|\bdir|\bmax|\bmin\b|high|low\b|soil|inside|indoor|\bin temp|batt|panel|flag|"
-    r"quality|qualit|chill|index|evt|water|logger|_std|apparent|bucket|daily|event|month|year|"
-    r"sea level"
+    r"quality|qualit|chill|index|evt|water|logger|_std|apparent|bucket|daily|event|month|year|week|"
+    r"sea ?level|relative pressure|altimeter|change|tendenc|vapo|24 h|total|racha|rate|heat|thw|wet"
 )
 _OFFSET = re.compile(r"(?:UTC|GMT) ?([+-]\d{1,2})(?::?00)?\b")
 _UNKNOWN = '"?"'
@@ -71,6 +74,8 @@ class _Found(NamedTuple):
     """positions of the columns with the time"""
     forms: list[str]
     """forms of the times that fit all rows"""
+    foot: int
+    """number of lines after the rows"""
 
 
 def describe(file: Path) -> str:
@@ -90,9 +95,14 @@ def describe(file: Path) -> str:
         )
     names = [" ".join(name.split()) for name in cells[found.header]]
     between = cells[found.header + 1 : found.first]
-    rows = cells[found.first :]
-    columns, units = _find_quantities(names, between)
-    decimal, missing = _read_values([[row[n] for n in columns.values()] for row in rows])
+    rows = [row for row in cells[found.first : len(cells) - found.foot] if any(row)]
+    twice = len({*names}) < len([name for name in names if name])
+    full = [" ".join(parts) for parts in zip(cells[found.header - 1], names, strict=False)]
+    columns, units = _find_quantities(full if twice and found.header else names, between)
+    decimal, missing = _read_values(
+        [(name, units[name], [row[n] for row in rows]) for name, n in columns.items()]
+    )
+    names = [str(n) if names.count(name) > 1 else name for n, name in enumerate(names)]
     skipped = [n for n in range(found.first) if n != found.header]
     if skipped == [*range(len(skipped))]:
         skip = [str(len(skipped))] if skipped else []
@@ -118,6 +128,7 @@ def describe(file: Path) -> str:
         *([f"sep: {_quote(separator)}"] if separator != "," else []),
         *([f"decimal: {_quote(decimal)}"] if decimal != "." else []),
         *(f"skiprows: {number}" for number in skip),
+        *(["skipfooter: 1"] if found.foot else []),
     ]
     unused = [name for n, name in enumerate(names) if n not in (*found.time, *columns.values())]
     return "\n".join([*text, f"# not used: {', '.join(unused)}", ""])
@@ -147,16 +158,19 @@ def _split_lines(lines: Sequence[str]) -> tuple[str, list[list[str]]]:
 
 def _find_rows(cells: Sequence[Sequence[str]]) -> _Found | None:
     for first, row in enumerate(cells):
-        for time in ((n, m) for n in range(min(4, len(row))) for m in (n, n + 1) if m < len(row)):
-            places = (time[0],) if time[0] == time[1] else time
+        for places in (
+            tuple(range(n, n + count)) for n in range(min(8, len(row))) for count in (4, 2, 1)
+            if n + count <= len(row)
+        ):
             forms = [form for form in _FORMS if _fits(form, [row], places)]
             rows = [other for other in cells[first:] if any(other)]
-            fits = [form for form in forms if _fits(form, rows, places)]
+            foot = 0 if any(_fits(form, rows[-1:], places) for form in forms) else 1
+            fits = [form for form in forms if _fits(form, rows[: len(rows) - foot], places)]
             if fits and first:
                 wide = [n for n in range(first) if len(cells[n]) >= len(row) - 1]
                 named = [n for n in wide if any(map(_quantity_of, cells[n]))]
                 if wide:
-                    return _Found((named or wide)[0], first, places, fits)
+                    return _Found(named[-1] if named else wide[0], first, places, fits, foot)
     return None
 
 
@@ -164,9 +178,7 @@ def _fits(form: str, rows: Iterable[Sequence[str]], places: tuple[int, ...]) -> 
     try:
         for row in rows:
             text = " ".join(row[place] for place in places)
-            if form:
-                datetime.strptime(text.replace(" 24", " 00"), form)  # noqa: DTZ007
-            elif len(text) < 10 or parse_time(text) is None:
+            if len(text) < 8 + 2 * (not form) or parse_text(text, form) is None:
                 return False
     except (ValueError, IndexError):
         return False
@@ -190,24 +202,29 @@ def _find_quantities(
         if quantity is None or quantity in columns:
             continue
         columns[quantity], units[quantity] = n, _UNKNOWN
-        texts = [split_unit(name)[1], *re.split(r"[,_ ]+", re.sub(r"\(.*", "", name))[1:]]
-        for text in [*texts, *(line[n] for line in between if n < len(line))]:
+        texts = [split_unit(name)[1], *re.split(r"[,_ ]+", re.sub(r"\(.*", "", name))]
+        for text in [*(line[n] for line in between if n < len(line)), *texts]:
             with suppress(ValueError):
                 units[quantity] = _quote(find_unit(quantity, text, 1.0, 1.0).name)
                 break
     return columns, units
 
 
-def _read_values(rows: Sequence[Sequence[str]]) -> tuple[str, list[str]]:
-    """Return the decimal mark, and texts that are no numbers."""
-    texts = [text for row in rows for text in row if text]
-    comma = any(re.fullmatch(r"[-+]?\d*,\d+", text) for text in texts)
+def _read_values(columns: Sequence[tuple[str, str, list[str]]]) -> tuple[str, list[str]]:
+    """Return the decimal mark, and texts that are no numbers or not possible for the quantity."""
+    comma = any(
+        re.fullmatch(r"[-+]?\d*,\d+", text) for _, _, texts in columns for text in texts
+    )
     missing = dict[str, None]()
-    for text in texts:
-        try:
-            if not math.isfinite(read_number(text.replace(",", ".") if comma else text)):
-                missing[text] = None
-        except ValueError:
+    for name, unit_name, texts in columns:
+        unit = find_unit(name, QUANTITIES[name].unit, 1.0, 1.0)
+        with suppress(ValueError):
+            unit = find_unit(name, unit_name.strip('"'), 1.0, 1.0)
+        for text in filter(None, texts):
+            with suppress(ValueError):
+                number = read_number(text.replace(",", ".") if comma else text)
+                if QUANTITIES[name].low <= (number - unit.zero) / unit.per_ours <= _HIGHEST:
+                    continue
             missing[text] = None
     return "," if comma else ".", [*missing][:10]
 

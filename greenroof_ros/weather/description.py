@@ -59,7 +59,8 @@ class Description:
     header: tuple[str, ...] = entry("first cells of the header, by which the file of a service is "
                                     "recognised", default=())
     columns: dict[str, tuple[str, ...]] = entry(
-        "column of each quantity, and of the time, which may be in two columns", factory=dict)
+        "column of each quantity, and of the time, which may be in several columns; by name, or by "
+        "number from 0", factory=dict)
     units: dict[str, str] = entry("unit of each quantity, unless the header states it in brackets",
                                   factory=dict)
     time_format: str = entry("form of the times, as in strptime; by default, ISO 8601", default="")
@@ -82,6 +83,7 @@ class Description:
     decimal: str = entry("decimal mark", choices=(".", ","), default=".")
     skiprows: tuple[int, ...] = entry("numbers of the lines to skip, from 0; a number n alone "
                                       "means the first n lines", 0, 10_000, default=())
+    skipfooter: int = entry("number of lines to skip at the end", 0, 1000, default=0)
     latitude: float | None = entry("latitude of the measurements, positive to the north", -90.0,
                                    90.0, unit="degrees", default=None)
     longitude: float | None = entry("longitude of the measurements, positive to the east", -180.0,
@@ -113,7 +115,9 @@ def make_description(values: Mapping[str, Any], base: Description | None = None)
             plain[key] = [_as_text(item) for item in plain[key]]
     if isinstance(plain.get("columns"), Mapping):
         plain["columns"] = {
-            _name(name): [column] if isinstance(column, str) else column
+            _name(name): [
+                _as_text(each) for each in (column if isinstance(column, list) else [column])
+            ]
             for name, column in plain["columns"].items()
         }
     for key in ("units", "flags"):

@@ -52,10 +52,10 @@ def summarize(records: Records, site: Place, hours: range | None = None) -> dict
         hours: the hours that matter; by default, all.
 
     Returns:
-        ``applied``: what was applied to the rows of the files; ``quantities``: unit, minimum, mean, maximum and missing hours of each quantity; ``rain``:
-        total, wet hours, wettest hour and day, and the rain of months or years (mm); ``course``:
-        the local hours with the highest radiation and temperature; ``statistics`` and ``notes``, by
-        ``plausible.yaml``.
+        ``applied``: what was applied to the rows of the files; ``quantities``: unit, minimum, mean,
+        maximum and missing hours of each quantity; ``rain``: total, wet hours, wettest hour and
+        day, and the rain of months or years (mm); ``course``: the local hours with the highest
+        radiation and temperature; ``statistics`` and ``notes``, by ``plausible.yaml``.
     """
     part = slice(0, records.hours) if hours is None else slice(hours.start, hours.stop)
     values = {
@@ -76,7 +76,8 @@ def summarize(records: Records, site: Place, hours: range | None = None) -> dict
         **_judge_sun(values, seconds, position),
     }
     return {
-        "applied": list(records.applied), "from": to_people(first), "hours": len(values[PRECIPITATION]), "quantities": {
+        "applied": list(records.applied), "from": to_people(first),
+        "hours": len(values[PRECIPITATION]), "quantities": {
             name: {"unit": QUANTITIES[name].unit, **_describe(series)}
             for name, series in values.items() if name in QUANTITIES
         }, "rain": rain, "course": course, "statistics": statistics, "notes": [*_note(statistics)],

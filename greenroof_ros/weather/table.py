@@ -11,6 +11,7 @@ import csv
 import itertools
 import math
 from array import array
+from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -89,15 +90,17 @@ class Table:
         first = next(rows, None)
         if first is None:
             raise ConfigurationError("has a header but no rows", file=file)
-        self.first = first
-        self.rows = itertools.chain([first], rows)
+        self.first, self.rows_after_first = first, rows
+        self.rows: Iterator[Row] = itertools.chain([first], rows)
 
     def place(self, column: str) -> int:
-        """Return the position of a column.
+        """Return the position of a column, from its name or its number.
 
         Raises:
             ConfigurationError: if the header does not contain the column exactly once.
         """
+        if column.isdecimal() and column not in self.header and int(column) < len(self.header):
+            return int(column)
         if self.header.count(column) != 1:
             what = "occurs more than once" if column in self.header else suggest_names(
                 column, self.header
@@ -107,7 +110,7 @@ class Table:
 
     def cell(self, row: Row, column: str) -> str:
         """Return the text of a cell."""
-        return row.cells[self._places[column]]
+        return row.cells[self._places[column] if column in self._places else int(column)]
 
     def refuse(
         self, expected: str, column: str | None = None, row: Row | None = None
@@ -363,7 +366,7 @@ def _open(file: Path, described: Description | None) -> tuple[Table, Description
     if given.columns:
         skipped = {*given.skiprows}
         kept = ((number, text) for number, text in lines if number - 1 not in skipped)
-        return _read_as(file, kept, given), given
+        return _read_as(file, _without_last(kept, given.skipfooter), given), given
     head, stated = [(0, "")], dict[str, object]()
     for number, text in lines:
         if text.strip():
@@ -399,6 +402,16 @@ def _open(file: Path, described: Description | None) -> tuple[Table, Description
             table.header[0],
         )
     return table, made
+
+
+def _without_last(
+    lines: Iterable[tuple[int, str]], count: int
+) -> Iterator[tuple[int, str]]:
+    waiting = deque[tuple[int, str]]()
+    for line in lines:
+        waiting.append(line)
+        if len(waiting) > count:
+            yield waiting.popleft()
 
 
 def _read_as(file: Path, lines: Iterable[tuple[int, str]], described: Description) -> Table:
@@ -534,7 +547,8 @@ def _convert(
             float(f"{end * unit.per_ours + unit.zero:.4g}") for end in (quantity.low, quantity.high)
         )
         raise table.refuse_at(
-            f"{Range(low, high, unit.name).expected()}; is the unit of the column right?",
+            f"{Range(low, high, unit.name).expected()}; is the unit of the column right? "
+            "A code for a missing value must be named in na_values",
             lines[wrong[0]], column, float(numbers[wrong[0]]),
         )
     return np.asarray(values)
@@ -560,10 +574,20 @@ def _read_times(
 
     def rows() -> Iterator[tuple[int, str]]:
         for row in table.rows:
-            yield row.line, " ".join(row.cells[place] for place in places)
+            yield row.line, text_of(row)
             for cell in cells:
                 cell.add(row)
 
+    def text_of(row: Row) -> str:
+        return " ".join(row.cells[place] for place in places)
+
+    second = next(table.rows_after_first, None)
+    if second is not None:
+        table.rows = itertools.chain([table.first, second], table.rows_after_first)
+        with suppress(ValueError, TypeError):  # such times are refused below
+            form = described.time_format
+            if parse_text(text_of(second), form) < parse_text(text_of(table.first), form):
+                table.rows = reversed([*table.rows])  # the newest row is the first
     return find_times(table, site, described, rows())
 
 
@@ -586,7 +610,7 @@ def find_times(
     offset, before = 0.0, -math.inf
     for line, text in times:
         try:
-            time = _parse(text, described.time_format) if isinstance(text, str) else text
+            time = parse_text(text, described.time_format) if isinstance(text, str) else text
         except ValueError:
             raise table.refuse_at(
                 f"must be a time such as {described.time_format or DEFAULT_START}", line, key, text
@@ -635,7 +659,7 @@ def _find_zone(site: Place, described: Description) -> tzinfo | None:
     return None if site.time_zone is None and site.utc_offset is None else site.zone
 
 
-def _parse(text: str, form: str) -> datetime:
+def parse_text(text: str, form: str) -> datetime:
     """Return the time in a text; 24:00 is the end of the day.
 
     Raises:
@@ -643,6 +667,8 @@ def _parse(text: str, form: str) -> datetime:
     """
     if not form:
         return parse_time(text)
+    if form.endswith("%p") and text[-1:] in "ap":
+        text += "m"
     date, mark, rest = text.partition(" 24")
     if mark and not rest.lstrip(":0"):
         return datetime.strptime(f"{date} 00{rest}", form) + timedelta(days=1)  # noqa: DTZ007

@@ -11,10 +11,14 @@ import pytest
 from places import CONFIG, DATA
 from refusals import refusal
 
+from greenroof_ros.base.files import parse_yaml, read_yaml
+from greenroof_ros.base.times import parse_time
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.describe import describe
-from greenroof_ros.weather.description import service_descriptions
+from greenroof_ros.weather.description import make_description, service_descriptions
+from greenroof_ros.weather.hours import WEATHER
 from greenroof_ros.weather.read import read_measured, write_plain
+from greenroof_ros.weather.table import read_rows
 
 SITE = read_site(CONFIG / "site.yaml")
 TIMES = [datetime(2024, 7, 1) + timedelta(minutes=5 * n) for n in range(36)]  # noqa: DTZ001
@@ -72,6 +76,33 @@ def test_a_description_takes_two_edits(
     again = read_measured([tmp_path / "plain.csv"], SITE)
     for name, series in records.values.items():
         assert again.values[name].tobytes() == series.tobytes()
+
+
+MAKERS = read_yaml(DATA / "makers" / "makers.yaml")
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_exports_of_makers_and_services(name: str) -> None:
+    """What --describe leaves open is decided as in makers.yaml, which has the expected values."""
+    file, about = DATA / "makers" / name, MAKERS[name]
+    printed = parse_yaml(describe(file), file)
+    del printed["file"]
+    open_keys = {key for key, value in printed.items() if "?" in (value, *_values(value))}
+    assert open_keys <= about["decided"].keys() | {"time_zone"}
+    if "utc_offset" in about["decided"]:
+        printed.pop("time_zone", None)
+    keys = {key: value for key, value in {**printed, **about["decided"]}.items() if value != []}
+    rows = read_rows(file, SITE, WEATHER, make_description(keys))
+    expected, rain = about["expected"], rows.values["precipitation"] * rows.step_s / 3600
+    assert np.nansum(rain) == pytest.approx(expected["rain_mm"], abs=1e-3)
+    assert np.count_nonzero(np.isnan(rain)) == expected["missing"]
+    assert (rows.step_s, rows.first) == (expected["step_s"], parse_time(expected["first"]))
+    if expected["temperature"] is not None:
+        assert rows.values["temperature"][0] == pytest.approx(expected["temperature"], abs=1e-3)
+
+
+def _values(value: object) -> list[object]:
+    return [*value.values()] if isinstance(value, dict) else []
 
 
 @pytest.mark.parametrize(
