@@ -238,7 +238,8 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
     except Exception as error:  # the readers pass on any error of storages and codecs
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ConfigurationError(
-            f"cannot be read as a bag: {reason}" + (repair and f". If it is damaged, {repair}"),
+            f"cannot be read as a bag: {reason.rstrip('.')}"
+            + (repair and f". If it is damaged, {repair}"),
             file=bag,
         ) from error
     silent = [topic for topic in _NEEDED if topic not in times]

@@ -211,7 +211,7 @@ def test_a_bag_that_lacks_a_file(tmp_path: Path) -> None:
 
 def test_a_file_that_is_no_bag_is_refused(tmp_path: Path) -> None:
     (tmp_path / "run.MCAP").write_bytes(b"no bag")
-    with pytest.raises(ConfigurationError, match=r"cannot be read as a bag.*\. If it is damaged, "):
+    with pytest.raises(ConfigurationError, match=r"cannot be read as a bag.*[^.]\. If it is damaged, "):
         loaded(tmp_path / "run.MCAP")
     (tmp_path / "run.txt").write_text("no bag")
     with pytest.raises(ConfigurationError, match=r"or an \.mcap file"):
