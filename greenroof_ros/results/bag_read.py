@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import replace
 from datetime import tzinfo
 from pathlib import Path
@@ -110,12 +109,18 @@ def load_bag(
         for topic in of_site if topic not in recorded
     ]
     interface, highest = read_topics(), _compute_maxima(site)
+    # What the plant itself published are the results of the run.
+    by_plant = {
+        name for name, topic in interface.items()
+        if "plant" not in topic.subscribers or (name == "/pump/flow" and not external_pump)
+    }
     series = {}
     for topic, of_topic in recorded.items():
-        if own:
-            of_topic, note = _replace_refused(interface[topic], of_topic, external_pump)
-        else:
-            of_topic, note = _drop_outliers(bag, interface[topic], highest.get(topic), of_topic)
+        note: list[str] = []
+        if not own:
+            of_topic, note = _drop_wrong(bag, interface[topic], highest.get(topic), of_topic)
+        elif topic not in by_plant:
+            of_topic, note = _replace_refused(interface[topic], of_topic)
         notes += note
         if len(of_topic.times):  # otherwise it was never known
             series[topic] = of_topic
@@ -181,23 +186,6 @@ def _keep_one_time(
     ]
 
 
-def _check_files(bag: Path) -> None:
-    """Reject a bag that lacks a file listed in its metadata; invalid metadata is rejected later."""
-    about: Any = None
-    with suppress(ConfigurationError):
-        about = read_yaml(bag / METADATA).get("rosbag2_bagfile_information")
-    names = about.get("relative_file_paths") if isinstance(about, dict) else None
-    missing = [
-        str(name) for name in (names if isinstance(names, list) else [])
-        if not (bag / str(name)).is_file()
-    ]
-    if missing:
-        raise ConfigurationError(
-            f"lacks {', '.join(missing)}, which {METADATA} lists: copy the whole directory",
-            file=bag,
-        )
-
-
 def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
     """Read all used topics of a bag, in chronological order.
 
@@ -211,7 +199,6 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
     with require_extra("study"):
         from rosbags import typesys
         from rosbags.highlevel import AnyReader
-    _check_files(bag)
     typestore = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
     times: dict[str, list[int]] = {}
     values: dict[str, list[float]] = {}  # for the clock in ns
@@ -220,7 +207,16 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
             types = {each.topic: each.msgtype for each in reader.connections}
             namespace = find_namespace(types, list(_NEEDED), bag)
             names = {f"{namespace}{topic}": topic for topic in _ATTRIBUTES}
-            _check_topics(bag, types, names)
+            if missing := [topic for topic in _NEEDED if namespace + topic not in types]:
+                raise ConfigurationError(
+                    f"lacks {', '.join(missing)}, which the report needs; the topics in the bag "
+                    f"are: {', '.join(sorted(types)) or 'none'}", file=bag,
+                )
+            for name in names:
+                if types.get(name, _TYPE) != _TYPE:
+                    raise ConfigurationError(
+                        f"must be of type {_TYPE}, not {types[name]}", file=bag, key=name
+                    )
             clock = f"{namespace}{_CLOCK}"
             if types.get(clock) == _CLOCK_TYPE:
                 names[clock] = _CLOCK
@@ -255,29 +251,6 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
     return {topic: _Series(np.array(times[topic]), np.array(values[topic])) for topic in times}
 
 
-def _check_topics(bag: Path, types: Mapping[str, str], names: Mapping[str, str]) -> None:
-    """Reject a bag that lacks a needed topic, or in which a used topic has the wrong type.
-
-    Args:
-        bag: directory of the bag.
-        types: message types of the bag's topics, keyed by topic name.
-        names: names of the used topics in the interface, keyed by their names in the bag.
-    """
-    missing = [topic for name, topic in names.items() if topic in _NEEDED and name not in types]
-    if missing:
-        topics = ", ".join(sorted(types)) or "none"
-        raise ConfigurationError(
-            f"lacks {', '.join(missing)}, which the report needs; the topics in the bag are: "
-            f"{topics}",
-            file=bag,
-        )
-    for name in names:
-        if types.get(name, _TYPE) != _TYPE:
-            raise ConfigurationError(
-                f"must be of type {_TYPE}, not {types[name]}", file=bag, key=name
-            )
-
-
 def _compute_maxima(site: Site) -> dict[str, tuple[float, str]]:
     """Return the maximum plausible values of topics at a site, each with an explanation."""
     full = maximum_pump_flow(site, site.a1 * site.z_o)
@@ -297,24 +270,7 @@ def _compute_maxima(site: Site) -> dict[str, tuple[float, str]]:
     }
 
 
-def _replace_refused(
-    topic: Topic, series: _Series, external_pump: bool
-) -> tuple[_Series, list[str]]:
-    """Return the values of a topic that the run's plant used, with 0 for rejected values.
-
-    Values that the plant itself published are unchanged, since they are the results of the run.
-    """
-    fine = (series.values >= topic.low) & (series.values <= topic.high)  # a NaN is neither
-    plants = "plant" not in topic.subscribers or (topic.name == "/pump/flow" and not external_pump)
-    if plants or fine.all():
-        return series, []
-    return series._replace(values=np.where(fine, series.values, 0.0)), [
-        f"{np.count_nonzero(~fine)} of {len(fine)} values of {topic.name} were rejected in the "
-        f"run and replaced by 0, because a value {topic.range.expected()}"
-    ]
-
-
-def _drop_outliers(
+def _drop_wrong(
     bag: Path, topic: Topic, of_site: tuple[float, str] | None, series: _Series
 ) -> tuple[_Series, list[str]]:
     """Remove implausible values of a topic, and return the others with a note.
@@ -345,6 +301,17 @@ def _drop_outliers(
     return _Series(times[fine], values[fine]), [
         f"{np.count_nonzero(~fine)} of {len(fine)} values of {topic.name} are left out because "
         "they are not finite or are out of range"
+    ]
+
+
+def _replace_refused(topic: Topic, series: _Series) -> tuple[_Series, list[str]]:
+    """Return the values of a topic that the run's plant used, with 0 for rejected values."""
+    fine = (series.values >= topic.low) & (series.values <= topic.high)  # a NaN is neither
+    if fine.all():
+        return series, []
+    return series._replace(values=np.where(fine, series.values, 0.0)), [
+        f"{np.count_nonzero(~fine)} of {len(fine)} values of {topic.name} were rejected in the "
+        f"run and replaced by 0, because a value {topic.range.expected()}"
     ]
 
 

@@ -30,7 +30,6 @@ from greenroof_ros.commands.recover import recover
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.results.bag_read import count_ticks
 from greenroof_ros.results.bag_write import BagWriter, LiveBag
-from greenroof_ros.results.table import parameter_columns, row_parameters
 
 START_NS = 1625641200 * 10**9  # 07:00 UTC, by date -d
 TOPICS = (
@@ -314,13 +313,6 @@ def test_a_file_that_cannot_grow_keeps_what_was_safe(tmp_path: Path, room: int) 
     writer.cut()
     assert writer.safe > 0
     assert recover(tmp_path) == (tmp_path / "bag-recovered", 6 * writer.safe, [])
-
-
-def test_parameters_are_columns_of_their_own() -> None:
-    """A parameter with the name of another column is not mistaken for it."""
-    row = {"hours": "12", **parameter_columns({"hours": "3", "gain": "20"})}
-    assert row == {"hours": "12", "parameter:hours": "3", "parameter:gain": "20"}
-    assert row_parameters(row) == {"hours": "3", "gain": "20"}
 
 
 # --- live sites: split, bounded, readable while growing, and after a kill -------------------------
