@@ -103,6 +103,10 @@ def load_bag(
             values.
     """
     recorded, notes = _keep_one_time(_read_series(bag, repair), zone)
+    if silent := [topic for topic in _NEEDED if topic not in recorded]:
+        raise ConfigurationError(
+            "; ".join([f"contains no messages on {', '.join(silent)}", *notes]), file=bag
+        )
     of_site = {column.topic: column.attribute for column in recorded_columns(site)}
     notes += [
         f"{topic} is not in the bag; its value is assumed to be 0"
@@ -163,7 +167,8 @@ def _keep_one_time(
     A clock that is not set yet stamps messages with 0, or with its year of manufacture; no site
     has a gap of a year in a bag.
     """
-    stamps = np.sort(np.concatenate([series.times for series in recorded.values()]))
+    stamped = [series.times for series in recorded.values()]
+    stamps = np.sort(np.concatenate([*stamped, np.empty(0, dtype=np.int64)]))
     far = np.flatnonzero(np.diff(stamps.astype(np.float64)) > _MAX_GAP_NS) + 1
     if not far.size:
         return dict(recorded), []
@@ -173,7 +178,7 @@ def _keep_one_time(
     kept = {}
     for topic, (times, values) in recorded.items():
         there = (times >= first) & (times <= last)
-        if there.any() or topic not in _NEEDED:
+        if there.any():
             kept[topic] = _Series(times[there], values[there])
     low, high = (
         from_epoch_ns(int(stamp)).astimezone(zone).isoformat(timespec="seconds")
@@ -238,9 +243,6 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
             + (repair and f". If it is damaged, {repair}"),
             file=bag,
         ) from error
-    silent = [topic for topic in _NEEDED if topic not in times]
-    if silent:
-        raise ConfigurationError(f"contains no messages on {', '.join(silent)}", file=bag)
     # A recorder with simulated time stamps every message with a value of the clock.
     if _CLOCK in times and not set(times.pop(_CLOCK)) & set(values.pop(_CLOCK)):
         raise ConfigurationError(

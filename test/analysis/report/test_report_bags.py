@@ -197,6 +197,14 @@ def test_messages_of_a_clock_that_was_not_set(tmp_path: Path, stamp: int) -> Non
     assert (wrong.start, wrong.time.tolist()) == (right.start, [0.0, 1.0, 2.0])
     assert wrong.roof.tolist() == right.roof.tolist()
     assert any("2 of 14 messages are more than a year before or after" in note for note in notes)
+    write_bag(tmp_path / "flow", {
+        **{topic: (seconds, [0.1] * 3) for topic in
+           ("/roof/level", "/cistern/level", "/pump/command")},
+        "/pump/flow": ([stamp - START_NS], [0.001]),
+    })
+    words = "contains no messages on /pump/flow; 1 of 10 messages are more than a year before"
+    with pytest.raises(ConfigurationError, match=words):
+        loaded(tmp_path / "flow")
 
 
 def test_a_bag_that_lacks_a_file(tmp_path: Path) -> None:
