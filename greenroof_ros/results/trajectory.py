@@ -182,9 +182,9 @@ def read_trajectory(path: Path) -> Trajectory:
         raise ConfigurationError(f"cannot be read: {error.strerror}", file=path) from error
     try:
         if path.suffix == ".csv":
-            table = polars.read_csv(content, infer_schema=False)
+            numbers = dict.fromkeys(_NAMES.values(), polars.Float64)
+            table = polars.read_csv(content, schema_overrides=numbers)
             start = datetime.fromisoformat(table["time"][0])
-            table = table.select(polars.exclude("time").cast(polars.Float64))
         else:
             about = polars.read_parquet_metadata(io.BytesIO(content))
             start = datetime.fromisoformat(about["start"])
