@@ -66,7 +66,7 @@ setup(
     # With it an editable install is a path of a .pth file. Otherwise the clone's folder, which has
     # the package's name, would be imported by a Python that starts in the folder above.
     package_dir={"": "."},
-    package_data={NAME: ["py.typed"],
+    package_data={NAME: ["py.typed"], f"{NAME}.commands": ["new_site.yaml"],
                   f"{NAME}.analysis.report": ["*.html"], f"{NAME}.watch": ["page/*"],
                   f"{NAME}.analysis.calibration": ["page.html"],
                   f"{NAME}.analysis.sizing": ["page.html"],

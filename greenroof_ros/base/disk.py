@@ -9,9 +9,8 @@ import os
 import threading
 import time
 import traceback
-from collections import deque
+from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from itertools import islice
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -41,8 +40,9 @@ class DiskThread:
         """Create the object without jobs; the thread does not start yet."""
         self.refused = 0
         self._room = _ROOM  # free (bytes)
-        # Each job with its size (bytes), and when it was requested (steady clock, s).
-        self._jobs: deque[tuple[Callable[[], object], int, float]] = deque()
+        # Each waiting job's size (bytes), and when it was requested (steady clock, s).
+        self._waiting: OrderedDict[Callable[[], object], tuple[int, float]] = OrderedDict()
+        self._oldest = math.inf  # when the job being done was requested; inf if there is none
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
 
@@ -56,13 +56,13 @@ class DiskThread:
         """
         size += _JOB
         with self._changed:
-            if any(job == waiting for waiting, *_ in islice(self._jobs, 1, None)):
+            if job in self._waiting:
                 return True
             if size > self._room or not self._started():
                 self.refused += 1
                 return False
             self._room -= size
-            self._jobs.append((job, size, time.monotonic()))
+            self._waiting[job] = size, time.monotonic()
             self._changed.notify_all()
         return True
 
@@ -70,12 +70,14 @@ class DiskThread:
     def late(self) -> bool:
         """Whether a job was requested more than 2 s ago and is still not done."""
         with self._changed:
-            return bool(self._jobs) and time.monotonic() - self._jobs[0][2] > PATIENCE_S
+            return time.monotonic() - self._oldest > PATIENCE_S
 
     def wait(self, within: float) -> bool:
         """Wait up to the given time (s) until all jobs are done; return True if they are."""
         with self._changed:
-            return self._changed.wait_for(lambda: not self._jobs, within)
+            return self._changed.wait_for(
+                lambda: not self._waiting and self._oldest == math.inf, within
+            )
 
     def _started(self) -> bool:
         """Start the thread if necessary; return False if the system cannot create one."""
@@ -89,18 +91,18 @@ class DiskThread:
         return True
 
     def _do_all(self) -> None:
+        size = 0
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._jobs)
-                job, size, _ = self._jobs[0]
+                self._room += size
+                self._oldest = math.inf
+                self._changed.notify_all()
+                self._changed.wait_for(lambda: self._waiting)
+                job, (size, self._oldest) = self._waiting.popitem(last=False)
             try:
                 job()
             except Exception:  # an error in one job must not stop the others
                 traceback.print_exc()
-            with self._changed:
-                self._jobs.popleft()
-                self._room += size
-                self._changed.notify_all()
 
 
 # The disk thread of this process.

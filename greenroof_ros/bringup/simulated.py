@@ -20,10 +20,9 @@ from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.base.progress import RunProgress
 from greenroof_ros.base.standard_error import LINES, print_line
 from greenroof_ros.bringup.start import bring_up
-from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL, find_controller
+from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL, ControllerChoice, find_controller
 from greenroof_ros.graph.arguments import add_graph_arguments
 from greenroof_ros.graph.domain import (
-    check_ros_arguments,
     lock_namespace,
     refuse_other_nodes,
     require_ros,
@@ -31,7 +30,7 @@ from greenroof_ros.graph.domain import (
 )
 from greenroof_ros.graph.errors import explain
 from greenroof_ros.graph.parameter_file import node_parameter_files
-from greenroof_ros.graph.ros_arguments import read_ros_arguments, split_ros_arguments
+from greenroof_ros.graph.ros_arguments import find_options, remove_ros_arguments
 from greenroof_ros.interface.states import RECORDER
 from greenroof_ros.results.bag_read import count_ticks
 from greenroof_ros.simulation import screen, summary
@@ -67,10 +66,9 @@ def make_parser() -> Parser:
         "rules, see\n"
         "                                         # greenroof check-controller --help\n"
         "  greenroof run --ros-args -r plant:/roof/level:=/raw\n\n"
-        "ROS arguments: -r FROM:=TO remaps a topic in all nodes of the run, and -r NODE:FROM:=TO "
-        "in one node; -r __ns:=/NAME is the same as --namespace; -p NAME:=VALUE sets a parameter "
-        "of the controller. Nodes cannot be renamed. Other commands, such as watch, do not "
-        "recognize a remapped topic.\n\n"
+        "ROS arguments: all nodes of the run receive them, as rclpy defines them. -p NAME:=VALUE "
+        "and --params-file FILE set parameters of the controller. Nodes cannot be renamed. Other "
+        "commands, such as watch, do not recognize a remapped topic.\n\n"
         "exit codes: 0 done, 1 a node failed, 2 bad usage or configuration, or an error in a "
         "controller's code, 3 a graph is already running, 130 interrupted",
     )
@@ -103,14 +101,8 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
     """
     with require_ros():
         from greenroof_ros.bringup.composition import Composition
-        check_ros_arguments(arguments.ros)
     is_external = run.controller.reference == EXTERNAL
-    modules = {
-        "plant": f"{_NODES}.plant",
-        "weather": f"{_NODES}.weather",
-        **({} if is_external else {run.controller.name: f"{_NODES}.controller"}),
-        **({} if arguments.no_record else {RECORDER: f"{_NODES}.recorder"}),
-    }
+    modules = _modules(run.controller, arguments)
     user_files = node_parameter_files(arguments, modules, run.controller, run.parameters)
     with lock_namespace(arguments.namespace):
         refuse_other_nodes(
@@ -127,7 +119,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         summary.write(summary.make_unfinished_summary(run, summary.RUNNING), directory)
         progress = RunProgress(run.steps, run.site.tau, LINES)
         graph = Composition(
-            run, ros_arguments([parameters, *user_files], arguments.namespace, arguments.ros),
+            run, ros_arguments([parameters, *user_files], arguments.namespace, sys.argv[1:]),
             record=not arguments.no_record, external=is_external or arguments.pump == EXTERNAL,
             progress=progress,
         )
@@ -147,6 +139,17 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
                 code = EXIT_FAILED
             _end(run, directory, graph, status, reason, as_json=arguments.json)
         return code
+
+
+def _modules(controller: ControllerChoice, arguments: argparse.Namespace) -> dict[str, str]:
+    """Return the module of every node of the run, by the node's name."""
+    is_external = controller.reference == EXTERNAL
+    return {
+        "plant": f"{_NODES}.plant",
+        "weather": f"{_NODES}.weather",
+        **({} if is_external else {controller.name: f"{_NODES}.controller"}),
+        **({} if arguments.no_record else {RECORDER: f"{_NODES}.recorder"}),
+    }
 
 
 def _end(
@@ -191,13 +194,15 @@ def _print_bag_contents(directory: Path, ticks: int | None) -> None:
 @command
 def main() -> int:
     """Start the graph, supervise it until the run is over, and stop it."""
-    words, ros = split_ros_arguments(sys.argv[1:])
-    parser = make_parser()
-    arguments = parser.parse_args(words)
-    if ros:
+    parser, words = make_parser(), sys.argv[1:]
+    if "--ros-args" in words:
+        own = remove_ros_arguments(words)
+        arguments = parser.parse_args(own)
         controller = find_controller(arguments.controller)
-        options, ros = read_ros_arguments(ros, controller.name, controller.parameters)
-        arguments = parser.parse_args([*words, *options])
-    arguments.ros = ros
+        nodes = _modules(controller, arguments)
+        options = find_options(words, arguments.namespace, nodes, controller)
+        arguments = parser.parse_args([*own, *options])
+    else:
+        arguments = parser.parse_args(words)
     run = simulated_run(arguments)
     return bring_up(arguments, partial(run_graph, run, arguments))

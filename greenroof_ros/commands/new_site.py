@@ -23,14 +23,7 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import TextInMemory, add_path_to_errors
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.ranges import read_number
-from greenroof_ros.commands.new_site_file import (
-    HEIGHT,
-    LIFT,
-    RATE,
-    RUNOFF,
-    SUBSTRATE,
-    format_new_site,
-)
+from greenroof_ros.commands.new_site_file import ASSUMED, format_new_site
 from greenroof_ros.simulation.run import note_pumps
 from greenroof_ros.site.clock import standard_offset
 from greenroof_ros.site.file import SITE_KEYS, SUBSTRATES, read_site
@@ -45,6 +38,8 @@ _ASSUMED = {
     )
 }
 _PLACE_FORM = "latitude,longitude in degrees with decimal points, such as 43.63,-79.40"
+# k_Rs of FAO-56, Eq. 50, near a large body of water.
+_COAST = 0.19
 # No house is further south, and no town is further north than Longyearbyen (degrees).
 _SOUTH, _NORTH = -60.0, 79.0
 # Standard time differs from solar time by at most the first value, in the west of China, and
@@ -97,12 +92,17 @@ def make_parser() -> Parser:
     )
     group = parser.add_argument_group("assumed if they are omitted")
     assumed = {
-        "cistern_height": f"{HEIGHT:g}", "runoff_coefficient": f"{RUNOFF:g}",
-        "substrate": SUBSTRATE, "substrate_depth": "the depth stated in the substrate's source",
-        "irrigation_rate": f"{RATE:g}",
+        **ASSUMED, "substrate_depth": "the depth stated in the substrate's source",
+        **dict.fromkeys(("pump_flow", "emitters", "emitter_flow", "elevation"), ""),
     }
     for option, key in _ASSUMED.items():
-        _add_option(group, option, key, assumed.get(key, ""))
+        _add_option(group, option, key, assumed[key])
+    group.add_argument(
+        "--coast", dest="k_Rs", action="store_const", const=_COAST,
+        help=f"the house is at the coast of a sea or a large lake: k_Rs is {_COAST}, and not "
+        f"{ASSUMED['k_Rs']} as for interior places (FAO-56, Eq. 50), which matters for weather "
+        "files without radiation",
+    )
     group.add_argument(
         "--target", type=make_number_type(1.0, 1000.0), metavar="X",
         help="water to keep in the substrate (mm; default: the depth at which plants begin to lack "
@@ -111,7 +111,7 @@ def make_parser() -> Parser:
     group.add_argument(
         "--lift", dest="d", type=make_number_type(0.1, 500.0), metavar="X",
         help="height of the roof above the cistern's base, which affects only the pump's energy "
-        f"(m; default: {LIFT:g})",
+        f"(m; default: {ASSUMED['d']})",
     )
     group.add_argument(
         "--time-zone", type=_read_zone, metavar="NAME",
@@ -210,7 +210,6 @@ def main() -> None:
     arguments = make_parser().parse_args()
     output: Path = arguments.output
     refuse_unwritable(output, (".yaml", ".yml"), "--output")
-    _check_flow(arguments)
     _ask_what_is_missing(arguments)
     _check_clock(arguments.place, arguments.time_zone)
     file = TextInMemory(output)
@@ -230,6 +229,8 @@ def main() -> None:
     with add_path_to_errors(output), output.open("x", encoding="utf-8") as stream:
         stream.write(file.text)
     print(f"written: {output}, for a house at {format_place(*arguments.place)}")
+    where = "a coastal place" if site.k_Rs == _COAST else "an interior place; --coast changes it"
+    print(f"k_Rs:    {site.k_Rs}, for {where}")
     name = shlex.quote(str(output))
     start = "2025-06-01" if site.latitude is None or site.latitude >= 0 else "2025-01-01"
     print(
@@ -274,36 +275,11 @@ def _ask_what_is_missing(arguments: argparse.Namespace) -> None:
 
 def _collect(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the values of the options and answers by site-file key."""
-    keys = (*_ASKED.values(), *_ASSUMED.values(), "time_zone", "d")
+    keys = (*_ASKED.values(), *_ASSUMED.values(), "time_zone", "d", "k_Rs")
     given = {key: value for key in keys if (value := getattr(arguments, key)) is not None}
     if arguments.target is not None:
         given["z_veg"] = arguments.target / 1000
     return {**given, **arguments.place._asdict()}
-
-
-def _check_flow(arguments: argparse.Namespace) -> None:
-    """Reject a pump flow that is specified in more than one way or incompletely.
-
-    Raises:
-        ConfigurationError: if the flow is specified twice, or if only one of a pair of options is
-            given.
-    """
-    emitters = ("emitters", "emitter_flow")
-    values = {
-        key: value for key in ("pump_flow", "irrigation_rate", *emitters)
-        if (value := getattr(arguments, key)) is not None
-    }
-    options = [f"--{key.replace('_', '-')}" for key in values]
-    if len(values) > 1 and tuple(values) != emitters:
-        raise ConfigurationError(
-            "set the same quantity, the pump's flow: use only one of these "
-            "options", key=" and ".join(options)
-        )
-    for key, other in (emitters, emitters[::-1]):
-        if key in values and other not in values:
-            raise ConfigurationError(
-                f"also needs --{other.replace('_', '-')}", key=options[0], value=values[key]
-            )
 
 
 def _check_clock(place: Place, zone: str | None) -> None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
-from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,15 +12,14 @@ from mcap.records import Channel, Message, Schema
 
 from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, Parser, command
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.files import read_yaml
 from greenroof_ros.base.times import from_epoch_ns, to_people
-from greenroof_ros.results.bag_mend import read_whole_chunks
+from greenroof_ros.results.bag_mend import read_chunks
 from greenroof_ros.results.bag_write import (
-    METADATA,
     find_files,
     name_next_file,
     name_recovered_bag,
     read_index,
+    read_recorded,
     write_metadata,
 )
 from greenroof_ros.results.mcap import McapWriter
@@ -61,13 +60,13 @@ def recover(directory: Path, output: Path | None = None) -> Recovered:
     if target.exists():
         raise ConfigurationError("already exists; nothing was written", file=target)
     copies: list[Path] = []
-    counts: dict[str, int] = {}
+    recorded, counts = read_recorded(bag), dict[str, int]()
     losses: list[str] = []
     try:
         target.mkdir(parents=True)
         for file in files:
             copy = name_next_file(copies, target)
-            counts[file.name], lost = _copy_file(file, copy)
+            counts[file.name], lost = _copy_file(file, copy, recorded.get(file.name, (0, 0)))
             losses += lost
             if counts[file.name]:
                 copies.append(copy)
@@ -83,22 +82,21 @@ def recover(directory: Path, output: Path | None = None) -> Recovered:
     if not copies:
         target.rmdir()
         raise ConfigurationError("does not contain an intact chunk of messages", file=bag)
-    for name, had in _count_recorded(bag).items():
-        if (missing := had - counts.get(name, 0)) > 0:
-            losses.append(f"{name}: {missing} of its {had} messages are lost")
+    losses += [
+        f"{name}: {missing} of its {had} messages are lost" for name, (had, _) in recorded.items()
+        if (missing := had - counts.get(name, 0)) > 0
+    ]
     return Recovered(target, sum(counts.values()), losses)
 
 
-def _count_recorded(bag: Path) -> dict[str, int]:
-    """Return the number of messages in each closed file if the bag's metadata is intact."""
-    with suppress(ConfigurationError, KeyError, TypeError, ValueError):
-        about = read_yaml(bag / METADATA)["rosbag2_bagfile_information"]
-        return {str(file["path"]): int(file["message_count"]) for file in about["files"]}
-    return {}
+def _copy_file(file: Path, copy: Path, had: tuple[int, int]) -> tuple[int, list[str]]:
+    """Copy the intact chunks of a file; return the number of messages copied and the losses.
 
-
-def _copy_file(file: Path, copy: Path) -> tuple[int, list[str]]:
-    """Copy the intact chunks of a file; return the number of messages copied and the losses."""
+    Args:
+        file: the file.
+        copy: its copy, which must not exist.
+        had: the file's number of messages and its size (bytes) when it was closed; 0 if unknown.
+    """
     try:
         stream = file.open("rb")
     except OSError as error:
@@ -106,15 +104,13 @@ def _copy_file(file: Path, copy: Path) -> tuple[int, list[str]]:
     schemas: set[int] = set()
     channels: set[int] = set()
     losses: list[str] = []
-    messages = lost = 0
+    copied = lost = 0
     last: int | None = None  # time of the last message written (ns)
+    size = os.fstat(stream.fileno()).st_size
     with stream, copy.open("xb") as output:
         writer = McapWriter(output)
-        for part in read_whole_chunks(stream):
-            if isinstance(part, int):
-                lost += part
-                continue
-            for record in part:
+        for length, records in read_chunks(stream):
+            for record in records:
                 if isinstance(record, Schema) and record.id not in schemas:
                     schemas.add(record.id)
                     writer.add_schema(record)
@@ -123,20 +119,27 @@ def _copy_file(file: Path, copy: Path) -> tuple[int, list[str]]:
                     if record.schema_id not in schemas:
                         record.schema_id = 0  # its type was defined in the lost part
                     writer.add_channel(record)
-                elif isinstance(record, Message) and record.channel_id not in channels:
-                    lost += len(record.data)  # its topic was defined in the lost part
-                elif isinstance(record, Message):
-                    if lost:
-                        losses.append(_describe_loss(file, lost, last, record.log_time))
-                    last, lost = record.log_time, 0
-                    messages += 1
-                    writer.add_message(
-                        record.channel_id, record.log_time, record.data, record.publish_time,
-                        record.sequence,
-                    )
+            messages = [record for record in records if isinstance(record, Message)]
+            # The topics of the others were defined in the lost part.
+            known = [message for message in messages if message.channel_id in channels]
+            if known and lost:
+                losses.append(_describe_loss(file, lost, last, known[0].log_time))
+                lost = 0
+            for message in known:
+                last = message.log_time
+                writer.add_message(
+                    message.channel_id, last, message.data, message.publish_time, message.sequence
+                )
             writer.flush()
+            copied += len(known)
+            if not records or len(known) < len(messages):
+                lost += length - length * len(known) // max(len(messages), 1)
         writer.finish()
-    return messages, losses + ([_describe_loss(file, lost, last, None)] if lost else [])
+    if copied < had[0]:
+        lost += max(0, had[1] - size)  # cut off
+    if lost:
+        losses.append(_describe_loss(file, lost, last, None))
+    return copied, losses
 
 
 def _describe_loss(file: Path, size: int, before: int | None, after: int | None) -> str:

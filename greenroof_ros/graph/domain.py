@@ -93,8 +93,11 @@ def choose_transport() -> None:
     os.environ[variable] = str(shared_directory() / "config" / f"{name}.xml")
 
 
-def join() -> Any:
+def join(words: Sequence[str] = ()) -> Any:
     """Join the domain as an observer, with a separate context, and return the context.
+
+    Args:
+        words: command line whose ROS arguments apply to the nodes of the context.
 
     Raises:
         ConfigurationError: if ROS 2 is not installed.
@@ -106,24 +109,10 @@ def join() -> Any:
     context = rclpy.Context()
     rclpy.init(
         # Its log file would need a home directory, which a service may not have.
-        args=["--ros-args", "--disable-external-lib-logs"], context=context,
+        args=["--ros-args", "--disable-external-lib-logs", "--", *words], context=context,
         signal_handler_options=SignalHandlerOptions.NO,
     )
     return context
-
-
-def check_ros_arguments(arguments: Sequence[str]) -> None:
-    """Check the ROS arguments before any file is written.
-
-    Raises:
-        ConfigurationError: if rcl cannot parse them.
-    """
-    from rclpy.utilities import remove_ros_args
-
-    try:
-        remove_ros_args(["--ros-args", *arguments])
-    except RuntimeError as error:
-        raise ConfigurationError(" ".join(str(error).split()), key="--ros-args") from error
 
 
 def ros_arguments(
@@ -137,11 +126,11 @@ def ros_arguments(
     Args:
         parameters: ROS 2 parameter files; later files override earlier ones.
         namespace: namespace of the nodes, such as ``/site1``; empty for none.
-        more: additional ROS arguments from the user.
+        more: a command line whose ROS arguments apply as well; of parameters, the last one wins.
     """
     files = [word for file in parameters for word in ("--params-file", str(file))]
     remapped = ["-r", f"__ns:={namespace}"] if namespace else []
-    return ["--ros-args", "--disable-external-lib-logs", *files, *remapped, *more]
+    return ["--ros-args", "--disable-external-lib-logs", *files, *remapped, "--", *more]
 
 
 def _occupied(reason: str, namespace: str) -> OccupiedError:

@@ -26,44 +26,40 @@ _DATA_END_SIZE = _HEAD.size + 4
 _OPCODES = frozenset(map(int, Opcode))
 
 
-def read_whole_chunks(stream: BinaryIO) -> Iterator[list[McapRecord] | int]:
-    """Yield the records of every intact chunk, and the number of bytes lost between chunks.
+def read_chunks(stream: BinaryIO) -> Iterator[tuple[int, list[McapRecord]]]:
+    """Yield the length of every chunk (bytes) with its records, which are empty if it is lost.
 
     The topics and types of a closed file come first, in case the chunk that defines them is lost.
-
-    Yields:
-        A list of records, or a number of lost bytes.
     """
     size = os.fstat(stream.fileno()).st_size
     summary = _read_summary(stream)
-    yield [record for record in summary if isinstance(record, Schema | Channel)]
+    yield 0, [record for record in summary if isinstance(record, Schema | Channel)]
     chunks = [record for record in summary if isinstance(record, ChunkIndex)]
     for chunk in chunks:
-        records = _read_chunk(stream, chunk.chunk_start_offset)
-        yield chunk.chunk_length if records is None else records
+        yield chunk.chunk_length, _read_chunk(stream, chunk.chunk_start_offset)
     if not chunks:
         yield from _read_in_order(stream, size)
 
 
-def _read_in_order(stream: BinaryIO, size: int) -> Iterator[list[McapRecord] | int]:
-    """Yield records and losses by following the lengths of records up to the first invalid one."""
+def _read_in_order(stream: BinaryIO, size: int) -> Iterator[tuple[int, list[McapRecord]]]:
+    """Follow the lengths of records up to the first invalid one, behind which all is lost."""
     at = accounted = MAGIC_SIZE  # what lies before the second is whole, or known to be lost
     while at < size:
         opcode, end = _read_head(stream, at)
-        records = _read_chunk(stream, at) if opcode == Opcode.CHUNK else None
-        if records is not None:
-            at = accounted = stream.tell()  # from the length of its own data, which is right
-            yield records
-            continue
-        if (opcode, end - at) == (Opcode.DATA_END, _DATA_END_SIZE):
+        if opcode == Opcode.CHUNK and (records := _read_chunk(stream, at)):
+            length, at = stream.tell() - at, stream.tell()  # its own data's, which are right
+            accounted = at
+            yield length, records
+        elif (opcode, end - at) == (Opcode.DATA_END, _DATA_END_SIZE):
             return
-        if opcode not in _OPCODES or end > size:
-            yield size - accounted
+        elif opcode not in _OPCODES or end > size:
+            yield size - accounted, []
             return
-        if opcode == Opcode.CHUNK:
-            yield end - at
-            accounted = end
-        at = end
+        else:
+            if opcode == Opcode.CHUNK:
+                yield end - at, []
+                accounted = end
+            at = end
 
 
 def _read_summary(stream: BinaryIO) -> list[McapRecord]:
@@ -85,11 +81,9 @@ def _read_head(stream: BinaryIO, at: int) -> tuple[int, int]:
     return 0, at
 
 
-def _read_chunk(stream: BinaryIO, at: int) -> list[McapRecord] | None:
-    """Return the records of a chunk; None if its checksum is wrong or it cannot be read."""
-    try:
+def _read_chunk(stream: BinaryIO, at: int) -> list[McapRecord]:
+    """Return the records of a chunk; none if its checksum is wrong or it cannot be read."""
+    with suppress(OSError, *DAMAGED):
         stream.seek(at + _HEAD.size)
-        records = breakup_chunk(Chunk.read(ReadDataStream(stream)), validate_crc=True)
-        return records or None  # a head of zeros stands for an empty chunk without a checksum
-    except (OSError, *DAMAGED):
-        return None
+        return breakup_chunk(Chunk.read(ReadDataStream(stream)), validate_crc=True)
+    return []

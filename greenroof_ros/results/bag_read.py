@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import replace
 from datetime import tzinfo
 from pathlib import Path
@@ -104,18 +103,28 @@ def load_bag(
             values.
     """
     recorded, notes = _keep_one_time(_read_series(bag, repair), zone)
+    if silent := [topic for topic in _NEEDED if topic not in recorded]:
+        raise ConfigurationError(
+            "; ".join([f"contains no messages on {', '.join(silent)}", *notes]), file=bag
+        )
     of_site = {column.topic: column.attribute for column in recorded_columns(site)}
     notes += [
         f"{topic} is not in the bag; its value is assumed to be 0"
         for topic in of_site if topic not in recorded
     ]
     interface, highest = read_topics(), _compute_maxima(site)
+    # What the plant itself published are the results of the run.
+    by_plant = {
+        name for name, topic in interface.items()
+        if "plant" not in topic.subscribers or (name == "/pump/flow" and not external_pump)
+    }
     series = {}
     for topic, of_topic in recorded.items():
-        if own:
-            of_topic, note = _replace_refused(interface[topic], of_topic, external_pump)
-        else:
-            of_topic, note = _drop_outliers(bag, interface[topic], highest.get(topic), of_topic)
+        note: list[str] = []
+        if not own:
+            of_topic, note = _drop_wrong(bag, interface[topic], highest.get(topic), of_topic)
+        elif topic not in by_plant:
+            of_topic, note = _replace_refused(interface[topic], of_topic)
         notes += note
         if len(of_topic.times):  # otherwise it was never known
             series[topic] = of_topic
@@ -158,7 +167,8 @@ def _keep_one_time(
     A clock that is not set yet stamps messages with 0, or with its year of manufacture; no site
     has a gap of a year in a bag.
     """
-    stamps = np.sort(np.concatenate([series.times for series in recorded.values()]))
+    stamped = [series.times for series in recorded.values()]
+    stamps = np.sort(np.concatenate([*stamped, np.empty(0, dtype=np.int64)]))
     far = np.flatnonzero(np.diff(stamps.astype(np.float64)) > _MAX_GAP_NS) + 1
     if not far.size:
         return dict(recorded), []
@@ -168,7 +178,7 @@ def _keep_one_time(
     kept = {}
     for topic, (times, values) in recorded.items():
         there = (times >= first) & (times <= last)
-        if there.any() or topic not in _NEEDED:
+        if there.any():
             kept[topic] = _Series(times[there], values[there])
     low, high = (
         from_epoch_ns(int(stamp)).astimezone(zone).isoformat(timespec="seconds")
@@ -179,23 +189,6 @@ def _keep_one_time(
         f"year before or after the other messages, {low} to {high}, and were left out: was a "
         "clock not set?"
     ]
-
-
-def _check_files(bag: Path) -> None:
-    """Reject a bag that lacks a file listed in its metadata; invalid metadata is rejected later."""
-    about: Any = None
-    with suppress(ConfigurationError):
-        about = read_yaml(bag / METADATA).get("rosbag2_bagfile_information")
-    names = about.get("relative_file_paths") if isinstance(about, dict) else None
-    missing = [
-        str(name) for name in (names if isinstance(names, list) else [])
-        if not (bag / str(name)).is_file()
-    ]
-    if missing:
-        raise ConfigurationError(
-            f"lacks {', '.join(missing)}, which {METADATA} lists: copy the whole directory",
-            file=bag,
-        )
 
 
 def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
@@ -211,7 +204,6 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
     with require_extra("study"):
         from rosbags import typesys
         from rosbags.highlevel import AnyReader
-    _check_files(bag)
     typestore = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
     times: dict[str, list[int]] = {}
     values: dict[str, list[float]] = {}  # for the clock in ns
@@ -220,7 +212,16 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
             types = {each.topic: each.msgtype for each in reader.connections}
             namespace = find_namespace(types, list(_NEEDED), bag)
             names = {f"{namespace}{topic}": topic for topic in _ATTRIBUTES}
-            _check_topics(bag, types, names)
+            if missing := [topic for topic in _NEEDED if namespace + topic not in types]:
+                raise ConfigurationError(
+                    f"lacks {', '.join(missing)}, which the report needs; the topics in the bag "
+                    f"are: {', '.join(sorted(types)) or 'none'}", file=bag,
+                )
+            for name in names:
+                if types.get(name, _TYPE) != _TYPE:
+                    raise ConfigurationError(
+                        f"must be of type {_TYPE}, not {types[name]}", file=bag, key=name
+                    )
             clock = f"{namespace}{_CLOCK}"
             if types.get(clock) == _CLOCK_TYPE:
                 names[clock] = _CLOCK
@@ -238,12 +239,10 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
     except Exception as error:  # the readers pass on any error of storages and codecs
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ConfigurationError(
-            f"cannot be read as a bag: {reason}" + (repair and f". If it is damaged, {repair}"),
+            f"cannot be read as a bag: {reason.rstrip('.')}"
+            + (repair and f". If it is damaged, {repair}"),
             file=bag,
         ) from error
-    silent = [topic for topic in _NEEDED if topic not in times]
-    if silent:
-        raise ConfigurationError(f"contains no messages on {', '.join(silent)}", file=bag)
     # A recorder with simulated time stamps every message with a value of the clock.
     if _CLOCK in times and not set(times.pop(_CLOCK)) & set(values.pop(_CLOCK)):
         raise ConfigurationError(
@@ -252,29 +251,6 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
             file=bag,
         )
     return {topic: _Series(np.array(times[topic]), np.array(values[topic])) for topic in times}
-
-
-def _check_topics(bag: Path, types: Mapping[str, str], names: Mapping[str, str]) -> None:
-    """Reject a bag that lacks a needed topic, or in which a used topic has the wrong type.
-
-    Args:
-        bag: directory of the bag.
-        types: message types of the bag's topics, keyed by topic name.
-        names: names of the used topics in the interface, keyed by their names in the bag.
-    """
-    missing = [topic for name, topic in names.items() if topic in _NEEDED and name not in types]
-    if missing:
-        topics = ", ".join(sorted(types)) or "none"
-        raise ConfigurationError(
-            f"lacks {', '.join(missing)}, which the report needs; the topics in the bag are: "
-            f"{topics}",
-            file=bag,
-        )
-    for name in names:
-        if types.get(name, _TYPE) != _TYPE:
-            raise ConfigurationError(
-                f"must be of type {_TYPE}, not {types[name]}", file=bag, key=name
-            )
 
 
 def _compute_maxima(site: Site) -> dict[str, tuple[float, str]]:
@@ -296,24 +272,7 @@ def _compute_maxima(site: Site) -> dict[str, tuple[float, str]]:
     }
 
 
-def _replace_refused(
-    topic: Topic, series: _Series, external_pump: bool
-) -> tuple[_Series, list[str]]:
-    """Return the values of a topic that the run's plant used, with 0 for rejected values.
-
-    Values that the plant itself published are unchanged, since they are the results of the run.
-    """
-    fine = (series.values >= topic.low) & (series.values <= topic.high)  # a NaN is neither
-    plants = "plant" not in topic.subscribers or (topic.name == "/pump/flow" and not external_pump)
-    if plants or fine.all():
-        return series, []
-    return series._replace(values=np.where(fine, series.values, 0.0)), [
-        f"{np.count_nonzero(~fine)} of {len(fine)} values of {topic.name} were rejected in the "
-        f"run and replaced by 0, because a value {topic.range.expected()}"
-    ]
-
-
-def _drop_outliers(
+def _drop_wrong(
     bag: Path, topic: Topic, of_site: tuple[float, str] | None, series: _Series
 ) -> tuple[_Series, list[str]]:
     """Remove implausible values of a topic, and return the others with a note.
@@ -344,6 +303,17 @@ def _drop_outliers(
     return _Series(times[fine], values[fine]), [
         f"{np.count_nonzero(~fine)} of {len(fine)} values of {topic.name} are left out because "
         "they are not finite or are out of range"
+    ]
+
+
+def _replace_refused(topic: Topic, series: _Series) -> tuple[_Series, list[str]]:
+    """Return the values of a topic that the run's plant used, with 0 for rejected values."""
+    fine = (series.values >= topic.low) & (series.values <= topic.high)  # a NaN is neither
+    if fine.all():
+        return series, []
+    return series._replace(values=np.where(fine, series.values, 0.0)), [
+        f"{np.count_nonzero(~fine)} of {len(fine)} values of {topic.name} were rejected in the "
+        f"run and replaced by 0, because a value {topic.range.expected()}"
     ]
 
 

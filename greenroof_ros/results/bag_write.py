@@ -193,8 +193,11 @@ class LiveBag:
             try:
                 # Before the removal: metadata must never list a missing file.
                 write_metadata(self.directory, self._files.values())
-            finally:
                 oldest.unlink()
+            except OSError:  # the disk may be too full for it, until the file is removed
+                (self.directory / METADATA).unlink(missing_ok=True)
+                oldest.unlink(missing_ok=True)
+                write_metadata(self.directory, self._files.values())
 
 
 class BagFile:
@@ -281,8 +284,8 @@ class BagFile:
             OSError: if writing fails, for instance because the disk is full.
         """
         self._writer.finish()
+        self.flush()
         self._stream.close()
-        self.safe = self.written
 
     def cut(self) -> None:
         """Close the file and truncate it to its last flush; remove it if it was never flushed."""
@@ -368,6 +371,7 @@ class FileIndex(NamedTuple):
 
     Attributes:
         name: name of the file.
+        size: size of the file (bytes).
         types: message types, keyed by schema number.
         channels: channels, one for each topic.
         statistics: number of messages, and the times of the first and the last message (ns since
@@ -375,6 +379,7 @@ class FileIndex(NamedTuple):
     """
 
     name: str
+    size: int
     types: dict[int, str]
     channels: list[Channel]
     statistics: Statistics
@@ -404,7 +409,7 @@ def read_index(path: Path) -> FileIndex | None:
             elif isinstance(record, Channel):
                 channels.append(record)
             elif isinstance(record, Statistics):
-                return FileIndex(path.name, types, channels, record)
+                return FileIndex(path.name, path.stat().st_size, types, channels, record)
     return None
 
 
@@ -423,56 +428,63 @@ def write_metadata(bag: Path, indices: Iterable[FileIndex | None]) -> None:
     if not files:
         (bag / METADATA).unlink(missing_ok=True)
         return
-    replace_text(bag / METADATA, _make_metadata(files))
-
-
-def _make_metadata(files: Sequence[FileIndex]) -> str:
     topics: dict[str, dict[str, Any]] = {}
     for file in files:
         for channel in file.channels:
-            if channel.topic not in topics:
-                topics[channel.topic] = {
-                    "topic_metadata": {
-                        "name": channel.topic,
-                        "type": file.types.get(channel.schema_id, ""),
-                        "serialization_format": channel.message_encoding,
-                        "offered_qos_profiles": _read_profiles(channel.metadata.get(_PROFILES, "")),
-                        "type_description_hash": channel.metadata.get(_HASH, ""),
-                    },
-                    "message_count": 0,
-                }
-            count = file.statistics.channel_message_counts.get(channel.id, 0)
-            topics[channel.topic]["message_count"] += count
+            topic = topics.setdefault(channel.topic, {
+                "topic_metadata": {
+                    "name": channel.topic,
+                    "type": file.types.get(channel.schema_id, ""),
+                    "serialization_format": channel.message_encoding,
+                    "offered_qos_profiles": _read_profiles(channel.metadata.get(_PROFILES, "")),
+                    "type_description_hash": channel.metadata.get(_HASH, ""),
+                },
+                "message_count": 0,
+            })
+            topic["message_count"] += file.statistics.channel_message_counts.get(channel.id, 0)
+    replace_text(bag / METADATA, _write_yaml({"rosbag2_bagfile_information": {
+        "version": _METADATA_VERSION,
+        "storage_identifier": "mcap",
+        **_describe_messages(files),
+        "topics_with_message_count": list(topics.values()),
+        # Refers to whole files; the chunks are compressed, as the mcap files themselves state.
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [file.name for file in files],
+        "files": [{"path": file.name, **_describe_messages([file])} for file in files],
+        # Shows how much is lost if a file is cut later.
+        "custom_data": {f"bytes of {file.name}": str(file.size) for file in files},
+        "ros_distro": "jazzy",
+    }}))
+
+
+def _describe_messages(files: Sequence[FileIndex]) -> dict[str, Any]:
+    """Return the period and the number of the messages in files, as in ``metadata.yaml``."""
     statistics = [file.statistics for file in files]
     start = min(of_file.message_start_time for of_file in statistics)
     end = max(of_file.message_end_time for of_file in statistics)
-    return _write_yaml({
-        "rosbag2_bagfile_information": {
-            "version": _METADATA_VERSION,
-            "storage_identifier": "mcap",
-            "duration": {"nanoseconds": end - start},
-            "starting_time": {"nanoseconds_since_epoch": start},
-            "message_count": sum(of_file.message_count for of_file in statistics),
-            "topics_with_message_count": list(topics.values()),
-            # Refers to whole files; the chunks are compressed, as the mcap files themselves state.
-            "compression_format": "",
-            "compression_mode": "",
-            "relative_file_paths": [file.name for file in files],
-            "files": [
-                {
-                    "path": file.name,
-                    "starting_time": {"nanoseconds_since_epoch": of_file.message_start_time},
-                    "duration": {
-                        "nanoseconds": of_file.message_end_time - of_file.message_start_time
-                    },
-                    "message_count": of_file.message_count,
-                }
-                for file, of_file in zip(files, statistics, strict=True)
-            ],
-            "custom_data": None,
-            "ros_distro": "jazzy",
+    return {
+        "starting_time": {"nanoseconds_since_epoch": start},
+        "duration": {"nanoseconds": end - start},
+        "message_count": sum(of_file.message_count for of_file in statistics),
+    }
+
+
+def read_recorded(bag: Path) -> dict[str, tuple[int, int]]:
+    """Return each closed file's number of messages and its size (bytes), 0 if it is unknown.
+
+    The result is empty if the bag's metadata is damaged.
+    """
+    with suppress(ConfigurationError, AttributeError, KeyError, TypeError, ValueError):
+        about = read_yaml(bag / METADATA)["rosbag2_bagfile_information"]
+        sizes = about.get("custom_data") or {}
+        return {
+            str(file["path"]): (
+                int(file["message_count"]), int(sizes.get(f"bytes of {file['path']}", 0))
+            )
+            for file in about["files"]
         }
-    })
+    return {}
 
 
 def _describe_qos(qos: Qos) -> dict[str, Any]:

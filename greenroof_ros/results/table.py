@@ -1,17 +1,35 @@
-"""The table of a study, ``results.csv``: its columns, and the keys that distinguish the runs.
+"""Tables with a row for each run, ``results.csv``, or for each rain event, ``events.csv``.
 
-The column of the parameter ``weight`` is ``parameter:weight``, so that the name of a parameter
-cannot conflict with another column.
+In the table of runs, the column of the parameter ``weight`` is ``parameter:weight``, so that the
+name of a parameter cannot conflict with another column.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import csv
+import io
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime, timedelta
+from pathlib import Path
 from typing import Any, TypeVar
 
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import read_text
+from greenroof_ros.physics.storm_water import Event
 from greenroof_ros.results.metrics import METRICS
 
 _PREFIX = "parameter:"
+
+EVENTS = "events.csv"
+"""name of the file in a run's directory"""
+
+EventRow = dict[str, Any]
+"""an event: ``start``, with its offset from UTC, and the fields of an :class:`.Event`"""
+
+_EVENT_COLUMNS = ("start", *Event._fields)
+_MAY_BE_NONE = ("peak_delay_min",)
 
 Cell = TypeVar("Cell")
 
@@ -19,6 +37,14 @@ Cell = TypeVar("Cell")
 def parameter_columns(parameters: Mapping[str, Cell]) -> dict[str, Cell]:
     """Return the values of parameters, keyed by column name."""
     return {f"{_PREFIX}{name}": value for name, value in parameters.items()}
+
+
+def row_parameters(row: Mapping[str, Cell]) -> dict[str, Cell]:
+    """Return the values of the parameters in a row of the table, keyed by parameter name."""
+    return {
+        column.removeprefix(_PREFIX): value
+        for column, value in row.items() if column.startswith(_PREFIX)
+    }
 
 
 def summary_columns(summary: Mapping[str, Any]) -> dict[str, Any]:
@@ -56,9 +82,62 @@ def format_exactly(value: float) -> str:
     return text if float(text) == value else repr(value)
 
 
-def row_parameters(row: Mapping[str, Cell]) -> dict[str, Cell]:
-    """Return the values of the parameters in a row of the table, keyed by parameter name."""
-    return {
-        column.removeprefix(_PREFIX): value
-        for column, value in row.items() if column.startswith(_PREFIX)
-    }
+def event_rows(start: datetime, events: Iterable[Event]) -> list[EventRow]:
+    """Return table rows for the events of a run, given the run's start with a fixed UTC offset."""
+    return [
+        {
+            "start": (start + timedelta(hours=event.start_h)).isoformat(timespec="seconds"),
+            **event._asdict(),
+        }
+        for event in events
+    ]
+
+
+def format_events(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the content of ``events.csv``, with full-precision numbers and lower-case Booleans."""
+    text = io.StringIO()
+    table = csv.DictWriter(text, _EVENT_COLUMNS, lineterminator="\n")
+    table.writeheader()
+    table.writerows({**row, "complete": json.dumps(row["complete"])} for row in rows)
+    return text.getvalue()
+
+
+def read_events(file: Path) -> list[EventRow]:
+    """Read the rain events in a file ``events.csv``.
+
+    Raises:
+        ConfigurationError: if the file is damaged, or is not a table of rain events.
+    """
+    rows = list[EventRow]()
+    table = csv.DictReader(io.StringIO(read_text(file)), restkey="", restval="?")
+    if tuple(table.fieldnames or ()) != _EVENT_COLUMNS:
+        raise ConfigurationError(
+            f"must have the columns {', '.join(_EVENT_COLUMNS)}; repeat the run", file=file, line=1
+        )
+    for cells in table:
+        try:
+            rows.append(check_event({
+                name: cell if name == "start" else json.loads(cell) if cell else None
+                for name, cell in cells.items()
+            }))
+        except (TypeError, ValueError) as error:
+            raise ConfigurationError(
+                "is not a valid rain event; repeat the run", file=file, line=table.line_num
+            ) from error
+    return rows
+
+
+def check_event(row: EventRow) -> EventRow:
+    """Check a row from a file, which can have any content, and return the row.
+
+    Raises:
+        TypeError, ValueError: if the row is not an event, which consists of a time, finite numbers
+        and Booleans. Only values that can be unknown may be missing.
+    """
+    if row.keys() != set(_EVENT_COLUMNS):
+        raise ValueError
+    datetime.fromisoformat(row["start"])
+    known = {name for name in Event._fields if row[name] is not None or name not in _MAY_BE_NONE}
+    if not all(math.isfinite(row[name]) for name in known):
+        raise ValueError
+    return row

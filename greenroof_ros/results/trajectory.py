@@ -26,7 +26,7 @@ TRAJECTORY, CSV = "trajectory.parquet", "trajectory.csv"
 """name of the file in a run's directory: for a study or Python, and for the command"""
 
 
-class TrajectoryColumn(NamedTuple):
+class Column(NamedTuple):
     """A quantity of a trajectory."""
 
     name: str
@@ -41,41 +41,39 @@ class TrajectoryColumn(NamedTuple):
     """key of the sites that have it; empty if all have it"""
 
 
-LAYER = TrajectoryColumn("drainage_layer_m3", "layer", needs="drainage_storage")
+LAYER = Column("drainage_layer_m3", "layer", needs="drainage_storage")
 
 # The columns besides the times, in the order of files and tables.
 COLUMNS = (
-    TrajectoryColumn("cistern_m3", "x1", "cistern", "/cistern/level"),
-    TrajectoryColumn("roof_m3", "x2", "roof", "/roof/level"),
-    TrajectoryColumn("cistern_level_m", "cistern_level"),
-    TrajectoryColumn("roof_level_m", "roof_level"),
-    TrajectoryColumn(
-        "precipitation_m_per_s", "precipitation", "precipitation", "/weather/precipitation",
-    ),
-    TrajectoryColumn(
+    Column("cistern_m3", "x1", "cistern", "/cistern/level"),
+    Column("roof_m3", "x2", "roof", "/roof/level"),
+    Column("cistern_level_m", "cistern_level"),
+    Column("roof_level_m", "roof_level"),
+    Column("precipitation_m_per_s", "precipitation", "precipitation", "/weather/precipitation"),
+    Column(
         "evapotranspiration_m3_per_s", "evapotranspiration", "evapotranspiration",
         "/weather/evapotranspiration",
     ),
-    TrajectoryColumn("command", "command", "command", "/pump/command"),
-    TrajectoryColumn("pump_flow_m3_per_s", "flows.pump", "pump_flow", "/pump/flow"),
-    TrajectoryColumn("outflow_m3_per_s", "flows.outflow", "outflow", "/cistern/outflow"),
-    TrajectoryColumn("drainage_m3_per_s", "flows.drainage", "drainage", "/roof/drainage"),
-    TrajectoryColumn("frost", "frost", "frost", "/weather/frost"),
+    Column("command", "command", "command", "/pump/command"),
+    Column("pump_flow_m3_per_s", "flows.pump", "pump_flow", "/pump/flow"),
+    Column("outflow_m3_per_s", "flows.outflow", "outflow", "/cistern/outflow"),
+    Column("drainage_m3_per_s", "flows.drainage", "drainage", "/roof/drainage"),
+    Column("frost", "frost", "frost", "/weather/frost"),
     LAYER,
-    TrajectoryColumn("outlet_command", "outlet", "outlet", "/outlet/command", "low_outlet_valve"),
-    TrajectoryColumn(
+    Column("outlet_command", "outlet", "outlet", "/outlet/command", "low_outlet_valve"),
+    Column(
         "low_outlet_flow_m3_per_s", "flows.low_outlet", "low_outlet", "/outlet/flow",
         "low_outlet_valve",
     ),
 )
 
 
-def columns_of(site: Site) -> list[TrajectoryColumn]:
+def columns_of(site: Site) -> list[Column]:
     """Return the columns of a site's files and tables."""
     return [column for column in COLUMNS if not column.needs or getattr(site, column.needs)]
 
 
-def recorded_columns(site: Site) -> list[TrajectoryColumn]:
+def recorded_columns(site: Site) -> list[Column]:
     """Return the columns that a :class:`Trajectory` of a site contains."""
     return [column for column in columns_of(site) if column.attribute]
 
@@ -182,28 +180,22 @@ def read_trajectory(path: Path) -> Trajectory:
         content = path.read_bytes()
     except OSError as error:
         raise ConfigurationError(f"cannot be read: {error.strerror}", file=path) from error
-    columns = list(_NAMES.values())
     try:
-        there = (
-            polars.read_csv(content, n_rows=0).columns if path.suffix == ".csv"
-            else list(polars.read_parquet_schema(io.BytesIO(content)))
-        )
-        columns = [name for name in columns if name in there or name not in _OPTIONAL]
         if path.suffix == ".csv":
-            numbers = dict.fromkeys(columns, polars.Float64)
-            table = polars.read_csv(
-                content, columns=["time", *columns], schema_overrides=numbers
-            )
+            numbers = dict.fromkeys(_NAMES.values(), polars.Float64)
+            table = polars.read_csv(content, schema_overrides=numbers)
             start = datetime.fromisoformat(table["time"][0])
         else:
-            start = datetime.fromisoformat(
-                polars.read_parquet_metadata(io.BytesIO(content))["start"]
-            )
-            table = polars.read_parquet(io.BytesIO(content), columns=columns)
-        table = table.select(columns)
-        if (
-            start.utcoffset() is None or table.is_empty()
-            or set(table.dtypes) != {polars.Float64} or any(table.null_count().row(0))
+            about = polars.read_parquet_metadata(io.BytesIO(content))
+            start = datetime.fromisoformat(about["start"])
+            table = polars.read_parquet(io.BytesIO(content))
+        columns = {
+            attribute: table[name] for attribute, name in _NAMES.items()
+            if name in table.columns or name not in _OPTIONAL
+        }
+        if start.utcoffset() is None or not all(
+            len(column) and column.dtype == polars.Float64 and not column.null_count()
+            for column in columns.values()
         ):
             raise ValueError
     except (
@@ -214,8 +206,5 @@ def read_trajectory(path: Path) -> Trajectory:
             "is empty, truncated or not a trajectory; repeat the run", file=path
         ) from error
     return Trajectory(
-        start=start, **{
-            attribute: table[name].to_numpy() for attribute, name in _NAMES.items()
-            if name in columns
-        }
+        start=start, **{attribute: column.to_numpy() for attribute, column in columns.items()}
     )

@@ -222,7 +222,7 @@ def test_a_parameter_that_would_have_no_effect(tmp_path: Path, text: str) -> Non
         ("--remap a", "Couldn't parse remap rule"),
         ("-p plant:speed:=4", "is not a parameter of the controller's node, onoff"),
         ("-p weight:=4", "is not a parameter of the controller's node, onoff"),
-        ("--params-file a.yaml", "with --parameters FILE, and the parameters of other nodes"),
+        ("--params-file a.yaml", "Couldn't parse params file"),
         ("--log-level loud", "Couldn't parse log level"),
         ("--nonsense", "--ros-args: ['--nonsense']"),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import shlex
 import sys
@@ -16,7 +17,6 @@ sys.path.append(str(CHECKOUT / "doc"))
 
 import generate
 
-from greenroof_ros.graph.ros_arguments import split_ros_arguments
 from greenroof_ros.live.devices.sensor_file import read_sensors
 
 DOC = CHECKOUT / "doc"
@@ -101,8 +101,8 @@ def test_commands_can_be_given(page: Path) -> None:
         assert command in generate.COMMANDS, words
         arguments = words[1 + len(command.split()) :]
         if name(page) != "doc/reference/commands.md":  # there it is the usage, without values
-            words = split_ros_arguments(arguments)[0] if command == "run" else arguments
-            generate.parser_of(command, arguments).parse_args(words)
+            own = itertools.takewhile(lambda word: word != "--ros-args", arguments)
+            generate.parser_of(command, arguments).parse_args(list(own))
 
 
 def test_drawings_show_the_interface() -> None:

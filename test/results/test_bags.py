@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import struct
 import subprocess
@@ -29,7 +30,6 @@ from greenroof_ros.commands.recover import recover
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.results.bag_read import count_ticks
 from greenroof_ros.results.bag_write import BagWriter, LiveBag
-from greenroof_ros.results.table import parameter_columns, row_parameters
 
 START_NS = 1625641200 * 10**9  # 07:00 UTC, by date -d
 TOPICS = (
@@ -92,29 +92,42 @@ def test_a_whole_bag_comes_out_as_it_is(tmp_path: Path) -> None:
     assert messages_of(tmp_path / "bag" / "bag_0.mcap") == written
     assert recover(tmp_path) == (tmp_path / "bag-recovered", 1200, [])
     assert messages_of(tmp_path / "bag-recovered" / "bag-recovered_0.mcap") == written
-    about = (tmp_path / "bag" / "metadata.yaml").read_text()
-    again = (tmp_path / "bag-recovered" / "metadata.yaml").read_text()
-    assert again.replace("bag-recovered_0", "bag_0") == about
+    about, again = (
+        (bag / "metadata.yaml").read_text().replace("bag-recovered_0", "bag_0").replace(
+            f"bytes of bag_0.mcap: '{next(bag.glob('*.mcap')).stat().st_size}'", ""
+        ) for bag in (tmp_path / "bag", tmp_path / "bag-recovered")
+    )
+    assert again == about and "bytes of" not in about
 
 
 @pytest.mark.parametrize("size", [8, 150_000])
-def test_a_bag_that_was_cut_keeps_its_whole_chunks(tmp_path: Path, size: int) -> None:
-    """From the first on, without a gap; a chunk has 16 ticks, or a megabyte."""
+@pytest.mark.parametrize("closed", [True, False])
+def test_a_bag_that_was_cut_keeps_its_whole_chunks(
+    tmp_path: Path, size: int, closed: bool
+) -> None:
+    """From the first on, without a gap; a chunk has 16 ticks, or a megabyte.
+
+    Lost is what follows the last whole chunk: up to the end of the closed file, which its metadata
+    still know, or up to the cut.
+    """
     written = write_bag(tmp_path / "bag", 40 if size > 8 else 200, size)
     ends = [part.chunk_start_offset + part.chunk_length for part in chunks(tmp_path / "bag")]
     file = tmp_path / "bag" / "bag_0.mcap"
-    cut = file.stat().st_size * 2 // 3
+    whole, last = file.stat().st_size, len(ends) * 2 // 3
+    cut = ends[last] + (ends[last + 1] - ends[last]) // 2
     os.truncate(file, cut)
-    (tmp_path / "bag" / "metadata.yaml").unlink()
-    new, messages, [loss] = recover(tmp_path)
+    if not closed:
+        (tmp_path / "bag" / "metadata.yaml").unlink()
+    new, messages, losses = recover(tmp_path)
     restored = messages_of(new / "bag-recovered_0.mcap")
     assert restored == written[:messages] and 30 < messages < len(written)
-    lost = int(loss.removeprefix("bag_0.mcap: ").split(" bytes are lost between ")[0])
-    assert cut - min(end for end in ends if end > cut) < 0 < lost < cut - max(
-        end for end in ends if end < cut
-    ) + 1
-    assert loss.endswith(f"between {utc(restored[-1][2])} and the end")
-    assert count_ticks(tmp_path / "bag") is None and count_ticks(new) == messages // 6
+    assert losses == [
+        f"bag_0.mcap: {(whole if closed else cut) - ends[last]} bytes are lost between "
+        f"{utc(restored[-1][2])} and the end",
+        f"bag_0.mcap: {len(written) - messages} of its {len(written)} messages are lost",
+    ][: 1 + closed]
+    assert closed or count_ticks(tmp_path / "bag") is None
+    assert count_ticks(new) == messages // 6
 
 
 def test_hostile_files_do_no_harm(tmp_path: Path) -> None:
@@ -302,13 +315,6 @@ def test_a_file_that_cannot_grow_keeps_what_was_safe(tmp_path: Path, room: int) 
     assert recover(tmp_path) == (tmp_path / "bag-recovered", 6 * writer.safe, [])
 
 
-def test_parameters_are_columns_of_their_own() -> None:
-    """A parameter with the name of another column is not mistaken for it."""
-    row = {"hours": "12", **parameter_columns({"hours": "3", "gain": "20"})}
-    assert row == {"hours": "12", "parameter:hours": "3", "parameter:gain": "20"}
-    assert row_parameters(row) == {"hours": "3", "gain": "20"}
-
-
 # --- live sites: split, bounded, readable while growing, and after a kill -------------------------
 
 # 2026-11-21 23:00:00 UTC, by date -d.
@@ -456,6 +462,40 @@ def test_every_file_of_a_split_bag_is_checked(tmp_path: Path, what: str) -> None
     assert ("bytes are lost between 2026-11-21 23:" in losses[0]) == (
         what in ("a chunk", "half a file")
     )
+
+
+def test_metadata_list_no_missing_file_on_a_full_disk(tmp_path: Path) -> None:
+    """Not even if there is room for messages, but none for the metadata without the oldest file."""
+    directory, random = tmp_path / "bag", Random(1)
+    bag, about = live_bag(directory, 2000, 100_000), directory / "metadata.yaml"
+
+    def write(seconds: range) -> None:
+        for second in seconds:
+            bag.write(TOPICS[0], LATE_NS + second * 10**9, number(random.random()), float(second))
+            bag.flush_if_due(float(second))
+            if about.exists():
+                listed = re.findall(r"path: (bag_\d+.mcap)", about.read_text())
+                assert listed and all((directory / name).exists() for name in listed)
+
+    write(range(1500))
+    with no_file_beyond(about.stat().st_size - 500):
+        write(range(1500, 1800))
+        assert "File too large" in bag.problem and not about.exists()
+    write(range(1800, 2000))
+    assert bag.problem == "" and about.exists()
+    bag.close()
+
+
+def test_a_simulations_bag_without_room_for_its_metadata_is_whole(tmp_path: Path) -> None:
+    writer = bag_writer(tmp_path / "bag")
+    for tick in range(20):
+        time_ns = START_NS + tick * 10**9
+        writer.write_tick(time_ns, [clock(time_ns), *(number(tick) for _ in TOPICS)])
+    (tmp_path / "bag" / ".metadata.yaml.part").mkdir()
+    with pytest.raises(IsADirectoryError):
+        writer.close()
+    writer.cut()
+    assert writer.safe == 20 and len(messages_of(writer.path)) == 20 * 6
 
 
 @pytest.mark.parametrize("room", [6000, 9000, 12_000])

@@ -39,7 +39,7 @@ def ours(steps: list[Step]) -> bytes:
 def theirs(steps: list[Step]) -> bytes:
     """Write the same file with the library."""
     stream = BytesIO()
-    writer = Writer(stream, enable_data_crcs=True)
+    writer = Writer(stream)
     writer.start(profile="ros2", library="greenroof_ros")
     perform(
         steps, writer.register_schema, writer.register_channel, writer.add_message, writer.flush

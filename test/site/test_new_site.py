@@ -154,6 +154,20 @@ def test_sizes_from_a_shed_to_a_hospital(tmp_path: Path) -> None:
         assert inputs.build().notes() == []
 
 
+@pytest.mark.parametrize(("options", "value", "why"), [
+    ((), 0.16, "k_Rs:    0.16, for an interior place; --coast changes it\n"),
+    (("--coast",), 0.19, "k_Rs:    0.19, for a coastal place\n"),
+])
+def test_a_coast(tmp_path: Path, options: tuple[str, ...], value: float, why: str) -> None:
+    """The values of FAO-56, Eq. 50; the file names both, and the command the one it took."""
+    ended = new_site(tmp_path, *GIVEN, *options)
+    assert why in ended.stdout
+    assert read_site(tmp_path / "my_site.yaml").k_Rs == value
+    about = re.search(r"^k_Rs: .*\n.*\n.*", (tmp_path / "my_site.yaml").read_text(), re.MULTILINE)
+    assert about is not None and "Eq. 50" in about[0]
+    assert "0.16 is right for" in about[0] and "0.19 for coastal places" in about[0]
+
+
 PLACE = "must be latitude,longitude in degrees with decimal points, such as 43.63,-79.40"
 
 
@@ -189,11 +203,10 @@ def test_places(
         ((*GIVEN, "--cistern", "5m3"), "argument --cistern: must be a number from 0.01 to 1000"),
         ((*GIVEN, "--substrate", "moss"), "--substrate: 'moss' must be one of neubrandenburg, ber"),
         ((*GIVEN, "--substrate-depth", "10"), "--substrate-depth: must be a number from 0.02 to 2"),
-        ((*GIVEN, "--emitters", "10"), "error: --emitters = 10: also needs --emitter-flow"),
+        ((*GIVEN, "--emitters", "10"), "these answers: emitters = 10: needs emitter_flow as well"),
         (
             (*GIVEN, "--pump-flow", "9", "--irrigation-rate", "3"),
-            "error: --pump-flow and --irrigation-rate: set the same quantity, the pump's flow: use "
-            "only one",
+            "these answers: irrigation_rate = 3.0: contradicts pump_flow = 9.0",
         ),
         ((*GIVEN, "--target", "108"), "z_veg = 0.108: must be below z_cap / a2 = 0.06804 m"),
         ((*GIVEN, "--time-zone", "Mars"), "--time-zone: must be the IANA name of a time zone"),

@@ -19,8 +19,7 @@ from greenroof_ros.base.times import to_people
 from greenroof_ros.interface.alarm import read_alarms
 from greenroof_ros.results.bag_read import load_bag
 from greenroof_ros.results.bag_write import METADATA, name_recovered_bag
-from greenroof_ros.results.events_table import event_rows
-from greenroof_ros.results.table import format_exactly
+from greenroof_ros.results.table import event_rows, format_exactly
 from greenroof_ros.results.trajectory import CSV, TRAJECTORY
 from greenroof_ros.simulation.summary import SITE_FILE
 from greenroof_ros.site.file import read_site

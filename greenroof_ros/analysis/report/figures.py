@@ -27,7 +27,7 @@ from greenroof_ros.analysis.report.trajectories import (
     figures_over_time,
     select_curves,
 )
-from greenroof_ros.results.events_table import EventRow
+from greenroof_ros.results.table import EventRow
 
 # With more lines than this in one panel, every controller has its own figures.
 _MAX_LINES = len(COLOURS)

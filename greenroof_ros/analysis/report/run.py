@@ -17,9 +17,14 @@ from greenroof_ros.base.files import read_text, read_yaml
 from greenroof_ros.base.times import hours_minutes_seconds
 from greenroof_ros.forecast.choice import OPTIONS
 from greenroof_ros.physics.storm_water import WITHOUT_RAIN
-from greenroof_ros.results.events_table import EventRow, check_event, read_events
 from greenroof_ros.results.metrics import METRICS
-from greenroof_ros.results.table import parameter_columns, summary_columns
+from greenroof_ros.results.table import (
+    EventRow,
+    check_event,
+    parameter_columns,
+    read_events,
+    summary_columns,
+)
 from greenroof_ros.results.trajectory import Trajectory, read_trajectory
 from greenroof_ros.simulation import summary
 from greenroof_ros.site.site import Site

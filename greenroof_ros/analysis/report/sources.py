@@ -17,9 +17,9 @@ from greenroof_ros.analysis.report.run import ReportedRun, Row, read_about
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import file_digest, read_text
 from greenroof_ros.physics.sensor_and_pump import PARAMETERS
-from greenroof_ros.results.events_table import EVENTS
 from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.results.table import (
+    EVENTS,
     find_differing_keys,
     format_exactly,
     row_parameters,

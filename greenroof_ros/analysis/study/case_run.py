@@ -9,8 +9,7 @@ from typing import Any
 
 from greenroof_ros.analysis.study.case import Case
 from greenroof_ros.controllers.outlet import PRICE
-from greenroof_ros.results.events_table import EVENTS, format_events
-from greenroof_ros.results.table import summary_columns
+from greenroof_ros.results.table import EVENTS, format_events, summary_columns
 from greenroof_ros.results.trajectory import TRAJECTORY
 from greenroof_ros.simulation import bound
 from greenroof_ros.simulation.loop import simulate

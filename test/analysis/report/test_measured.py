@@ -12,8 +12,8 @@ from paper import PAPER_SITE, paper_run, site_file
 from places import CONFIG
 
 from greenroof_ros.analysis.report.recorded import compute_results
-from greenroof_ros.results.events_table import event_rows
 from greenroof_ros.results.metrics import METRICS
+from greenroof_ros.results.table import event_rows
 from greenroof_ros.simulation.loop import simulate
 
 TARGET = 68.8 * 0.0457

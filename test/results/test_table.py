@@ -1,4 +1,4 @@
-"""The table of events of rain: the same after it was written and read, and refused if damaged."""
+"""The table of rain events, written and read, or refused if damaged; columns of parameters."""
 
 from __future__ import annotations
 
@@ -10,7 +10,14 @@ import pytest
 from refusals import refusal
 
 from greenroof_ros.physics.storm_water import Event
-from greenroof_ros.results.events_table import EVENTS, event_rows, format_events, read_events
+from greenroof_ros.results.table import (
+    EVENTS,
+    event_rows,
+    format_events,
+    parameter_columns,
+    read_events,
+    row_parameters,
+)
 
 START = datetime.fromisoformat("2021-07-07T02:00-05:00")
 EVENT = Event(
@@ -44,3 +51,10 @@ def test_damaged(tmp_path: Path, old: str, new: str, line: int) -> None:
     assert old in text
     (tmp_path / EVENTS).write_text(text.replace(old, new, 1))
     refusal(read_events, tmp_path / EVENTS, match=rf"events\.csv, line {line}: .*repeat the run")
+
+
+def test_parameters_are_columns_of_their_own() -> None:
+    """A parameter with the name of another column is not mistaken for it."""
+    row = {"hours": "12", **parameter_columns({"hours": "3", "gain": "20"})}
+    assert row == {"hours": "12", "parameter:hours": "3", "parameter:gain": "20"}
+    assert row_parameters(row) == {"hours": "3", "gain": "20"}
