@@ -90,7 +90,7 @@ def _refuse_unknown(
         names = set().union(*(known[node] for node in matching))
         for name, value in section.values.items():
             place: dict[str, Any] = {
-                "file": file, "line": section.lines[name], "key": f"{section.name}: {name}",
+                "file": file, "line": section.values.lines[name], "key": f"{section.name}: {name}",
                 "value": value,
             }
             for node in matching:

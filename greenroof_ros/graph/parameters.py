@@ -205,4 +205,4 @@ def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:
                     section.name.rpartition("/")[2] == own
                 ):
                     for name, value in section.values.items():
-                        refuse(name, value, file=text, line=section.lines[name])
+                        refuse(name, value, file=text, line=section.values.lines[name])
