@@ -18,13 +18,13 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from greenroof_ros import INTERRUPTED, SIGNALS, end_interrupted
 from greenroof_ros.base.errors import (
     ConfigurationError,
     OccupiedError,
     describe_choices,
     find_similar,
 )
+from greenroof_ros.base.interrupts import INTERRUPTED, SIGNALS, end_interrupted
 from greenroof_ros.base.processes import end_with_parent, find_signal, store_signals
 from greenroof_ros.base.ranges import Range
 

@@ -21,8 +21,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from greenroof_ros import SIGNALS
 from greenroof_ros.base.errors import ConfigurationError, HangError
+from greenroof_ros.base.interrupts import SIGNALS
 
 with contextlib.suppress(ImportError):  # Windows has none
     import fcntl
