@@ -56,9 +56,10 @@ def find_shipped(file: Path) -> Path:
 
 
 def state_directory() -> Path:
-    """Return the user's default directory for state files according to the XDG specification."""
-    directory = os.environ.get("XDG_STATE_HOME")
-    return (Path(directory) if directory else Path.home() / ".local" / "state") / "greenroof_ros"
+    """Return the user's directory for the package's state, ``~/.local/state/greenroof_ros``."""
+    from platformdirs import user_state_path  # few commands need it
+
+    return user_state_path("greenroof_ros", appauthor=False)
 
 
 def unique_name(file: Path, existing: Container[str]) -> str:
