@@ -9,6 +9,8 @@ from difflib import SequenceMatcher
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.base.text import escape
+
 # Maximum length of a value in a message, and of a message (characters).
 _MAX_VALUE, _MAX_MESSAGE = 300, 4000
 
@@ -46,6 +48,7 @@ def _shorten(text: str, max_length: int) -> str:
 class ConfigurationError(Exception):
     """Raised if a file or an option is invalid; the message gives the place and valid values.
 
+    Control characters in the message are escaped.
     A command then exits with code 2 and prints no traceback.
 
     Attributes:
@@ -72,8 +75,9 @@ class ConfigurationError(Exception):
         if value is not None:
             subject += f" = {describe_value(value)}" if key else describe_value(value)
         self.expected, self.file, self.key, self.value = expected, file, key, value
-        self.wrong = _shorten(": ".join(part for part in (subject, expected) if part), _MAX_MESSAGE)
-        super().__init__(f"{place}: {self.wrong}" if place else self.wrong)
+        wrong = ": ".join(part for part in (subject, expected) if part)
+        self.wrong = escape(_shorten(wrong, _MAX_MESSAGE))
+        super().__init__(f"{escape(place)}: {self.wrong}" if place else self.wrong)
 
 
 @contextmanager

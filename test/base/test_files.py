@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from commands import run_command
 from places import CONFIG
 from refusals import refusal
 
@@ -165,6 +167,23 @@ def test_no_value_fills_a_message(
     except ConfigurationError as error:
         message = str(error)
     assert len(message) < 5000
+
+
+CONTROLS = '"\\x1b[31m\\r\u202e\u2066"'
+
+
+@pytest.mark.parametrize("text", [f"{CONTROLS}: 1", f"tau: {CONTROLS}", f"tau: !{CONTROLS}", "\33"])
+def test_no_control_character_reaches_the_terminal(tmp_path: Path, text: str) -> None:
+    """They would colour, overwrite or reorder what is printed. Names of files and options count."""
+    file = tmp_path / "\33[31m\r\u202e\u2066.yaml"
+    file.write_text(f"{text}\n")
+    for words in (["--site", str(file)], [f"--{file.name}"], ["--controller", file.name]):
+        done = run_command(
+            "__main__", "simulate", "--hours", "1", *words, cwd=tmp_path, env=dict(os.environ)
+        )
+        assert done.returncode == 2
+        assert r"\x1b[31m\r\u202e\u2066" in done.stderr
+        assert all(sign == "\n" or sign.isprintable() for sign in done.stderr)
 
 
 @pytest.mark.parametrize(("value", "shown"), [

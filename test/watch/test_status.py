@@ -100,7 +100,7 @@ def test_a_run_that_is_well_and_then_has_warnings(domain: int, tmp_path: Path) -
             )
     assert (code, len(lines)) == (1, 15)
     assert lines[0].startswith("30 warnings. The roof is ")
-    assert lines[8] == "Alarm: /camera0: \N{REPLACEMENT CHARACTER}[31mno picture"
+    assert lines[8] == "Alarm: /camera0: \\x1b[31mno picture"
     assert lines[-1] == "and 24 more lines; see 'greenroof watch'"
     run.process.send_signal(signal.SIGINT)
     assert run.wait(300) == 130

@@ -313,9 +313,7 @@ def test_a_key_in_the_url_reaches_the_service_and_nothing_else(service, tmp_path
     assert f"error: 2023-01-01 to 2024-01-01: {service.address}/v1/archive: 400 Bad Request: " in (
         done.stderr
     )
-    assert "[2J\N{REPLACEMENT CHARACTER}\N{REPLACEMENT CHARACTER}no: apikey=***&models=&lat" in (
-        done.stderr
-    )
+    assert "\\x1b[2J\\x07\\u202eno: apikey=***&models=&lat" in done.stderr
     assert not {"\33", "\7", "\u202e"} & {*done.stderr}
     other = run(service, tmp_path, "--years", "2022-2023", "--url", paid.replace("models=", "m="))
     assert "contains parts from a different request" in other.stderr
