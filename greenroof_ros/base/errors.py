@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import reprlib
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from difflib import SequenceMatcher
 from pathlib import Path
-from typing import Any
 
 from greenroof_ros.base.text import escape
 
@@ -15,26 +13,10 @@ from greenroof_ros.base.text import escape
 _MAX_VALUE, _MAX_MESSAGE = 300, 4000
 
 
-class _Repr(reprlib.Repr):
-    """Representation of values that shows only a few items of each collection, for large files."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.maxlevel, self.maxstring, self.maxother = 3, _MAX_VALUE, _MAX_VALUE
-        self.maxlist = self.maxtuple = self.maxdict = 20
-
-    def repr1(self, x: Any, level: int) -> str:
-        """Return the representation of a value, treating a subclass of dict like dict."""
-        return self.repr_dict(x, level) if isinstance(x, dict) else super().repr1(x, level)
-
-
-_REPR = _Repr()
-
-
 def describe_value(value: object) -> str:
     """Return Python's representation of a value for a message, truncated to 300 characters."""
     try:
-        return _shorten(_REPR.repr(value), _MAX_VALUE)
+        return _shorten(repr(value), _MAX_VALUE)
     except ValueError:  # from Python
         return "a number with thousands of digits"
 
@@ -48,8 +30,7 @@ def _shorten(text: str, max_length: int) -> str:
 class ConfigurationError(Exception):
     """Raised if a file or an option is invalid; the message gives the place and valid values.
 
-    Control characters in the message are escaped.
-    A command then exits with code 2 and prints no traceback.
+    Control characters in the message are escaped. A command then exits with code 2 and prints no traceback.
 
     Attributes:
         wrong: the message without the file and the line.
