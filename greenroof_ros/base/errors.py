@@ -30,7 +30,8 @@ def _shorten(text: str, max_length: int) -> str:
 class ConfigurationError(Exception):
     """Raised if a file or an option is invalid; the message gives the place and valid values.
 
-    Control characters in the message are escaped. A command then exits with code 2 and prints no traceback.
+    Control characters in the message are escaped. A command then exits with code 2 and prints no
+    traceback.
 
     Attributes:
         wrong: the message without the file and the line.
