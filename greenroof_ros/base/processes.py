@@ -1,11 +1,10 @@
-"""Functions for processes: ending with the parent, signals, locks, time limits, and systemd."""
+"""Functions for processes: ending with the parent, locks, temporary files, signals, and systemd."""
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
 import errno
-import faulthandler
 import hashlib
 import os
 import shutil
@@ -14,14 +13,12 @@ import socket
 import struct
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
-from greenroof_ros.base.errors import ConfigurationError, HangError
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.interrupts import SIGNALS
 
 _PR_SET_PDEATHSIG = 1
@@ -50,24 +47,6 @@ def end_with_parent() -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     if str(os.getppid()) != parent:
         os.kill(os.getpid(), signal.SIGTERM)
-
-
-def end_worker_with_command() -> None:
-    """Stop this worker immediately when the process that requested it stops for any reason.
-
-    The requesting process is not always the parent, because workers are children of
-    multiprocessing's fork server.
-    """
-    import multiprocessing  # takes long, and only workers need it
-
-    def watch() -> None:
-        try:
-            if (command := multiprocessing.parent_process()) is not None:
-                command.join()
-        finally:
-            os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 # Length of the address of a Unix socket (bytes), and what the kernel reports about its listener:
@@ -274,40 +253,6 @@ class Signals:
         """Raise :class:`InterruptedRun` if a signal was received."""
         if (received := self.received) is not None:
             raise InterruptedRun(f"interrupted by {received.name}")
-
-
-@contextlib.contextmanager
-def time_limit(seconds: float) -> Iterator[None]:
-    """Raise an error in Python code that takes too long, and repeat it every second until it stops.
-
-    The code has to run in the main thread. Compiled code cannot be stopped; the position from which
-    it was called is then written to standard error. A pause of the whole process counts as only one
-    step, which is a tenth of the limit.
-
-    Raises:
-        HangError: if the code takes longer than the given time (s).
-    """
-    step = seconds / 10
-    left = seconds
-
-    def end(_: int, frame: FrameType | None) -> None:
-        nonlocal left
-        left -= step
-        if left > step / 2:
-            return
-        left = 1.0
-        place = "" if frame is None else f"{frame.f_code.co_filename}, line {frame.f_lineno}"
-        raise HangError(f"did not return within {seconds:g} s; it was executing {place}")
-
-    before = signal.signal(signal.SIGALRM, end)
-    signal.setitimer(signal.ITIMER_REAL, step, step)
-    faulthandler.dump_traceback_later(seconds + 1.0)
-    try:
-        yield
-    finally:
-        faulthandler.cancel_dump_traceback_later()
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
 
 
 def notify(*lines: str) -> None:

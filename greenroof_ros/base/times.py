@@ -107,15 +107,10 @@ def iso(seconds: float) -> str:
     return datetime.fromtimestamp(seconds, timezone.utc).isoformat(timespec="milliseconds")
 
 
-def hours_minutes(seconds: float) -> str:
-    """Format a time since the start of a run in whole minutes, such as ``00:05``."""
-    minutes = int(seconds) // 60
-    return f"{minutes // 60:02}:{minutes % 60:02}"
-
-
 def hours_minutes_seconds(seconds: float) -> str:
     """Format a time since the start of a run in whole seconds, such as ``00:20:34``."""
-    return f"{hours_minutes(seconds)}:{int(seconds) % 60:02}"
+    minutes, rest = divmod(int(seconds), 60)
+    return f"{minutes // 60:02}:{minutes % 60:02}:{rest:02}"
 
 
 def duration(seconds: float) -> str:
