@@ -131,7 +131,7 @@ def lock_file(path: Path) -> Iterator[None]:
 IN_MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
 """a place for files in memory; None if the system has none, as other systems than Linux"""
 # Directories of temporary files, and the lock in each; nothing else may have such a name.
-_SCRATCH, _LOCK = "greenroof_ros_scratch-", "lock"
+_SCRATCH, _LOCK = "greenroof_ros_temporary-", "lock"
 # A lock file may be younger than this (s) without being locked.
 _NEW_S = 1.0
 

@@ -119,7 +119,7 @@ def test_what_a_killed_process_leaves_is_removed_at_the_next_start(tmp_path: Pat
     (tmp_path / "someone's").mkdir()
     (tmp_path / "someone's" / "lock").touch()
     os.utime(tmp_path / "someone's" / "lock", (0, 0))
-    (tmp_path / "greenroof_ros_scratch-link").symlink_to(tmp_path / "someone's")
+    (tmp_path / "greenroof_ros_temporary-link").symlink_to(tmp_path / "someone's")
     with subprocess.Popen(
         [sys.executable, "-c", _SCRATCH, str(tmp_path)], stdout=subprocess.PIPE, text=True
     ) as other:
