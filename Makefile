@@ -2,7 +2,7 @@
 #
 #   make run ARGS="--controller onoff --hours 1"     passes options on to bringup
 #   make test ARGS="test/test_packaging.py -k pip"   passes options on to pytest
-#   make clean; make PYTHON=python3.12 run           uses another Python, 3.10 or later
+#   make clean; make PYTHON=python3.12 run           uses another Python, 3.11 or later
 
 PYTHON ?= python3
 VENV := .venv
@@ -129,8 +129,8 @@ ifeq ($(ARGS),)
 endif
 
 $(MADE):
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || { \
-	    echo "Python 3.10 or later is needed; $(PYTHON) is $$($(PYTHON) --version 2>&1)." >&2; \
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	    echo "Python 3.11 or later is needed; $(PYTHON) is $$($(PYTHON) --version 2>&1)." >&2; \
 	    echo "Choose another one: make PYTHON=python3.11 ..." >&2; exit 1; }
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
 	    echo "$(PYTHON) cannot make virtual environments; on Debian and Ubuntu:" >&2; \

@@ -52,7 +52,7 @@ setup(
     maintainer_email="maintainers@users.noreply.github.com",
     license="Apache-2.0",
     license_files=["LICENSE"],
-    python_requires=">=3.10",
+    python_requires=">=3.11",
     classifiers=[
         "Development Status :: 4 - Beta",
         "Intended Audience :: Science/Research",
@@ -88,6 +88,8 @@ setup(
         "mcap>=1.5,<2",  # reads bags, and defines most of their records; brings zstandard
         "eto>=2.2,<3",  # FAO-56 Penman-Monteith; 2.2 has hours in any time zone and clouded nights
         "PyYAML>=6.0,<7",  # reads config/ and msg_defs/, writes a bag's metadata.yaml
+        "filelock>=3.9,<5",  # locks of studies, sites and directories, also on Windows
+        "platformdirs>=2.6,<5",  # where a user's state belongs; 2.6 is Debian 12's
         "rich>=13,<16",  # progress bar and tables on the terminal
     ],
     extras_require={
@@ -147,7 +149,7 @@ setup(
             "ruff~=0.17.0",
             "mypy~=2.4.0",
             "types-PyYAML>=6.0",
-            "codespell[toml]>=2.4,<3",  # spelling; Python 3.10 has no TOML
+            "codespell>=2.4,<3",  # spelling
             "import-linter>=2.16,<3",  # which room may import from which: pyproject.toml
             "build>=1.2",  # sdist and wheel, as they would be released
             "twine>=6",  # whether a package index would take them
@@ -157,7 +159,7 @@ setup(
             "colcon-bash>=0.5",  # install/setup.bash
             "setuptools>=64,<80",  # colcon-core's own limit; a venv of Python 3.12 on has none
         ],
-        # The documentation: make docs. The oldest Sphinx is the newest for Python 3.10.
+        # The documentation: make docs.
         "docs": [
             "sphinx>=8.1,<10",  # pages, and their API part from the docstrings
             "myst-parser>=4,<6",  # pages are Markdown

@@ -46,8 +46,6 @@ from greenroof_ros.base.parameter import Key, Parameter, Word, keys, parameters_
 from greenroof_ros.controllers.outlet import PARAMETERS
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.forecast.skill import Climate, Errors
-from greenroof_ros.weather.description import Description
-from greenroof_ros.weather.quantities import QUANTITIES, ROOF, known_units
 from greenroof_ros.interface.alarm import Alarm
 from greenroof_ros.interface.conditions import (
     LATCHED,
@@ -63,6 +61,8 @@ from greenroof_ros.physics.storm_water import Event
 from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.site.file import DETERMINES, SITE_KEYS, SUBSTRATES, read_site
 from greenroof_ros.site.site import Site
+from greenroof_ros.weather.description import Description
+from greenroof_ros.weather.quantities import QUANTITIES, ROOF, known_units
 
 _BLOCK = re.compile(
     r"(?<=<!-- table: )(?P<name>[a-z_ ]+)(?P<gap> -->\n)(?P<table>.*?)(?=<!-- end of table -->)",

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import sys
 
-from greenroof_ros import __version__, end_on_interrupt
+from greenroof_ros.base.interrupts import end_on_interrupt, is_program
 
-if sys.argv[0].rpartition("/")[2] == "greenroof":  # before the imports that take long
+if is_program(__name__):  # before the imports that take long
     end_on_interrupt()
 
 import importlib
 from dataclasses import dataclass
 from typing import Any
 
+from greenroof_ros import __version__
 from greenroof_ros.base.command_line import EXIT_DONE, Parser, command
 from greenroof_ros.base.errors import suggest_names
 

@@ -24,14 +24,13 @@ from numpy.typing import NDArray
 from places import CONFIG
 
 from greenroof_ros.base.times import hours_since_1970
-from greenroof_ros.weather.records import HOUR
-from greenroof_ros.weather.records import Records
-from greenroof_ros.weather.open_meteo import VARIABLES
-from greenroof_ros.weather.quantities import PRECIPITATION, RADIATION
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import sun_height
+from greenroof_ros.weather.open_meteo import VARIABLES
+from greenroof_ros.weather.quantities import PRECIPITATION, RADIATION
 from greenroof_ros.weather.read import default_weather, read_weather
+from greenroof_ros.weather.records import HOUR, Records
 from greenroof_ros.weather.series import FILL
 
 NONE = "none"

@@ -16,10 +16,10 @@ import greenroof_ros
 for name in ("rclpy", "rcl_interfaces", "std_msgs", "std_srvs", "rosgraph_msgs", "diagnostic_msgs",
              "builtin_interfaces", "ament_index_python", "launch", "rosbag2_py"):
     sys.modules[name] = None  # its import fails
-graph = r"(nodes|graph|model|bringup\.composition|commands\.checks)\b"  # model: see below
+graph = r"(nodes|graph|model|common|bringup\.composition|commands\.checks)\b"  # see below
 graph += r"|live\.(?!devices|pumping|simulators)"
 if importlib.util.find_spec("gymnasium") is None:
-    graph += r"|analysis\.api\.(gym|vector)\b"
+    graph += r"|gym|analysis\.api\.(gym|vector)\b"
 for module in pkgutil.walk_packages(greenroof_ros.__path__, "greenroof_ros."):
     if not re.match(rf"greenroof_ros\.({graph})", module.name):
         importlib.import_module(module.name)
@@ -36,7 +36,7 @@ def test_every_module_but_the_graphs_imports_without_ros() -> None:
     imported = set(done.stdout.split())
     rooms = {path.name for path in (CHECKOUT / "greenroof_ros").iterdir() if path.is_dir()}
     rooms -= {"graph", "nodes", "__pycache__"}
-    assert rooms >= {"base", "interface", "physics", "controllers", "simulation", "analysis", "commands"}
+    assert rooms >= {"base", "physics", "controllers", "simulation", "analysis", "commands"}
     assert {f"greenroof_ros.{name}" for name in rooms} <= imported
     assert "greenroof_ros.live.devices.exchange" in imported
 

@@ -33,8 +33,14 @@ from greenroof_ros.analysis.calibration.record import (
 )
 from greenroof_ros.analysis.calibration.scores import score
 from greenroof_ros.analysis.calibration.simulation import find_min_reading, simulate
+from greenroof_ros.analysis.calibration.step_record import (
+    HOUR_S,
+    StepRecord,
+    Steps,
+    Values,
+    find_storms,
+)
 from greenroof_ros.base.files import default_site_file
-from greenroof_ros.analysis.calibration.step_record import HOUR_S, StepRecord, Steps, Values, find_storms
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 

@@ -18,15 +18,16 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from greenroof_ros import INTERRUPTED, SIGNALS, end_interrupted
 from greenroof_ros.base.errors import (
     ConfigurationError,
     OccupiedError,
     describe_choices,
     find_similar,
 )
+from greenroof_ros.base.interrupts import INTERRUPTED, SIGNALS, end_interrupted
 from greenroof_ros.base.processes import end_with_parent, find_signal, store_signals
 from greenroof_ros.base.ranges import Range
+from greenroof_ros.base.text import escape
 
 if TYPE_CHECKING:  # it reads YAML, which a command's help does not need
     from greenroof_ros.base.parameter import Parameter
@@ -117,6 +118,10 @@ def _discard_what_cannot_be_printed() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 
+def _print_error(text: str) -> None:
+    print(f"error: {escape(text)}", file=sys.stderr)
+
+
 def command(
     main: Callable[[], int | None], *, failed: int | None = None
 ) -> Callable[[], NoReturn]:
@@ -143,13 +148,13 @@ def command(
                 code = end.code and (failed or end.code)
             print(end="", flush=True)
         except (ConfigurationError, argparse.ArgumentError) as error:
-            print(f"error: {error}", file=sys.stderr)
+            _print_error(str(error))
             code = failed or exit_code(error)
         except OSError as error:
             if not isinstance(error, BrokenPipeError):
                 # When copying, it is the second file that has no room.
                 parts = (error.filename2 or error.filename, error.strerror or str(error))
-                print("error:", ": ".join(filter(None, parts)), file=sys.stderr)
+                _print_error(": ".join(filter(None, parts)))
             code = failed or EXIT_FAILED
             _discard_what_cannot_be_printed()
         return code
@@ -221,6 +226,10 @@ class Parser(argparse.ArgumentParser):
                 + (f" ({self.hint})" if self.hint else "")
             )
         return parsed
+
+    def error(self, message: str) -> NoReturn:
+        """Print the usage and an error, and exit with code 2."""
+        super().error(escape(message))
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """Reject a value that is not one of the option's choices, and suggest likely choices."""

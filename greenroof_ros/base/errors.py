@@ -2,37 +2,21 @@
 
 from __future__ import annotations
 
-import reprlib
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from difflib import SequenceMatcher
 from pathlib import Path
-from typing import Any
+
+from greenroof_ros.base.text import escape
 
 # Maximum length of a value in a message, and of a message (characters).
 _MAX_VALUE, _MAX_MESSAGE = 300, 4000
 
 
-class _Repr(reprlib.Repr):
-    """Representation of values that shows only a few items of each collection, for large files."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.maxlevel, self.maxstring, self.maxother = 3, _MAX_VALUE, _MAX_VALUE
-        self.maxlist = self.maxtuple = self.maxdict = 20
-
-    def repr1(self, x: Any, level: int) -> str:
-        """Return the representation of a value, treating a subclass of dict like dict."""
-        return self.repr_dict(x, level) if isinstance(x, dict) else super().repr1(x, level)
-
-
-_REPR = _Repr()
-
-
 def describe_value(value: object) -> str:
     """Return Python's representation of a value for a message, truncated to 300 characters."""
     try:
-        return _shorten(_REPR.repr(value), _MAX_VALUE)
+        return _shorten(repr(value), _MAX_VALUE)
     except ValueError:  # from Python
         return "a number with thousands of digits"
 
@@ -46,7 +30,8 @@ def _shorten(text: str, max_length: int) -> str:
 class ConfigurationError(Exception):
     """Raised if a file or an option is invalid; the message gives the place and valid values.
 
-    A command then exits with code 2 and prints no traceback.
+    Control characters in the message are escaped. A command then exits with code 2 and prints no
+    traceback.
 
     Attributes:
         wrong: the message without the file and the line.
@@ -72,8 +57,9 @@ class ConfigurationError(Exception):
         if value is not None:
             subject += f" = {describe_value(value)}" if key else describe_value(value)
         self.expected, self.file, self.key, self.value = expected, file, key, value
-        self.wrong = _shorten(": ".join(part for part in (subject, expected) if part), _MAX_MESSAGE)
-        super().__init__(f"{place}: {self.wrong}" if place else self.wrong)
+        wrong = ": ".join(part for part in (subject, expected) if part)
+        self.wrong = escape(_shorten(wrong, _MAX_MESSAGE))
+        super().__init__(f"{escape(place)}: {self.wrong}" if place else self.wrong)
 
 
 @contextmanager

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import codecs
-import ctypes
-import functools
 import hashlib
 import io
+import math
 import os
 import re
 from collections.abc import Callable, Container, Iterator, Mapping
@@ -18,17 +17,10 @@ import yaml
 
 from greenroof_ros.base.errors import ConfigurationError
 
-try:
-    from yaml import CBaseLoader as _LibYaml
-except ImportError:  # PyYAML without libyaml
-    from yaml import BaseLoader as _LibYaml  # type: ignore[assignment]
-
-
-class _Loader(_LibYaml):
-    """Loader that adds no tags, so that every tag on a node comes from the file itself."""
-
-    def resolve(self, kind: type[yaml.Node], value: Any, implicit: Any) -> str:
-        return ""
+try:  # libyaml is ten times as fast, and every process reads the interface when it starts
+    from yaml import CBaseLoader as _Loader
+except ImportError:
+    from yaml import BaseLoader as _Loader  # type: ignore[assignment]
 
 
 def shared_directory() -> Path:
@@ -64,9 +56,10 @@ def find_shipped(file: Path) -> Path:
 
 
 def state_directory() -> Path:
-    """Return the user's default directory for state files according to the XDG specification."""
-    directory = os.environ.get("XDG_STATE_HOME")
-    return (Path(directory) if directory else Path.home() / ".local" / "state") / "greenroof_ros"
+    """Return the user's directory for the package's state, ``~/.local/state/greenroof_ros``."""
+    from platformdirs import user_state_path  # few commands need it
+
+    return user_state_path("greenroof_ros", appauthor=False)
 
 
 def unique_name(file: Path, existing: Container[str]) -> str:
@@ -216,16 +209,18 @@ _DEEPEST = 200
 # Maximum size of a YAML file (characters): the metadata of a bag of 3,000 files. And the number of
 # values that its aliases may add: a few lines of nested aliases would make billions.
 _MAX_YAML, _MAX_ALIASED = 1_000_000, 10_000
-# PyYAML, unlike libyaml, takes seconds for a text longer than this (characters).
-_EXPLAINED = 20_000
 # Longer integers (digits) are read as floating-point numbers: no quantity needs so many digits.
 _MAX_DIGITS = 20
-_TRUE = {"yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"}
-_FALSE = {"no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"}
-_NOTHING = {"", "~", "null", "Null", "NULL"}
-_INTEGER = re.compile(r"[-+]?[0-9]+")
-_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
-_NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+_WORDS = {
+    form: value
+    for value, words in (
+        (True, "yes true on"), (False, "no false off"), (None, "null ~"), (math.nan, ".nan .NaN"),
+        (math.inf, ".inf +.inf"), (-math.inf, "-.inf"),
+    )
+    for word in words.split()
+    for form in (word, word.title(), word.upper())
+} | {"": None, ".NaN": math.nan}
+_NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 
 
 class YamlMapping(dict[str, Any]):
@@ -239,80 +234,13 @@ class YamlMapping(dict[str, Any]):
 
 
 def _parse_plain(text: str) -> Any:
-    """Return the value of an unquoted text, reading numbers according to YAML 1.2.
-
-    PyYAML follows YAML 1.1, according to which 5.78e5 is text, 016 is 14, and 3:0 is 180.
-    """
-    if text in _TRUE | _FALSE:
-        return text in _TRUE
-    if _INTEGER.fullmatch(text):
-        return int(text) if len(text) <= _MAX_DIGITS else float(text)
-    if _FLOAT.fullmatch(text):
-        return float(text)
-    if _NOT_FINITE.fullmatch(text):
-        return float(text.replace(".", ""))
-    return None if text in _NOTHING else text
-
-
-def _parse_as_rcl(text: str) -> bool | int | float | str | None:
-    """Return a value as rcl reads it (rcl_yaml_param_parser, parse.c), for example 010 as 8."""
-    if text in _TRUE | _FALSE | {"Y", "y", "N", "n"}:
-        return text in _TRUE | {"Y", "y"}
-    of_c = (text.replace(".", "") if _NOT_FINITE.fullmatch(text) else text).encode()
-    libc, end = ctypes.CDLL(None, use_errno=True), ctypes.c_char_p()
-    libc.strtoll.restype, libc.strtod.restype = ctypes.c_longlong, ctypes.c_double
-    for number, base in ((libc.strtoll, (0,)), (libc.strtod, ())):
-        ctypes.set_errno(0)
-        value: float = number(ctypes.c_char_p(of_c), ctypes.byref(end), *base)
-        if of_c and not end.value and not ctypes.get_errno():
-            return value
-    return text or None
-
-
-def _measure_nesting(text: str) -> int:
-    """Return an upper bound on a YAML text's nesting depth, from brackets and indentation."""
-    depth = deepest = 0
-    for bracket in re.findall(r"[][{}]", text):
-        depth = max(0, depth + (1 if bracket in "[{" else -1))
-        deepest = max(deepest, depth)
-    indented = max((len(line) - len(line.lstrip(" -?")) for line in text.splitlines()), default=0)
-    return max(deepest, indented)
-
-
-def _compose(text: str) -> yaml.Node | None:
-    """Parse YAML with libyaml; for an invalid text, raise PyYAML's more detailed error.
-
-    Every process reads the interface when it starts, and libyaml is ten times as fast as PyYAML.
-    """
-    try:
-        return yaml.compose(text, Loader=_Loader)
-    except (yaml.YAMLError, ValueError):
-        if len(text) <= _EXPLAINED:
-            yaml.compose(text, Loader=yaml.BaseLoader)
-        raise
-
-
-def read_ros_parameters(path: Path) -> YamlMapping:
-    """Read a ROS 2 parameter file, interpreting every value as rcl would for a node.
-
-    Raises:
-        ConfigurationError: if :func:`read_yaml` raises one, or if rcl would reject a value.
-    """
-    def check(mapping: YamlMapping) -> None:
-        for key, value in mapping.items():
-            items = value if isinstance(value, list) else [value]
-            if isinstance(value, YamlMapping):
-                check(value)
-            elif {*map(type, items)} not in ({bool}, {int}, {float}, {str}):
-                raise ConfigurationError(
-                    "must have a value, or a list of values of the same type, such as [1.0, 2.0]; "
-                    "otherwise ROS rejects this file",
-                    file=path, line=mapping.lines[key], key=key, value=value,
-                )
-
-    content = read_yaml(path, _parse_as_rcl)
-    check(content)
-    return content
+    """Return the value of an unquoted text: numbers as in YAML 1.2, and yes and no as in 1.1."""
+    if text in _WORDS:
+        return _WORDS[text]
+    if not _NUMBER.fullmatch(text):
+        return text
+    whole = len(text) <= _MAX_DIGITS and not set(text) & {*".eE"}
+    return int(text) if whole else float(text)
 
 
 def check_private(file: Path) -> None:
@@ -329,32 +257,25 @@ def check_private(file: Path) -> None:
             )
 
 
-def read_yaml(path: Path, plain: Callable[[str], Any] = _parse_plain) -> YamlMapping:
+def read_yaml(path: Path) -> YamlMapping:
     """Read a YAML file whose top level is a mapping.
-
-    Args:
-        path: the file.
-        plain: function that returns the value of an unquoted text; a block such as ``|-`` counts as
-            unquoted.
 
     Raises:
         ConfigurationError: if the file cannot be read, if its top level is not a mapping, or if
             :func:`parse_yaml` raises one.
     """
-    content = parse_yaml(read_text(path), path, plain)
+    content = parse_yaml(read_text(path), path)
     if not isinstance(content, YamlMapping):
         raise ConfigurationError("must contain 'key: value' lines", file=path)
     return content
 
 
-def parse_yaml(text: str, path: Path, plain: Callable[[str], Any] = _parse_plain) -> Any:
+def parse_yaml(text: str, path: Path) -> Any:
     """Return the value of a YAML text, with every mapping as a :class:`YamlMapping`.
 
     Args:
         text: the YAML text.
         path: the file that contains the text, for errors.
-        plain: function that returns the value of an unquoted text; a block such as ``|-`` counts as
-            unquoted.
 
     Raises:
         ConfigurationError: if the text is not valid YAML, is too long or too deeply nested,
@@ -362,57 +283,89 @@ def parse_yaml(text: str, path: Path, plain: Callable[[str], Any] = _parse_plain
     """
     if len(text) > _MAX_YAML:
         raise ConfigurationError(f"is longer than {_MAX_YAML / 1e6:g} MB", file=path)
-    if _measure_nesting(text) > _DEEPEST:  # libyaml would crash the process
-        raise ConfigurationError(f"is nested more than {_DEEPEST} levels deep", file=path)
-
-    def refuse(node: yaml.Node, problem: str) -> ConfigurationError:
-        line = node.start_mark.line + 1
-        return ConfigurationError(f"is not valid YAML: {problem}", file=path, line=line)
-
-    @functools.cache
-    def size_of(node: yaml.Node) -> int:
-        """Return the number of values in a node, counting every repetition by an alias."""
-        if isinstance(node, yaml.MappingNode):
-            return 1 + sum(size_of(value) for _, value in node.value)
-        return 1 + (sum(map(size_of, node.value)) if isinstance(node, yaml.SequenceNode) else 0)
-
-    @functools.cache  # a node with several aliases is built once
-    def value_of(node: yaml.Node) -> Any:
-        if node.tag:
-            raise refuse(node, f"values must not have tags such as {node.tag!r}")
-        if isinstance(node, yaml.ScalarNode):
-            return node.value if node.style in ("'", '"') else plain(node.value)
-        if isinstance(node, yaml.SequenceNode):
-            return [value_of(item) for item in node.value]
-        mapping = YamlMapping()
-        for key_node, value_node in node.value:
-            if not isinstance(key_node, yaml.ScalarNode) or key_node.tag:
-                raise refuse(key_node, "a key must be text without a tag")
-            key = str(key_node.value)
-            if key in mapping:
-                before = mapping.lines[key]
-                raise refuse(key_node, f"the key {key} appears twice, first on line {before}")
-            mapping[key] = value_of(value_node)
-            mapping.lines[key] = key_node.start_mark.line + 1
-        return mapping
-
+    reader = _YamlReader(text)
     try:
-        node = _compose(text)
-        if node and size_of(node) > len(text) + _MAX_ALIASED:
-            raise refuse(node, f"its aliases (*NAME) add more than {_MAX_ALIASED} values")
-        return value_of(node) if node else None
+        return reader.read()
     except yaml.MarkedYAMLError as error:
         mark, problem = error.problem_mark, error.problem
-        if mark and mark.buffer and mark.buffer[mark.pointer] == "\t":
+        if mark and text[mark.index:mark.index + 1] == "\t":
             problem = "indent with spaces, not tabs"
         line = mark.line + 1 if mark else None
         raise ConfigurationError(f"is not valid YAML: {problem}", file=path, line=line) from error
-    except RecursionError as error:
-        raise ConfigurationError(
-            "is not valid YAML: a value contains itself, or is nested too deeply", file=path
-        ) from error
-    except (yaml.YAMLError, ValueError) as error:
+    except yaml.YAMLError as error:
         raise ConfigurationError(f"is not valid YAML: {error}", file=path) from error
+
+
+class _YamlReader:
+    """Reader of the events in a YAML text, whose recursion is limited.
+
+    An alias adds a reference to its value, but the code that uses the values repeats it.
+    """
+
+    def __init__(self, text: str) -> None:
+        self._events: Iterator[Any] = yaml.parse(text, Loader=_Loader)
+        self._anchors: dict[str, tuple[Any, int]] = {}  # each value, with its number of values
+        self._count, self._most = 0, len(text) + _MAX_ALIASED  # values
+
+    def read(self) -> Any:
+        """Return the value of the only document; None if there is none."""
+        next(self._events)  # the start of the stream
+        if isinstance(next(self._events), yaml.StreamEndEvent):
+            return None
+        value = self._value(next(self._events), 0)
+        next(self._events)  # the end of the document
+        if not isinstance(after := next(self._events), yaml.StreamEndEvent):
+            raise _at(after, "there must not be a second document")
+        return value
+
+    def _value(self, event: Any, depth: int) -> Any:
+        """Return the value that begins with an event."""
+        if isinstance(event, yaml.AliasEvent):
+            return self._repeat(event)
+        if event.tag is not None:
+            raise _at(event, f"values must not have tags such as {event.tag!r}")
+        if depth > _DEEPEST:
+            raise _at(event, f"is nested more than {_DEEPEST} levels deep")
+        before = self._count
+        self._count += 1
+        value: Any
+        if isinstance(event, yaml.ScalarEvent):
+            value = event.value if event.style in ("'", '"') else _parse_plain(event.value)
+        elif isinstance(event, yaml.MappingStartEvent):
+            value = self._mapping(depth + 1)
+        else:
+            value = []
+            while not isinstance(item := next(self._events), yaml.SequenceEndEvent):
+                value.append(self._value(item, depth + 1))
+        if event.anchor:
+            self._anchors[event.anchor] = value, self._count - before
+        return value
+
+    def _mapping(self, depth: int) -> YamlMapping:
+        mapping = YamlMapping()
+        while not isinstance(key := next(self._events), yaml.MappingEndEvent):
+            line = key.start_mark.line + 1
+            if not isinstance(key, yaml.ScalarEvent) or key.tag is not None:
+                raise _at(key, "a key must be text without a tag")
+            if (name := key.value) in mapping:
+                first = mapping.lines[name]
+                raise _at(key, f"the key {name} appears twice, first on line {first}")
+            mapping[name] = self._value(next(self._events), depth)
+            mapping.lines[name] = line
+        return mapping
+
+    def _repeat(self, alias: Any) -> Any:
+        if alias.anchor not in self._anchors:
+            raise _at(alias, f"*{alias.anchor} has no value before it")
+        value, size = self._anchors[alias.anchor]
+        self._count += size
+        if self._count > self._most:
+            raise _at(alias, f"its aliases (*NAME) add more than {_MAX_ALIASED} values")
+        return value
+
+
+def _at(event: Any, problem: str) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
 
 
 @contextmanager

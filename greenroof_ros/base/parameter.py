@@ -15,7 +15,6 @@ import re
 import types
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NewType, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -324,13 +323,3 @@ def replace_infinity(parameters: Mapping[str, Any]) -> dict[str, Any]:
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in parameters.items()
     }
-
-
-def suggest_parameter(name: str, names: Iterable[str]) -> str:
-    """Return a message about an unknown parameter, with the most similar known name."""
-    return f"there is no such parameter; the closest match is {find_closest(name, names)}"
-
-
-def find_closest(name: str, names: Iterable[str]) -> str:
-    """Return the name that is most similar to the given name."""
-    return get_close_matches(name, list(names), 1, 0.0)[0]

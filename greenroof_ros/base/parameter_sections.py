@@ -8,13 +8,12 @@ parameters contain dots.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.files import YamlMapping, read_ros_parameters
+from greenroof_ros.base.files import YamlMapping, read_yaml
 
 _SECTION = "ros__parameters"
 
@@ -26,14 +25,12 @@ class ParameterSection:
     Attributes:
         name: name or pattern of the nodes as written in the file, such as ``/**/onoff``.
         line: line of the section in the file.
-        values: values of the parameters, keyed by name.
-        lines: line numbers of the values in the file, keyed by parameter name.
+        values: values of the parameters, keyed by name, with their lines.
     """
 
     name: str
     line: int
-    values: Mapping[str, Any]
-    lines: Mapping[str, int]
+    values: YamlMapping
 
     def applies_to(self, node: str) -> bool:
         """Return True if the section applies to a node, such as ``/site1/onoff``."""
@@ -47,10 +44,10 @@ def read_sections(file: Path) -> list[ParameterSection]:
     """Return the sections of a parameter file; the last section that applies to a node wins.
 
     Raises:
-        ConfigurationError: if the file is not a ROS 2 parameter file, if rcl would reject it, or if
-            a part of it has no effect.
+        ConfigurationError: if the file is not a ROS 2 parameter file, or if a part of it has no
+            effect.
     """
-    return list(_sections(file, read_ros_parameters(file), "", 1))
+    return list(_sections(file, read_yaml(file), "", 1))
 
 
 def _sections(
@@ -63,26 +60,24 @@ def _sections(
                     "must contain parameters as NAME: VALUE", file=file, line=line,
                     key=f"{section}: {_SECTION}", value=part,
                 )
-            values, lines = dict[str, Any](), dict[str, int]()
-            _flatten(part, "", values, lines)
-            yield ParameterSection(section, line, values, lines)
+            values = YamlMapping()
+            _flatten(part, "", values)
+            yield ParameterSection(section, line, values)
         elif isinstance(part, YamlMapping) and part:
             nested = f"{section}/{name}" if section else name
             yield from _sections(file, part, nested, content.lines[name])
         else:
             raise ConfigurationError(
                 f"has no effect at this level: write /**/NODE: {{{_SECTION}: {{NAME: VALUE}}}}",
-                file=file, line=content.lines[name], value=None if part == "" else part,
+                file=file, line=content.lines[name], value=part,
                 key=f"{section}: {name}" if section else name,
             )
 
 
-def _flatten(
-    part: YamlMapping, group: str, values: dict[str, Any], lines: dict[str, int]
-) -> None:
+def _flatten(part: YamlMapping, group: str, values: YamlMapping) -> None:
     for key, value in part.items():
         name = f"{group}{key}"
         if isinstance(value, YamlMapping):
-            _flatten(value, f"{name}.", values, lines)
+            _flatten(value, f"{name}.", values)
         else:
-            values[name], lines[name] = value, part.lines[key]
+            values[name], values.lines[name] = value, part.lines[key]

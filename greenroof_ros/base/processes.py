@@ -1,11 +1,10 @@
-"""Functions for processes: ending with the parent, signals, locks, time limits, and systemd."""
+"""Functions for processes: ending with the parent, locks, temporary files, signals, and systemd."""
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
 import errno
-import faulthandler
 import hashlib
 import os
 import shutil
@@ -14,18 +13,13 @@ import socket
 import struct
 import sys
 import tempfile
-import threading
+import time
 from collections.abc import Iterator
-from io import FileIO
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
-from greenroof_ros import SIGNALS
-from greenroof_ros.base.errors import ConfigurationError, HangError
-
-with contextlib.suppress(ImportError):  # Windows has none
-    import fcntl
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.interrupts import SIGNALS
 
 _PR_SET_PDEATHSIG = 1
 # The environment variable of a child that must end with its parent: the parent's number.
@@ -55,26 +49,6 @@ def end_with_parent() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
-def end_worker_with_command() -> None:
-    """Stop this worker immediately when the process that requested it stops for any reason.
-
-    The requesting process is not always the parent, because workers are children of
-    multiprocessing's fork server.
-    """
-    import multiprocessing  # takes long, and only workers need it
-
-    def watch() -> None:
-        try:
-            if (command := multiprocessing.parent_process()) is not None:
-                command.join()
-        finally:
-            os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
-# Windows has no O_NOFOLLOW, and other systems no O_BINARY.
-_FLAGS = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 # Length of the address of a Unix socket (bytes), and what the kernel reports about its listener:
 # process, user and group.
 _MAX_ADDRESS = 107
@@ -137,110 +111,51 @@ def _find_listener(address: str) -> int | None:
     return int(_CREDENTIALS.unpack(credentials)[0]) or None  # 0: in another process namespace
 
 
-def _lock(descriptor: int) -> None:
-    """Lock an open file or directory until it is closed.
-
-    Raises:
-        BlockingIOError: if another process has locked it.
-    """
-    if "fcntl" in globals():
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        return
-    import msvcrt
-
-    # A byte beyond the content, since Windows lets nobody else read what is locked.
-    os.lseek(descriptor, _LOCKED_BYTE, os.SEEK_SET)
-    try:
-        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
-    except OSError as error:
-        raise BlockingIOError(*error.args) from None
-    finally:
-        os.lseek(descriptor, 0, os.SEEK_SET)
-
-
-_LOCKED_BYTE = 1 << 30
-LOCK_BYTES = 32
-"""length of the holder's number in a lock file (bytes); what follows it belongs to the holder"""
-
-
-def acquire_file_lock(path: Path) -> FileIO:
-    """Open and lock a file, and return it; the lock is held until the file is closed.
-
-    Args:
-        path: path of the lock file, which is created if necessary; symbolic links are not followed.
-            The holder of the lock may remove the file.
+@contextlib.contextmanager
+def lock_file(path: Path) -> Iterator[None]:
+    """Hold the lock of a lock file, which is created if necessary, for the time of a block.
 
     Raises:
         LockedError: if another process holds the lock.
         OSError: if the file cannot be opened.
     """
-    while True:
-        lock = FileIO(os.open(path, _FLAGS, 0o600), "r+")
-        try:
-            _lock(lock.fileno())
-        except BlockingIOError:
-            text = lock.read(LOCK_BYTES).decode("ascii", "replace").strip()
-            lock.close()
-            raise LockedError(path, int(text) if text.isdecimal() else None) from None
-        # The last holder may have removed the file after we opened it and before we locked it.
-        if path.exists() and path.stat().st_ino == os.fstat(lock.fileno()).st_ino:
-            break
-        lock.close()
-    with contextlib.suppress(OSError):  # the disk is full: the lock holds all the same
-        lock.write(f"{os.getpid()}\n".ljust(LOCK_BYTES).encode())
-    return lock
+    import filelock  # takes long, and a node needs none
+
+    try:
+        with filelock.FileLock(path, timeout=0):
+            yield
+    except filelock.Timeout:
+        raise LockedError(path, None) from None
 
 
 IN_MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
 """a place for files in memory; None if the system has none, as other systems than Linux"""
-# Directories of temporary files; nothing else may have such a name.
-_SCRATCH = "greenroof_ros_scratch-"
+# Directories of temporary files, and the lock in each; nothing else may have such a name.
+_SCRATCH, _LOCK = "greenroof_ros_temporary-", "lock"
+# A lock file may be younger than this (s) without being locked.
+_NEW_S = 1.0
 
 
 @contextlib.contextmanager
 def scratch_directory(place: str | None = None) -> Iterator[Path]:
     """Create a directory for temporary files, and remove the directories of killed processes.
 
-    The process holds a lock on its directory. Unlike a process ID, a lock also works between
+    The process holds a lock in its directory. Unlike a process ID, a lock also works between
     containers that share ``/dev/shm``.
 
     Args:
         place: parent directory; None for the system's directory for temporary files.
     """
-    if not hasattr(os, "O_DIRECTORY"):  # Windows cannot lock a directory
-        with tempfile.TemporaryDirectory(
-            prefix=_SCRATCH, dir=place, ignore_cleanup_errors=True
-        ) as made:
-            yield Path(made)
-        return
-    for stale in Path(place or tempfile.gettempdir()).glob(f"{_SCRATCH}*"):
-        with contextlib.suppress(OSError), _lock_directory(stale):  # another user's, or in use
-            shutil.rmtree(stale)
-    with contextlib.ExitStack() as ends:
-        directory, locked = Path(), False
-        while not (locked and directory.exists()):
-            directory, locked = Path(tempfile.mkdtemp(prefix=_SCRATCH, dir=place)), False
-            # Until it is locked, another process may take it for a stale one and remove it.
-            with contextlib.suppress(FileNotFoundError, BlockingIOError):
-                ends.enter_context(_lock_directory(directory))
-                locked = True
-        ends.callback(shutil.rmtree, directory, ignore_errors=True)
-        yield directory
-
-
-@contextlib.contextmanager
-def _lock_directory(directory: Path) -> Iterator[None]:
-    """Lock a directory.
-
-    Raises:
-        OSError: if another process has locked the directory, or if it cannot be opened.
-    """
-    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    try:
-        _lock(descriptor)
-        yield
-    finally:
-        os.close(descriptor)
+    for stale in Path(place or tempfile.gettempdir()).glob(f"{_SCRATCH}*/{_LOCK}"):
+        # Others are another user's or in use, or are about to be locked.
+        with contextlib.suppress(OSError, LockedError):
+            if time.time() - stale.stat().st_mtime > _NEW_S:
+                with lock_file(stale):
+                    shutil.rmtree(stale.parent)
+    with tempfile.TemporaryDirectory(
+        prefix=_SCRATCH, dir=place, ignore_cleanup_errors=True
+    ) as made, lock_file(Path(made, _LOCK)):
+        yield Path(made)
 
 
 # Whether this process was forked from one in which polars was running threads.
@@ -338,40 +253,6 @@ class Signals:
         """Raise :class:`InterruptedRun` if a signal was received."""
         if (received := self.received) is not None:
             raise InterruptedRun(f"interrupted by {received.name}")
-
-
-@contextlib.contextmanager
-def time_limit(seconds: float) -> Iterator[None]:
-    """Raise an error in Python code that takes too long, and repeat it every second until it stops.
-
-    The code has to run in the main thread. Compiled code cannot be stopped; the position from which
-    it was called is then written to standard error. A pause of the whole process counts as only one
-    step, which is a tenth of the limit.
-
-    Raises:
-        HangError: if the code takes longer than the given time (s).
-    """
-    step = seconds / 10
-    left = seconds
-
-    def end(_: int, frame: FrameType | None) -> None:
-        nonlocal left
-        left -= step
-        if left > step / 2:
-            return
-        left = 1.0
-        place = "" if frame is None else f"{frame.f_code.co_filename}, line {frame.f_lineno}"
-        raise HangError(f"did not return within {seconds:g} s; it was executing {place}")
-
-    before = signal.signal(signal.SIGALRM, end)
-    signal.setitimer(signal.ITIMER_REAL, step, step)
-    faulthandler.dump_traceback_later(seconds + 1.0)
-    try:
-        yield
-    finally:
-        faulthandler.cancel_dump_traceback_later()
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
 
 
 def notify(*lines: str) -> None:

@@ -1,17 +1,27 @@
-"""Readable texts: printable versions of other programs' texts, and numbers with nouns."""
+"""Readable texts: without control characters, and numbers with nouns."""
 
 from __future__ import annotations
 
 
-def clean_text(text: str, max_length: int = 500) -> str:
-    """Return a printable version of a text, truncated to a maximum number of characters."""
-    short = text[:max_length] + ("…" if len(text) > max_length else "")
-    if short.isprintable():
-        return short
+def escape(text: str) -> str:
+    r"""Return a text in one line, with control characters and direction marks escaped.
+
+    On a terminal, these characters of other people's files and messages could hide or change what
+    is printed. For example, ESC becomes ``\x1b``.
+    """
+    if text.isprintable():
+        return text
     return "".join(
-        sign if sign.isprintable() else " " if sign.isspace() else "\N{REPLACEMENT CHARACTER}"
-        for sign in short
+        sign if sign.isprintable()
+        else " " if sign.isspace() and sign != "\r"
+        else sign.encode("unicode_escape").decode()
+        for sign in text
     )
+
+
+def clean_text(text: str, max_length: int = 500) -> str:
+    """Return another program's text, escaped and truncated to a maximum number of characters."""
+    return escape(text[:max_length] + ("…" if len(text) > max_length else ""))
 
 
 def number_of(count: int, noun: str) -> str:

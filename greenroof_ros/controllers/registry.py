@@ -342,7 +342,8 @@ class ControllerChoice:
             )
         for section in matching:
             for key, value in section.values.items():
-                place: dict[str, Any] = {"file": path, "line": section.lines[key], "key": key}
+                line = section.values.lines[key]
+                place: dict[str, Any] = {"file": path, "line": line, "key": key}
                 if key in known:
                     values[key] = known[key].read(value, **place)
                 elif key.partition(".")[0] not in {*OF_EVERY_NODE, "site_file"}:

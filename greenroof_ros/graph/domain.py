@@ -21,12 +21,15 @@ from typing import Any
 from greenroof_ros.base.errors import ConfigurationError, OccupiedError, describe_extra
 from greenroof_ros.base.files import shared_directory
 from greenroof_ros.base.processes import LockedError, acquire_name_lock
-from greenroof_ros.base.ros_environment import DISCOVERY, PROFILES, check_environment, read_domain
+from greenroof_ros.base.ros_environment import DISCOVERY, check_environment, read_domain
 
 # Used in all profiles files: how long the others consider a killed process to be there (s). In
 # lockstep, a node stopped for longer than this is discovered a second time, and its recent messages
 # come twice.
 LEASE, _LEASE_S = "GREENROOF_ROS_LEASE_S", "20"
+# The variables that name a profiles file; Fast DDS 3 (ROS 2 Kilted) reads the second, and warns
+# about the first.
+_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 # How long to listen for nodes that are already in the graph (s). On loopback they answer in well
 # under half of that. The check for two publishers finds a node that is missed here.
 _LISTEN_S = 1.0
@@ -80,11 +83,11 @@ def choose_transport() -> None:
     # To ROS, empty means SUBNET.
     discovery = os.environ[DISCOVERY] = os.environ.get(DISCOVERY) or "LOCALHOST"
     fast_dds = rclpy.get_rmw_implementation_identifier().startswith("rmw_fastrtps")
-    if not fast_dds or any(map(os.environ.get, PROFILES)):
+    if not fast_dds or any(map(os.environ.get, _PROFILES)):
         return
     os.environ.setdefault(LEASE, _LEASE_S)
     is_3 = _is_fast_dds_3()
-    variable, name = PROFILES[is_3], "fastdds3" if is_3 else "fastdds"
+    variable, name = _PROFILES[is_3], "fastdds3" if is_3 else "fastdds"
     if discovery == "LOCALHOST":
         os.environ[DISCOVERY] = "SYSTEM_DEFAULT"
         name += "_loopback"

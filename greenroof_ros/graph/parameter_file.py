@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.base.command_line import refuse
-from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError, suggest_names
 from greenroof_ros.base.files import default_site_file
-from greenroof_ros.base.parameter import find_closest, suggest_parameter
 from greenroof_ros.base.parameter_sections import read_sections
 from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
 from greenroof_ros.site.file import read_site
@@ -81,16 +80,14 @@ def _refuse_unknown(
     for section in read_sections(file):
         matching = list(filter(section.applies_to, known))
         if not matching:
-            names = {node.rpartition("/")[2] for node in known}
             raise ConfigurationError(
-                "bringup starts no node of this name; the closest match is "
-                f"/**/{find_closest(section.name.rpartition('/')[2], names)}; bringup starts "
-                f"{', '.join(sorted(known))}", file=file, line=section.line, key=section.name,
+                f"applies to no node that bringup starts: {', '.join(sorted(known))}",
+                file=file, line=section.line, key=section.name,
             )
         names = set().union(*(known[node] for node in matching))
         for name, value in section.values.items():
             place: dict[str, Any] = {
-                "file": file, "line": section.lines[name], "key": f"{section.name}: {name}",
+                "file": file, "line": section.values.lines[name], "key": f"{section.name}: {name}",
                 "value": value,
             }
             for node in matching:
@@ -103,9 +100,7 @@ def _refuse_unknown(
                     )
             if name not in names and name.partition(".")[0] not in OF_EVERY_NODE:
                 raise ConfigurationError(
-                    f"{suggest_parameter(name, sorted(names))}; the node's --help lists all "
-                    "parameters",
-                    **place,
+                    f"there is no such parameter; {suggest_names(name, sorted(names))}", **place
                 )
 
 

@@ -22,9 +22,9 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError, suggest_names
 from greenroof_ros.base.files import default_site_file
-from greenroof_ros.base.parameter import Parameter, suggest_parameter
+from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.parameter_sections import read_sections
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import MAX_HORIZON
@@ -189,7 +189,7 @@ def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:
     def refuse(name: str, value: object, **place: Any) -> None:
         if name not in known and not name.startswith("qos_overrides."):
             raise ConfigurationError(
-                f"{suggest_parameter(name, known)}; --help lists all parameters",
+                f"there is no such parameter; {suggest_names(name, known)}",
                 key=f"parameter {name} of {own}", value=value, **place,
             )
 
@@ -205,4 +205,4 @@ def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:
                     section.name.rpartition("/")[2] == own
                 ):
                     for name, value in section.values.items():
-                        refuse(name, value, file=text, line=section.lines[name])
+                        refuse(name, value, file=text, line=section.values.lines[name])

@@ -7,6 +7,10 @@ any class specified as ``package.module:Class``; the node is named after the con
 
 from __future__ import annotations
 
+from greenroof_ros.base.interrupts import begin_node
+
+begin_node(__name__)
+
 import math
 import sys
 import time
@@ -16,10 +20,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.base.disk import NumberFile
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.parameter import Parameter
-from greenroof_ros.base.processes import time_limit
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.base.times import from_epoch_ns, to_people
 from greenroof_ros.controllers.decide import (
@@ -40,7 +42,9 @@ from greenroof_ros.interface.topics import optional_topics
 from greenroof_ros.live.engine import RECOVERY, Levels, live_parameters
 from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.node import LiveNode, live_command
+from greenroof_ros.live.number_file import NumberFile
 from greenroof_ros.live.supervisor_socket import supervisor_socket
+from greenroof_ros.live.time_limit import time_limit
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import pump_flow
 from greenroof_ros.site.site import Site

@@ -18,6 +18,10 @@ since 1970) delivers a volume once, or returns the reason for rejecting the requ
 
 from __future__ import annotations
 
+from greenroof_ros.base.interrupts import begin_node
+
+begin_node(__name__)
+
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping

@@ -10,6 +10,10 @@ otherwise, one report per node is recorded every ten seconds.
 
 from __future__ import annotations
 
+from greenroof_ros.base.interrupts import begin_node
+
+begin_node(__name__)
+
 import time
 from dataclasses import replace
 from functools import partial

@@ -8,6 +8,10 @@ and the reason is reported on /diagnostics; the last value then becomes too old 
 
 from __future__ import annotations
 
+from greenroof_ros.base.interrupts import begin_node
+
+begin_node(__name__)
+
 import math
 import time
 from pathlib import Path

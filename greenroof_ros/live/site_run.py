@@ -9,7 +9,7 @@ import shutil
 import time
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
@@ -24,7 +24,7 @@ from greenroof_ros.base.processes import (
     InterruptedRun,
     LockedError,
     Signals,
-    acquire_file_lock,
+    lock_file,
     notify,
     scratch_directory,
 )
@@ -352,16 +352,16 @@ def _state_directory(path: Path) -> Iterator[Path]:
         ConfigurationError: if it cannot be created or written to.
         OccupiedError: if another bringup has locked it.
     """
-    try:
-        with writable(path, "--state"):
-            (path / "log").mkdir(parents=True, exist_ok=True)
-            lock = acquire_file_lock(path / "bringup.lock")
-    except LockedError:
-        raise OccupiedError(
-            "belongs to a running bringup; end it, or use another directory",
-            key="--state", value=str(path),
-        ) from None
-    with lock:
+    with ExitStack() as held:
+        try:
+            with writable(path, "--state"):
+                (path / "log").mkdir(parents=True, exist_ok=True)
+                held.enter_context(lock_file(path / "bringup.lock"))
+        except LockedError:
+            raise OccupiedError(
+                "belongs to a running bringup; end it, or use another directory",
+                key="--state", value=str(path),
+            ) from None
         yield path.resolve()
 
 

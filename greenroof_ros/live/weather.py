@@ -7,6 +7,10 @@ once at the start.
 
 from __future__ import annotations
 
+from greenroof_ros.base.interrupts import begin_node
+
+begin_node(__name__)
+
 import math
 from datetime import datetime, timedelta, timezone
 from pathlib import Path

@@ -6,6 +6,10 @@ any class given as ``package.module:Class``. The node has the name of the contro
 
 from __future__ import annotations
 
+from greenroof_ros.base.interrupts import begin_node
+
+begin_node(__name__)
+
 from typing import Any
 
 from greenroof_ros.base.parameter import Parameter

@@ -7,6 +7,10 @@ publishes the clock and the levels of tick k + 1, followed by the flows of tick 
 
 from __future__ import annotations
 
+from greenroof_ros.base.interrupts import begin_node
+
+begin_node(__name__)
+
 import math
 import secrets
 import time

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from greenroof_ros.base.interrupts import begin_node
+
+begin_node(__name__)
+
 from collections import deque
 from dataclasses import replace
 from functools import partial

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.base.files import replace_file
-from greenroof_ros.base.processes import LockedError, acquire_file_lock
+from greenroof_ros.base.processes import LockedError, lock_file
 
 Values = NDArray[np.float64]
 
@@ -161,7 +161,7 @@ def write_histories(file: Path, rows: Mapping[str, NDArray[np.void]]) -> None:
     content: dict[str, Any] = {_FORMAT: np.array(_VERSION), **rows}
     file.parent.mkdir(parents=True, exist_ok=True)
     # If another watcher is just writing the file, its rows are as good.
-    with suppress(LockedError), acquire_file_lock(file.with_suffix(".lock")):
+    with suppress(LockedError), lock_file(file.with_suffix(".lock")):
         replace_file(file, lambda stream: np.savez(stream, **content))
 
 

@@ -354,7 +354,7 @@ class _PageApplication:
                 async for event in events:
                     data = event.compressed if compressed else event.plain
                     await asyncio.wait_for(_send(answer, data, transport), _UNREAD_S)
-        except (ConnectionError, asyncio.TimeoutError):
+        except (TimeoutError, ConnectionError):
             if transport is not None:
                 transport.abort()
         finally:
@@ -484,7 +484,7 @@ async def _read_body(request: web.Request) -> dict[str, Any]:
         raise web.HTTPRequestEntityTooLarge(_MAX_BODY)
     try:
         content = json.loads(await asyncio.wait_for(request.read(), _BODY_S))
-    except asyncio.TimeoutError:
+    except TimeoutError:
         raise web.HTTPRequestTimeout(reason="the request was not completed within 5 s") from None
     except (ValueError, RecursionError, web.RequestPayloadError):
         content = None

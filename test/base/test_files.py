@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,38 +13,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from commands import run_command
 from places import CONFIG
 from refusals import refusal
 
 from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.base.command_line import refuse_unwritable
 from greenroof_ros.base.errors import ConfigurationError, describe_value
-from greenroof_ros.base.files import read_ros_parameters, read_yaml
+from greenroof_ros.base.files import read_yaml
 from greenroof_ros.base.parameter_sections import read_sections
 from greenroof_ros.live.devices.drive_file import read_drive_file
 from greenroof_ros.live.devices.relay_file import read_relay_file
 from greenroof_ros.live.devices.sensor_file import read_sensors
 from greenroof_ros.site.file import read_site
-
-VALUES = (
-    "on", "off", "yes", "Y", "n", "True", "tRUE", "010", "-010", "08", "0x1F", "0x1p3", "0o17",
-    "0b11", "1e-5", "1E5", "1.e3", ".5", "+.5e+3", "+5", "5.", "5-", "12e", "1_000", "3:0", "-0",
-    "1e400", "99999999999999999999", "9223372036854775807", "inf", "iNf", "+inf", "Infinity",
-    ".inf", ".Inf", ".INF", "+.inf", "+.Inf", "+.INF", "-.inf", "-.Inf", "-.INF", ".iNf",
-    ".infinity", "-.infinity", "5.inf", "nan", "-nan", "nan(1)", ".nan", ".NaN", ".NAN", ".Nan",
-    "+.nan", "-.nan", ".nan(1)", "null", "~", "'5'", '"on"', "2021-07-01", "[010, 1]", "[1e-5, .5]",
-    "[on, off]", "['1', x]", "[1, ]", "[~]", "''", "! 5", "|-\n      5", "|-\n      on",
-    "|-\n      1e3", "|\n      5", ">-\n      5", ">-\n      no", ">-\n      1e3\n      m",
-)
-REFUSED = ("", "[]", "[1.0, 2]", "[1, ~]", "[[1], [2]]", "{a: }", "|-\n      ")
-
-
-def written(directory: Path, *values: str) -> Path:
-    """Write a parameter file with a value after another."""
-    file = directory / "parameters.yaml"
-    lines = [f"    p{number}: {value}" for number, value in enumerate(values)]
-    file.write_text("\n".join(["/**:", "  ros__parameters:", *lines, ""]))
-    return file
 
 
 @contextmanager
@@ -66,36 +48,6 @@ def node_with(file: Path, domain: int, namespace: str = "/") -> Iterator[Any]:
         node.destroy_node()
     finally:
         context.try_shutdown()
-
-
-def test_values_as_rcl_reads_them(tmp_path: Path, domain: int) -> None:
-    """A node that has read the file by rcl has the same types and values."""
-    file = written(tmp_path, *VALUES)
-    ours = read_ros_parameters(file)["/**"]["ros__parameters"]
-
-    def exactly(value: Any) -> object:
-        return [exactly(item) for item in value] if isinstance(value, list) else (
-            type(value), "nan" if isinstance(value, float) and math.isnan(value) else value
-        )
-
-    with node_with(file, domain) as node:
-        for name, value in zip(ours, VALUES, strict=True):
-            theirs = node.get_parameter(name).value
-            theirs = theirs if isinstance(theirs, (str, int, float)) else list(theirs)
-            assert exactly(ours[name]) == exactly(theirs), value
-
-
-@pytest.mark.parametrize("value", REFUSED)
-def test_values_that_rcl_refuses(value: str, tmp_path: Path, domain: int) -> None:
-    """No node starts with such a file, and none of our commands reads it."""
-    file = written(tmp_path, "1.0", value)
-    reason = refusal(read_ros_parameters, file)
-    assert reason.startswith(f"{file}, line 4: ") and "must have a value, or a list of" in reason
-    with (
-        pytest.raises(Exception, match=r"No value|same type|cannot be key|NOT_SET"),
-        node_with(file, domain),
-    ):
-        pass
 
 
 SECTIONS = ("/**", "reader", "/reader", "/**/reader", "/*/reader", "/*", "/x/**", "/x/reader", "y")
@@ -123,11 +75,17 @@ def test_sections_apply_to_nodes_as_rcl_applies_them(
         assert given == theirs, (first, second)
 
 
-def test_numbers_of_yaml_1_2(tmp_path: Path) -> None:
-    """In all files that rcl does not read."""
+def test_plain_values(tmp_path: Path) -> None:
+    """Numbers are those of YAML 1.2, and truth values also those of YAML 1.1."""
     file = tmp_path / "a.yaml"
-    file.write_text(f"a: [016, 3:0, .5, 1e-5, -.inf, {2**63}, -1{'0' * 400}]\n")
-    assert read_yaml(file)["a"] == [16, "3:0", 0.5, 1e-5, -math.inf, 2**63, -math.inf]
+    file.write_text(
+        f"a: [016, 3:0, .5, 5.78e5, 1e-5, -.inf, {2**63}, -1{'0' * 400}]\n"
+        "b: [on, No, TRUE, ~, null, 2021-07-07, 1_000, 0x1F, '5', \"no\"]\n"
+    )
+    assert read_yaml(file) == {
+        "a": [16, "3:0", 0.5, 578000.0, 1e-5, -math.inf, 2**63, -math.inf],
+        "b": [True, False, True, None, None, "2021-07-07", "1_000", "0x1F", "5", "no"],
+    }
 
 
 def test_lines_and_anchors(tmp_path: Path) -> None:
@@ -155,15 +113,19 @@ def nested(levels: int, brackets: str = "[{}]", item: str = "{1}") -> str:
     [
         ("a: 1\nb: 2\na: 3\n", ", line 3: is not valid YAML: the key a appears twice, first on "
         "line"),
-        ("a: " + "[" * 300 + "]" * 300, ": is nested more than 200 levels deep"),
+        ("a: " + "[" * 300 + "]" * 300, ", line 1: is not valid YAML: is nested more than 200"),
+        ("a: " + "[" * 400_000, ", line 1: is not valid YAML: "),
+        ("a: " + "- " * 400_000, ", line 1: is not valid YAML: "),
+        ("a: 1\n---\nb: 2\n", ", line 2: is not valid YAML: there must not be a second document"),
+        ("a: *x\n", ", line 1: is not valid YAML: *x has no value before it"),
         ("a: 1\nb: \0\n", ", line 2: is not a text file (it contains a NUL byte)"),
         ("a: 1\n# m\udcb2\n", ", line 2: is not UTF-8 text; save it in UTF-8"),
         ("a:\n\tb: 1\n", ", line 2: is not valid YAML: indent with spaces, not tabs"),
         ("a: !!int 5\n", ", line 1: is not valid YAML: values must not have tags such as"),
-        ("a: &x {b: *x}\n", ": is not valid YAML: a value contains itself"),
-        ("a: &x [*x]\n", ": is not valid YAML: a value contains itself"),
-        (f"a: {nested(8)}\n", ": is not valid YAML: its aliases (*NAME) add more than 10000"),
-        ("a: " + nested(8, "{{{}}}", "k{0}: {1}"), ": is not valid YAML: its aliases (*NAME) add"),
+        ("a: &x {b: *x}\n", ", line 1: is not valid YAML: *x has no value before it"),
+        ("a: &x [*x]\n", ", line 1: is not valid YAML: *x has no value before it"),
+        (f"a: {nested(8)}\n", "is not valid YAML: its aliases (*NAME) add more than 10000"),
+        ("a: " + nested(8, "{{{}}}", "k{0}: {1}"), "is not valid YAML: its aliases (*NAME) add"),
         (f"a: {{? {nested(8)} : 1}}\n", ", line 1: is not valid YAML: a key must be text"),
         ("a: {!!str b: 1}\n", ", line 1: is not valid YAML: a key must be text without a tag"),
         (f"a: {'x' * 1_000_000}\n", ": is longer than 1 MB"),
@@ -175,9 +137,8 @@ def test_what_is_refused(tmp_path: Path, text: str, words: str) -> None:
     """The error has the file, and the line if there is one."""
     file = tmp_path / "a.yaml"
     file.write_text(text, encoding="utf-8", errors="surrogateescape")
-    for read in (read_yaml, read_ros_parameters):
-        reason = refusal(read, file)
-        assert reason.startswith(str(file)) and words in reason
+    reason = refusal(read_yaml, file)
+    assert reason.startswith(str(file)) and words in reason
 
 
 @pytest.mark.parametrize("value", [
@@ -206,6 +167,23 @@ def test_no_value_fills_a_message(
     except ConfigurationError as error:
         message = str(error)
     assert len(message) < 5000
+
+
+CONTROLS = '"\\x1b[31m\\r\u202e\u2066"'
+
+
+@pytest.mark.parametrize("text", [f"{CONTROLS}: 1", f"tau: {CONTROLS}", f"tau: !{CONTROLS}", "\33"])
+def test_no_control_character_reaches_the_terminal(tmp_path: Path, text: str) -> None:
+    """They would colour, overwrite or reorder what is printed. Names of files and options count."""
+    file = tmp_path / "\33[31m\r\u202e\u2066.yaml"
+    file.write_text(f"{text}\n")
+    for words in (["--site", str(file)], [f"--{file.name}"], ["--controller", file.name]):
+        done = run_command(
+            "__main__", "simulate", "--hours", "1", *words, cwd=tmp_path, env=dict(os.environ)
+        )
+        assert done.returncode == 2
+        assert r"\x1b[31m\r\u202e\u2066" in done.stderr
+        assert all(sign == "\n" or sign.isprintable() for sign in done.stderr)
 
 
 @pytest.mark.parametrize(("value", "shown"), [

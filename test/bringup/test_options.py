@@ -16,7 +16,7 @@ from paper import VALVE, site_file
 from places import CHECKOUT
 
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.processes import acquire_file_lock
+from greenroof_ros.base.processes import lock_file
 from greenroof_ros.bringup.simulated import make_parser, simulated_run
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.graph.parameter_file import node_parameter_files
@@ -188,13 +188,12 @@ NO_EFFECT = {
         "line 3: /site1/plant: run_length = 4: must not be set for the node plant in this file: "
         "under bringup, an option of greenroof run sets it",
     "/plant:\n  ros__parameters:\n    record: true\n":
-        "line 1: /plant: bringup starts no node of this name; the closest match is /**/plant; "
-        "bringup starts /site1/",
+        "line 1: /plant: applies to no node that bringup starts: /site1/",
     "/**/pump:\n  ros__parameters:\n    min_off: 1.0\n    max_volume_per_dai: 0.5\n":
-        "line 4: /**/pump: max_volume_per_dai = 0.5: there is no such parameter; the closest match "
-        "is max_volume_per_day;",
+        "line 4: /**/pump: max_volume_per_dai = 0.5: there is no such parameter; did you "
+        "mean max_volume_per_day?",
     "# mine\n/**/pum:\n  ros__parameters:\n    min_off: 1.0\n":
-        "line 2: /**/pum: bringup starts no node of this name; the closest match is /**/pump;",
+        "line 2: /**/pum: applies to no node that bringup starts: /",
     "pump:\n  max_volume_per_day: 0.5\n":
         "line 2: pump: max_volume_per_day = 0.5: has no effect at this level: write /**",
 }
@@ -254,7 +253,7 @@ def test_a_drive_of_another_program_is_left_to_it() -> None:
 def test_a_directory_in_use(tmp_path: Path) -> None:
     """Two bringups must not write into one directory; with another domain they would not notice."""
     (tmp_path / "live").mkdir()
-    with acquire_file_lock(tmp_path / "live" / "bringup.lock"):
+    with lock_file(tmp_path / "live" / "bringup.lock"):
         done = run_command("bringup.live", *EXTERNAL, cwd=tmp_path, env=environment(0))
     assert done.returncode == 3
     assert done.stderr == (

@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 from paper import MIDNIGHT, PAPER_SITE, paper_run, site_with, weather_of
 from refusals import refusal
 
+from greenroof_ros.forecast.archive import read_archive, read_forecasts, write_forecasts
 from greenroof_ros.forecast.choice import ForecastChoice, choose
+from greenroof_ros.forecast.issue import Archive, IssuedForecast
 from greenroof_ros.forecast.models import (
     ErrorModel,
     FileModel,
@@ -32,11 +34,8 @@ from greenroof_ros.forecast.resampling import (
     make_forecast,
 )
 from greenroof_ros.forecast.skill import read_skill
-from greenroof_ros.weather.records import HOUR
-from greenroof_ros.forecast.issue import Archive, IssuedForecast
-from greenroof_ros.forecast.archive import read_forecasts, write_forecasts
-from greenroof_ros.forecast.archive import read_archive
 from greenroof_ros.site.horizon import growing_steps
+from greenroof_ros.weather.records import HOUR
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
 Array = NDArray[np.float64]

@@ -22,6 +22,8 @@ from refusals import refusal
 from greenroof_ros.base import http_client
 from greenroof_ros.base.http_client import ServiceError
 from greenroof_ros.forecast import service as module
+from greenroof_ros.forecast.archive import read_archive, read_forecasts, write_forecasts
+from greenroof_ros.forecast.issue import IssuedForecast
 from greenroof_ros.forecast.models import FileModel
 from greenroof_ros.forecast.service import (
     ATTRIBUTION,
@@ -29,14 +31,11 @@ from greenroof_ros.forecast.service import (
     ForecastFiles,
     Service,
 )
-from greenroof_ros.weather.records import HOUR
-from greenroof_ros.forecast.issue import IssuedForecast
-from greenroof_ros.weather.open_meteo import VARIABLES
-from greenroof_ros.forecast.archive import read_forecasts, write_forecasts
-from greenroof_ros.weather.quantities import PRECIPITATION, TEMPERATURE
-from greenroof_ros.forecast.archive import read_archive
 from greenroof_ros.site.file import read_site
+from greenroof_ros.weather.open_meteo import VARIABLES
+from greenroof_ros.weather.quantities import PRECIPITATION, TEMPERATURE
 from greenroof_ros.weather.read import default_weather, read_weather
+from greenroof_ros.weather.records import HOUR
 from greenroof_ros.weather.series import FILL
 
 SITE = read_site(CONFIG / "site.yaml")

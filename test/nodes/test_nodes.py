@@ -132,7 +132,7 @@ REFUSED = {
         ("at most 34.4 m3", "is the unit wrong?"),
     "nodes.plant --ros-args -p speed": ("-p speed",),
     "nodes.plant --ros-args --params-file wrong.yaml":
-        ("wrong.yaml, line 2: parameter run_lenght of plant = 4: ", "closest match is run_length"),
+        ("wrong.yaml, line 2: parameter run_lenght of plant = 4: ", "did you mean run_length?"),
     "live.recorder --ros-args -p use_sim_time:=true": ("use_sim_time", "must be false"),
     "nodes.weather --ros-args -p run_length:=10000000": ("toronto_2021-07.csv",),
     "live.weather --ros-args -p forecast:=perfect":
@@ -149,7 +149,7 @@ REFUSED = {
     f"live.pump {DRIVE} -p site_file:=slow.yaml -p command_limit:=3.0":
         ("command_limit of pump = 3.0: must exceed tau of the",),
     f"live.pump {DRIVE} -p folow_time:=9.0":
-        ("folow_time of pump = '9.0': there is no such parameter; the closest",),
+        ("folow_time of pump = '9.0': there is no such parameter; did you mean follow_time?",),
 }
 
 

@@ -53,7 +53,7 @@ def test_without_ros_an_output_or_a_known_option_it_is_unknown(
         cwd=tmp_path, env=environ, capture_output=True, text=True, check=False,
     )
     assert done.returncode == 3
-    assert "ROS 2 cannot be imported: repair the installation" in done.stderr
+    assert "ROS 2 is not available: source your ROS 2, or" in done.stderr
     assert "Traceback" not in done.stderr
     done = run_command("status", "--namespcae", cwd=tmp_path, env=environ)
     assert (done.returncode, done.stdout) == (3, "")  # for monitoring plug-ins 2 is an alarm
@@ -100,7 +100,7 @@ def test_a_run_that_is_well_and_then_has_warnings(domain: int, tmp_path: Path) -
             )
     assert (code, len(lines)) == (1, 15)
     assert lines[0].startswith("30 warnings. The roof is ")
-    assert lines[8] == "Alarm: /camera0: \N{REPLACEMENT CHARACTER}[31mno picture"
+    assert lines[8] == "Alarm: /camera0: \\x1b[31mno picture"
     assert lines[-1] == "and 24 more lines; see 'greenroof watch'"
     run.process.send_signal(signal.SIGINT)
     assert run.wait(300) == 130

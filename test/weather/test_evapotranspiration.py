@@ -14,8 +14,6 @@ from places import CHECKOUT, CONFIG
 
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
 from greenroof_ros.base.times import parse_time
-from greenroof_ros.weather.read import read_file as read_records
-from greenroof_ros.weather.sun import extraterrestrial_radiation
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import (
@@ -26,8 +24,10 @@ from greenroof_ros.weather.evapotranspiration import (
     spread_over_day,
     sun_height,
 )
+from greenroof_ros.weather.read import read_file as read_records
 from greenroof_ros.weather.read import read_weather
 from greenroof_ros.weather.series import Weather
+from greenroof_ros.weather.sun import extraterrestrial_radiation
 
 NDIAYE = replace(
     PAPER_SITE, latitude=16 + 13 / 60, longitude=-(16 + 15 / 60), elevation=8.0, utc_offset=-1.0,

@@ -26,7 +26,6 @@ from weather_service import WeatherService, open_meteo_values
 from greenroof_ros.base import http_client
 from greenroof_ros.base.http_client import ServiceError
 from greenroof_ros.base.progress import ProgressBar
-from greenroof_ros.weather.quantities import PRECIPITATION, TEMPERATURE
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather import fetching
 from greenroof_ros.weather.fetching import (
@@ -37,6 +36,7 @@ from greenroof_ros.weather.fetching import (
     open_meteo_archive,
     prepare_directory,
 )
+from greenroof_ros.weather.quantities import PRECIPITATION, TEMPERATURE
 from greenroof_ros.weather.read import read_measured
 
 SITE = read_site(CHECKOUT / "config" / "site.yaml")
@@ -313,9 +313,7 @@ def test_a_key_in_the_url_reaches_the_service_and_nothing_else(service, tmp_path
     assert f"error: 2023-01-01 to 2024-01-01: {service.address}/v1/archive: 400 Bad Request: " in (
         done.stderr
     )
-    assert "[2J\N{REPLACEMENT CHARACTER}\N{REPLACEMENT CHARACTER}no: apikey=***&models=&lat" in (
-        done.stderr
-    )
+    assert "\\x1b[2J\\x07\\u202eno: apikey=***&models=&lat" in done.stderr
     assert not {"\33", "\7", "\u202e"} & {*done.stderr}
     other = run(service, tmp_path, "--years", "2022-2023", "--url", paid.replace("models=", "m="))
     assert "contains parts from a different request" in other.stderr

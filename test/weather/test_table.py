@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 import tracemalloc
-from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 

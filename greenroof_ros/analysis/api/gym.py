@@ -1,11 +1,10 @@
 """The environment ``GreenRoof-v1`` for Gymnasium, the interface for reinforcement learning.
 
-With the package name as a prefix, as in ``greenroof_ros:GreenRoof-v1``, any process can find the
-environment:
+With the prefix ``greenroof_ros.gym:``, any process can find the environment:
 
     import gymnasium
 
-    environment = gymnasium.make("greenroof_ros:GreenRoof-v1")
+    environment = gymnasium.make("greenroof_ros.gym:GreenRoof-v1")
 
 :mod:`greenroof_ros.analysis.api.vector` steps many of them at once.
 """
@@ -111,7 +110,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
 
     Example:
         >>> import gymnasium
-        >>> roof = gymnasium.make("greenroof_ros:GreenRoof-v1", hours=1, decision_ticks=60)
+        >>> roof = gymnasium.make("greenroof_ros.gym:GreenRoof-v1", hours=1, decision_ticks=60)
         >>> observation, info = roof.reset(seed=1)
         >>> observation, reward, terminated, truncated, info = roof.step(roof.action_space.sample())
         >>> reward < 0, truncated

@@ -4,7 +4,7 @@ Any process can find the environment by its name with the package as a prefix:
 
     import gymnasium
 
-    roofs = gymnasium.make_vec("greenroof_ros:GreenRoofVector-v1", num_envs=1000)
+    roofs = gymnasium.make_vec("greenroof_ros.gym:GreenRoofVector-v1", num_envs=1000)
 """
 
 from __future__ import annotations
@@ -196,7 +196,7 @@ class GreenRoofVectorEnv(VectorEnv[Array, Array, NDArray[Any]]):
     Example:
         >>> import gymnasium
         >>> roofs = gymnasium.make_vec(
-        ...     "greenroof_ros:GreenRoofVector-v1", num_envs=3, hours=1, decision_ticks=900
+        ...     "greenroof_ros.gym:GreenRoofVector-v1", num_envs=3, hours=1, decision_ticks=900
         ... )
         >>> observations, infos = roofs.reset(seed=1)
         >>> observations, rewards, _, truncated, infos = roofs.step(roofs.action_space.sample())

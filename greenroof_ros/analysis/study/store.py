@@ -8,6 +8,7 @@ import io
 import json
 import shutil
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from greenroof_ros.analysis.study.names import Names
 from greenroof_ros.analysis.workers.input_files import write_inputs
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import add_path_to_errors, replace_text
-from greenroof_ros.base.processes import LockedError, acquire_file_lock
+from greenroof_ros.base.processes import LockedError, lock_file
 from greenroof_ros.base.versions import versions
 from greenroof_ros.forecast.skill import REAL, read_skill
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
@@ -72,6 +73,7 @@ class StudyStore:
                 that cannot be read is kept.
         """
         self.directory = directory
+        self._held = ExitStack()  # the lock, for as long as this object exists
         self.cases, self.trajectory_every = cases, trajectory_every
         self._runs = directory / "runs"
         self._bounds = directory / "bounds.json"
@@ -123,7 +125,7 @@ class StudyStore:
     def _lock(self) -> None:
         """Lock the directory against other processes while this process runs."""
         try:
-            self._lock_file = acquire_file_lock(self.directory / _LOCK)
+            self._held.enter_context(lock_file(self.directory / _LOCK))
         except LockedError:
             raise ConfigurationError(
                 "is in use by another process", key="--output", value=str(self.directory)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -92,7 +91,7 @@ def cluster(address: str, files: Mapping[str, bytes]) -> Iterator[Workers]:
             client.wait_for_workers(1, timeout=_CONNECT_S)
             _check_versions(client.run(versions))
             client.register_plugin(InputFiles(files), plugin)
-        except asyncio.TimeoutError as error:  # not the built-in one in Python 3.10
+        except TimeoutError as error:
             raise ConfigurationError(
                 "has no worker", key="--scheduler", value=address
             ) from error

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
+import os
 import pickle
 import signal
 import tempfile
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -22,7 +24,7 @@ from uuid import uuid4
 
 from greenroof_ros.analysis.workers.input_files import write_inputs
 from greenroof_ros.base.files import add_path_to_errors
-from greenroof_ros.base.processes import end_worker_with_command, scratch_directory
+from greenroof_ros.base.processes import scratch_directory
 
 
 class WorkersLostError(BrokenExecutor):
@@ -128,6 +130,22 @@ def _prepare(scratch: str) -> None:
     Args:
         scratch: directory for temporary files, which the command deletes.
     """
-    end_worker_with_command()
+    _end_with_command()
     tempfile.tempdir = scratch
     logging.getLogger("greenroof_ros").setLevel(logging.ERROR)
+
+
+def _end_with_command() -> None:
+    """Stop this worker immediately when the process that requested it stops for any reason.
+
+    The requesting process is not always the parent, because workers are children of
+    multiprocessing's fork server.
+    """
+    def watch() -> None:
+        try:
+            if (command := multiprocessing.parent_process()) is not None:
+                command.join()
+        finally:
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

@@ -35,6 +35,7 @@ correct then. The oldest slot counts in full until all of it is more than 24 h o
 from __future__ import annotations
 
 import errno
+import fcntl
 import json
 import math
 import os
@@ -52,7 +53,7 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.base.disk import DISK, PATIENCE_S, LatestWriter
-from greenroof_ros.base.processes import LOCK_BYTES, LockedError, acquire_file_lock
+from greenroof_ros.base.processes import LockedError
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.base.times import boot_id, boot_time, to_people
 from greenroof_ros.interface.alarm import ALARMS
@@ -74,6 +75,8 @@ _TEXT, _OWNER, _STARTS = 350, 40, 100
 _VERSION = 1
 # Files next to the record: the one being made, and a broken one that another version moved away.
 _NEW, _LOCK, _LEFTOVERS = ".new", ".lock", (".new", ".broken")
+# Length of the holder's process ID at the beginning of the lock file (bytes).
+_HOLDER_BYTES = 32
 # What a live site writes next to the record.
 _OF_SITE = ("summary.json", ALARMS, "bag", "configuration")
 # How many lines may have been written after the last number that is on the disk, since that number
@@ -202,7 +205,7 @@ class Ledger:
         """Become the only writer of the file, and return True on success."""
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
-            self._file_lock = acquire_file_lock(_lock_file(file))
+            self._file_lock = _acquire_lock(_lock_file(file))
             self._lines.lock = self._file_lock
         except (LockedError, OSError, ValueError) as error:
             self._writer.problem = _error_text(file, error)
@@ -403,7 +406,7 @@ class _Lines:
         self._written = _line(self.sequence, record)
         if self.lock is not None:
             with suppress(OSError):
-                os.pwrite(self.lock.fileno(), b"%-24d\n" % self.sequence, LOCK_BYTES)
+                os.pwrite(self.lock.fileno(), b"%-24d\n" % self.sequence, _HOLDER_BYTES)
 
 
 def _error_text(file: Path, error: Exception) -> str:
@@ -499,10 +502,33 @@ def _lock_file(file: Path) -> Path:
     return file.with_name(file.name + _LOCK)
 
 
+def _acquire_lock(path: Path) -> FileIO:
+    """Open and lock a file, and return it; the lock is held until the file is closed.
+
+    The file contains the process ID of the lock's holder, and then the number of the record's last
+    line. Therefore it must not be truncated by a process that fails to lock it, as by filelock.
+
+    Raises:
+        LockedError: if another process holds the lock.
+        OSError: if the file cannot be opened.
+    """
+    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
+    lock = FileIO(os.open(path, flags, 0o600), "r+")
+    try:
+        fcntl.flock(lock.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        text = lock.read(_HOLDER_BYTES).decode("ascii", "replace").strip()
+        lock.close()
+        raise LockedError(path, int(text) if text.isdecimal() else None) from None
+    with suppress(OSError):  # the disk is full: the lock holds all the same
+        lock.write(f"{os.getpid()}\n".ljust(_HOLDER_BYTES).encode())
+    return lock
+
+
 def _read_number(file: Path) -> int | None:
     """Return the number of the last line that was written; 0 if unknown, None without a lock."""
     try:
-        return int(_lock_file(file).read_bytes()[LOCK_BYTES:] or 0)
+        return int(_lock_file(file).read_bytes()[_HOLDER_BYTES:] or 0)
     except FileNotFoundError:
         return None
     except (OSError, ValueError):

@@ -7,6 +7,7 @@ import doctest
 import pickle
 import warnings
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,9 @@ from greenroof_ros.base.errors import ConfigurationError
 
 gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed")
 
+
 RECORD = Path(__file__).parents[2] / "data" / "en_climate_hourly_07-2021.csv"
-ID = "greenroof_ros:GreenRoof-v1"
+ID = "greenroof_ros.gym:GreenRoof-v1"
 
 
 VALVE_SITE = gr.read_site(**VALVE)
@@ -37,7 +39,7 @@ def test_gymnasiums_check_finds_nothing(inputs: dict[str, Any]) -> None:
 
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        roof = gymnasium.make("GreenRoof-v1", hours=0.5, horizon=0.5, **inputs)
+        roof = gymnasium.make(ID, hours=0.5, horizon=0.5, **inputs)
         check_env(roof.unwrapped)
 
 
@@ -257,4 +259,4 @@ def test_seeds_draw_the_errors_of_forecasts() -> None:
 
 
 def test_example() -> None:
-    assert doctest.testmod(gr.gym).failed == 0
+    assert doctest.testmod(import_module("greenroof_ros.analysis.api.gym")).failed == 0

@@ -22,7 +22,7 @@ gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed"
 
 __all__ = ["way"]
 
-ID = "greenroof_ros:GreenRoofVector-v1"
+ID = "greenroof_ros.gym:GreenRoofVector-v1"
 MINUTES = gr.read_site(tau=60.0, M=1)
 RANDOM = {"start": "random", "initial": "random", "hours": 9, "decision_ticks": 47, "horizon": 6}
 
@@ -73,7 +73,7 @@ def test_each_environment_is_a_single_one(case: str, way: None) -> None:
     inputs, count = CASES[case], 4
     ours = gymnasium.make_vec(ID, num_envs=count, **inputs)
     theirs = gymnasium.make_vec(
-        "greenroof_ros:GreenRoof-v1", num_envs=count, vectorization_mode="sync", **inputs
+        "greenroof_ros.gym:GreenRoof-v1", num_envs=count, vectorization_mode="sync", **inputs
     )
     for name in ("observation_space", "single_observation_space", "action_space",
                  "single_action_space"):
@@ -102,7 +102,7 @@ def test_threads_share_many_environments() -> None:
     for _ in range(12):
         after, rewards, *_, last = roofs.step(actions)
     for row in (0, 74, 75, 149):
-        roof = gymnasium.make("greenroof_ros:GreenRoof-v1", **inputs)
+        roof = gymnasium.make("greenroof_ros.gym:GreenRoof-v1", **inputs)
         first, info = roof.reset(seed=row)
         assert first.tobytes() == observations[row].tobytes()
         assert info["start"] == infos["start"][row]

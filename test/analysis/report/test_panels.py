@@ -12,6 +12,7 @@ from inputs import NAMES, START, figures_of, simulate, study_of
 from paper import PAPER_SITE
 
 from greenroof_ros.analysis.calibration.page import draw_quantity
+from greenroof_ros.analysis.calibration.step_record import StepRecord
 from greenroof_ros.analysis.report.drawing import Figure, value_scale
 from greenroof_ros.analysis.report.figures import draw_events
 from greenroof_ros.analysis.report.groups import TOTAL
@@ -23,7 +24,6 @@ from greenroof_ros.analysis.report.trajectories import (
     select_curves,
     select_samples,
 )
-from greenroof_ros.analysis.calibration.step_record import StepRecord
 from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.results.trajectory import Trajectory
 

@@ -15,8 +15,8 @@ from commands import run_command
 from places import DATA
 from scipy import stats
 
-from greenroof_ros.forecast.issue import IssuedForecast
 from greenroof_ros.forecast.archive import write_forecasts
+from greenroof_ros.forecast.issue import IssuedForecast
 
 GEM = DATA / "gem_global_previous_runs_2024-03.csv"
 JULY = DATA / "en_climate_hourly_07-2021.csv"

@@ -1,0 +1,63 @@
+"""A file of numbers that a live node learns, kept across restarts."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from greenroof_ros.base.disk import DISK, LatestWriter
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import replace_text
+
+_CLOSE_S = 2.0
+
+
+class NumberFile:
+    """A file of named numbers, written by the disk thread because a disk may stop responding.
+
+    The file is replaced as a whole, so that a power cut leaves either the old or the new file.
+    """
+
+    def __init__(self, file: Path) -> None:
+        """Store the path of the file, which need not exist yet."""
+        self._file = file
+        self._newest = LatestWriter[dict[str, float]](
+            lambda values: replace_text(file, json.dumps(values, indent=1), parents=True), str
+        )
+
+    @property
+    def problem(self) -> str:
+        """The reason why the latest numbers are not being written; empty if there is no problem."""
+        return "the disk does not respond" if DISK.late else self._newest.problem
+
+    def read(self) -> dict[str, float]:
+        """Return the numbers in the file; an empty mapping if there is no file.
+
+        Raises:
+            ConfigurationError: if the file cannot be read, or is not a mapping of names to finite
+                numbers.
+        """
+        try:
+            content: Any = json.loads(self._file.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValueError) as error:
+            raise ConfigurationError(f"cannot be read: {error}", file=self._file) from error
+        if not isinstance(content, dict) or not all(
+            isinstance(value, float) and math.isfinite(value) for value in content.values()
+        ):
+            raise ConfigurationError("must be a mapping of names to finite floating-point "
+            "numbers", file=self._file)
+        return content
+
+    def write(self, values: Mapping[str, float]) -> None:
+        """Queue numbers for writing."""
+        self._newest.write(dict(values))
+
+    def close(self) -> None:
+        """Wait at most two seconds until all numbers are written."""
+        DISK.wait(_CLOSE_S)
+

@@ -1,0 +1,87 @@
+"""Numbers are kept by the disk's thread, even if the disk hangs or is full."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from graphs import wait_for
+from places import CHECKOUT
+from refusals import refusal
+
+from greenroof_ros.live.number_file import NumberFile
+
+TOO_LONG_S = 60
+
+
+@pytest.mark.parametrize("content", ["[1.0]", '{"a": NaN}', '{"a": true}', "\0\1"])
+def test_what_is_no_mapping_of_numbers_is_refused(tmp_path: Path, content: str) -> None:
+    file = tmp_path / "numbers.json"
+    file.write_text(content)
+    refusal(NumberFile(file).read, match=r"numbers\.json")
+
+
+def test_a_disk_that_hangs_holds_no_one_up(tmp_path: Path) -> None:
+    """With a pipe that no one reads, neither waits for ever; the newest is written later."""
+    os.mkfifo(tmp_path / ".numbers.json.part")
+    numbers = NumberFile(tmp_path / "numbers.json")
+    numbers.write({"a": 1.0})
+    numbers.write({"a": 2.0})
+    numbers.close()
+    wait_for(lambda: numbers.problem == "the disk does not respond", TOO_LONG_S, "the problem")
+    woken = (tmp_path / ".numbers.json.part").rename(tmp_path / "pipe")
+    with woken.open() as pipe:  # the disk works again
+        assert '"a": ' in pipe.read()
+    numbers.close()
+    assert numbers.read() == {"a": 2.0} and numbers.problem == ""
+
+
+def test_a_process_ends_while_the_disk_hangs(tmp_path: Path) -> None:
+    """The end waits for two seconds at most, plus what a busy machine takes."""
+    os.mkfifo(tmp_path / ".numbers.json.part")
+    program = (
+        "import sys; from pathlib import Path\n"
+        "from greenroof_ros.live.number_file import NumberFile\n"
+        "kept = NumberFile(Path(sys.argv[1])); kept.write({'a': 1.0}); kept.close()"
+    )
+    command = [sys.executable, "-c", program, str(tmp_path / "numbers.json")]
+    assert subprocess.run(command, cwd=CHECKOUT, timeout=TOO_LONG_S).returncode == 0
+
+
+def test_the_file_is_on_the_disk_before_it_takes_the_place_of_the_old_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise a power cut could leave a name without content."""
+    file = tmp_path / "numbers.json"
+    file.write_text('{"a": 1.0}')
+    contents = []
+
+    def fsync(number: int) -> None:
+        part = tmp_path / ".numbers.json.part"
+        assert part.samefile(f"/dev/fd/{number}")
+        contents.append((part.read_text(), file.read_text()))
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    numbers = NumberFile(file)
+    numbers.write({"a": 2.0})
+    numbers.close()
+    assert contents == [('{\n "a": 2.0\n}', '{"a": 1.0}')]
+    assert numbers.read() == {"a": 2.0}
+
+
+def test_what_went_wrong_is_reported(tmp_path: Path) -> None:
+    """For as long as it lasts; the next write is tried again, and the next process reads it."""
+    (tmp_path / "state").write_text("a file where a directory is due")
+    numbers = NumberFile(tmp_path / "state" / "numbers.json")
+    numbers.write({"a": 1.0})
+    numbers.close()
+    assert "File exists" in numbers.problem or "Not a directory" in numbers.problem
+    (tmp_path / "state").unlink()
+    assert numbers.read() == {}
+    numbers.write({"a": 1.5, "b": -0.1})
+    numbers.close()
+    assert numbers.problem == ""
+    assert NumberFile(tmp_path / "state" / "numbers.json").read() == {"a": 1.5, "b": -0.1}
