@@ -31,8 +31,8 @@ from typing import Any
 from places import words_of
 
 _ROOMS = (
-    "common", "controllers", "physics", "results", "simulation", "live.pumping", "live.devices",
-    "recording", "live.simulators", "watch", "analysis.report", "analysis.workers",
+    "base", "interface", "controllers", "physics", "results", "simulation", "live.pumping",
+    "live.devices", "live.simulators", "watch", "analysis.report", "analysis.workers",
     "analysis.study", "analysis.sizing", "analysis.district", "analysis.calibration",
     "analysis.verification", "graph", "bringup", "nodes", "live",
 )
