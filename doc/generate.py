@@ -45,7 +45,6 @@ from greenroof_ros.base.files import read_yaml, shared_directory
 from greenroof_ros.base.parameter import Key, Parameter, Word, keys, parameters_of
 from greenroof_ros.controllers.outlet import PARAMETERS
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
-from greenroof_ros.forecast.skill import Climate, Errors
 from greenroof_ros.formats.quantities import QUANTITIES, ROOF
 from greenroof_ros.interface.alarm import Alarm
 from greenroof_ros.interface.conditions import (
@@ -365,11 +364,6 @@ def sensors_file() -> str:
         "a sensor on Modbus": sensor_file.ModbusSensor,
         "a sensor on MQTT": sensor_file.MqttSensor,
     })
-
-
-def skill_file() -> str:
-    """Return every key of a file of skill."""
-    return _keys({"`climate`": Climate, "`errors`": Errors})
 
 
 def district_file() -> str:
@@ -748,7 +742,6 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "drive file": drive_files,
     "drives": drives,
     "sensors file": sensors_file,
-    "skill file": skill_file,
     "district file": district_file,
     "relay file": relay_files,
     "relays": relays,

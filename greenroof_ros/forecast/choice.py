@@ -34,8 +34,7 @@ class ForecastChoice:
     Attributes:
         model: one of :data:`MODELS`, or ``file``.
         file: forecast file, or directory of forecast files; None for a model.
-        skill: one of :data:`greenroof_ros.forecast.skill.SKILLS`, or the path of a file such as
-            ``config/forecasts/skill.yaml``.
+        skill: one of :data:`greenroof_ros.forecast.skill.SKILLS`.
         seed: random seed of the forecast errors.
         members: number of members of the ensemble.
         delay: time from the nominal time of a forecast until the forecast is available (h); None
@@ -46,9 +45,7 @@ class ForecastChoice:
     file: Path | None = None
     skill: str = entry(
         "skill of the forecasts that errors and ensemble generate: real for the skill of a "
-        "weather service; better or worse for that of real forecasts at half or twice the lead "
-        "time, and much_better or much_worse at a quarter or four times of it; none; or a "
-        "FILE.yaml that specifies the skill", default=REAL,
+        "weather service, or none for rain at random times", choices=SKILLS, default=REAL,
     )
     seed: int = entry(
         "random seed of the forecast errors, for errors and ensemble", 0, 2**31 - 1, default=0,
@@ -65,11 +62,6 @@ class ForecastChoice:
     def __str__(self) -> str:
         """Return the name of the model or the path of the file, as in the option ``--forecast``."""
         return self.model if self.file is None else str(self.file)
-
-    @property
-    def skill_file(self) -> Path | None:
-        """The file with the skill; None for a named skill."""
-        return None if self.skill in SKILLS else Path(self.skill)
 
     @property
     def option_names(self) -> tuple[str, ...]:
@@ -122,9 +114,4 @@ def choose(text: str, options: Mapping[str, Any] | None = None) -> ForecastChoic
                     f"{choice}", key=name,
                     value=value,
                 )
-        if checked.skill not in SKILLS and not checked.skill.lower().endswith(".yaml"):
-            raise ConfigurationError(
-                describe_choices(SKILLS, checked.skill, ", or a FILE.yaml"), key="skill",
-                value=checked.skill,
-            )
     return replace(checked, model=choice.model, file=choice.file)

@@ -338,9 +338,9 @@ class ErrorModel(ForecastModel):
         self._normal = NormalRecords(
             skill.climate, weather.precipitation, hours_since_1970(weather.first)
         )
-        timing = skill.errors.timing * (_LEADS / 24) ** skill.errors.timing_growth
+        timing = skill.timing * (_LEADS / 24) ** skill.timing_growth
         self._reach = math.ceil(_REACH * max(skill.climate.memory, timing))
-        self._seed, persistence = seed, skill.errors.persistence
+        self._seed, persistence = seed, skill.persistence
         ages = np.arange(math.ceil(_FORGOTTEN * persistence / ISSUE_HOURS) + 1)
         weights = np.exp(-ages * ISSUE_HOURS / persistence)
         self._weights = weights / np.sqrt((weights**2).sum())
@@ -393,10 +393,10 @@ class ErrorModel(ForecastModel):
         known = _apply_filters(filters.signal, self._normal.at(hours))
         known += _apply_filters(filters.common, common)
         members = np.stack([known + _apply_filters(filters.own, noise) for noise in own])
-        errors, unknown = self._skill.errors, filters.unknown[:leads]
-        rain = self._skill.climate.rain(members + errors.wetness * unknown)
-        rain *= 1 + (errors.amount - 1) * unknown
-        spread = errors.evapotranspiration * unknown
+        skill, unknown = self._skill, filters.unknown[:leads]
+        rain = skill.climate.rain(members + skill.wetness * unknown)
+        rain *= 1 + (skill.amount - 1) * unknown
+        spread = skill.evapotranspiration * unknown
         return (
             np.minimum(rain, QUANTITIES[PRECIPITATION].high),
             np.exp(spread * dry - spread**2 / 2),
@@ -510,7 +510,7 @@ def make_model(
         all_members: whether to use all members of an ensemble, or only member 0.
 
     Raises:
-        ConfigurationError: if the forecast file or the skill file is invalid.
+        ConfigurationError: if the forecast file is invalid.
     """
     if choice.file is not None:
         archive = read_archive(choice.file, site, choice.delay)

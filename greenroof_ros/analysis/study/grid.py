@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from greenroof_ros.analysis.study.case import Case, InputFile, place_files
+from greenroof_ros.analysis.study.case import Case, InputFile
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
 from greenroof_ros.base.files import (
     YamlMapping,
@@ -24,7 +24,6 @@ from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.outlet import find_horizon
 from greenroof_ros.controllers.registry import BUILT_IN, ControllerChoice, find_controller
 from greenroof_ros.forecast.choice import MODELS, OPTIONS, PERFECT, ForecastChoice
-from greenroof_ros.forecast.skill import SKILLS, read_skill
 from greenroof_ros.formats.hourly import name_files
 from greenroof_ros.formats.own_csv import write_forecasts
 from greenroof_ros.formats.reading import read_archive
@@ -167,7 +166,7 @@ class _Grid:
         run = runs[key]
         files = tuple(map(self._input, run.weather.files))
         name = name_files([Path(each.name) for each in files])
-        forecast, forecast_files = self._carry(inputs.forecast, site)
+        forecast, forecast_file = self._carry(inputs.forecast, site)
         return Case(
             replace(
                 inputs, site=Path(file.name), weather=tuple(Path(each.name) for each in files),
@@ -177,7 +176,7 @@ class _Grid:
             ),
             file, files,
             self._weathers.setdefault(files, unique_name(Path(name), self._weathers.values())),
-            forecast_files, self._bound_block(site),
+            forecast_file, self._bound_block(site),
         )
 
     def _expand_sites(self) -> Iterator[tuple[Site, InputFile]]:
@@ -214,14 +213,10 @@ class _Grid:
     def _expand_forecasts(self, mapping: YamlMapping) -> Iterator[YamlMapping]:
         """Yield every forecast under ``forecast:`` with every combination of its options."""
         for block in self._expand(mapping, "forecast", ("model",), OPTIONS):
-            model, skill = str(block["model"]), block.get("skill")
+            model = str(block["model"])
             if model not in MODELS and (Path(model).suffix or self._is_directory(model)):
                 model = str(self._find(block, "model")[0])
             given = {f"forecast_{name}": block[name] for name in OPTIONS if name in block}
-            if isinstance(skill, str) and skill not in SKILLS and skill.endswith(".yaml"):
-                given["forecast_skill"] = str(self._find(block, "skill")[0])
-                with self._at(block.lines, "skill"):
-                    read_skill(given["forecast_skill"])
             lines = {f"forecast_{name}": line for name, line in block.lines.items()}
             lines["forecast"] = block.lines["model"]
             yield YamlMapping({"forecast": model, **given}, lines)
@@ -333,22 +328,23 @@ class _Grid:
 
     def _carry_forecast(
         self, choice: ForecastChoice, site: Site
-    ) -> tuple[ForecastChoice, dict[str, InputFile]]:
-        """Return a forecast choice that uses the file names in the study, together with the files.
+    ) -> tuple[ForecastChoice, InputFile | None]:
+        """Return a forecast choice that uses the file name in the study, together with the file.
 
         A directory is converted to a single file in the project's own format.
         """
-        skill, path = choice.skill_file, choice.file
-        files = {} if skill is None else {"skill": self._input(skill)}
-        if path is not None and path.is_dir():
+        path = choice.file
+        if path is None:
+            return choice, None
+        if path.is_dir():
             archive = read_archive(path, site, choice.delay)
             if all(issue.available is None for issue in archive.issues):
                 choice = replace(choice, delay=archive.delay)
             text = write_forecasts(archive.issues)
-            files["file"] = self._input(path.with_name(f"{path.name}.csv"), text.encode())
-        elif path is not None:
-            files["file"] = self._input(path)
-        return place_files(choice, files, Path()), files
+            file = self._input(path.with_name(f"{path.name}.csv"), text.encode())
+        else:
+            file = self._input(path)
+        return replace(choice, file=Path(file.name)), file
 
     # --- mappings ---------------------------------------------------------------------------
 
