@@ -89,6 +89,7 @@ setup(
         "eto>=2.2,<3",  # FAO-56 Penman-Monteith; 2.2 has hours in any time zone and clouded nights
         "PyYAML>=6.0,<7",  # reads config/ and msg_defs/, writes a bag's metadata.yaml
         "rich>=13,<16",  # progress bar and tables on the terminal
+        "urllib3>=2.6,<3",  # requests to weather services; 2.6 limits their Retry-After
     ],
     extras_require={
         # ROS 2 Jazzy as plain wheels, for a machine without ROS. Leave this extra away where a

@@ -20,7 +20,7 @@ from greenroof_ros.base.command_line import (
     refuse_unwritable,
 )
 from greenroof_ros.base.files import replace_text
-from greenroof_ros.base.http_client import ServiceError
+from greenroof_ros.base.http import ServiceError
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.times import FIRST_YEAR, to_people
 from greenroof_ros.formats.cells import HOUR

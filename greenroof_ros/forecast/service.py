@@ -28,7 +28,7 @@ import numpy as np
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import replace_text
-from greenroof_ros.base.http_client import (
+from greenroof_ros.base.http import (
     ServiceError,
     check_url,
     name_url,
@@ -63,9 +63,8 @@ _FORECAST_URL = "https://api.open-meteo.com/v1/forecast"
 _ENSEMBLE_URL = "https://ensemble-api.open-meteo.com/v1/ensemble"
 # Largest difference between the service's clock and ours (s).
 _CLOCKS_S = 600.0
-# Wait after a failure (s): the first; the longest, if the service asks for none; and the longest
-# that the service can ask for.
-_FIRST_WAIT_S, _LAST_WAIT_S, _MAX_WAIT_S = 60.0, 3600.0, 86_400.0
+# First and longest wait after a failure (s), unless the service asks for a longer one.
+_FIRST_WAIT_S, _LAST_WAIT_S = 60.0, 3600.0
 
 # The names of kept forecasts, and how much of them is kept (bytes): half a year of hourly ensembles
 # of 50 members, or 20 years of single forecasts.
@@ -119,11 +118,11 @@ class Service:
         """
         hour = now.astimezone(timezone.utc).replace(minute=0, second=0, microsecond=0)
         began = time.monotonic()
-        answer = request(self._url, self._parameters)
+        body, date = request(self._url, self._parameters)
         arrived = now + timedelta(seconds=time.monotonic() - began)
-        _check_clock(answer.date, now)
+        _check_clock(date, now)
         try:
-            return replace(_read_issue(answer.body, self._site, hour), available=arrived)
+            return replace(_read_issue(body, self._site, hour), available=arrived)
         except OSError as error:
             raise ServiceError(f"{name_url(self._url)}: {error}") from error
         except ConfigurationError as error:
@@ -254,8 +253,7 @@ class Fetcher:
             self._write(issue)
         except Exception as error:  # whatever it is, the next forecast is still requested
             self.problem = str(error) or type(error).__name__
-            requested_wait = error.wait if isinstance(error, ServiceError) else None
-            wait = max(self._wait, min(requested_wait or 0.0, _MAX_WAIT_S))
+            wait = max(self._wait, error.wait if isinstance(error, ServiceError) else 0.0)
             self._wait = min(2 * self._wait, self._every, _LAST_WAIT_S)
             return wait
         self.problem, self._wait = "", _FIRST_WAIT_S

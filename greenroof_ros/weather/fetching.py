@@ -30,7 +30,7 @@ from urllib.parse import urlsplit
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import replace_file, replace_text
-from greenroof_ros.base.http_client import (
+from greenroof_ros.base.http import (
     ServiceError,
     check_url,
     name_url,
@@ -215,7 +215,7 @@ def _check_open_meteo(body: bytes, block: Block) -> None:
         raise ServiceError(f"sent no hourly values: {read_reason(body)}")
     lacking = [name for name in VARIABLES.values() if name not in hourly]
     if lacking:
-        raise ServiceError(f"sent no {', '.join(lacking)}", is_passing=False)
+        raise ServiceError(f"sent no {', '.join(lacking)}", is_final=True)
     times = hourly.get("time")
     if not isinstance(times, list) or len(times) != block.hours:
         hours = len(times) if isinstance(times, list) else 0
@@ -224,7 +224,7 @@ def _check_open_meteo(body: bytes, block: Block) -> None:
         raise ServiceError(f"sent hours that start at {times[0]} instead of {block.first}")
     rain = hourly[VARIABLES[PRECIPITATION]]
     if isinstance(rain, list) and all(value is None for value in rain):
-        raise ServiceError("sent no precipitation values", is_passing=False)
+        raise ServiceError("sent no precipitation values", is_final=True)
 
 
 def _check_eccc(body: bytes, block: Block, *, is_over: bool) -> None:
@@ -297,7 +297,7 @@ def fetch(
                 break
             except ServiceError as error:
                 wait = max(pause_s * _WAIT_PAUSES * 2 ** (attempt - 1), _find_wait(error))
-                if not error.is_passing or attempt == _ATTEMPTS or wait > _MAX_WAIT_S:
+                if error.is_final or attempt == _ATTEMPTS or wait > _MAX_WAIT_S:
                     raise ServiceError(f"{block.first} to {block.last}: {error}") from error
                 progress.print_line(f"{error}; next attempt in {duration(wait)}")
                 time.sleep(wait)
@@ -321,12 +321,12 @@ def _fetch_block(source: Source, site: Site, block: Block, file: Path) -> None:
         ConfigurationError: if the response does not match the site.
         OSError: if the block cannot be stored.
     """
-    body = request(source.url, {**source.parameters, **block.parameters}).body
+    body = request(source.url, {**source.parameters, **block.parameters})[0]
     try:
         source.check(body, block)
     except ServiceError as error:
         name = name_url(source.url)
-        raise ServiceError(f"{name}: {error}", is_passing=error.is_passing) from error
+        raise ServiceError(f"{name}: {error}", is_final=error.is_final) from error
     answer = file.with_name(f"answer{block.suffix}")
     replace_file(answer, lambda stream: stream.write(body))
     if not _is_empty(answer):
@@ -337,7 +337,7 @@ def _fetch_block(source: Source, site: Site, block: Block, file: Path) -> None:
 def _find_wait(error: ServiceError) -> float:
     """Return the waiting time requested by a service (s); 0 if it requests none."""
     asked = [seconds for words, seconds in _ASKED_S.items() if words in str(error)]
-    return max([error.wait or 0.0, *asked])
+    return max([error.wait, *asked])
 
 
 def _is_empty(file: Path) -> bool:

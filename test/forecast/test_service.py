@@ -19,8 +19,8 @@ from http_service import HttpService
 from places import CONFIG
 from refusals import refusal
 
-from greenroof_ros.base import http_client
-from greenroof_ros.base.http_client import ServiceError
+from greenroof_ros.base import http
+from greenroof_ros.base.http import ServiceError
 from greenroof_ros.forecast import service as module
 from greenroof_ros.forecast.models import FileModel
 from greenroof_ros.forecast.service import (
@@ -101,7 +101,7 @@ def test_a_bad_answer_is_refused_and_replaces_nothing(server, tmp_path, monkeypa
     before = file.read_text()
     server.fault = fault
     if "slow" in fault:
-        monkeypatch.setattr(http_client, "ANSWER_S", 0.5)
+        monkeypatch.setattr(http, "ANSWER_S", 0.5)
     began = time.monotonic()
     waits = [fetcher.fetch() for _ in range(2)]
     assert time.monotonic() - began < 6  # a slow head would take twice 8 s

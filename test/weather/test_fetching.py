@@ -23,8 +23,8 @@ from places import CHECKOUT, DATA
 from refusals import refusal
 from weather_service import WeatherService, open_meteo_values
 
-from greenroof_ros.base import http_client
-from greenroof_ros.base.http_client import ServiceError
+from greenroof_ros.base import http
+from greenroof_ros.base.http import ServiceError
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.formats.quantities import PRECIPITATION, TEMPERATURE
 from greenroof_ros.site.file import read_site
@@ -313,9 +313,8 @@ def test_a_key_in_the_url_reaches_the_service_and_nothing_else(service, tmp_path
     assert f"error: 2023-01-01 to 2024-01-01: {service.address}/v1/archive: 400 Bad Request: " in (
         done.stderr
     )
-    assert "[2J\N{REPLACEMENT CHARACTER}\N{REPLACEMENT CHARACTER}no: apikey=***&models=&lat" in (
-        done.stderr
-    )
+    unprintable = 2 * "\N{REPLACEMENT CHARACTER}"
+    assert f"[2J{unprintable}no value: apikey=***&models=&lat" in done.stderr
     assert not {"\33", "\7", "\u202e"} & {*done.stderr}
     other = run(service, tmp_path, "--years", "2022-2023", "--url", paid.replace("models=", "m="))
     assert "contains parts from a different request" in other.stderr
@@ -326,12 +325,12 @@ def test_a_key_in_the_url_reaches_the_service_and_nothing_else(service, tmp_path
 
 @pytest.mark.parametrize(("url", "reason"), [
     ("archive-api.open-meteo.com/?apikey=s3cr3t", "url: must begin with http:// or https://"),
-    ("http://", "must be a server address in ASCII"),
-    ("http://[::1/?apikey=s3cr3t", "must be a server address"),
-    ("http://host:99999/?apikey=s3cr3t", "must be a server address"),
-    ("http://me:s3cr3t@host/", "must be a server address"),
-    ("http://host/a b?apikey=s3cr3t", "must be a server address"),
-    ("http://h\u00f6st/?apikey=s3cr3t", "must be a server address"),
+    ("http://", "must begin with http:// or https:// and a server address in ASCII"),
+    ("http://[::1/?apikey=s3cr3t", "a server address in ASCII"),
+    ("http://host:99999/?apikey=s3cr3t", "a server address in ASCII"),
+    ("http://me:s3cr3t@host/", "a server address in ASCII"),
+    ("http://host/a b?apikey=s3cr3t", "a server address in ASCII"),
+    ("http://h\u00f6st/?apikey=s3cr3t", "a server address in ASCII"),
     ("http://host/?apikey=s3cr3t&hourly=rain", "url = 'http://host/': must not contain hourly"),
     ("http://host/?start_date=2020-01-01", "must not contain start_date in its query"),
 ])
@@ -353,6 +352,8 @@ def failure(service: WeatherService, directory: Path, source: Source) -> str:
 
 @pytest.mark.parametrize(("fault", "requests", "reason"), [
     ("refusal", 1, "400 Bad Request: .*out of allowed range"),
+    ("400", 8, "400 Bad Request: .*Something went wrong"),
+    ("missing", 1, "404 Not Found"),
     ("fewer", 1, "sent no shortwave_radiation"),
     ("tomorrow", 1, "Daily API request limit exceeded"),
     ("html", 8, "sent invalid or incomplete JSON: <!DOCTYPE html>"),
@@ -374,9 +375,16 @@ def test_what_does_not_pass_is_tried_once_and_what_may_pass_eight_times(
 
 
 def test_a_slow_service_is_given_up(service, tmp_path, monkeypatch):
-    monkeypatch.setattr(http_client, "ANSWER_S", 0.2)
+    monkeypatch.setattr(http, "ANSWER_S", 0.2)
     service.faults = 9 * ["slow"]
     assert "no complete response within 0.2 s" in failure(service, tmp_path, archive(service))
+
+
+def test_a_proxy_of_the_environment_is_used(service, tmp_path, monkeypatch):
+    monkeypatch.setenv("http_proxy", service.address)
+    source = open_meteo_archive(SITE, range(2020, 2021), TODAY, "http://nowhere.invalid/v1/archive")
+    prepare_directory(tmp_path, source)
+    assert len(fetch(source, SITE, tmp_path, 0.001, ProgressBar())) == len(service.requests) == 1
 
 
 @pytest.mark.parametrize(("error", "wait"), [
