@@ -25,16 +25,15 @@ from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.times import FIRST_YEAR, to_people
 from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.hourly import name_hours
+from greenroof_ros.formats.own_csv import write_records
 from greenroof_ros.formats.quantities import PRECIPITATION
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import format_place, measure_distance
-from greenroof_ros.weather.fetching import (
+from greenroof_ros.weather.download import (
     eccc_station,
     fetch,
     join_blocks,
     open_meteo_archive,
-    prepare_directory,
-    write_weather,
 )
 
 _DESCRIPTION = """\
@@ -144,15 +143,17 @@ def main() -> int:
     else:
         source = eccc_station(arguments.eccc, site, arguments.years, now.date(), arguments.url)
     part = output.with_name(f"{output.name}.part")
-    prepare_directory(part, source)
     try:
         with ProgressBar() as progress:
             files = fetch(source, site, part, arguments.pause, progress)
             progress.show("reading and joining", 1.0)
             records = join_blocks(files, site, arguments.years)
-            replace_text(output, write_weather(source, records, now))
+            replace_text(output, write_records(
+                records, f"{source.about}\nFetched on {now:%Y-%m-%d}; the time of an hour is its "
+                f"start, UTC{records.first.isoformat()[-6:]}."
+            ))
     except BaseException as error:
-        kept = sum((part / block.file).exists() for block in source.blocks)
+        kept = sum(file.exists() for file in source.files(part))
         if isinstance(error, ServiceError):
             print(f"error: {error}", file=sys.stderr)
         if 0 < kept < len(source.blocks):

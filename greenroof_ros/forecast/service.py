@@ -40,11 +40,12 @@ from greenroof_ros.base.times import to_people
 from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.forecasts import IssuedForecast, Repetition, mend_forecast
 from greenroof_ros.formats.hourly import bridge_gaps
-from greenroof_ros.formats.open_meteo import VARIABLES, read_records, read_run
+from greenroof_ros.formats.open_meteo import read_records, read_run
 from greenroof_ros.formats.own_csv import write_forecasts
 from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, TEMPERATURE
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import repeat_monthly
+from greenroof_ros.weather.open_meteo_request import make_parameters
 from greenroof_ros.weather.reading import (
     MAX_GAP_H,
     compute_evapotranspiration,
@@ -88,21 +89,12 @@ class Service:
             url: URL of the interface; if empty, the service's own URL.
 
         Raises:
-            ConfigurationError: if the site file lacks the location, its elevation or its offset
-                from UTC, or if the URL does not begin with http or https.
+            ConfigurationError: if the site file lacks the location, or if the URL does not begin
+                with http or https.
         """
-        for name in ("latitude", "longitude", "elevation", "utc_offset"):
-            if getattr(site, name) is None:
-                raise ConfigurationError(
-                    f"must be set in the site file, because the request to {OPEN_METEO} and the "
-                    "evapotranspiration depend on this key", key=name,
-                )
         self._site = site
-        self._parameters: dict[str, str | float] = {
-            "latitude": float(site.latitude or 0), "longitude": float(site.longitude or 0),
-            "hourly": ",".join(VARIABLES.values()), "forecast_days": days, "timezone": "GMT",
-            **({"models": model} if model else {}),
-        }
+        more = {"models": model} if model else {}
+        self._parameters = make_parameters(site, forecast_days=days, **more)
         self._url = check_url(
             url or (_ENSEMBLE_URL if ensemble else _FORECAST_URL), self._parameters
         )

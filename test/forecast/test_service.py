@@ -203,7 +203,7 @@ def test_a_full_directory_for_temporary_files_costs_no_forecast(server, tmp_path
 
 def test_a_place_that_is_unknown():
     nowhere = replace(SITE, longitude=None)
-    refusal(Service, nowhere, match="longitude: must be set in the site file")
+    refusal(Service, nowhere, match="longitude: must be in the site file")
 
 
 def test_the_command(server, tmp_path):
