@@ -51,10 +51,11 @@ class WeatherService(HttpService):
         faults: of the next requests, one each: "" for none; "html"; "half" of the answer, then the
             connection ends; "limit", "limit 1" with Retry-After, and "tomorrow": 429; "error": 503;
             "refusal": 400 with a reason; "400": the same without one; "missing": 404; "slow": a
-            pause of 20 s; "fewer" variables; "short": a day less; "other" hours, of ten years before; "gap": five hours without values; "dry":
-            no values of precipitation at all; "JSON error": an answer with status 200 that is an
-            error; "odd": no list of times; "deep": nested JSON; "control": a refusal with control
-            characters, which repeats the query.
+            pause of 20 s; "fewer" variables; "short": a day less; "other" hours, of ten years
+            before; "gap": five hours without values; "dry": no values of precipitation at all;
+            "JSON error": an answer with status 200 that is an error; "odd": no list of times;
+            "deep": nested JSON; "control": a refusal with control characters, which repeats the
+            query.
         requests: the queries, in order.
     """
 

@@ -9,7 +9,7 @@ from greenroof_ros.base.errors import rename_keys
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.forecast.choice import INPUTS, MODELS, PERFECT, ForecastChoice, choose
-from greenroof_ros.forecast.resampling import make_forecast
+from greenroof_ros.forecast.steps import make_forecast
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.lockstep import CLOCK

@@ -25,13 +25,13 @@ from greenroof_ros.forecast.models import (
     ForecastModel,
     make_model,
 )
-from greenroof_ros.forecast.resampling import (
+from greenroof_ros.forecast.skill import read_skill
+from greenroof_ros.forecast.steps import (
     Forecast,
     PerfectForecast,
     SteppedForecast,
     make_forecast,
 )
-from greenroof_ros.forecast.skill import read_skill
 from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.forecasts import Archive, IssuedForecast
 from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts

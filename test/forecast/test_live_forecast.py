@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from paper import PAPER_SITE
 
-from greenroof_ros.forecast.live_forecast import ForecastFile, LiveForecast, NoForecastError
+from greenroof_ros.forecast.live import ForecastFile, LiveForecast, NoForecastError
 from greenroof_ros.formats.forecasts import IssuedForecast
 from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
 from greenroof_ros.site.horizon import look_ahead_ends

@@ -11,7 +11,7 @@ import numpy as np
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import duration, to_people
-from greenroof_ros.forecast.resampling import HourForecast, Outlook
+from greenroof_ros.forecast.steps import HourForecast, Outlook
 from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.forecasts import IssuedForecast, Repetition
 from greenroof_ros.formats.own_csv import read_forecasts
