@@ -94,24 +94,22 @@ def choose(text: str, options: Mapping[str, Any] | None = None) -> ForecastChoic
         ConfigurationError: if there is no such model, or if the model has no such option or value;
             the error's key is ``forecast``, or one of :data:`INPUTS`.
     """
-    if text in MODELS:
-        choice = ForecastChoice(text)
-    elif text.lower().endswith((*SUFFIXES, "/")) or (text and Path(text).is_dir()):
-        choice = ForecastChoice(FILE, Path(text))
-    else:
+    model, options = text if text in MODELS else FILE, options or {}
+    if model == FILE and not (
+        text.lower().endswith((*SUFFIXES, "/")) or (text and Path(text).is_dir())
+    ):
         files = f", or forecasts: a file ({', '.join(SUFFIXES)}) or a directory of files"
         raise ConfigurationError(describe_choices(MODELS, text, files), key="forecast", value=text)
     with rename_keys({name: f"forecast_{name}" for name in OPTIONS}):
-        checked = make_record(ForecastChoice, options or {})
-        for name, value in (options or {}).items():
-            if name not in choice.option_names:
+        checked = make_record(ForecastChoice, options)
+        for name, value in options.items():
+            if name not in _OPTIONS_OF[model]:
                 owners = [
-                    "a file" if model == FILE else model
-                    for model, names in _OPTIONS_OF.items() if name in names
+                    "a file" if owner == FILE else owner
+                    for owner, names in _OPTIONS_OF.items() if name in names
                 ]
                 raise ConfigurationError(
-                    f"is an option of {' and '.join(owners)}, but the forecast is "
-                    f"{choice}", key=name,
+                    f"is an option of {' and '.join(owners)}, but the forecast is {text}", key=name,
                     value=value,
                 )
-    return replace(checked, model=choice.model, file=choice.file)
+    return replace(checked, model=model, file=Path(text) if model == FILE else None)

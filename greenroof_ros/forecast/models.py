@@ -224,8 +224,8 @@ class FileModel(ForecastModel):
         return issue, hour - (issue.issued - self._weather.first) // HOUR
 
 
-class NormalRecords:
-    """The normal variable z for every hour of the records.
+def _find_normal(climate: Climate, rain: Array, first: int, hours: NDArray[np.intp]) -> Array:
+    """Return the normal variable z (1) of hours of the records.
 
     The rain of a wet hour determines its z. The z of a dry hour is only known to be at most c; it
     is drawn repeatedly from its distribution given its neighbours (Gibbs sampling; Geman and Geman,
@@ -235,36 +235,29 @@ class NormalRecords:
 
     A draw depends only on the hour since 1970, and not on the order of the requests. Three weeks or
     more from the ends of the records, a draw does not depend on these ends either.
+
+    Args:
+        climate: climate of the rain.
+        rain: rain in every hour of the records (mm), NaN if missing.
+        first: hours since 1970 at the first hour.
+        hours: indices of the hours; outside the records, z is that of the first or last hour.
     """
-
-    def __init__(self, climate: Climate, rain: Array, first: int) -> None:
-        """Set the records.
-
-        Args:
-            climate: climate of the rain.
-            rain: rain in every hour (mm), NaN if missing, shape (hours,).
-            first: hours since 1970 at the first hour.
-        """
-        self._climate, self._rain, self._first = climate, rain, first
-
-    def at(self, hours: NDArray[np.intp]) -> Array:
-        """Return z (1) of hours by index; outside the records, z of the first or last hour."""
-        index = np.clip(hours, 0, len(self._rain) - 1)
-        parts = (index + self._first) // (_PART * _BLOCK)
-        normal = np.empty(len(index))
-        for part in np.unique(parts):
-            here = parts == part
-            # The part's first hour, and the range of its hours with a margin on either side.
-            begin = int(part) * _PART * _BLOCK - self._first
-            low, high = max(begin - _BLOCK, 0), begin + (_PART + 1) * _BLOCK
-            of_part = _draw_normal(self._climate, self._rain[low:high].tobytes(), self._first + low)
-            normal[here] = of_part[index[here] - low]
-        return normal
+    index = np.clip(hours, 0, len(rain) - 1)
+    parts = (index + first) // (_PART * _BLOCK)
+    normal = np.empty(len(index))
+    for part in np.unique(parts):
+        here = parts == part
+        # The part's first hour, and the range of its hours with a margin on either side.
+        begin = int(part) * _PART * _BLOCK - first
+        low, high = max(begin - _BLOCK, 0), begin + (_PART + 1) * _BLOCK
+        of_part = _draw_normal(climate, rain[low:high].tobytes(), first + low)
+        normal[here] = of_part[index[here] - low]
+    return normal
 
 
 @lru_cache(maxsize=64)
 def _draw_normal(climate: Climate, records: bytes, first: int) -> Array:
-    """Return z (1) of every hour; see :class:`NormalRecords`.
+    """Return z (1) of every hour; see :func:`_find_normal`.
 
     Results are cached, because a study needs them for each of its seeds.
 
@@ -335,29 +328,23 @@ class ErrorModel(ForecastModel):
         self._delay = math.ceil(delay)  # an issue known within an hour counts from the next hour
         self._skill = skill
         self.members = members
-        self._normal = NormalRecords(
-            skill.climate, weather.precipitation, hours_since_1970(weather.first)
-        )
+        self._first = hours_since_1970(weather.first)
         timing = skill.timing * (_LEADS / 24) ** skill.timing_growth
         self._reach = math.ceil(_REACH * max(skill.climate.memory, timing))
         self._seed, persistence = seed, skill.persistence
         ages = np.arange(math.ceil(_FORGOTTEN * persistence / ISSUE_HOURS) + 1)
         weights = np.exp(-ages * ISSUE_HOURS / persistence)
         self._weights = weights / np.sqrt((weights**2).sum())
-        # Twice as many as an issue needs, so that none is dropped that the next issue needs, too.
-        self._drawn = Memo(self._draw, 2 * len(weights))
         self._newest = Memo(self._make)  # one issue is needed for several hours
 
     def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the forecast; see :class:`ForecastModel`."""
         issue = self._find_newest(hour)
-        issued = issue - hours_since_1970(self._weather.first)
         records = np.arange(hour, hour + hours)
         select_records(self._weather, PRECIPITATION, records)  # rejects missing records
         evapotranspiration = select_records(self._weather, EVAPOTRANSPIRATION, records)
-        leads = ISSUE_HOURS - 1 + self._delay + hours
-        rain, factor = self._newest(issue, issued, leads)
-        lead = hour - issued
+        rain, factor = self._newest(issue, ISSUE_HOURS - 1 + self._delay + hours)
+        lead = self._first + hour - issue
         return (
             rain[:, lead : lead + hours].copy(),
             np.minimum(
@@ -377,23 +364,23 @@ class ErrorModel(ForecastModel):
         whole hour of UTC, a forecast counts from the first hour of the records that begins after
         its issue. A forecast issued before the start of the records keeps its actual time of issue.
         """
-        known = hours_since_1970(self._weather.first) + hour - self._delay
+        known = self._first + hour - self._delay
         return known // ISSUE_HOURS * ISSUE_HOURS
 
-    def _make(self, issue: int, issued: int, leads: int) -> tuple[Array, Array]:
-        """Make the forecast issued at a given time.
+    def _make(self, issue: int, leads: int) -> tuple[Array, Array]:
+        """Make the forecast issued at a given time (h since 1970).
 
         Returns:
             Rain (mm/h), shape (members, leads), and the factor of evapotranspiration (1), shape
             (leads,).
         """
         filters = _make_filters(self._skill, self._reach, math.ceil(leads / _LEADS))
-        hours = np.arange(issued - self._reach, issued + leads + self._reach)
+        hours = issue - self._first + np.arange(-self._reach, leads + self._reach)
         (common, *own), dry = self._noise(issue, len(hours))
-        known = _apply_filters(filters.signal, self._normal.at(hours))
-        known += _apply_filters(filters.common, common)
-        members = np.stack([known + _apply_filters(filters.own, noise) for noise in own])
         skill, unknown = self._skill, filters.unknown[:leads]
+        normal = _find_normal(skill.climate, self._weather.precipitation, self._first, hours)
+        known = _apply_filters(filters.signal, normal) + _apply_filters(filters.common, common)
+        members = np.stack([known + _apply_filters(filters.own, noise) for noise in own])
         rain = skill.climate.rain(members + skill.wetness * unknown)
         rain *= 1 + (skill.amount - 1) * unknown
         spread = skill.evapotranspiration * unknown
@@ -418,22 +405,25 @@ class ErrorModel(ForecastModel):
         dry = 0.0
         for age, weight in enumerate(self._weights):
             begin = ISSUE_HOURS * age
-            noise, of_dry = self._drawn(issue - begin, -(-longest // _BLOCK) * _BLOCK)
+            noise, of_dry = _draw_noise(
+                self._seed, self.members, issue - begin, -(-longest // _BLOCK) * _BLOCK
+            )
             rain += weight * noise[:, begin : begin + hours]
             dry += weight * of_dry
         return rain, dry
 
-    def _draw(self, issue: int, hours: int) -> tuple[Array, float]:
-        """Draw the noise of a forecast, shape (1 + members, hours), and of evapotranspiration.
 
-        The first hours do not depend on the number of hours that are drawn.
-        """
-        chances = [
-            np.random.default_rng([self._seed, member, issue % 2**32])
-            for member in range(self.members + 1)
-        ]
-        dry = float(chances[0].standard_normal())
-        return np.stack([chance.standard_normal(hours) for chance in chances]), dry
+@lru_cache(maxsize=64)  # twice as many as an issue needs: the next issue needs nearly the same
+def _draw_noise(seed: int, members: int, issue: int, hours: int) -> tuple[Array, float]:
+    """Draw the noise of a forecast, shape (1 + members, hours), and of evapotranspiration.
+
+    The first hours do not depend on the number of hours that are drawn.
+    """
+    chances = [
+        np.random.default_rng([seed, member, issue % 2**32]) for member in range(members + 1)
+    ]
+    dry = float(chances[0].standard_normal())
+    return np.stack([chance.standard_normal(hours) for chance in chances]), dry
 
 
 class _Filters(NamedTuple):
