@@ -38,7 +38,7 @@ from greenroof_ros.base.http import (
 from greenroof_ros.base.processes import IN_MEMORY, scratch_directory
 from greenroof_ros.base.times import to_people
 from greenroof_ros.formats.cells import HOUR
-from greenroof_ros.formats.forecasts import IssuedForecast, Repetition, mend_forecast
+from greenroof_ros.formats.forecasts import IssuedForecast, mend_forecast
 from greenroof_ros.formats.hourly import bridge_gaps
 from greenroof_ros.formats.open_meteo import read_records, read_run
 from greenroof_ros.formats.own_csv import write_forecasts
@@ -107,6 +107,7 @@ class Service:
 
         Raises:
             ServiceError: if there is no usable forecast.
+            OSError: if the disk is full and the response cannot be read in memory.
         """
         hour = now.astimezone(timezone.utc).replace(minute=0, second=0, microsecond=0)
         began = time.monotonic()
@@ -115,8 +116,6 @@ class Service:
         _check_clock(date, now)
         try:
             return replace(_read_issue(body, self._site, hour), available=arrived)
-        except OSError as error:
-            raise ServiceError(f"{name_url(self._url)}: {error}") from error
         except ConfigurationError as error:
             raise ServiceError(f"{name_url(self._url)}: its response {error.wrong}") from error
 
@@ -231,18 +230,14 @@ class Fetcher:
         self.problem = ""
         self.newest: IssuedForecast | None = None
         self._service, self._write, self._every = service, write, every
-        self._repetition = Repetition()
         self._wait = _FIRST_WAIT_S
         self._ended = threading.Event()
 
     def fetch(self) -> float:
         """Fetch and write a forecast; return the time until the next attempt (s)."""
         try:
-            issue = self._service.fetch(datetime.now(timezone.utc))
-            if note := self._repetition.follow(issue):
-                issue = replace(issue, notes=(*issue.notes, note))
-            self.newest = issue
-            self._write(issue)
+            self.newest = self._service.fetch(datetime.now(timezone.utc))
+            self._write(self.newest)
         except Exception as error:  # whatever it is, the next forecast is still requested
             self.problem = str(error) or type(error).__name__
             wait = max(self._wait, error.wait if isinstance(error, ServiceError) else 0.0)
