@@ -139,6 +139,27 @@ class PerfectModel(ForecastModel):
         return rain[None, :], select_records(self._weather, EVAPOTRANSPIRATION, index)
 
 
+def continue_issue(
+    issue: IssuedForecast, lead: int, hours: int, late: int = 0
+) -> tuple[Array, Array | None]:
+    """Return an issue's values from a lead on: those of its hours, then those after its end.
+
+    Args:
+        issue: the issue.
+        lead: first lead time to return (h).
+        hours: number of hours to return.
+        late: delay of the rain (h).
+
+    Returns:
+        Rain (mm/h), shape (members, hours), and evapotranspiration (mm/day), shape (hours,), or
+        None if the issue does not contain it.
+    """
+    rain = np.zeros((len(issue.rain), hours))
+    known = issue.rain[:, lead - late : lead - late + hours]
+    rain[:, : known.shape[1]] = known
+    return rain, issue.evapotranspiration_at(np.arange(lead, lead + hours))
+
+
 class FileModel(ForecastModel):
     """Forecasts from an archive; see :func:`greenroof_ros.formats.reading.read_archive`.
 
@@ -179,18 +200,12 @@ class FileModel(ForecastModel):
 
     def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the forecast; see :class:`ForecastModel`."""
-        issue, lead = self._newest(hour)
-        ahead = np.arange(lead, lead + hours)
-        of_rain = ahead - self._late
-        there = of_rain < issue.hours
-        rain = np.zeros((self.members, hours))
-        rain[:, there] = issue.rain[: self.members, of_rain[there]]
-        evapotranspiration = issue.evapotranspiration_at(ahead)
+        rain, evapotranspiration = continue_issue(*self._newest(hour), hours, self._late)
         if evapotranspiration is None:
             evapotranspiration = select_records(
                 self._weather, EVAPOTRANSPIRATION, np.arange(hour, hour + hours)
             )
-        return rain, evapotranspiration
+        return rain[: self.members], evapotranspiration
 
     def check(self, hours: range) -> None:
         """Check the first forecast, and the records if needed; see :class:`ForecastModel`."""
