@@ -8,12 +8,12 @@ import time
 from collections.abc import Collection, Mapping
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as LateError
-from urllib.parse import parse_qsl, quote_plus, urlencode, urlsplit
+from urllib.parse import parse_qsl, quote_plus, unquote, urlencode, urlsplit
 from urllib.request import getproxies, proxy_bypass
 
 from urllib3 import PoolManager, ProxyManager, Retry, Timeout
 from urllib3.exceptions import HTTPError, InvalidHeader, LocationParseError, ProtocolError
-from urllib3.util import Url, parse_url
+from urllib3.util import Url, make_headers, parse_url
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.text import clean_text
@@ -158,10 +158,12 @@ def _get(url: str) -> tuple[bytes, str]:
 def _find_pool(url: str) -> PoolManager:
     """Return the connections to a URL's server, through the proxy of the environment if any."""
     parts = urlsplit(url)
-    proxy = getproxies().get(parts.scheme)
-    if proxy and not proxy_bypass(parts.hostname or ""):
-        return ProxyManager(proxy, timeout=_SILENCE, retries=_RETRY)
-    return PoolManager(timeout=_SILENCE, retries=_RETRY)
+    address = getproxies().get(parts.scheme)
+    if not address or proxy_bypass(parts.hostname or ""):
+        return PoolManager(timeout=_SILENCE, retries=_RETRY)
+    proxy = parse_url(address if "://" in address else f"http://{address}")
+    login = make_headers(proxy_basic_auth=unquote(proxy.auth)) if proxy.auth else None
+    return ProxyManager(proxy.url, proxy_headers=login, timeout=_SILENCE, retries=_RETRY)
 
 
 def read_reason(body: bytes) -> str:

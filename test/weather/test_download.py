@@ -364,8 +364,9 @@ def test_a_slow_service_is_given_up(service, tmp_path, monkeypatch):
     assert "no complete response within 0.2 s" in failure(service, tmp_path, archive(service))
 
 
-def test_a_proxy_of_the_environment_is_used(service, tmp_path, monkeypatch):
-    monkeypatch.setenv("http_proxy", service.address)
+@pytest.mark.parametrize("login", ["", "me:s3cr3t@"])
+def test_a_proxy_of_the_environment_is_used(service, tmp_path, monkeypatch, login):
+    monkeypatch.setenv("http_proxy", service.address.replace("http://", login))
     source = open_meteo_archive(SITE, range(2020, 2021), TODAY, "http://nowhere.invalid/v1/archive")
     assert len(fetch(source, SITE, tmp_path, 0.001, ProgressBar())) == len(service.requests) == 1
 
