@@ -54,6 +54,8 @@ _WAIT_PAUSES, _ATTEMPTS = 5, 8
 _MAX_WAIT_S = 3700.0
 # Waits for which Open-Meteo asks when it turns a request down (s), by its words.
 _ASKED_S = {"in one minute": 60.0, "in the next hour": 3600.0, "tomorrow": 86_400.0}
+# Columns whose values can show that a response is for a different place than the site's.
+_PLACE = ("latitude", "longitude", "elevation")
 
 
 @dataclass(frozen=True)
@@ -237,13 +239,13 @@ def _check(file: Path, source: Source, block: Block, site: Site) -> None:
     """
     if _is_empty(file):
         return
-    name = name_url(source.url)
+    url = name_url(source.url)
     try:
         records = read_records(file, site)
     except ConfigurationError as error:
-        if any(place in (error.key or "").lower() for place in ("latitude", "longitude")):
+        if any(name in (error.key or "").lower() for name in _PLACE):
             raise
-        raise ServiceError(f"{name}: {error}") from error
+        raise ServiceError(f"{url}: {error}") from error
     first, end = records.first, records.first + records.hours * HOUR
     begin, due = (
         datetime.combine(day, datetime.min.time(), first.tzinfo)
@@ -251,13 +253,13 @@ def _check(file: Path, source: Source, block: Block, site: Site) -> None:
     )
     if not first <= begin < end or (block.is_over and end < due):
         raise ServiceError(
-            f"{name}: sent {to_minutes(first)} to {to_minutes(end)} instead of "
+            f"{url}: sent {to_minutes(first)} to {to_minutes(end)} instead of "
             f"{to_minutes(begin)} to {to_minutes(due)}"
         )
     for quantity in source.quantities:
         series = records.values.get(quantity)
         if series is None or (quantity == PRECIPITATION and np.isnan(series).all()):
-            raise ServiceError(f"{name}: sent no {quantity} values", is_final=True)
+            raise ServiceError(f"{url}: sent no {quantity} values", is_final=True)
 
 
 def _find_wait(error: ServiceError) -> float:

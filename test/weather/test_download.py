@@ -259,12 +259,14 @@ def test_a_full_disk_is_named_and_a_larger_one_goes_on(service, tmp_path):
     (["--years", "2020", "--site", "nowhere.yaml"], "latitude: must be in the site file"),
     (["--years", "2020", "--site", "nowhere.yaml", "--eccc", "1"], "utc_offset: must be in the"),
     (["--years", "2020", "--site", "far.yaml"], "must be within 0.5 degrees of the site's"),
+    (["--years", "2020", "--site", "high.yaml"], "must be within 300 m of the site's"),
 ])
 def test_what_cannot_be_is_refused_before_or_at_the_first_request(
     service, tmp_path, monkeypatch, options, reason
 ):
     (tmp_path / "old.csv").write_text("mine")
     site_file(tmp_path, longitude=10.0).rename(tmp_path / "far.yaml")
+    site_file(tmp_path, elevation=1000.0).rename(tmp_path / "high.yaml")
     lines = site_file(tmp_path).read_text().splitlines()
     place = ("latitude", "longitude", "utc_offset")
     (tmp_path / "nowhere.yaml").write_text(
@@ -281,7 +283,7 @@ def test_what_cannot_be_is_refused_before_or_at_the_first_request(
     assert done.returncode == 2
     assert reason in " ".join(done.stderr.split())
     assert "Traceback" not in done.stderr
-    assert len(service.requests) == ("far.yaml" in options)
+    assert len(service.requests) == (options[-1] in ("far.yaml", "high.yaml"))
     assert (tmp_path / "old.csv").read_text() == "mine"
 
 
