@@ -63,14 +63,9 @@ class ForecastChoice:
         """Return the name of the model or the path of the file, as in the option ``--forecast``."""
         return self.model if self.file is None else str(self.file)
 
-    @property
-    def option_names(self) -> tuple[str, ...]:
-        """Names of the :data:`OPTIONS` that apply to the model or to an archive."""
-        return _OPTIONS_OF[self.model]
-
     def options(self) -> dict[str, str | float]:
         """Return those :data:`OPTIONS` of the model that are set, each with its value."""
-        values = {name: getattr(self, name) for name in self.option_names}
+        values = {name: getattr(self, name) for name in _OPTIONS_OF[self.model]}
         return {name: value for name, value in values.items() if value is not None}
 
 

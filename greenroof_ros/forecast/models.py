@@ -350,6 +350,8 @@ class ErrorModel(ForecastModel):
         ages = np.arange(math.ceil(_FORGOTTEN * persistence / ISSUE_HOURS) + 1)
         weights = np.exp(-ages * ISSUE_HOURS / persistence)
         self._weights = weights / np.sqrt((weights**2).sum())
+        # Twice as many as an issue needs, so that none is dropped that the next issue needs, too.
+        self._drawn = Memo(self._draw, 2 * len(weights))
         self._newest = Memo(self._make)  # one issue is needed for several hours
 
     def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
@@ -420,25 +422,22 @@ class ErrorModel(ForecastModel):
         dry = 0.0
         for age, weight in enumerate(self._weights):
             begin = ISSUE_HOURS * age
-            noise, of_dry = _draw_noise(
-                self._seed, self.members, issue - begin, -(-longest // _BLOCK) * _BLOCK
-            )
+            noise, of_dry = self._drawn(issue - begin, -(-longest // _BLOCK) * _BLOCK)
             rain += weight * noise[:, begin : begin + hours]
             dry += weight * of_dry
         return rain, dry
 
+    def _draw(self, issue: int, hours: int) -> tuple[Array, float]:
+        """Draw the noise of a forecast, shape (1 + members, hours), and of evapotranspiration.
 
-@lru_cache(maxsize=64)  # twice as many as an issue needs: the next issue needs nearly the same
-def _draw_noise(seed: int, members: int, issue: int, hours: int) -> tuple[Array, float]:
-    """Draw the noise of a forecast, shape (1 + members, hours), and of evapotranspiration.
-
-    The first hours do not depend on the number of hours that are drawn.
-    """
-    chances = [
-        np.random.default_rng([seed, member, issue % 2**32]) for member in range(members + 1)
-    ]
-    dry = float(chances[0].standard_normal())
-    return np.stack([chance.standard_normal(hours) for chance in chances]), dry
+        The first hours do not depend on the number of hours that are drawn.
+        """
+        chances = [
+            np.random.default_rng([self._seed, member, issue % 2**32])
+            for member in range(self.members + 1)
+        ]
+        dry = float(chances[0].standard_normal())
+        return np.stack([chance.standard_normal(hours) for chance in chances]), dry
 
 
 class _Filters(NamedTuple):

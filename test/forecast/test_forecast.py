@@ -462,7 +462,6 @@ def test_choices(tmp_path: Path) -> None:
     for text in ("a.csv", "a.JSON", "b/a.json", "later/", str(tmp_path)):
         choice = choose(text)
         assert (choice.model, choice.file, choice.options()) == ("file", Path(text), {})
-        assert choice.option_names == ("delay",)
     assert replace(choice, delay=3.0).options() == {"delay": 3.0}
     assert choose("ensemble").options() == {"skill": "real", "seed": 0, "members": 10}
     assert str(choose("a/b.csv")) == "a/b.csv"

@@ -150,7 +150,7 @@ class _Grid:
         parameters = inputs.controller.complete_parameters(site, inputs.parameters)
         # Runs that need the same records are built once; forecasts with errors need the same
         # records as perfect forecasts.
-        seeded = "seed" in inputs.forecast.option_names
+        seeded = "seed" in inputs.forecast.options()
         alike = replace(inputs, forecast=ForecastChoice()) if seeded else inputs
         others = replace(
             alike, controller=find_controller("onoff"), parameters={},
