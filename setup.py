@@ -91,6 +91,7 @@ setup(
         "filelock>=3.9,<5",  # locks of studies, sites and directories, also on Windows
         "platformdirs>=2.6,<5",  # where a user's state belongs; 2.6 is Debian 12's
         "rich>=13,<16",  # progress bar and tables on the terminal
+        "urllib3>=2.6,<3",  # requests to weather services; 2.6 limits their Retry-After
     ],
     extras_require={
         # ROS 2 Jazzy as plain wheels, for a machine without ROS. Leave this extra away where a

@@ -45,7 +45,6 @@ from greenroof_ros.base.files import parse_yaml, read_text, read_yaml, shared_di
 from greenroof_ros.base.parameter import Key, Parameter, Word, keys, parameters_of
 from greenroof_ros.controllers.outlet import PARAMETERS
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
-from greenroof_ros.forecast.skill import Climate, Errors
 from greenroof_ros.interface.alarm import Alarm
 from greenroof_ros.interface.conditions import (
     LATCHED,
@@ -366,11 +365,6 @@ def sensors_file() -> str:
         "a sensor on Modbus": sensor_file.ModbusSensor,
         "a sensor on MQTT": sensor_file.MqttSensor,
     })
-
-
-def skill_file() -> str:
-    """Return every key of a file of skill."""
-    return _keys({"`climate`": Climate, "`errors`": Errors})
 
 
 def district_file() -> str:
@@ -770,7 +764,6 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "drive file": drive_files,
     "drives": drives,
     "sensors file": sensors_file,
-    "skill file": skill_file,
     "district file": district_file,
     "relay file": relay_files,
     "relays": relays,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.forecast.resampling import SteppedForecast
+from greenroof_ros.forecast.steps import SteppedForecast
 from greenroof_ros.simulation.inputs import find_needs
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.horizon import look_ahead_ends

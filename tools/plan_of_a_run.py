@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from greenroof_ros.base.command_line import Parser, command, make_number_type
 from greenroof_ros.controllers.order_up_to import BELOW_M3, OrderUpTo
-from greenroof_ros.forecast.resampling import PerfectForecast
+from greenroof_ros.forecast.steps import PerfectForecast
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.physics.tick import command_to

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime, timezone
 from pathlib import Path
 
 from greenroof_ros.base.command_line import (
@@ -13,11 +14,11 @@ from greenroof_ros.base.command_line import (
     make_number_type,
 )
 from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.http import ServiceError
 from greenroof_ros.base.times import to_people
 from greenroof_ros.forecast.service import (
     ATTRIBUTION,
     MAX_DAYS,
-    Fetcher,
     ForecastFiles,
     Service,
 )
@@ -87,16 +88,16 @@ def main() -> int:
         url=arguments.url,
     )
     files = ForecastFiles(arguments.output, arguments.keep)
-    fetcher = Fetcher(service, files.write, 3600)
-    fetcher.fetch()
-    if fetcher.problem:
-        print(f"no forecast: {fetcher.problem}")
+    try:
+        issue = service.fetch(datetime.now(timezone.utc))
+        files.write(issue)
+    except (ServiceError, OSError) as error:
+        print(f"no forecast: {error}")
         return EXIT_FAILED
-    assert fetcher.newest is not None
     print(
-        f"{arguments.output}: issued {to_people(fetcher.newest.issued)}, "
-        f"{fetcher.newest.hours} h, {len(fetcher.newest.rain)} members; {ATTRIBUTION}"
+        f"{arguments.output}: issued {to_people(issue.issued)}, "
+        f"{issue.hours} h, {len(issue.rain)} members; {ATTRIBUTION}"
     )
-    for note in fetcher.newest.notes:
+    for note in issue.notes:
         print(f"  {note}")
     return EXIT_DONE

@@ -20,19 +20,18 @@ from greenroof_ros.base.command_line import (
     refuse_unwritable,
 )
 from greenroof_ros.base.files import replace_text
-from greenroof_ros.base.http_client import ServiceError
+from greenroof_ros.base.http import ServiceError
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.times import FIRST_YEAR, to_people
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import format_place, measure_distance
-from greenroof_ros.weather.fetching import (
+from greenroof_ros.weather.download import (
     eccc_station,
     fetch,
     join_blocks,
     open_meteo_archive,
-    prepare_directory,
-    write_weather,
 )
+from greenroof_ros.weather.hours import write_records
 from greenroof_ros.weather.quantities import PRECIPITATION
 from greenroof_ros.weather.records import HOUR, name_hours
 
@@ -143,15 +142,17 @@ def main() -> int:
     else:
         source = eccc_station(arguments.eccc, site, arguments.years, now.date(), arguments.url)
     part = output.with_name(f"{output.name}.part")
-    prepare_directory(part, source)
     try:
         with ProgressBar() as progress:
             files = fetch(source, site, part, arguments.pause, progress)
             progress.show("reading and joining", 1.0)
             records = join_blocks(files, site, arguments.years)
-            replace_text(output, write_weather(source, records, now))
+            replace_text(output, write_records(
+                records, f"{source.about}\nFetched on {now:%Y-%m-%d}; the time of an hour is its "
+                f"start, UTC{records.first.isoformat()[-6:]}."
+            ))
     except BaseException as error:
-        kept = sum((part / block.file).exists() for block in source.blocks)
+        kept = sum(file.exists() for file in source.files(part))
         if isinstance(error, ServiceError):
             print(f"error: {error}", file=sys.stderr)
         if 0 < kept < len(source.blocks):

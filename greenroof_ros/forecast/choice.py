@@ -34,8 +34,7 @@ class ForecastChoice:
     Attributes:
         model: one of :data:`MODELS`, or ``file``.
         file: forecast file, or directory of forecast files; None for a model.
-        skill: one of :data:`greenroof_ros.forecast.skill.SKILLS`, or the path of a file such as
-            ``config/forecasts/skill.yaml``.
+        skill: one of :data:`greenroof_ros.forecast.skill.SKILLS`.
         seed: random seed of the forecast errors.
         members: number of members of the ensemble.
         delay: time from the nominal time of a forecast until the forecast is available (h); None
@@ -46,9 +45,7 @@ class ForecastChoice:
     file: Path | None = None
     skill: str = entry(
         "skill of the forecasts that errors and ensemble generate: real for the skill of a "
-        "weather service; better or worse for that of real forecasts at half or twice the lead "
-        "time, and much_better or much_worse at a quarter or four times of it; none; or a "
-        "FILE.yaml that specifies the skill", default=REAL,
+        "weather service, or none for rain at random times", choices=SKILLS, default=REAL,
     )
     seed: int = entry(
         "random seed of the forecast errors, for errors and ensemble", 0, 2**31 - 1, default=0,
@@ -66,19 +63,9 @@ class ForecastChoice:
         """Return the name of the model or the path of the file, as in the option ``--forecast``."""
         return self.model if self.file is None else str(self.file)
 
-    @property
-    def skill_file(self) -> Path | None:
-        """The file with the skill; None for a named skill."""
-        return None if self.skill in SKILLS else Path(self.skill)
-
-    @property
-    def option_names(self) -> tuple[str, ...]:
-        """Names of the :data:`OPTIONS` that apply to the model or to an archive."""
-        return _OPTIONS_OF[self.model]
-
     def options(self) -> dict[str, str | float]:
         """Return those :data:`OPTIONS` of the model that are set, each with its value."""
-        values = {name: getattr(self, name) for name in self.option_names}
+        values = {name: getattr(self, name) for name in _OPTIONS_OF[self.model]}
         return {name: value for name, value in values.items() if value is not None}
 
 
@@ -102,29 +89,22 @@ def choose(text: str, options: Mapping[str, Any] | None = None) -> ForecastChoic
         ConfigurationError: if there is no such model, or if the model has no such option or value;
             the error's key is ``forecast``, or one of :data:`INPUTS`.
     """
-    if text in MODELS:
-        choice = ForecastChoice(text)
-    elif text.lower().endswith((*SUFFIXES, "/")) or (text and Path(text).is_dir()):
-        choice = ForecastChoice(FILE, Path(text))
-    else:
+    model, options = text if text in MODELS else FILE, options or {}
+    if model == FILE and not (
+        text.lower().endswith((*SUFFIXES, "/")) or (text and Path(text).is_dir())
+    ):
         files = f", or forecasts: a file ({', '.join(SUFFIXES)}) or a directory of files"
         raise ConfigurationError(describe_choices(MODELS, text, files), key="forecast", value=text)
     with rename_keys({name: f"forecast_{name}" for name in OPTIONS}):
-        checked = make_record(ForecastChoice, options or {})
-        for name, value in (options or {}).items():
-            if name not in choice.option_names:
+        checked = make_record(ForecastChoice, options)
+        for name, value in options.items():
+            if name not in _OPTIONS_OF[model]:
                 owners = [
-                    "a file" if model == FILE else model
-                    for model, names in _OPTIONS_OF.items() if name in names
+                    "a file" if owner == FILE else owner
+                    for owner, names in _OPTIONS_OF.items() if name in names
                 ]
                 raise ConfigurationError(
-                    f"is an option of {' and '.join(owners)}, but the forecast is "
-                    f"{choice}", key=name,
+                    f"is an option of {' and '.join(owners)}, but the forecast is {text}", key=name,
                     value=value,
                 )
-        if checked.skill not in SKILLS and not checked.skill.lower().endswith(".yaml"):
-            raise ConfigurationError(
-                describe_choices(SKILLS, checked.skill, ", or a FILE.yaml"), key="skill",
-                value=checked.skill,
-            )
-    return replace(checked, model=choice.model, file=choice.file)
+    return replace(checked, model=model, file=Path(text) if model == FILE else None)

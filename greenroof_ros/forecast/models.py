@@ -140,6 +140,27 @@ class PerfectModel(ForecastModel):
         return rain[None, :], select_records(self._weather, EVAPOTRANSPIRATION, index)
 
 
+def continue_issue(
+    issue: IssuedForecast, lead: int, hours: int, late: int = 0
+) -> tuple[Array, Array | None]:
+    """Return an issue's values from a lead on: those of its hours, then those after its end.
+
+    Args:
+        issue: the issue.
+        lead: first lead time to return (h).
+        hours: number of hours to return.
+        late: delay of the rain (h).
+
+    Returns:
+        Rain (mm/h), shape (members, hours), and evapotranspiration (mm/day), shape (hours,), or
+        None if the issue does not contain it.
+    """
+    rain = np.zeros((len(issue.rain), hours))
+    known = issue.rain[:, lead - late : lead - late + hours]
+    rain[:, : known.shape[1]] = known
+    return rain, issue.evapotranspiration_at(np.arange(lead, lead + hours))
+
+
 class FileModel(ForecastModel):
     """Forecasts from an archive; see :func:`greenroof_ros.forecast.archive.read_archive`.
 
@@ -180,18 +201,12 @@ class FileModel(ForecastModel):
 
     def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the forecast; see :class:`ForecastModel`."""
-        issue, lead = self._newest(hour)
-        ahead = np.arange(lead, lead + hours)
-        of_rain = ahead - self._late
-        there = of_rain < issue.hours
-        rain = np.zeros((self.members, hours))
-        rain[:, there] = issue.rain[: self.members, of_rain[there]]
-        evapotranspiration = issue.evapotranspiration_at(ahead)
+        rain, evapotranspiration = continue_issue(*self._newest(hour), hours, self._late)
         if evapotranspiration is None:
             evapotranspiration = select_records(
                 self._weather, EVAPOTRANSPIRATION, np.arange(hour, hour + hours)
             )
-        return rain, evapotranspiration
+        return rain[: self.members], evapotranspiration
 
     def check(self, hours: range) -> None:
         """Check the first forecast, and the records if needed; see :class:`ForecastModel`."""
@@ -225,8 +240,8 @@ class FileModel(ForecastModel):
         return issue, hour - (issue.issued - self._weather.first) // HOUR
 
 
-class NormalRecords:
-    """The normal variable z for every hour of the records.
+def _find_normal(climate: Climate, rain: Array, first: int, hours: NDArray[np.intp]) -> Array:
+    """Return the normal variable z (1) of hours of the records.
 
     The rain of a wet hour determines its z. The z of a dry hour is only known to be at most c; it
     is drawn repeatedly from its distribution given its neighbours (Gibbs sampling; Geman and Geman,
@@ -236,36 +251,29 @@ class NormalRecords:
 
     A draw depends only on the hour since 1970, and not on the order of the requests. Three weeks or
     more from the ends of the records, a draw does not depend on these ends either.
+
+    Args:
+        climate: climate of the rain.
+        rain: rain in every hour of the records (mm), NaN if missing.
+        first: hours since 1970 at the first hour.
+        hours: indices of the hours; outside the records, z is that of the first or last hour.
     """
-
-    def __init__(self, climate: Climate, rain: Array, first: int) -> None:
-        """Set the records.
-
-        Args:
-            climate: climate of the rain.
-            rain: rain in every hour (mm), NaN if missing, shape (hours,).
-            first: hours since 1970 at the first hour.
-        """
-        self._climate, self._rain, self._first = climate, rain, first
-
-    def at(self, hours: NDArray[np.intp]) -> Array:
-        """Return z (1) of hours by index; outside the records, z of the first or last hour."""
-        index = np.clip(hours, 0, len(self._rain) - 1)
-        parts = (index + self._first) // (_PART * _BLOCK)
-        normal = np.empty(len(index))
-        for part in np.unique(parts):
-            here = parts == part
-            # The part's first hour, and the range of its hours with a margin on either side.
-            begin = int(part) * _PART * _BLOCK - self._first
-            low, high = max(begin - _BLOCK, 0), begin + (_PART + 1) * _BLOCK
-            of_part = _draw_normal(self._climate, self._rain[low:high].tobytes(), self._first + low)
-            normal[here] = of_part[index[here] - low]
-        return normal
+    index = np.clip(hours, 0, len(rain) - 1)
+    parts = (index + first) // (_PART * _BLOCK)
+    normal = np.empty(len(index))
+    for part in np.unique(parts):
+        here = parts == part
+        # The part's first hour, and the range of its hours with a margin on either side.
+        begin = int(part) * _PART * _BLOCK - first
+        low, high = max(begin - _BLOCK, 0), begin + (_PART + 1) * _BLOCK
+        of_part = _draw_normal(climate, rain[low:high].tobytes(), first + low)
+        normal[here] = of_part[index[here] - low]
+    return normal
 
 
 @lru_cache(maxsize=64)
 def _draw_normal(climate: Climate, records: bytes, first: int) -> Array:
-    """Return z (1) of every hour; see :class:`NormalRecords`.
+    """Return z (1) of every hour; see :func:`_find_normal`.
 
     Results are cached, because a study needs them for each of its seeds.
 
@@ -336,12 +344,10 @@ class ErrorModel(ForecastModel):
         self._delay = math.ceil(delay)  # an issue known within an hour counts from the next hour
         self._skill = skill
         self.members = members
-        self._normal = NormalRecords(
-            skill.climate, weather.precipitation, hours_since_1970(weather.first)
-        )
-        timing = skill.errors.timing * (_LEADS / 24) ** skill.errors.timing_growth
+        self._first = hours_since_1970(weather.first)
+        timing = skill.timing * (_LEADS / 24) ** skill.timing_growth
         self._reach = math.ceil(_REACH * max(skill.climate.memory, timing))
-        self._seed, persistence = seed, skill.errors.persistence
+        self._seed, persistence = seed, skill.persistence
         ages = np.arange(math.ceil(_FORGOTTEN * persistence / ISSUE_HOURS) + 1)
         weights = np.exp(-ages * ISSUE_HOURS / persistence)
         self._weights = weights / np.sqrt((weights**2).sum())
@@ -352,13 +358,11 @@ class ErrorModel(ForecastModel):
     def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the forecast; see :class:`ForecastModel`."""
         issue = self._find_newest(hour)
-        issued = issue - hours_since_1970(self._weather.first)
         records = np.arange(hour, hour + hours)
         select_records(self._weather, PRECIPITATION, records)  # rejects missing records
         evapotranspiration = select_records(self._weather, EVAPOTRANSPIRATION, records)
-        leads = ISSUE_HOURS - 1 + self._delay + hours
-        rain, factor = self._newest(issue, issued, leads)
-        lead = hour - issued
+        rain, factor = self._newest(issue, ISSUE_HOURS - 1 + self._delay + hours)
+        lead = self._first + hour - issue
         return (
             rain[:, lead : lead + hours].copy(),
             np.minimum(
@@ -378,26 +382,26 @@ class ErrorModel(ForecastModel):
         whole hour of UTC, a forecast counts from the first hour of the records that begins after
         its issue. A forecast issued before the start of the records keeps its actual time of issue.
         """
-        known = hours_since_1970(self._weather.first) + hour - self._delay
+        known = self._first + hour - self._delay
         return known // ISSUE_HOURS * ISSUE_HOURS
 
-    def _make(self, issue: int, issued: int, leads: int) -> tuple[Array, Array]:
-        """Make the forecast issued at a given time.
+    def _make(self, issue: int, leads: int) -> tuple[Array, Array]:
+        """Make the forecast issued at a given time (h since 1970).
 
         Returns:
             Rain (mm/h), shape (members, leads), and the factor of evapotranspiration (1), shape
             (leads,).
         """
         filters = _make_filters(self._skill, self._reach, math.ceil(leads / _LEADS))
-        hours = np.arange(issued - self._reach, issued + leads + self._reach)
+        hours = issue - self._first + np.arange(-self._reach, leads + self._reach)
         (common, *own), dry = self._noise(issue, len(hours))
-        known = _apply_filters(filters.signal, self._normal.at(hours))
-        known += _apply_filters(filters.common, common)
+        skill, unknown = self._skill, filters.unknown[:leads]
+        normal = _find_normal(skill.climate, self._weather.precipitation, self._first, hours)
+        known = _apply_filters(filters.signal, normal) + _apply_filters(filters.common, common)
         members = np.stack([known + _apply_filters(filters.own, noise) for noise in own])
-        errors, unknown = self._skill.errors, filters.unknown[:leads]
-        rain = self._skill.climate.rain(members + errors.wetness * unknown)
-        rain *= 1 + (errors.amount - 1) * unknown
-        spread = errors.evapotranspiration * unknown
+        rain = skill.climate.rain(members + skill.wetness * unknown)
+        rain *= 1 + (skill.amount - 1) * unknown
+        spread = skill.evapotranspiration * unknown
         return (
             np.minimum(rain, QUANTITIES[PRECIPITATION].high),
             np.exp(spread * dry - spread**2 / 2),
@@ -511,7 +515,7 @@ def make_model(
         all_members: whether to use all members of an ensemble, or only member 0.
 
     Raises:
-        ConfigurationError: if the forecast file or the skill file is invalid.
+        ConfigurationError: if the forecast file is invalid.
     """
     if choice.file is not None:
         archive = read_archive(choice.file, site, choice.delay)

@@ -28,7 +28,7 @@ import numpy as np
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import replace_text
-from greenroof_ros.base.http_client import (
+from greenroof_ros.base.http import (
     ServiceError,
     check_url,
     name_url,
@@ -38,10 +38,10 @@ from greenroof_ros.base.http_client import (
 from greenroof_ros.base.processes import IN_MEMORY, scratch_directory
 from greenroof_ros.base.times import to_people
 from greenroof_ros.forecast.archive import read_run, write_forecasts
-from greenroof_ros.forecast.issue import IssuedForecast, Repetition, mend_forecast
+from greenroof_ros.forecast.issue import IssuedForecast, mend_forecast
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import repeat_monthly
-from greenroof_ros.weather.open_meteo import VARIABLES, read_records
+from greenroof_ros.weather.open_meteo import make_parameters, read_records
 from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, TEMPERATURE
 from greenroof_ros.weather.read import (
     MAX_GAP_H,
@@ -62,9 +62,8 @@ _FORECAST_URL = "https://api.open-meteo.com/v1/forecast"
 _ENSEMBLE_URL = "https://ensemble-api.open-meteo.com/v1/ensemble"
 # Largest difference between the service's clock and ours (s).
 _CLOCKS_S = 600.0
-# Wait after a failure (s): the first; the longest, if the service asks for none; and the longest
-# that the service can ask for.
-_FIRST_WAIT_S, _LAST_WAIT_S, _MAX_WAIT_S = 60.0, 3600.0, 86_400.0
+# First and longest wait after a failure (s), unless the service asks for a longer one.
+_FIRST_WAIT_S, _LAST_WAIT_S = 60.0, 3600.0
 
 # The names of kept forecasts, and how much of them is kept (bytes): half a year of hourly ensembles
 # of 50 members, or 20 years of single forecasts.
@@ -88,21 +87,12 @@ class Service:
             url: URL of the interface; if empty, the service's own URL.
 
         Raises:
-            ConfigurationError: if the site file lacks the location, its elevation or its offset
-                from UTC, or if the URL does not begin with http or https.
+            ConfigurationError: if the site file lacks the location, or if the URL does not begin
+                with http or https.
         """
-        for name in ("latitude", "longitude", "elevation", "utc_offset"):
-            if getattr(site, name) is None:
-                raise ConfigurationError(
-                    f"must be set in the site file, because the request to {OPEN_METEO} and the "
-                    "evapotranspiration depend on this key", key=name,
-                )
         self._site = site
-        self._parameters: dict[str, str | float] = {
-            "latitude": float(site.latitude or 0), "longitude": float(site.longitude or 0),
-            "hourly": ",".join(VARIABLES.values()), "forecast_days": days, "timezone": "GMT",
-            **({"models": model} if model else {}),
-        }
+        more = {"models": model} if model else {}
+        self._parameters = make_parameters(site, forecast_days=days, **more)
         self._url = check_url(
             url or (_ENSEMBLE_URL if ensemble else _FORECAST_URL), self._parameters
         )
@@ -115,16 +105,15 @@ class Service:
 
         Raises:
             ServiceError: if there is no usable forecast.
+            OSError: if the disk is full and the response cannot be read in memory.
         """
         hour = now.astimezone(timezone.utc).replace(minute=0, second=0, microsecond=0)
         began = time.monotonic()
-        answer = request(self._url, self._parameters)
+        body, date = request(self._url, self._parameters)
         arrived = now + timedelta(seconds=time.monotonic() - began)
-        _check_clock(answer.date, now)
+        _check_clock(date, now)
         try:
-            return replace(_read_issue(answer.body, self._site, hour), available=arrived)
-        except OSError as error:
-            raise ServiceError(f"{name_url(self._url)}: {error}") from error
+            return replace(_read_issue(body, self._site, hour), available=arrived)
         except ConfigurationError as error:
             raise ServiceError(f"{name_url(self._url)}: its response {error.wrong}") from error
 
@@ -239,22 +228,17 @@ class Fetcher:
         self.problem = ""
         self.newest: IssuedForecast | None = None
         self._service, self._write, self._every = service, write, every
-        self._repetition = Repetition()
         self._wait = _FIRST_WAIT_S
         self._ended = threading.Event()
 
     def fetch(self) -> float:
         """Fetch and write a forecast; return the time until the next attempt (s)."""
         try:
-            issue = self._service.fetch(datetime.now(timezone.utc))
-            if note := self._repetition.follow(issue):
-                issue = replace(issue, notes=(*issue.notes, note))
-            self.newest = issue
-            self._write(issue)
+            self.newest = self._service.fetch(datetime.now(timezone.utc))
+            self._write(self.newest)
         except Exception as error:  # whatever it is, the next forecast is still requested
             self.problem = str(error) or type(error).__name__
-            requested_wait = error.wait if isinstance(error, ServiceError) else None
-            wait = max(self._wait, min(requested_wait or 0.0, _MAX_WAIT_S))
+            wait = max(self._wait, error.wait if isinstance(error, ServiceError) else 0.0)
             self._wait = min(2 * self._wait, self._every, _LAST_WAIT_S)
             return wait
         self.problem, self._wait = "", _FIRST_WAIT_S

@@ -26,42 +26,34 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from pathlib import Path
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.base.files import shared_directory
-from greenroof_ros.base.parameter import entry, read_record
+from greenroof_ros.base.files import read_yaml, shared_directory
 
 Array = NDArray[np.float64]
 
-REAL = "real"
-
-# Every skill by its name: its errors at a lead are the errors of ``real`` at this many times the
-# lead. ``none`` knows only the climate.
-SKILLS = {
-    "much_better": 0.25, "better": 0.5, REAL: 1.0, "worse": 2.0, "much_worse": 4.0,
-    "none": math.inf,
-}
-# The reach of forecasts that know nothing about any hour (h).
-_NO_REACH = 1e-6
+SKILLS = REAL, NONE = ("real", "none")
+"""the skill of a weather service, and forecasts that know only the climate"""
 
 
 @dataclass(frozen=True)
 class Climate:
     """Model of the hourly rain at a location.
 
-    ``config/forecasts/skill.yaml`` contains the constants for Toronto City Centre, May to October
-    of 2015 to 2025.
+    Attributes:
+        wet_share: share of hours with rain (1).
+        scale: scale k of hourly rain (mm).
+        growth: exponent b of the increase of rain with the normal variable z (1).
+        memory: time lag T at which the autocorrelation of z is 1/e (h).
     """
 
-    wet_share: float = entry("share of hours with rain (1)", 1e-4, 0.9)
-    scale: float = entry("scale k of hourly rain (mm)", 1e-3, 100.0)
-    growth: float = entry(
-        "exponent b of the increase of rain with the normal variable z (1)", 0.1, 5.0,
-    )
-    memory: float = entry("time lag T at which the autocorrelation of z is 1/e (h)", 0.5, 24.0)
+    wet_share: float
+    scale: float
+    growth: float
+    memory: float
 
     @property
     def threshold(self) -> float:
@@ -94,66 +86,35 @@ class Climate:
 
 
 @dataclass(frozen=True)
-class Errors:
-    """The errors of forecasts, and the growth of these errors with lead time.
+class Skill:
+    """A climate, and the errors of forecasts for this climate, which grow with lead time.
 
     ``wetness``, ``amount`` and ``evapotranspiration`` have their full effect if nothing is known.
     Otherwise, their effect is proportional to the unknown part of z (a standard deviation), which
     is 0 at lead 0.
-    """
-
-    reach: float = entry("lead time L at which the coherence has fallen to 1/e (h)", 1.0, 1e6)
-    fading: float = entry(
-        "exponent p, the steepness of the decay of coherence with lead time (1)", 0.1, 10.0,
-    )
-    timing: float = entry(
-        "standard deviation sigma_1 of the timing error one day ahead (h)", 0.0, 24.0,
-    )
-    timing_growth: float = entry(
-        "exponent q of the growth of the timing error with lead time (1)", 0.0, 2.0,
-    )
-    wetness: float = entry(
-        "shift of z toward rain at a lead time at which nothing is known (1)", -2.0, 2.0,
-    )
-    amount: float = entry(
-        "factor applied to the rain at a lead time at which nothing is known (1)", 0.0, 10.0
-    )
-    persistence: float = entry(
-        "time between the issue of two forecasts at which the correlation of their errors is 1/e "
-        "(h)", 1.0, 240.0
-    )
-    evapotranspiration: float = entry(
-        "relative error of evapotranspiration at a lead time at which nothing is known "
-        "(1)", 0.0, 2.0
-    )
-
-
-@dataclass(frozen=True)
-class Skill:
-    """A climate, and the errors of forecasts for that climate.
 
     Attributes:
         climate: climate of the rain.
-        errors: errors of the forecasts.
+        reach: lead time L at which the coherence has fallen to 1/e (h).
+        fading: exponent p, the steepness of the decay of coherence with lead time (1).
+        timing: standard deviation sigma_1 of the timing error one day ahead (h).
+        timing_growth: exponent q of the growth of the timing error with lead time (1).
+        wetness: shift of z toward rain if nothing is known (1).
+        amount: factor applied to the rain if nothing is known (1).
+        persistence: time between the issue of two forecasts at which the correlation of their
+            errors is 1/e (h).
+        evapotranspiration: relative error of evapotranspiration if nothing is known (1).
     """
 
-    climate: Climate = entry("climate of the rain at a location")
-    errors: Errors = entry("errors of the forecasts for this location")
-
-    def times_lead(self, factor: float) -> Skill:
-        """Return a skill whose errors at lead time l are those of this skill at ``factor`` times l.
-
-        With an infinite factor, only the climate is known, and it rains at random times, with the
-        frequency given by the climate.
-        """
-        errors = replace(self.errors, reach=_NO_REACH, timing=0.0, wetness=0.0, amount=1.0)
-        if math.isfinite(factor):
-            errors = replace(
-                self.errors,
-                reach=self.errors.reach / factor,
-                timing=self.errors.timing * factor**self.errors.timing_growth,
-            )
-        return replace(self, errors=errors)
+    climate: Climate
+    reach: float
+    fading: float
+    timing: float
+    timing_growth: float
+    wetness: float
+    amount: float
+    persistence: float
+    evapotranspiration: float
 
     def coherence(self, leads: Array, frequencies: Array) -> Array:
         """Return the coherence s (1), shape (leads, frequencies).
@@ -162,21 +123,21 @@ class Skill:
             leads: lead times (h).
             frequencies: frequencies (1/h).
         """
-        errors = self.errors
-        large = np.exp(-((leads / errors.reach) ** errors.fading))
-        timing = errors.timing * (leads / 24) ** errors.timing_growth
+        large = np.exp(-((leads / self.reach) ** self.fading))
+        timing = self.timing * (leads / 24) ** self.timing_growth
         small: Array = np.exp(-((2 * math.pi * np.outer(timing, frequencies)) ** 2) / 2)
         return large[:, None] * small
 
 
-def read_skill(text: str) -> Skill:
-    """Return a skill by its name in :data:`SKILLS`, or from a file.
+@cache
+def read_skill(name: str) -> Skill:
+    """Return one of :data:`SKILLS`.
 
-    Raises:
-        ConfigurationError: if the file is invalid; the message names the line and the value.
+    ``config/forecasts/skill.yaml`` contains the constants of ``real``, and their origin. With
+    ``none``, it rains at random times, with the frequency given by the climate.
     """
-    path = shared_directory() / "config" / "forecasts" / "skill.yaml"
-    if text not in SKILLS:
-        path = Path(text)
-    skill = read_record(Skill, path)
-    return skill.times_lead(SKILLS.get(text, 1.0))
+    content = read_yaml(shared_directory() / "config" / "forecasts" / "skill.yaml")
+    real = Skill(Climate(**content["climate"]), **content["errors"])
+    if name == REAL:
+        return real
+    return replace(real, reach=1e-6, timing=0.0, wetness=0.0, amount=1.0)

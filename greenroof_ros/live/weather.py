@@ -21,12 +21,11 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import from_epoch_ns, to_people
 from greenroof_ros.forecast.issue import IssuedForecast
-from greenroof_ros.forecast.live_forecast import (
+from greenroof_ros.forecast.live import (
     ForecastFile,
     LiveForecast,
     NoForecastError,
 )
-from greenroof_ros.forecast.resampling import Outlook
 from greenroof_ros.forecast.service import (
     ATTRIBUTION,
     ENSEMBLE,
@@ -36,6 +35,7 @@ from greenroof_ros.forecast.service import (
     ForecastFiles,
     Service,
 )
+from greenroof_ros.forecast.steps import Outlook
 from greenroof_ros.graph.parameters import declare, look_ahead_parameters, site_file
 from greenroof_ros.graph.weather_outputs import EVAPOTRANSPIRATION, FROST, RAIN, WeatherOutputs
 from greenroof_ros.interface.conditions import Diagnosis

@@ -12,8 +12,8 @@ from typing import Any
 from greenroof_ros.base.errors import rename_keys
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import DEFAULT_START, epoch_ns, read_start
-from greenroof_ros.forecast.choice import INPUTS, MODELS, PERFECT, ForecastChoice, choose
-from greenroof_ros.forecast.resampling import make_forecast
+from greenroof_ros.forecast.choice import INPUTS, MODELS, OPTIONS, PERFECT, ForecastChoice, choose
+from greenroof_ros.forecast.steps import make_forecast
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.lockstep import CLOCK
@@ -77,10 +77,9 @@ def _choose_forecast(values: dict[str, Any]) -> ForecastChoice:
         ConfigurationError: if a parameter is invalid.
     """
     with rename_keys({name: f"parameter {name} of weather" for name in ("forecast", *INPUTS)}):
-        options = choose(values["forecast"]).option_names
-        given = {name: values[f"forecast_{name}"] for name in options}
         return choose(values["forecast"], {
-            name: value for name, value in given.items() if value != _USUAL_DELAY
+            name: values[f"forecast_{name}"] for name, parameter in OPTIONS.items()
+            if values[f"forecast_{name}"] not in (parameter.default, _USUAL_DELAY)
         })
 
 

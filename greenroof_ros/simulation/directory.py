@@ -88,9 +88,6 @@ def write_configuration(directory: Path, run: Run, nodes: dict[str, object]) -> 
         if choice.file is not None:
             name = choice.file.resolve().name
             choice = replace(choice, file=_copy(choice.file, configuration / "forecast" / name))
-        if choice.skill_file is not None:
-            skill = _copy(choice.skill_file, configuration / "skill.yaml")
-            choice = replace(choice, skill=str(skill))
         common = {"site_file": str(site_file)}
         before = {**common, WITHOUT_RAIN.name: run.without_rain_s}
         all_members, outlet_horizon = find_needs(run.controller, run.parameters)

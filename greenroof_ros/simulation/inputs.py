@@ -21,7 +21,7 @@ from greenroof_ros.controllers.outlet import find_horizon
 from greenroof_ros.controllers.registry import DEFAULT, ControllerChoice, find_controller
 from greenroof_ros.forecast import choice
 from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
-from greenroof_ros.forecast.resampling import make_forecast
+from greenroof_ros.forecast.steps import make_forecast
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.physics import sensor_and_pump
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump

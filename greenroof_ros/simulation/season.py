@@ -22,7 +22,7 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.onoff import onoff_command
 from greenroof_ros.controllers.outlet import OPEN, PLAN, POLICIES, outlet_share
 from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlanClock, find_levels
-from greenroof_ros.forecast.resampling import make_forecast
+from greenroof_ros.forecast.steps import make_forecast
 from greenroof_ros.physics.compiled import compiled, note_if_slow, pays_to_compile, records
 from greenroof_ros.physics.parameters import State, plant_parameters
 from greenroof_ros.physics.sensor_and_pump import (

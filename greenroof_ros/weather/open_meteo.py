@@ -24,7 +24,7 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import read_text
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.base.times import parse_time, parse_unix_time
-from greenroof_ros.site.site import Place
+from greenroof_ros.site.site import Place, Site
 from greenroof_ros.weather.description import PLACE, REANALYSIS
 from greenroof_ros.weather.quantities import (
     DEW_POINT,
@@ -43,7 +43,7 @@ VARIABLES = {
     PRECIPITATION: PRECIPITATION, TEMPERATURE: "temperature_2m", DEW_POINT: "dew_point_2m",
     WIND: "wind_speed_10m", PRESSURE: "surface_pressure", RADIATION: "shortwave_radiation",
 }
-"""the service's variable for each of our quantities"""
+"""The service's variable for each of our quantities; every request names all of them."""
 _QUANTITIES = {variable: quantity for quantity, variable in VARIABLES.items()} | {
     "relative_humidity_2m": HUMIDITY,
 }
@@ -53,6 +53,27 @@ _WIND_HEIGHT_M = 10.0
 # a degree wide.
 _FAR = 0.5
 _RANGES = dict(zip(PLACE, (Range(-90.0, 90.0), Range(-180.0, 180.0)), strict=True))
+
+
+def make_parameters(site: Site, **more: str | float) -> dict[str, str | float]:
+    """Return the parameters of a request for hours in UTC, in the service's default units.
+
+    Args:
+        site: site, including its location.
+        more: parameters for the period or the model.
+
+    Raises:
+        ConfigurationError: if the site file lacks the location.
+    """
+    for name in ("latitude", "longitude"):
+        if getattr(site, name) is None:
+            raise ConfigurationError(
+                "must be in the site file, because Open-Meteo's data are for a location", key=name
+            )
+    return {
+        "latitude": float(site.latitude or 0), "longitude": float(site.longitude or 0),
+        "hourly": ",".join(VARIABLES.values()), "timezone": "GMT", **more,
+    }
 
 
 def read_records(file: Path, site: Place) -> Records:

@@ -21,7 +21,7 @@ from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
 from greenroof_ros.controllers.regret_budget import RegretBudget
 from greenroof_ros.controllers.roof_observer import RoofObserver
 from greenroof_ros.forecast.models import PerfectModel
-from greenroof_ros.forecast.resampling import SteppedForecast
+from greenroof_ros.forecast.steps import SteppedForecast
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.simulation.loop import Simulation
 from greenroof_ros.site.horizon import growing_steps

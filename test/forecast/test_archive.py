@@ -159,7 +159,9 @@ WRONG = {
         "\n".join([HEAD.replace("precipitation", "temperature_2m"), *ROWS, ""]),
         ", line 1: 'datetime': must begin with 'issued'",
     ),
-    "half.csv": ("\n".join([HEAD, *ROWS, "2024-03-01 01:30:00,0,0,0,0,0"]), ", line 4: datetime = "),
+    "half.csv": (
+        "\n".join([HEAD, *ROWS, "2024-03-01 01:30:00,0,0,0,0,0"]), ", line 4: datetime = ",
+    ),
     "word.csv": ("\n".join([HEAD, ROWS[0].replace("0.1", "rain")]),
                  ", line 2: precipitation_previous_day2 = 'rain'"),
     "unnamed.json": (run_of(), ": the file name must end with the time of the run"),

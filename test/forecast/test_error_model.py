@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pytest
 from numpy.typing import NDArray
-from paper import paper_run
-from refusals import refusal
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm
 from skill_figures import (
@@ -25,16 +22,14 @@ from skill_figures import (
     table,
 )
 
-from greenroof_ros.base.files import shared_directory
 from greenroof_ros.forecast.models import ErrorModel
-from greenroof_ros.forecast.skill import SKILLS, read_skill
-from greenroof_ros.simulation.directory import write_configuration
+from greenroof_ros.forecast.skill import read_skill
 
 Array = NDArray[np.float64]
 REAL = read_skill("real")
 # No constant error, so what comes is like one more member; the amount makes up for peaks shorter
 # than the climate's correlation gives (doc/explanation/forecasts.md).
-FAIR = replace(REAL, errors=replace(REAL.errors, wetness=0.0, amount=1.3))
+FAIR = replace(REAL, wetness=0.0, amount=1.3)
 
 
 @pytest.fixture(scope="module")
@@ -76,39 +71,14 @@ def test_the_climate_is_torontos(rain: dict[int, Array]) -> None:
 
 
 def test_coherence() -> None:
-    """All is known at once, later less, short showers first; a name is a multiple of leads."""
+    """All is known at once, later less, short showers first; with the skill none, nothing."""
     leads, frequencies = np.array([0.0, 1, 6, 24, 72, 240]), np.array([0.0, 0.02, 0.1, 0.5])
     coherence = REAL.coherence(leads, frequencies)
     assert (coherence[0] == 1).all()
     assert (np.diff(coherence, axis=0) < 0).all()
     assert (np.diff(coherence[1:], axis=1) < 0).all()
-    for name, times in SKILLS.items():
-        if name != "none":
-            expected = REAL.coherence(times * leads, frequencies)
-            assert read_skill(name).coherence(leads, frequencies) == pytest.approx(expected)
     none = read_skill("none").coherence(leads, frequencies)
     assert (none[0] == 1).all() and none[1:] == pytest.approx(0, abs=1e-12)
-
-
-def test_skill_files(tmp_path: Path) -> None:
-    """A file's numbers are used as they are, and a run keeps a copy of it; errors name the line."""
-    package = (shared_directory() / "config" / "forecasts" / "skill.yaml").read_text()
-    file = tmp_path / "mine.yaml"
-    file.write_text(package.replace("persistence: 4", "persistence: 1"))
-    skill = read_skill(str(file))
-    assert skill.errors.persistence < REAL.errors.persistence
-    assert replace(skill, errors=REAL.errors) == REAL
-    copy = tmp_path / "configuration" / "skill.yaml"
-    copy.parent.mkdir()
-    run = paper_run("--forecast", "errors", "--forecast-skill", str(file))
-    assert f"forecast_skill: {copy}" in write_configuration(tmp_path, run, {}).read_text()
-    assert copy.read_bytes() == file.read_bytes()
-    for old, new, words in (
-        ("memory: 8", "memory: -8", r"climate\.memory = -8.4: must be a number from 0.5 to 24"),
-        ("  wetness: ", "# wetness: ", r"errors\.wetness: is missing: shift of z toward rain"),
-    ):
-        file.write_text(package.replace(old, new))
-        refusal(read_skill, str(file), match=rf"mine\.yaml, line \d+: {words}")
 
 
 # --- forecasts ---------------------------------------------------------------------------------
@@ -199,7 +169,7 @@ def test_the_same_in_any_order(rain: dict[int, Array]) -> None:
     Only the seed matters.
     """
     weather = season_weather(2020, rain[2020])
-    skill = replace(REAL, errors=replace(FAIR.errors, wetness=0.2))
+    skill = replace(FAIR, wetness=0.2)
     long, short = ErrorModel(weather, 9, skill, 4), ErrorModel(weather, 9, skill)
     asked = (661, 2233, 1909, 1843)  # it rains, and each is a time of issue
     backwards = {hour: short.forecast(hour, 13) for hour in asked[::-1]}
@@ -218,7 +188,7 @@ def test_evapotranspiration(rain: dict[int, Array]) -> None:
 
     If the logarithm of a factor is normal, and its mean is 1, the logarithm's is -variance / 2.
     """
-    large = replace(REAL, errors=replace(REAL.errors, evapotranspiration=1.0))
+    large = replace(REAL, evapotranspiration=1.0)
     factors = np.array([
         ErrorModel(season_weather(2016, rain[2016][:700]), seed, large).forecast(301, 241)[1] / 2
         for seed in range(150)

@@ -17,7 +17,7 @@ from paper import PAPER_SITE
 
 from greenroof_ros.forecast.archive import read_forecasts, write_forecasts
 from greenroof_ros.forecast.issue import IssuedForecast
-from greenroof_ros.forecast.live_forecast import ForecastFile, LiveForecast, NoForecastError
+from greenroof_ros.forecast.live import ForecastFile, LiveForecast, NoForecastError
 from greenroof_ros.site.horizon import look_ahead_ends
 
 SIX = datetime(2026, 7, 1, 6, tzinfo=UTC)

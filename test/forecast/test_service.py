@@ -19,8 +19,8 @@ from http_service import HttpService
 from places import CONFIG
 from refusals import refusal
 
-from greenroof_ros.base import http_client
-from greenroof_ros.base.http_client import ServiceError
+from greenroof_ros.base import http
+from greenroof_ros.base.http import ServiceError
 from greenroof_ros.forecast import service as module
 from greenroof_ros.forecast.archive import read_archive, read_forecasts, write_forecasts
 from greenroof_ros.forecast.issue import IssuedForecast
@@ -100,7 +100,7 @@ def test_a_bad_answer_is_refused_and_replaces_nothing(server, tmp_path, monkeypa
     before = file.read_text()
     server.fault = fault
     if "slow" in fault:
-        monkeypatch.setattr(http_client, "ANSWER_S", 0.5)
+        monkeypatch.setattr(http, "ANSWER_S", 0.5)
     began = time.monotonic()
     waits = [fetcher.fetch() for _ in range(2)]
     assert time.monotonic() - began < 6  # a slow head would take twice 8 s
@@ -202,7 +202,7 @@ def test_a_full_directory_for_temporary_files_costs_no_forecast(server, tmp_path
 
 def test_a_place_that_is_unknown():
     nowhere = replace(SITE, longitude=None)
-    refusal(Service, nowhere, match="longitude: must be set in the site file")
+    refusal(Service, nowhere, match="longitude: must be in the site file")
 
 
 def test_the_command(server, tmp_path):

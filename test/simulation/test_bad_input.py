@@ -36,7 +36,7 @@ OPTIONS = {
     "--forecast file": "a file (.csv, ",
     "--forecast late.csv": "before 2021-07-07T03:00-05:00",
     "--forecast-seed 1": "errors and ensemble",
-    "--forecast errors --forecast-skill large": "real, worse",
+    "--forecast errors --forecast-skill large": "real, none",
 }
 # The lines of a forecast file, the number of the wrong line, and the error.
 FORECASTS = [

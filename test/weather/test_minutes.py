@@ -19,7 +19,7 @@ from refusals import refusal
 import greenroof_ros as gr
 from greenroof_ros.base.times import parse_time
 from greenroof_ros.forecast.choice import choose
-from greenroof_ros.forecast.resampling import make_forecast
+from greenroof_ros.forecast.steps import make_forecast
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.hours import write_records

@@ -16,7 +16,7 @@ from places import CONFIG, DATA
 from refusals import refusal
 
 from greenroof_ros.base.times import parse_time
-from greenroof_ros.forecast.resampling import PerfectForecast
+from greenroof_ros.forecast.steps import PerfectForecast
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.read import read_weather
 from greenroof_ros.weather.series import FILL, REFUSE, Weather, WeatherSeries

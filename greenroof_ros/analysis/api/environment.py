@@ -22,7 +22,7 @@ from greenroof_ros.analysis.api.control import (
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.outlet import SHARE
 from greenroof_ros.controllers.registry import choose_class
-from greenroof_ros.forecast.resampling import make_forecast
+from greenroof_ros.forecast.steps import make_forecast
 from greenroof_ros.physics.compiled import pays_to_compile
 from greenroof_ros.simulation.inputs import find_needs
 from greenroof_ros.simulation.loop import Tick

@@ -121,7 +121,7 @@ class _Forecasts:
         hold, lengths = max(run.site.tau, float(ends[1])), np.diff(ends)
         self._steps = np.maximum(ends, hold), np.diff(np.minimum(ends, hold)) / lengths, lengths
         self._width = math.ceil(self._last_end / HOUR_S) + 2
-        self._has_seeds = "seed" in run.forecast_choice.option_names
+        self._has_seeds = "seed" in run.forecast_choice.options()
         self._models = [make_model(run.forecast_choice, weather, run.site, False)]
         self._made: dict[tuple[int, ...], Values] = {}
         if run.forecast_choice.model == PERFECT:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
@@ -18,9 +18,6 @@ from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.results.table import format_exactly
 from greenroof_ros.simulation.inputs import RunInputs
 from greenroof_ros.weather.series import REFUSE
-
-# Keys of the digests of a case's forecast files in the data of its identity.
-_DIGESTS = {"file": "forecast_file", "skill": "skill_file"}
 
 
 @dataclass(frozen=True)
@@ -50,8 +47,7 @@ class Case:
         site: site file.
         weather: weather files, which are joined in chronological order.
         weather_name: common name of the weather files, unique in the study.
-        forecast_files: files of forecasts, by the attribute of the forecast choice that contains
-            the path.
+        forecast_file: file of forecasts; None for a model.
         bound_block: length of the time blocks that have one variable each when the minimum possible
             deviation is computed (s); 0 to compute no bound.
     """
@@ -60,7 +56,7 @@ class Case:
     site: InputFile
     weather: tuple[InputFile, ...]
     weather_name: str
-    forecast_files: Mapping[str, InputFile]
+    forecast_file: InputFile | None
     bound_block: float
 
     @property
@@ -81,7 +77,7 @@ class Case:
     @property
     def files(self) -> tuple[InputFile, ...]:
         """All input files."""
-        return self.site, *self.weather, *self.forecast_files.values()
+        return self.site, *self.weather, *filter(None, [self.forecast_file])
 
     @cached_property
     def identity(self) -> str:
@@ -93,8 +89,7 @@ class Case:
             **inputs.sensor_and_pump.values(),
             "site": self.site.digest,
             "weather": " ".join(file.digest for file in self.weather),
-            "forecast_file": "",
-            **{_DIGESTS[key]: file.digest for key, file in self.forecast_files.items()},
+            "forecast_file": self.forecast_file.digest if self.forecast_file else "",
             "parameters": sorted(inputs.parameters.items()),
             "controller": [inputs.controller.reference, inputs.controller.source],
         }
@@ -113,7 +108,7 @@ class Case:
     @property
     def plain(self) -> Case:
         """The same case with on/off control, no forecast, and an ideal sensor and pump."""
-        return replace(self, forecast_files={}, inputs=replace(
+        return replace(self, forecast_file=None, inputs=replace(
             self.inputs, controller=find_controller("onoff"), parameters={},
             forecast=ForecastChoice(), sensor_and_pump=SensorAndPump(),
         ))
@@ -141,21 +136,13 @@ class Case:
 
     def find_inputs(self, directory: Path) -> RunInputs:
         """Return the inputs, which refer to their files by the paths in a directory."""
+        forecast = self.inputs.forecast
+        if forecast.file is not None:
+            forecast = replace(forecast, file=directory / forecast.file)
         return replace(
             self.inputs, site=directory / self.site.name,
-            weather=tuple(directory / file.name for file in self.weather),
-            forecast=place_files(self.inputs.forecast, self.forecast_files, directory),
+            weather=tuple(directory / file.name for file in self.weather), forecast=forecast,
         )
-
-
-def place_files(
-    choice: ForecastChoice, files: Mapping[str, InputFile], directory: Path
-) -> ForecastChoice:
-    """Return a forecast choice that refers to its files by their paths in a directory."""
-    places: dict[str, Any] = {key: directory / file.name for key, file in files.items()}
-    if "skill" in places:
-        places["skill"] = str(places["skill"])
-    return replace(choice, **places)
 
 
 def collect_contents(cases: Iterable[Case]) -> dict[str, bytes]:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from greenroof_ros.analysis.study.case import Case, InputFile, place_files
+from greenroof_ros.analysis.study.case import Case, InputFile
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
 from greenroof_ros.base.files import (
     YamlMapping,
@@ -25,7 +25,6 @@ from greenroof_ros.controllers.outlet import find_horizon
 from greenroof_ros.controllers.registry import BUILT_IN, ControllerChoice, find_controller
 from greenroof_ros.forecast.archive import read_archive, write_forecasts
 from greenroof_ros.forecast.choice import MODELS, OPTIONS, PERFECT, ForecastChoice
-from greenroof_ros.forecast.skill import SKILLS, read_skill
 from greenroof_ros.physics.sensor_and_pump import PARAMETERS, SensorAndPump
 from greenroof_ros.physics.start import INITIAL_STATES
 from greenroof_ros.results.table import format_exactly
@@ -157,7 +156,7 @@ class _Grid:
         parameters = inputs.controller.complete_parameters(site, inputs.parameters)
         # Runs that need the same records are built once; forecasts with errors need the same
         # records as perfect forecasts.
-        seeded = "seed" in inputs.forecast.option_names
+        seeded = "seed" in inputs.forecast.options()
         alike = replace(inputs, forecast=ForecastChoice()) if seeded else inputs
         others = replace(
             alike, controller=find_controller("onoff"), parameters={},
@@ -178,7 +177,7 @@ class _Grid:
         else:
             files = (self._input(Path(f"{run.weather.files[0].stem}.csv"), plain.encode()),)
         name = name_files([Path(each.name) for each in files])
-        forecast, forecast_files = self._carry(inputs.forecast, site)
+        forecast, forecast_file = self._carry(inputs.forecast, site)
         return Case(
             replace(
                 inputs, site=Path(file.name), weather=tuple(Path(each.name) for each in files),
@@ -188,7 +187,7 @@ class _Grid:
             ),
             file, files,
             self._weathers.setdefault(files, unique_name(Path(name), self._weathers.values())),
-            forecast_files, self._bound_block(site),
+            forecast_file, self._bound_block(site),
         )
 
     def _expand_sites(self) -> Iterator[tuple[Site, InputFile]]:
@@ -225,14 +224,10 @@ class _Grid:
     def _expand_forecasts(self, mapping: YamlMapping) -> Iterator[YamlMapping]:
         """Yield every forecast under ``forecast:`` with every combination of its options."""
         for block in self._expand(mapping, "forecast", ("model",), OPTIONS):
-            model, skill = str(block["model"]), block.get("skill")
+            model = str(block["model"])
             if model not in MODELS and (Path(model).suffix or self._is_directory(model)):
                 model = str(self._find(block, "model")[0])
             given = {f"forecast_{name}": block[name] for name in OPTIONS if name in block}
-            if isinstance(skill, str) and skill not in SKILLS and skill.endswith(".yaml"):
-                given["forecast_skill"] = str(self._find(block, "skill")[0])
-                with self._at(block.lines, "skill"):
-                    read_skill(given["forecast_skill"])
             lines = {f"forecast_{name}": line for name, line in block.lines.items()}
             lines["forecast"] = block.lines["model"]
             yield YamlMapping({"forecast": model, **given}, lines)
@@ -351,22 +346,23 @@ class _Grid:
 
     def _carry_forecast(
         self, choice: ForecastChoice, site: Site
-    ) -> tuple[ForecastChoice, dict[str, InputFile]]:
-        """Return a forecast choice that uses the file names in the study, together with the files.
+    ) -> tuple[ForecastChoice, InputFile | None]:
+        """Return a forecast choice that uses the file name in the study, together with the file.
 
         A directory is converted to a single file in the project's own format.
         """
-        skill, path = choice.skill_file, choice.file
-        files = {} if skill is None else {"skill": self._input(skill)}
-        if path is not None and path.is_dir():
+        path = choice.file
+        if path is None:
+            return choice, None
+        if path.is_dir():
             archive = read_archive(path, site, choice.delay)
             if all(issue.available is None for issue in archive.issues):
                 choice = replace(choice, delay=archive.delay)
             text = write_forecasts(archive.issues)
-            files["file"] = self._input(path.with_name(f"{path.name}.csv"), text.encode())
-        elif path is not None:
-            files["file"] = self._input(path)
-        return place_files(choice, files, Path()), files
+            file = self._input(path.with_name(f"{path.name}.csv"), text.encode())
+        else:
+            file = self._input(path)
+        return replace(choice, file=Path(file.name)), file
 
     # --- mappings ---------------------------------------------------------------------------
 

@@ -60,10 +60,10 @@ def of_command(directory: Path, *options: str) -> dict[str, object]:
          str(CONFIG / "site_neubrandenburg.yaml"), "--start", "2021-07-08T10:00")),
     ("lookahead", {
         "horizon": 12, "forecast": "errors", "forecast_seed": np.int64(3),
-        "forecast_skill": "worse", "start": datetime.fromisoformat("2021-07-08T05:00"),
+        "forecast_skill": "none", "start": datetime.fromisoformat("2021-07-08T05:00"),
         "initial": (60.0, 2.0),
      }, ("--horizon", "12", "--forecast", "errors", "--forecast-seed", "3", "--forecast-skill",
-         "worse", "--start", "2021-07-08T05:00", "--cistern", "60", "--roof", "2")),
+         "none", "--start", "2021-07-08T05:00", "--cistern", "60", "--roof", "2")),
     ("onoff", {
         "roof_noise": np.float32(0.25), "noise_seed": 3, "roof_offset": -0.01, "pump_min_on": 60,
         "pump_min_off": np.int64(90),

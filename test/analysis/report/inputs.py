@@ -122,7 +122,7 @@ def grouped(row: dict[str, Any]) -> dict[str, Any]:
 def seeded_rows(row: dict[str, Any]) -> list[dict[str, Any]]:
     """Return 2 windows x 2 initial states x 3 settings x 2 skills x 25 seeds of made-up totals.
 
-    The totals of seed n = 1..25 are the base + n m3, times 1 with better forecasts and
+    The totals of seed n = 1..25 are the base + n m3, times 1 with useless forecasts and
     2 with real ones.
     """
     windows = ("2021-07-07T02:00:00-05:00", "12.0"), ("2021-07-20T02:00-05:00", "24")
@@ -137,7 +137,7 @@ def seeded_rows(row: dict[str, Any]) -> list[dict[str, Any]]:
          "forecast_skill": skill, "forecast_seed": seed, "forecast_members": 10, "fallbacks": seed,
          "bound_m3": bound, "total_deviation_m3": (base + seed) * times}
         for (start, hours), (initial, bound), (name, key, value, base), (skill, times), seed
-        in itertools.product(windows, states, settings, (("real", 2), ("better", 1)), range(1, 26))
+        in itertools.product(windows, states, settings, (("real", 2), ("none", 1)), range(1, 26))
     ]
 
 

@@ -104,7 +104,7 @@ def test_seeds_belong_together(tmp_path: Path) -> None:
     tables = make_tables(report)
     (cells,) = [
         row for row in tables["Over seeds and years"]
-        if row["case"] == "onoff fraction 0.5 skill better" and row["from"] == "low-low"
+        if row["case"] == "onoff fraction 0.5 skill none" and row["from"] == "low-low"
         and "07-07" in row["window"]
     ]
     assert list(cells.values())[3:] == ["25", "1013.00", "1024.20", "1025.00"]

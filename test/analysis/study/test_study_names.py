@@ -29,7 +29,7 @@ weather:
     start: 2021-07-07T02:00
     hours: 0.01
     forecast: [north/archive.csv, south/archive.csv,
-               {model: errors, skill: [real, worse], seed: [1, 2]}]
+               {model: errors, skill: [real, none], seed: [1, 2]}]
 initial: low-low
 sensor_and_pump: [{roof_noise: 0.0005}, {roof_noise: 0.00050000001}]
 controllers:

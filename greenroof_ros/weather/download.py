@@ -12,7 +12,8 @@ observations of a station, one file per month. The files also contain rows for h
 observations; for a month in which the station did not exist, the file contains only a header. The
 data are licensed under the Open Government Licence - Canada.
 
-Complete blocks are stored unchanged, and are not requested again.
+Complete blocks are stored unchanged, and are not requested again. The name of a block's file
+contains a digest of the request, so that no block of a different request is used.
 """
 
 from __future__ import annotations
@@ -20,29 +21,22 @@ from __future__ import annotations
 import calendar
 import hashlib
 import itertools
-import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import date, datetime, timedelta, timezone
 from pathlib import Path
-from urllib.parse import urlsplit
+
+import numpy as np
 
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.files import replace_file, replace_text
-from greenroof_ros.base.http_client import (
-    ServiceError,
-    check_url,
-    name_url,
-    read_reason,
-    request,
-)
+from greenroof_ros.base.http import ServiceError, check_url, name_url, request
 from greenroof_ros.base.progress import ProgressBar
-from greenroof_ros.base.times import FIRST_YEAR, duration
+from greenroof_ros.base.times import FIRST_YEAR, duration, to_minutes
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.description import find_service
-from greenroof_ros.weather.hours import write_records
-from greenroof_ros.weather.open_meteo import VARIABLES
+from greenroof_ros.weather.open_meteo import VARIABLES, make_parameters
 from greenroof_ros.weather.quantities import PRECIPITATION
 from greenroof_ros.weather.read import read_file, read_measured
 from greenroof_ros.weather.records import HOUR, Records
@@ -59,7 +53,8 @@ _WAIT_PAUSES, _ATTEMPTS = 5, 8
 _MAX_WAIT_S = 3700.0
 # Waits for which Open-Meteo asks when it turns a request down (s), by its words.
 _ASKED_S = {"in one minute": 60.0, "in the next hour": 3600.0, "tomorrow": 86_400.0}
-_REQUEST = "request.txt"
+# Columns whose values can show that a response is for a different place than the site's.
+_PLACE = ("latitude", "longitude", "elevation")
 
 
 @dataclass(frozen=True)
@@ -69,24 +64,18 @@ class Block:
     Attributes:
         first: first day of the block.
         last: last day of the block.
-        suffix: suffix of the file in which the block is stored.
         parameters: parameters of the request, in addition to those of the source.
+        is_over: whether all hours have been observed; False in the present month.
     """
 
     first: date
     last: date
-    suffix: str
     parameters: Mapping[str, str | float]
+    is_over: bool = True
 
-    @property
-    def file(self) -> str:
-        """Name of the file in which the block is stored."""
-        return f"{self.first}_{self.last}{self.suffix}"
-
-    @property
-    def hours(self) -> int:
-        """Number of hours in the block."""
-        return 24 * ((self.last - self.first).days + 1)
+    def __str__(self) -> str:
+        """Return the days of the block."""
+        return f"{self.first} to {self.last}"
 
 
 @dataclass(frozen=True)
@@ -99,7 +88,7 @@ class Source:
         parameters: parameters of every request.
         blocks: blocks to request, in chronological order.
         pause_s: pause between a response and the next request (s).
-        check: function that raises ServiceError if a response does not contain the whole block.
+        quantities: quantities that every block contains; a station may have none.
     """
 
     about: str
@@ -107,7 +96,13 @@ class Source:
     parameters: Mapping[str, str | float]
     blocks: Sequence[Block]
     pause_s: float
-    check: Callable[[bytes, Block], None]
+    quantities: Collection[str] = ()
+
+    def files(self, directory: Path) -> list[Path]:
+        """Return the files of all blocks in a directory."""
+        asked = f"{self.url} {self.parameters}".encode()  # it may contain a key
+        end = f"{hashlib.sha256(asked).hexdigest()[:12]}.{'json' if self.quantities else 'csv'}"
+        return [directory / f"{block.first}_{block.last}_{end}" for block in self.blocks]
 
 
 def open_meteo_archive(site: Site, years: range, today: date, url: str = "") -> Source:
@@ -126,12 +121,7 @@ def open_meteo_archive(site: Site, years: range, today: date, url: str = "") -> 
         ConfigurationError: if the location is missing from the site file, if the years extend into
             the future, or if the URL is not a web address.
     """
-    for name in ("latitude", "longitude"):
-        if getattr(site, name) is None:
-            raise ConfigurationError(
-                "must be in the site file, because weather is fetched for the site's location",
-                key=name,
-            )
+    parameters = make_parameters(site)
     newest = today - _DELAY
     if newest.year < years[-1]:
         raise ConfigurationError(
@@ -139,23 +129,19 @@ def open_meteo_archive(site: Site, years: range, today: date, url: str = "") -> 
             "days before today",
             key="years", value=years[-1],
         )
-    end = min(date(years[-1] + 1, 1, 1), newest)
     starts = [max(date(years[0], 1, 1) - timedelta(days=1), date(FIRST_YEAR, 1, 1))]
     starts += [date(year, 1, 1) for year in years[1:]]
-    ends = [*(start - timedelta(days=1) for start in starts[1:]), end]
-    parameters: dict[str, str | float] = {
-        "latitude": float(site.latitude or 0), "longitude": float(site.longitude or 0),
-        "hourly": ",".join(VARIABLES.values()), "timezone": "GMT",
-    }
+    ends = [start - timedelta(days=1) for start in starts[1:]]
+    ends.append(min(date(years[-1] + 1, 1, 1), newest))
     return Source(
         "Reanalysis weather from Open-Meteo.com, Historical Weather API (ERA5, ECMWF IFS): "
         "https://open-meteo.com\n"
         "Licence: CC BY 4.0 (credit the source). The service is free for non-commercial use.",
         check_url(url or _OPEN_METEO_URL, [*parameters, "start_date", "end_date"]), parameters, [
-            Block(first, last, ".json", {"start_date": f"{first}", "end_date": f"{last}"})
+            Block(first, last, {"start_date": f"{first}", "end_date": f"{last}"})
             for first, last in zip(starts, ends, strict=True)
         ],
-        3.0, _check_open_meteo,
+        3.0, tuple(VARIABLES),
     )
 
 
@@ -182,95 +168,32 @@ def eccc_station(
         )
     if today.year < years[-1]:
         raise ConfigurationError("is in the future", key="years", value=years[-1])
-    months = [
-        (year, month) for year in years for month in range(1, 13) if date(year, month, 1) <= today
-    ]
     parameters: dict[str, str | float] = {
         "format": "csv", "stationID": station, "Day": 14, "timeframe": 1,
     }
+    blocks = []
+    for year, month in itertools.product(years, range(1, 13)):
+        first = date(year, month, 1)
+        last = min(first.replace(day=calendar.monthrange(year, month)[1]), today)
+        if first <= today:
+            blocks.append(Block(first, last, {"Year": year, "Month": month}, last < today))
     return Source(
         "Observations from Environment and Climate Change Canada, Historical Data, hourly bulk "
         f"files of stationID {station}: https://climate.weather.gc.ca\n"
         "Licence: Open Government Licence - Canada (credit the source).",
-        check_url(url or _ECCC_URL, [*parameters, "Year", "Month"]), parameters, [
-            Block(
-                date(year, month, 1),
-                min(date(year, month, calendar.monthrange(year, month)[1]), today), ".csv",
-                {"Year": year, "Month": month},
-            )
-            for year, month in months
-        ],
-        1.0, lambda body, block: _check_eccc(body, block, is_over=block.last < today),
+        check_url(url or _ECCC_URL, [*parameters, "Year", "Month"]), parameters, blocks, 1.0,
     )
 
 
-def _check_open_meteo(body: bytes, block: Block) -> None:
-    try:
-        content = json.loads(body)
-    except (ValueError, RecursionError):
-        raise ServiceError(f"sent invalid or incomplete JSON: {read_reason(body)}") from None
-    hourly = content.get("hourly") if isinstance(content, dict) else None
-    if not isinstance(hourly, dict):
-        raise ServiceError(f"sent no hourly values: {read_reason(body)}")
-    lacking = [name for name in VARIABLES.values() if name not in hourly]
-    if lacking:
-        raise ServiceError(f"sent no {', '.join(lacking)}", is_passing=False)
-    times = hourly.get("time")
-    if not isinstance(times, list) or len(times) != block.hours:
-        hours = len(times) if isinstance(times, list) else 0
-        raise ServiceError(f"sent {hours} hours instead of {block.hours}")
-    if str(times[0])[:10] != str(block.first):
-        raise ServiceError(f"sent hours that start at {times[0]} instead of {block.first}")
-    rain = hourly[VARIABLES[PRECIPITATION]]
-    if isinstance(rain, list) and all(value is None for value in rain):
-        raise ServiceError("sent no precipitation values", is_passing=False)
-
-
-def _check_eccc(body: bytes, block: Block, *, is_over: bool) -> None:
-    header = body.decode("utf-8-sig", "replace").partition("\n")[0]
-    if find_service(split(header, ","), ",") is None:
-        raise ServiceError(f"sent no bulk file: {read_reason(body) or 'nothing'}")
-    lines = body.splitlines()
-    hours = len(lines) - 1
-    is_cut = not body.endswith(b"\n") and lines[-1].count(b",") < lines[0].count(b",")
-    if is_cut or (is_over and 0 < hours < block.hours):
-        raise ServiceError(f"broke off after {hours} of {block.hours} hours")
-    if hours and str(block.first).encode() not in lines[1]:
-        raise ServiceError(f"sent a different month: {read_reason(lines[1])}")
-
-
-def prepare_directory(directory: Path, source: Source) -> None:
-    """Create the directory that stores the blocks of a source until all blocks have arrived.
-
-    Raises:
-        ConfigurationError: if the directory contains blocks from a different request, for instance
-            for a different site.
-    """
-    asked = "".join(f"{key}: {value}\n" for key, value in source.parameters.items())
-    if query := urlsplit(source.url).query:  # it may contain a key
-        asked += f"query: SHA-256 {hashlib.sha256(query.encode()).hexdigest()}\n"
-    claim, asked = directory / _REQUEST, f"{name_url(source.url)}\n{asked}"
-    directory.mkdir(exist_ok=True)
-    kept = claim.read_text(encoding="utf-8", errors="replace") if claim.exists() else ""
-    if any(directory.glob("*_*")) and kept != asked:
-        raise ConfigurationError(
-            f"contains parts from a different request ({_REQUEST}); remove this directory, or "
-            "choose another output",
-            file=directory,
-        )
-    replace_text(claim, asked)
-
-
 def fetch(
-    source: Source, site: Site, directory: Path, pause_s: float | None,
-    progress: ProgressBar,
+    source: Source, site: Site, directory: Path, pause_s: float | None, progress: ProgressBar
 ) -> list[Path]:
     """Fetch the blocks that are not in a directory yet, and return the files of all blocks.
 
     Args:
         source: service and blocks to fetch.
         site: site, whose location and clock are used to read the responses.
-        directory: directory of the blocks, prepared by :func:`prepare_directory`.
+        directory: directory of the blocks, which is created if it does not exist.
         pause_s: pause between requests (s); None for the pause of the source.
         progress: progress bar that shows the current block, and the reasons for repeated requests.
 
@@ -280,69 +203,76 @@ def fetch(
         ConfigurationError: if a response does not match the site.
         OSError: if a block cannot be stored.
     """
-    pause_s = source.pause_s if pause_s is None else pause_s
-    files = [directory / block.file for block in source.blocks]
-    due = [
-        number for number, block in enumerate(source.blocks)
-        if not _is_whole(files[number], source, block)
-    ]
-    for number in due:
-        block, share = source.blocks[number], number / len(files)
-        if number != due[0]:
-            time.sleep(pause_s)
-        for attempt in itertools.count(1):
-            progress.show(f"{block.first} to {block.last}", share)
+    pause_s, wait = source.pause_s if pause_s is None else pause_s, 0.0
+    directory.mkdir(exist_ok=True)
+    files = source.files(directory)
+    for number, (block, file) in enumerate(zip(source.blocks, files, strict=True)):
+        with suppress(ServiceError):  # a power cut, for instance, can damage a stored block
+            _check(file, source, block, site)
+            continue
+        for attempt in range(_ATTEMPTS):
+            progress.show(f"{block}", number / len(files))
+            time.sleep(wait)
             try:
-                _fetch_block(source, site, block, files[number])
+                body, _ = request(source.url, {**source.parameters, **block.parameters})
+                answer = file.with_name(f"answer{file.suffix}")
+                answer.write_bytes(body)
+                _check(answer, source, block, site)
+                answer.replace(file)
+                wait = pause_s
                 break
             except ServiceError as error:
-                wait = max(pause_s * _WAIT_PAUSES * 2 ** (attempt - 1), _find_wait(error))
-                if not error.is_passing or attempt == _ATTEMPTS or wait > _MAX_WAIT_S:
-                    raise ServiceError(f"{block.first} to {block.last}: {error}") from error
+                wait = max(pause_s * _WAIT_PAUSES * 2**attempt, _find_wait(error))
+                if error.is_final or attempt == _ATTEMPTS - 1 or wait > _MAX_WAIT_S:
+                    raise ServiceError(f"{block}: {error}") from error
                 progress.print_line(f"{error}; next attempt in {duration(wait)}")
-                time.sleep(wait)
     return files
 
 
-def _is_whole(file: Path, source: Source, block: Block) -> bool:
-    """Return whether a block is stored and undamaged; a power cut, for instance, can damage it."""
-    try:
-        source.check(file.read_bytes(), block)
-    except (FileNotFoundError, ServiceError):
-        return False
-    return True
-
-
-def _fetch_block(source: Source, site: Site, block: Block, file: Path) -> None:
-    """Fetch a block, check it, and store it under the block's file name.
+def _check(file: Path, source: Source, block: Block, site: Site) -> None:
+    """Check that a response is for the site and contains the whole block.
 
     Raises:
-        ServiceError: if the service does not send the whole block.
-        ConfigurationError: if the response does not match the site.
-        OSError: if the block cannot be stored.
+        ServiceError: if the response cannot be read, or is not complete.
+        ConfigurationError: if the response is for a place that does not match the site.
     """
-    body = request(source.url, {**source.parameters, **block.parameters}).body
+    if _is_empty(file):
+        return
+    url = name_url(source.url)
     try:
-        source.check(body, block)
-    except ServiceError as error:
-        name = name_url(source.url)
-        raise ServiceError(f"{name}: {error}", is_passing=error.is_passing) from error
-    answer = file.with_name(f"answer{block.suffix}")
-    replace_file(answer, lambda stream: stream.write(body))
-    if not _is_empty(answer):
-        read_file(answer, site)
-    answer.replace(file)
+        records = read_file(file, site)
+    except ConfigurationError as error:
+        if any(name in (error.key or "").lower() for name in _PLACE):
+            raise
+        raise ServiceError(f"{url}: {error}") from error
+    first, end = records.first, records.first + records.hours * HOUR
+    begin, due = (
+        datetime.combine(day, datetime.min.time(), first.tzinfo)
+        for day in (block.first, block.last + timedelta(days=1))
+    )
+    if not first <= begin < end or (block.is_over and end < due):
+        raise ServiceError(
+            f"{url}: sent {to_minutes(first)} to {to_minutes(end)} instead of "
+            f"{to_minutes(begin)} to {to_minutes(due)}"
+        )
+    for quantity in source.quantities:
+        series = records.values.get(quantity)
+        if series is None or (quantity == PRECIPITATION and np.isnan(series).all()):
+            raise ServiceError(f"{url}: sent no {quantity} values", is_final=True)
 
 
 def _find_wait(error: ServiceError) -> float:
     """Return the waiting time requested by a service (s); 0 if it requests none."""
     asked = [seconds for words, seconds in _ASKED_S.items() if words in str(error)]
-    return max([error.wait or 0.0, *asked])
+    return max([error.wait, *asked])
 
 
 def _is_empty(file: Path) -> bool:
     """Return whether a block contains no hours, as in a month before the station existed."""
-    return file.suffix == ".csv" and len(file.read_bytes().splitlines()) < 2
+    lines = file.read_bytes().splitlines() if file.exists() else []
+    return len(lines) == 1 and file.suffix == ".csv" and find_service(
+        split(lines[0].decode("utf-8-sig", "replace"), ","), ","
+    ) is not None
 
 
 def join_blocks(files: Sequence[Path], site: Site, years: range) -> Records:
@@ -370,12 +300,4 @@ def join_blocks(files: Sequence[Path], site: Site, years: range) -> Records:
     return replace(
         records, first=first + begin * HOUR,
         values={name: series[begin:end] for name, series in records.values.items()},
-    )
-
-
-def write_weather(source: Source, records: Records, now: datetime) -> str:
-    """Return fetched records as the text of a file in this project's format, with their source."""
-    return write_records(
-        records, f"{source.about}\nFetched on {now:%Y-%m-%d}; the time of an hour is its start, "
-        f"UTC{records.first.isoformat()[-6:]}."
     )

@@ -7,13 +7,12 @@ import math
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
-import numpy as np
-
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import duration, to_people
 from greenroof_ros.forecast.archive import read_forecasts
 from greenroof_ros.forecast.issue import IssuedForecast, Repetition
-from greenroof_ros.forecast.resampling import HourForecast, Outlook
+from greenroof_ros.forecast.models import continue_issue
+from greenroof_ros.forecast.steps import HourForecast, Outlook
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION
@@ -97,8 +96,7 @@ class LiveForecast:
         self._ends = look_ahead_ends(site, horizon)
         self._limit = timedelta(seconds=limit)
         self._all_members = all_members
-        self._repetition, self._repeated = Repetition(), ""
-        self._issue: IssuedForecast | None = None
+        self._repetition = Repetition()
 
     def at(self, now: datetime, observed_rain: float | None = None) -> Outlook:
         """Return the current weather and the forecast at a given time.
@@ -117,11 +115,8 @@ class LiveForecast:
         issue = self._newest(now)
         present = (now - issue.issued) // HOUR
         since = (now - issue.issued).total_seconds() % _HOUR_S
-        ahead = np.arange(present, present + math.ceil((since + self._ends[-1]) / _HOUR_S))
-        rain = np.zeros((len(issue.rain), len(ahead)))
-        there = issue.rain[:, present : present + len(ahead)]
-        rain[:, : there.shape[1]] = there
-        evapotranspiration = issue.evapotranspiration_at(ahead)
+        hours = math.ceil((since + self._ends[-1]) / _HOUR_S)
+        rain, evapotranspiration = continue_issue(issue, present, hours)
         assert evapotranspiration is not None  # an issue without it is rejected
         measured = () if observed_rain is None else (observed_rain,)
         forecast = HourForecast(
@@ -136,10 +131,7 @@ class LiveForecast:
         Raises:
             NoForecastError: if there is no forecast.
         """
-        issue = self._newest(now)
-        if issue is not self._issue:
-            self._issue, self._repeated = issue, self._repetition.follow(issue)
-        return self._repeated
+        return self._repetition.follow(self._newest(now))
 
     def shortage(self, now: datetime) -> str:
         """Return a note, with a remedy, if the latest forecast is too short; else an empty string.
