@@ -96,7 +96,8 @@ def test_units(
 
 
 @pytest.mark.parametrize(
-    "text", ["abc", "inf", "1e999", "0x1", "1_0", "12,5", "-999", "#N/A", "nan", "\N{ARABIC-INDIC DIGIT ONE}"]
+    "text",
+    ["abc", "inf", "1e999", "0x1", "1_0", "12,5", "-999", "#N/A", "nan", "\N{ARABIC-INDIC DIGIT ONE}"],
 )
 def test_what_is_no_number_is_named(tmp_path: Path, text: str) -> None:
     """With its text, line and column."""
