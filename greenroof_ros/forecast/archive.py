@@ -19,7 +19,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime, timezone
@@ -67,6 +67,8 @@ _RANGES = {
     for quantity in _COLUMNS
 }
 _TIMES = "time", "datetime"
+# Only the last bytes of a live site's file are read, enough for 100 members of 36 days.
+_MAX_BYTES, _CHUNK = 16_000_000, 1_000_000
 _PREVIOUS = re.compile(r"precipitation_previous_day([1-7])")
 _MEMBER = re.compile(r"precipitation(?:_member(\d{2,3}))?")
 # A browser adds " (1)" to the name of a second download.
@@ -187,14 +189,14 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForeca
 
     Args:
         path: path of the file.
-        now: if given, issues before the latest issue at this time are left out, because a live site
-            needs no older issues.
+        now: if given, only the latest issue at this time and later issues are read, from at most
+            the last 16 MB of the file; a live site needs no older issues.
 
     Raises:
         ConfigurationError: if the file breaks any of these rules; the message names the line and
             the value.
     """
-    table = read_table(path)
+    table = read_table(path, None if now is None else _select_newest(path, now))
     columns = ["issued", "available", "time", "member", *_COLUMNS.values()]
     table.require_header(
         [column for column in columns if column not in _OPTIONAL or column in table.header],
@@ -214,10 +216,58 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForeca
                 "issue: issues must be in chronological order", file=path, line=issue.line,
                 key="issued", value=to_minutes(issue.issued),
             )
-        if now is not None and issue.issued <= now:
-            issues = []
         issues.append(issue)
     return issues
+
+
+def _select_newest(path: Path, now: datetime) -> list[tuple[int, str]]:
+    """Return the header, and the numbered lines from the latest issue at a given time onwards.
+
+    Raises:
+        ConfigurationError: if the file cannot be read, or if its last issue is too long.
+    """
+    if not path.is_file() or path.stat().st_size <= _MAX_BYTES:
+        lines = _keep_rows(enumerate(read_lines(path), start=1))
+    else:
+        lines = _read_last_lines(path)
+    first, before = 1, ""
+    for at, (_, line) in enumerate(lines[1:], start=1):
+        issued = line.partition(",")[0]
+        if issued == before:
+            continue
+        before = issued
+        try:
+            if parse_time(issued.strip(' "')) > now:
+                break
+        except (TypeError, ValueError):
+            break  # the error of the table names the line
+        first = at
+    return lines[:1] + lines[first:]
+
+
+def _keep_rows(lines: Iterable[tuple[int, str]]) -> list[tuple[int, str]]:
+    return [(number, line) for number, line in lines if line.strip() and line.lstrip()[0] != "#"]
+
+
+def _read_last_lines(path: Path) -> list[tuple[int, str]]:
+    """Return the header of a large file, and the numbered lines of its last complete issues."""
+    with path.open(encoding="utf-8-sig", errors="replace") as stream:
+        header = next((1, line) for line in stream if line.strip() and line.lstrip()[0] != "#")
+    tail, skipped = path.stat().st_size - _MAX_BYTES, 0
+    with path.open("rb") as stream:
+        while chunk := stream.read(min(_CHUNK, tail - stream.tell())):
+            skipped += chunk.count(b"\n")
+        text = stream.read(_MAX_BYTES).decode("utf-8", "replace")
+    rows = _keep_rows(enumerate(text.splitlines(), start=skipped + 1))[1:]
+    cut = rows[0][1].partition(",")[0] if rows else ""
+    whole = [row for row in rows if row[1].partition(",")[0] != cut]
+    if not whole:
+        raise ConfigurationError(
+            f"ends with an issue of more than {_MAX_BYTES / 1e6:g} MB, but only the last "
+            f"{_MAX_BYTES / 1e6:g} MB of a live site's file are read: write a new file for each "
+            "issue, with fewer members or hours", file=path,
+        )
+    return [header, *whole]
 
 
 def _read_issue(table: Table, rows: Sequence[Row]) -> IssuedForecast:

@@ -39,8 +39,10 @@ def make_hours(file: Path, rows: Rows) -> Records:
     averaged over the clock hours in which the rows begin.
 
     Raises:
-        ConfigurationError: if the rows are more than one hour apart.
+        ConfigurationError: if the rows are more than one hour apart, or no column is weather.
     """
+    if not rows.values:
+        raise rows.table.refuse("must have a column of weather, such as 'rain [mm]'")
     if rows.step_s > 3600:
         raise rows.table.refuse(
             f"rows must be at most one hour apart, not {duration(rows.step_s)}"

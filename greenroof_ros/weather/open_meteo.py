@@ -49,9 +49,9 @@ _QUANTITIES = {variable: quantity for quantity, variable in VARIABLES.items()} |
 }
 _UNITS = {"mp/h": "mph"}
 _WIND_HEIGHT_M = 10.0
-# Largest distance of the answer's place from the site (degrees): the coarsest model's cell is half
-# a degree wide.
-_FAR = 0.5
+# Largest distance of the answer's place from the site: the coarsest model's cell is half a degree
+# wide; air is 2 degC colder 300 m further up.
+_FAR = {"latitude": (0.5, "degrees"), "longitude": (0.5, "degrees"), "elevation": (300.0, "m")}
 _RANGES = dict(zip(PLACE, (Range(-90.0, 90.0), Range(-180.0, 180.0)), strict=True))
 
 
@@ -116,7 +116,7 @@ def read_answer(file: Path, site: Place, quantity_of: Callable[[str], str | None
     try:
         content = json.loads(read_text(file))
     except (ValueError, RecursionError) as error:
-        raise refuse(f"is not valid JSON: {error}") from error
+        raise refuse(f"is not valid JSON, or is nested too deeply: {error}") from error
     if not isinstance(content, dict) or not isinstance(content.get("hourly"), dict):
         reason = content.get("reason") if isinstance(content, dict) else None
         raise refuse(
@@ -124,7 +124,8 @@ def read_answer(file: Path, site: Place, quantity_of: Callable[[str], str | None
             "must be an answer of Open-Meteo for a single location, with hourly values"
         )
     hourly, units = content["hourly"], content.get("hourly_units") or {}
-    count = len(hourly.get("time") or ())
+    times = hourly.get("time")
+    count = len(times) if isinstance(times, list) else 0
     for name, series in hourly.items():
         if not isinstance(series, list) or len(series) != count or not count:
             raise refuse("must be a list with one value for each time", key=f"hourly.{name}")
@@ -150,11 +151,15 @@ def _read_place(
     latitude, longitude = (
         limits.read(content[name], key=name) for name, limits in _RANGES.items()
     )
-    for name, value in zip(PLACE, (latitude, longitude), strict=True):
+    for name, (far, unit) in _FAR.items():
         own: float | None = getattr(site, name)
-        if own is not None and abs((value - own + 180) % 360 - 180) > _FAR:
+        value = content.get(name)
+        if own is None or not isinstance(value, (int, float)):
+            continue
+        away = abs((value - own + 180) % 360 - 180) if unit == "degrees" else abs(value - own)
+        if away > far:
             raise refuse(
-                f"must be within {_FAR} degrees of the site's {name}, {own:g}", key=name,
+                f"must be within {far:g} {unit} of the site's {name}, {own:g}", key=name,
                 value=value,
             )
     return latitude, longitude

@@ -52,6 +52,7 @@ from greenroof_ros.weather.quantities import (
 )
 
 Values = NDArray[np.float64]
+_HOUR_S = 3600.0
 # Rows from which the step is taken, the share of a step by which a time may be off, and the share
 # by which a step of whole minutes may be off because of the logger's clock.
 _FIRST_ROWS, _OFF, _CLOCK = 10, 0.25, 0.02
@@ -676,16 +677,13 @@ def parse_text(text: str, form: str) -> datetime:
 
 
 def _find_step(table: Table, times: Times) -> float:
-    """Return the interval between the first ten rows (s).
+    """Return the interval between the first ten rows (s); a single row covers an hour.
 
     Raises:
-        ConfigurationError: if the intervals disagree, or if there is only one row.
+        ConfigurationError: if the intervals disagree.
     """
     if len(times.seconds) < 2:
-        raise table.refuse_at(
-            "has a single row, so its interval must be stated, as in step: 3600", times.lines[0],
-            "step",
-        )
+        return _HOUR_S
     spacing = np.diff(times.seconds[:_FIRST_ROWS])
     middle = float(np.median(spacing))
     minutes = 60.0 * round(middle / 60)
@@ -704,8 +702,8 @@ def _find_step(table: Table, times: Times) -> float:
 def _number_steps(table: Table, times: Times, step_s: float) -> tuple[float, NDArray[np.int64]]:
     """Return the start of step 0 (s since 1970 on the file's clock), and the step of every row.
 
-    Steps begin at multiples of the interval since midnight or, if the first row is too far from
-    one, at the first row.
+    Steps that divide an hour or a day begin at multiples of the interval since midnight. Other
+    steps begin at the first row, and so do all steps if the first row is too far from a multiple.
 
     Raises:
         ConfigurationError: if a row is too far from the beginning of a step, or in the same step as
@@ -713,7 +711,7 @@ def _number_steps(table: Table, times: Times, step_s: float) -> tuple[float, NDA
     """
     local = times.seconds + times.offset
     begin = step_s * math.floor(local[0] / step_s + 0.5)
-    if abs(local[0] - begin) > _OFF * step_s:
+    if abs(local[0] - begin) > _OFF * step_s or (_HOUR_S % step_s and 24 * _HOUR_S % step_s):
         whole = 60.0 if step_s >= 60 else 1.0
         begin = whole * round(local[0] / whole)
     steps = np.floor((local - begin) / step_s + 0.5).astype(np.int64)

@@ -148,8 +148,8 @@ HEAD = KNMI.read_text().splitlines()[0]
 ROWS = ["2024-03-01 00:00:00,0.0,0.1,0.2,0.3,0.4", "2024-03-01 01:00:00,0.0,0.1,0.2,0.3,0.4"]
 OWN = "issued,time,precipitation [mm/h]\n2024-06-01T00:00Z,2024-06-01T00:00Z,0\n"
 WRONG = {
-    "cut.json": ('{"latitude": 42.25,\n"long', ": is not valid JSON: "),
-    "deep.json": ("[" * 200_000, ": is not valid JSON: "),
+    "cut.json": ('{"latitude": 42.25,\n"long', ": is not valid JSON, or is nested too deeply: "),
+    "deep.json": ("[" * 200_000, ": is not valid JSON, or is nested too deeply: "),
     "refusal.json": (
         '{"error": true, "reason": "Daily API request limit exceeded."}',
         ": is an error message from the service: Daily API request limit",

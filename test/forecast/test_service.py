@@ -218,19 +218,19 @@ def test_the_command(server, tmp_path):
 
 
 def test_what_an_answer_lacks_is_noted_and_the_rest_is_used(server):
-    """As in a file; test_what_is_sent.py has each case."""
+    """The rest of an answer without temperature, and with an hour without rain, is used."""
     content = json.loads(server.answer({"hourly": [",".join(VARIABLES.values())]}, 1))
     hourly = content["hourly"]
     hourly["temperature_2m"] = [None] * len(hourly["time"])
     content["hourly_units"]["temperature_2m"] = "undefined"
-    hourly["precipitation"][70] = -13159.9
+    hourly["precipitation"][70] = None
     body = json.dumps(content).encode()
     with _answering(lambda _: (200, {}, body)) as service:
         issue = service.fetch(_now())
     assert issue.hours > 5 * 24 and issue.temperature is None
     assert not np.isnan(issue.rain).any() and not np.isnan(issue.evapotranspiration).any()
     assert 0.5 < issue.evapotranspiration.mean() < 8
-    for note in ("monthly means, for lack of temperature", "-13159.9 at "):
+    for note in ("monthly means, for lack of temperature", "1 missing hours of precipitation"):
         assert any(note in text for text in issue.notes)
 
 

@@ -131,17 +131,26 @@ def test_a_storm_of_ten_minutes(tmp_path: Path) -> None:
     ], atol=1e-9)
 
 
-ROWS = rows_of([300.0] * 48 + [600.0] * 24 + [3600.0] * 7 + [60.0] * 120 + [900.0] * 16, seed=5)
-_JITTER = np.random.default_rng(3).integers(-40, 40, len(ROWS)) * (np.arange(len(ROWS)) < 48)
+ROWS = [300.0] * 48, [600.0] * 24, [3600.0] * 7, [60.0] * 120, [900.0] * 16
+_JITTER = np.random.default_rng(3).integers(-40, 40, 96)
 _JITTER[0] = 0
 
 
 def test_a_step_that_changes(tmp_path: Path) -> None:
-    """From five minutes to ten, an hour, one and fifteen; by starts and by ends."""
-    check_ticks(read_measured([write(tmp_path / "gauge.csv", ROWS)], SITE), ROWS)
-    ends = [row._replace(begin=row.begin + timedelta(seconds=row.seconds)) for row in ROWS]
-    file = write(tmp_path / "ends.csv", ends, "# stamped: end\n")
-    check_ticks(read_measured([file], SITE), ROWS, taus=(60.0, 420.0))
+    """From five minutes to ten, an hour, one and fifteen: in files of their own, also by ends."""
+    rows = rows_of([seconds for part in ROWS for seconds in part], seed=5)
+    starts, ends, first = list[Path](), list[Path](), 0
+    for part in ROWS:
+        of_part = rows[first : first + len(part)]
+        first += len(part)
+        starts.append(write(tmp_path / f"start{first}.csv", of_part))
+        ends.append(write(tmp_path / f"end{first}.csv", [
+            row._replace(begin=row.begin + timedelta(seconds=row.seconds)) for row in of_part
+        ], "# rows: end\n"))
+    check_ticks(read_measured(starts, SITE), rows)
+    check_ticks(read_measured(ends, SITE), rows, taus=(60.0, 420.0))
+    whole = write(tmp_path / "whole.csv", rows)
+    refusal(read_measured, [whole], SITE, match="where the interval changes, split the file")
 
 
 @pytest.mark.parametrize("late", [
@@ -169,7 +178,8 @@ def test_gaps(tmp_path: Path) -> None:
     """Less than a quarter of an hour has the mean of the rest; more is missing, or nothing fell."""
     rows = [row._replace(rain=1.2) for row in rows_of([600.0] * 24)]
     one, many = [7], [12, 13, 14]
-    records = read_measured([write(tmp_path / "gauge.csv", rows, missing=one)], SITE)
+    head = "# step: 600\n"
+    records = read_measured([write(tmp_path / "gauge.csv", rows, head, missing=one)], SITE)
     assert records.values["precipitation"].tolist() == [7.2] * 4
     check_ticks(records, rows)
     records = read_measured([write(tmp_path / "gauge.csv", rows, missing=many)], SITE)
@@ -190,11 +200,10 @@ def test_files_that_end_within_an_hour(tmp_path: Path, site: Site) -> None:
     rows = rows_of([600.0] * 60, FIRST + timedelta(minutes=30))
     first = write(tmp_path / "a.csv", rows[:22])
     second = write(tmp_path / "b.csv", rows[22:])
-    both = write(tmp_path / "c.csv", rows[10:40])
-    for files in ([first, second], [second, first], [first, second, both]):
+    for files in ([first, second], [second, first]):
         check_ticks(read_measured(files, site), rows, site, taus=(60.0, 300.0))
-    other = write(tmp_path / "d.csv", [row._replace(rain=row.rain + 0.1) for row in rows[20:]])
-    assert "or the files must not overlap" in refusal(read_measured, [first, other], site)
+    other = write(tmp_path / "d.csv", rows[20:])
+    assert "files must not overlap" in refusal(read_measured, [first, other], site)
 
 
 def test_files_of_two_clocks(tmp_path: Path) -> None:
@@ -238,7 +247,7 @@ def test_records_that_are_written_again(tmp_path: Path, step_min: int, lines: in
     records = read_measured([file], SITE)
     copy = tmp_path / "copy.csv"
     copy.write_text(write_records(records, "a copy"))
-    assert len(copy.read_text().splitlines()) == 2 + lines * records.hours
+    assert len(copy.read_text().splitlines()) == 3 + lines * records.hours
     again = read_measured([copy], SITE)
     for name, series in records.values.items():
         np.testing.assert_array_equal(again.values[name], series)

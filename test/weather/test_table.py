@@ -97,7 +97,7 @@ def test_units(
 
 @pytest.mark.parametrize(
     "text",
-    ["abc", "inf", "1e999", "0x1", "1_0", "12,5", "-999", "#N/A", "nan", "\N{ARABIC-INDIC DIGIT ONE}"],
+    ["abc", "inf", "1e999", "0x1", "1_0", "12,5", "-999", "#N/A", "nan", "\u0661"],
 )
 def test_what_is_no_number_is_named(tmp_path: Path, text: str) -> None:
     """With its text, line and column."""
@@ -174,7 +174,7 @@ def test_missing_rows(tmp_path: Path) -> None:
     text = "time,rain [mm]\n" + "".join(lines[:1] + lines[3:])
     assert "line 3: step: this row is 3 h after the previous row" in refusal(read, tmp_path, text)
     assert np.isnan(rain_of(tmp_path, "# step: 3600\n" + text)).sum() == 2
-    assert "a single row" in refusal(read, tmp_path, f"time,rain [mm]\n{rows([1])}")
+    assert rain_of(tmp_path, f"time,rain [mm]\n{rows([1])}") == [1]  # a single row is an hour
 
 
 @pytest.mark.parametrize(

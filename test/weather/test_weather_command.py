@@ -39,7 +39,7 @@ def about(directory: Path, *arguments: str | Path) -> list[tuple[str, ...]]:
 
 
 def open_meteo(file: Path, latitude: float = 43.62) -> Path:
-    """Write an answer of the archive in Fahrenheit, with gaps and a code."""
+    """Write an answer of the archive in Fahrenheit, with gaps."""
     hours = range(96)
     content = answer(
         "2021-07-07T00:00", 96,
@@ -50,7 +50,7 @@ def open_meteo(file: Path, latitude: float = 43.62) -> Path:
         shortwave_radiation=[max(0, 33.3 * (12 - abs(hour % 24 - 12))) for hour in hours],
     )
     content["hourly"]["temperature_2m"][30] = None
-    content["hourly"]["precipitation"][40] = -999
+    content["hourly"]["precipitation"][40] = None
     content["hourly_units"] |= {"temperature_2m": "°F", "wind_speed_10m": "m/s"}
     content |= {"latitude": latitude, "utc_offset_seconds": -18000}
     file.write_text(json.dumps(content))
@@ -94,32 +94,53 @@ def test_what_the_file_of_a_service_is(tmp_path: Path) -> None:
     """July 2021 at Toronto City Centre, as the file itself has it."""
     said = about(tmp_path, JULY)
     expected = {
-        ("file", "Environment and Climate Change Canada", JULY.name),
         ("place", "43.63 N, 79.40 W", "0 km from the site, 43.63 N, 79.40 W (--site)"),
         ("hours", "744", "2021-07-01 00:00-05:00 to 2021-07-31 23:00-05:00"),
-        ("temperature", "degC", "13.6 to 32.7, mean 21.1; 6 missing"),
-        # The sum of its column of precipitation.
-        ("rain", "112.3 mm", "2021-07, 744 hours"),
+        ("temperature", "degC", "13.6 to 32.7, mean 21.1; 6 hours missing"),
         ("rain", "1 h late", "each time is the end of an hour; a run treats it as the start"),
-        ("interpolated", "temperature", "2021-07-20T13:00-05:00 to 2021-07-20T17:00-05:00 "
-         "(5 hours); 2021-07-21T11:00-05:00"),
     }
     assert expected <= {*said}
+    assert said[0][0] == "read" and said[0][2].startswith(
+        "Environment and Climate Change Canada, precipitation in mm, temperature in °C, "
+    )
+    rain, air, missing = (row[2] for row in said if row[0] == "summary")
+    # The sum of its column of precipitation.
+    assert rain.startswith("rain 112.3 mm in 31 days from 2021-07-01 00:00-05:00 (Jul 112.3); ")
+    assert "temperature 13.6 to 32.7 degC, mean 21.1, highest at 17 h" in air
+    assert "temperature 6 h" in missing
     assert said[-1][:2] == ("evapotranspiration", "fao56")
-    assert not any(row[0] == "MISSING" for row in said)
-    (suspicious,) = (row[2] for row in about(tmp_path, DECEMBER) if row[0] == "SUSPICIOUS")
-    assert suspicious.startswith("rain is 79.2 mm at 2015-12-29T02:00-05:00")
+    december = next(row[2] for row in about(tmp_path, DECEMBER) if row[0] == "summary")
+    assert "wettest hour 79.2 mm, 2015-12-29 02:00-05:00" in december
 
 
 def test_what_a_file_of_elsewhere_is(tmp_path: Path) -> None:
     """A run refuses it; here its distance is given: a degree of latitude is 111.2 km."""
     said = about(tmp_path, open_meteo(tmp_path / "answer.json", latitude=44.63))
-    assert ("file", "Open-Meteo", "answer.json") in said
     (place,) = (row[2] for row in said if row[0] == "place")
     assert place.startswith("111 km from the site")
-    notes = [row[2] for row in said if row[0] == "note"]
-    assert any("precipitation (mm) of -999 at 2021-07-08T16:00" in note for note in notes)
-    assert ("MISSING", "precipitation", "2021-07-08T15:00-05:00") in said
+    assert any("missing: temperature 1 h, precipitation 1 h" in row[2] for row in said)
+
+
+def test_a_description_is_printed_and_its_keys_are_options(tmp_path: Path) -> None:
+    """The same rain by the description and by options."""
+    (tmp_path / "gauge.csv").write_text("Zeit;Regen\n" + "".join(
+        f"01.07.2024 {hour:02}:00;0,{hour}\n" for hour in range(10)
+    ))
+    printed = weather(tmp_path, "gauge.csv", "--describe").stdout
+    (tmp_path / "gauge.yaml").write_text(
+        printed.replace('time_zone: "?"', "time_zone: UTC").replace('rows: "?"', "rows: end")
+        .replace('precipitation: "?"', "precipitation: mm")
+    )
+    options = (
+        "gauge.csv", "--columns", "time=Zeit", "rain=Regen", "--units", "rain=mm", "--sep", ";",
+        "--decimal", ",", "--time-format", "%d.%m.%Y %H:%M", "--time-zone", "UTC", "--rows", "end",
+    )
+    for arguments in (("gauge.yaml",), options):
+        summary = next(row[2] for row in about(tmp_path, *arguments) if row[0] == "summary")
+        assert summary.startswith("rain 4.5 mm in 0.417 days from 2024-06-30 18:00-05:00")
+    wrong = weather(tmp_path, "gauge.csv", "--rows", "middle")
+    assert (wrong.returncode, wrong.stdout) == (2, "")
+    assert wrong.stderr.startswith("error: --rows = 'middle': must be one of start, end")
 
 
 def test_monthly_means_are_those_of_a_site_file(tmp_path: Path) -> None:
@@ -145,14 +166,12 @@ def test_monthly_means_are_those_of_a_site_file(tmp_path: Path) -> None:
 
 
 def test_years_are_summed(tmp_path: Path) -> None:
-    """A millimetre an hour for more than two years: 8760 or 8784 mm, and 744 in a month."""
+    """A millimetre an hour for more than two years: 8760 or 8784 mm, on the site's clock."""
     hours = np.arange("2019-01-01", "2021-02-01", dtype="datetime64[h]")
     file = tmp_path / "years.csv"
     file.write_text("\n".join(["time,rain [mm]", *(f"{hour}:00Z,1" for hour in hours)]))
-    assert [row[1:] for row in about(tmp_path, file) if row[0] == "rain"] == [
-        ("8760.0 mm", "2019, 8760 hours"), ("8784.0 mm", "2020, 8784 hours"),
-        ("744.0 mm", "2021, 744 hours"),
-    ]
+    summary = next(row[2] for row in about(tmp_path, file) if row[0] == "summary")
+    assert "(2018 5, 2019 8760, 2020 8784, 2021 739)" in summary
 
 
 def test_an_output_that_exists_is_refused(tmp_path: Path) -> None:
