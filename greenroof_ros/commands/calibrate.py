@@ -123,6 +123,8 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
 
     site = complete_roof(read_site(site_file))
     record = read(site)
+    for line in record.contents:
+        print(f"record: {line}", file=sys.stderr)
     for note in record.notes:
         print(f"note: {note}", file=sys.stderr)
     counts = select_months(record, months)

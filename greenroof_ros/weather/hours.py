@@ -82,7 +82,7 @@ def describe_rows(rows: Rows) -> str:
     ignored = f"; not read: {', '.join(rows.ignored)}" if rows.ignored else ""
     return (
         f"{rows.described.name}, {units}, rows of {duration(rows.step_s)} whose time "
-        f"is their {rows.described.rows}{ignored}"
+        f"is their {rows.described.rows}, at {rows.first:%Z}{ignored}"
     )
 
 

@@ -126,8 +126,9 @@ class Table:
     ) -> ConfigurationError:
         """Return an error about a value in a line of the file, or in a row of a data frame."""
         if self.line is None:
-            return ConfigurationError(expected, file=self.file, key=f"row {line}, {key}",
-                                      value=value)
+            return ConfigurationError(
+                expected, file=f"{self.file}, row {line}", key=key, value=value
+            )
         return ConfigurationError(expected, file=self.file, line=line, key=key, value=value)
 
     def require_header(self, columns: Sequence[str], why: str) -> None:
@@ -609,9 +610,10 @@ def find_times(
     key = described.columns.get(TIME, (TIME,))[0]
     seconds, lines = array("d"), array("l")
     offset, before = 0.0, -math.inf
-    for line, text in times:
+    for line, given in times:
+        text = str(given)
         try:
-            time = parse_text(text, described.time_format) if isinstance(text, str) else text
+            time = parse_text(text, described.time_format) if isinstance(given, str) else given
         except ValueError:
             raise table.refuse_at(
                 f"must be a time such as {described.time_format or DEFAULT_START}", line, key, text

@@ -27,7 +27,7 @@ from greenroof_ros.weather.evapotranspiration import (
     check_place,
     find_extremes,
 )
-from greenroof_ros.weather.hours import describe_rows
+from greenroof_ros.weather.hours import describe_rows, make_hours
 from greenroof_ros.weather.quantities import (
     EVAPOTRANSPIRATION,
     PRECIPITATION,
@@ -36,7 +36,8 @@ from greenroof_ros.weather.quantities import (
     find_unit,
 )
 from greenroof_ros.weather.records import find_gaps
-from greenroof_ros.weather.table import read_rows
+from greenroof_ros.weather.summary import as_lines, summarize
+from greenroof_ros.weather.table import Rows, read_rows
 
 _WANTED = (PRECIPITATION, EVAPOTRANSPIRATION, TEMPERATURE, *ROOF)
 _EXTREMES = "minimum temperature", "maximum temperature"
@@ -115,7 +116,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
         last_decimal=last_decimal, cistern=series.get("cistern level"),
         command=series.get("pump state"),
         reference_column=columns[EVAPOTRANSPIRATION][0] if measured else "",
-        notes=(f"{file.name}: {describe_rows(rows)}",),
+        contents=_show(file, rows, site),
     )
     counts = select_months(record, months)
     if measured:
@@ -123,6 +124,13 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
     else:
         reference = _compute_from_temperatures(record, site, series, counts)
     return replace(record, reference=reference)
+
+
+def _show(file: Path, rows: Rows, site: Site) -> tuple[str, ...]:
+    """Return what the record contains; of rows longer than an hour, only how they were read."""
+    if rows.step_s > HOUR_S:
+        return (describe_rows(rows),)
+    return tuple(as_lines(summarize(make_hours(file, rows), site)))
 
 
 def _find_last_decimal(values: Values) -> float:

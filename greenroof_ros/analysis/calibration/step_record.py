@@ -43,6 +43,8 @@ class StepRecord:
         reference_column: column of the file that contains the evapotranspiration; empty if it was
             computed.
         notes: sentences about data that could not be used unchanged.
+        contents: lines that show what the record contains; see
+            :mod:`greenroof_ros.weather.summary`.
         all_rain: rain including the steps that :meth:`select` excluded; None without a selection.
         dew_point: dew point of the air (degC); None if it was not measured.
         radiation: solar radiation (W/m2); None if it was not measured.
@@ -63,6 +65,7 @@ class StepRecord:
     command: Values | None = None
     reference_column: str = ""
     notes: tuple[str, ...] = ()
+    contents: tuple[str, ...] = ()
     all_rain: Values | None = None
     dew_point: Values | None = None
     radiation: Values | None = None

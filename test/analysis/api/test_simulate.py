@@ -158,12 +158,11 @@ def test_weather_in_a_data_frame() -> None:
 
 
 def test_what_is_assumed_about_the_weather_is_a_warning(tmp_path: Path) -> None:
-    """Here that its hours end at their times, and no frost; the paper's file needs none."""
+    """Here that there is no frost, and monthly means; the paper's file needs none."""
     (tmp_path / "gauge.csv").write_text(
-        "time,precipitation,shortwave_radiation\n"
-        + "".join(f"2024-06-01T{hour:02}:00,1,\n" for hour in range(5))
+        "time,rain [mm]\n" + "".join(f"2024-06-01T{hour:02}:00Z,1\n" for hour in range(5))
     )
-    with pytest.warns(UserWarning, match="moved back by one hour") as shown:
+    with pytest.warns(UserWarning, match="from the site's monthly means") as shown:
         gr.simulate("onoff", weather=tmp_path / "gauge.csv", start="2024-06-01T01:00Z", hours=1)
     assert any("no frost is assumed" in str(each.message) for each in shown)
     assert {each.filename for each in shown} == {__file__}
@@ -358,9 +357,9 @@ ROWS: dict[str, list[Any]] = {
 
 @pytest.mark.parametrize(("column", "values", "message"), [
     ("precipitation [mm/h]", [0.0] * 7 + [5e3] * 2 + [0.0] * 15,
-     r"^the data frame, row 7: precipitation \[mm/h\] = '5000.0': must be a number from 0 to 500"),
+     r"^the data frame, row 7: precipitation \[mm/h\] = 5000.0: must be a number from 0 to 2000"),
     ("time", [*ROWS["time"][:23], "noon"], "^the data frame, row 23: time = 'noon': must be a "),
-    ("rain", [0.0] * 24, "^the data frame: 'rain': the name of a column must have the form"),
+    ("rain [mm]", [0.0] * 24, r"^the data frame: 'rain \[mm\]': an earlier column already"),
     ("temperature [degC]", [20.0] * 2 + [None] * 22,
      "^the data frame: temperature is missing at 2024-06-01T02:00.*or fill the gaps .gaps: fill.,"),
 ])
@@ -373,20 +372,6 @@ def test_what_is_wrong_in_a_data_frame(
     error = refusal(lambda: gr.simulate(
         "onoff", weather=frame, start="2024-06-01T00:00", hours=4), match=message)
     assert "--" not in error and "/tmp" not in error
-
-
-def test_a_data_frame_of_open_meteos_package() -> None:
-    """Its column of times is named date, and its rain is of the hour before."""
-    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
-    frame = pandas.DataFrame({
-        "date": pandas.date_range("2024-06-01", periods=48, freq="h", tz="UTC"),
-        "temperature_2m": [20.0] * 48, "precipitation": [float(hour) for hour in range(48)],
-        "dew_point_2m": [10.0] * 48, "wind_speed_10m": [9.0] * 48, "surface_pressure": [1e3] * 48,
-        "shortwave_radiation": [200.0] * 48,
-    })
-    with pytest.warns(UserWarning, match="moved back by one hour"):
-        result = gr.simulate("onoff", weather=frame, start="2024-06-01T05:00", hours=0.1)
-    assert 3.6e6 * result.ticks.precipitation[0] == pytest.approx(6)
 
 
 def test_weather_and_trajectory_in_pandas() -> None:

@@ -67,7 +67,7 @@ def test_a_time_that_clocks_skip_is_refused() -> None:
     )
     refusal(
         lambda: gr.simulate("onoff", site=BERLIN, weather=naive),
-        match="^the data frame, row 26: time = '2024-03-31T02:00.*clocks in Europe/Berlin skip",
+        match="^the data frame, row 26: time = '2024-03-31 02:00.*clocks in Europe/Berlin skip",
     )
 
 

@@ -91,11 +91,11 @@ weather: {{cells: {{east: {WEATHER}, west: {WEATHER}}}, start: 2021-07-07T00:00,
 
 
 @pytest.mark.parametrize("form", [
-    CSV, f"\ufeff{CSV}", CSV.replace(",", ";").replace("240.5", "240,5"), CSV.replace("\n", "\r\n"),
+    CSV, f"\ufeff{CSV}", CSV.replace("\n", "\r\n"),
     f"# from a GIS\n{CSV}",
 ])
 def test_listed_buildings(tmp_path: Path, form: str) -> None:
-    """As spreadsheets write them: byte order mark, semicolons, decimal commas, line ends."""
+    """As spreadsheets write them: byte order mark, line ends."""
     (tmp_path / "buildings.csv").write_bytes(form.encode())
     run = read_run(write_district(tmp_path, LISTED))
     buildings = run.buildings
@@ -165,17 +165,18 @@ weather: {{file: {WEATHER}, start: 2021-07-07T00:00, hours: 72}}
 
 WRONG_CSV = {
     "line 3: id = 'A': is also the name of the building in line 2": CSV.replace("B,", "A,"),
-    "line 1: must have a column 'id'": CSV.replace("id,", "name,"),
-    "line 1: must have a column 'cell'": CSV.replace("cell,", "zone,"),
-    "line 1: 'catchment_area': is the name of more than": CSV.replace("a1", "catchment_area"),
+    "line 1: 'id': must be the name of one column of the file": CSV.replace("id,", "name,"),
+    "line 1: 'cell': must be the name of one column of the file": CSV.replace("cell,", "zone,"),
+    "line 1: 'catchment_area': must be the name of one column of the file; occurs more":
+        CSV.replace("a1", "catchment_area"),
     "line 2: catchment_area = '-120': must be a number from": CSV.replace("120", "-120"),
     "line 2: catchment_area = 'wide': must be a number from": CSV.replace("120", "wide"),
     "line 2: catchment_area = '': must be a number from": CSV.replace("120", ""),
     "line 2: catchment_area = 'nan': must be a number from": CSV.replace("120", "nan"),
     "line 3: cell = 'north': must be one of the cells east, west": CSV.replace("east", "north"),
     "line 3: id = '': must contain a name or number": CSV.replace("B,", ","),
-    "line 3: must have 5 cells, as many as the header, but has 4": CSV.replace(",Lane 2", ""),
-    "has a header but no records": CSV.partition("\n")[0] + "\n",
+    "line 3: must have 5 cells, like the header, but has 4": CSV.replace(",Lane 2", ""),
+    "has a header but no rows": CSV.partition("\n")[0] + "\n",
     "is empty": "",
     "is a zip archive or a spreadsheet": "PK\x03\x04",
 }
