@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from greenroof_ros.base.files import parse_yaml, read_text, shared_directory
 from greenroof_ros.base.times import to_people
 from greenroof_ros.site.site import Place
-from greenroof_ros.weather.evapotranspiration import sun_height
+from greenroof_ros.weather.evapotranspiration import saturation_vapour_pressure, sun_height
 from greenroof_ros.weather.quantities import (
     DEW_POINT,
-    HUMIDITY,
     PRECIPITATION,
     QUANTITIES,
     RADIATION,
@@ -199,19 +198,20 @@ def _judge_rain(series: Values, rain: Mapping[str, Any]) -> dict[str, float]:
 
 def _judge_air(values: Mapping[str, Values]) -> dict[str, float]:
     found = {}
-    for name, key, statistic in (
-        (TEMPERATURE, "mean temperature", np.nanmean), (WIND, "mean wind", np.nanmean),
-        (HUMIDITY, "highest relative humidity", np.nanmax),
-    ):
+    for name, key in ((TEMPERATURE, "mean temperature"), (WIND, "mean wind")):
         if name in values and _known(values[name]) >= _AIR:
-            found[key] = float(statistic(values[name]))
+            found[key] = float(np.nanmean(values[name]))
     if TEMPERATURE in values and DEW_POINT in values:
         above = values[DEW_POINT] - values[TEMPERATURE]
         if _known(above) >= _AIR:
+            saturated, vapour = (
+                saturation_vapour_pressure(values[name]) for name in (TEMPERATURE, DEW_POINT)
+            )
+            found["highest relative humidity"] = 100.0 * float(np.nanmax(vapour / saturated))
             share = np.count_nonzero(above > 1) / _known(above)
             found["dew point above temperature"] = 100.0 * share
     constant = [
-        end - start + 1 for name in (TEMPERATURE, DEW_POINT, HUMIDITY, WIND) if name in values
+        end - start + 1 for name in (TEMPERATURE, DEW_POINT, WIND) if name in values
         for start, end in find_gaps(np.diff(values[name]) == 0)
     ]
     return found | {"longest constant value": float(max(constant, default=0))}

@@ -13,7 +13,7 @@ from places import CONFIG
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.evapotranspiration import sun_height
 from greenroof_ros.weather.read import read_measured
-from greenroof_ros.weather.records import Records
+from greenroof_ros.weather.records import Records, add_dew_point
 from greenroof_ros.weather.summary import as_lines, summarize
 
 SITE = read_site(CONFIG / "site.yaml")
@@ -21,14 +21,11 @@ SEASON = CONFIG / "weather" / "toronto_2021.csv"
 
 
 def season() -> Records:
-    """May to October 2021 at Toronto, with the humidity and a radiation of a clear sky."""
+    """May to October 2021 at Toronto, with a made-up radiation."""
     records = read_measured([SEASON], SITE)
     seconds = round(records.first.timestamp()) + 3600 * np.arange(records.hours) + 1800
     sun = 1000 * sun_height(43.63, seconds, -79.4) * (0.5 + 0.5 * np.sin(seconds / 90_000))
-    humidity = np.full(records.hours, 70.0) + 25 * np.cos(seconds / 13_751)
-    return replace(records, values={
-        **records.values, "solar radiation": np.maximum(sun, 0), "relative humidity": humidity,
-    })
+    return replace(records, values={**records.values, "solar radiation": np.maximum(sun, 0)})
 
 
 def test_a_right_record_has_no_note() -> None:
@@ -76,7 +73,6 @@ MISTAKES = {
     "MJ/m2": ("solar radiation", 3.6e-3, 0, "clearest hour"),
     "J/cm2": ("solar radiation", 0.36, 0, "clearest hour"),
     "degF": ("temperature", 1.8, 32, "mean temperature"),
-    "a fraction for per cent": ("relative humidity", 0.01, 0, "highest relative humidity"),
     "m/s as km/h": ("wind speed", 1 / 8, 0, "mean wind"),
     "km/h as m/s": ("wind speed", 3.6, 0, "mean wind"),
 }
@@ -102,6 +98,18 @@ def test_wrong_clocks_are_noted(hours: int, statistic: str) -> None:
     wrong = replace(records, first=records.first + timedelta(hours=hours))
     notes = summarize(wrong, SITE)["notes"]
     assert any(note.startswith(f"{statistic}: ") for note in notes)
+
+
+def test_a_fraction_for_per_cent_is_noted() -> None:
+    """Its dew point is that of 1 % of the humidity."""
+    records = season()
+    air = records.values["temperature"]
+    values = add_dew_point({**records.values, "relative humidity": np.full(len(air), 0.6)})
+    values["dew point"] = add_dew_point({
+        "temperature": air, "relative humidity": np.full(len(air), 0.6),
+    })["dew point"]
+    notes = summarize(replace(records, values=values), SITE)["notes"]
+    assert any(note.startswith("highest relative humidity: 1 %") for note in notes)
 
 
 def test_a_running_total_and_daily_means_are_noted() -> None:
