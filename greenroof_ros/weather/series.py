@@ -339,7 +339,7 @@ def select_records(
     """
     index = np.clip(hours, 0, weather.hours - 1)
     _refuse_missing(
-        weather, quantity, index, ", but the run's forecasts require it; choose "
-        "another period or another kind of forecast",
+        weather, quantity, index, ", within the look-ahead of the run; fill "
+        "the gaps (gaps: fill), or choose another period",
     )
     return weather.values[quantity][index]

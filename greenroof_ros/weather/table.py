@@ -381,10 +381,11 @@ def _open(file: Path, described: Description | None) -> tuple[Table, Description
                         "differs from an earlier comment", file=file, line=number, key=key,
                         value=value,
                     )
-    for number, text in head[-2:]:  # a header can be the last comment
+    is_own = head[-1][1].strip('" \r\n').startswith(TIME)
+    for number, text in () if is_own else head[-2:]:  # a header can be the last comment
         for separator in SEPARATORS.values():
             header = [cell.strip('" ') for cell in text.strip().split(separator)]
-            service = None if header[0] == TIME else find_service(header, separator)
+            service = find_service(header, separator)
             if service is not None:
                 later = [line for line in head if line[0] > number]
                 start = (number, text.replace("#", " ", 1))

@@ -142,6 +142,11 @@ DWD_AIR = (
     "       1219;2024060101;    3;  11.0;  90.0;eor\n"
     "       1219;2024060102;    3;  12.0;  80.0;eor\n"
 )
+DWD_WIND = (
+    "STATIONS_ID;MESS_DATUM;QN_3;   F;   D;eor\n"
+    "       1219;2024060101;    3;   2.5; 230;eor\n"
+    "       1219;2024060102;    3;   5.0; 240;eor\n"
+)
 KNMI = (
     "# BRON: KONINKLIJK NEDERLANDS METEOROLOGISCH INSTITUUT (KNMI)\n"
     "# Opmerking: door stationsverplaatsingen en veranderingen in waarneemmethodieken\n#\n"
@@ -193,12 +198,16 @@ def test_hours_of_services(
 
 def test_hours_of_dwd(tmp_path: Path) -> None:
     """R1 of 01 UTC is the rain from midnight on, and TT_TU the temperature at its time."""
-    rain, air = tmp_path / "produkt_rr_stunde_1.txt", tmp_path / "produkt_tu_stunde_1.txt"
+    rain, air, wind = (tmp_path / f"produkt_{name}_stunde_1.txt" for name in ("rr", "tu", "ff"))
     rain.write_text(DWD_RAIN)
     air.write_text(DWD_AIR)
+    wind.write_text(DWD_WIND)
     alone = read_measured([rain], SITE)
     assert alone.first.isoformat() == "2024-05-31T23:00:00+00:00"
-    both = read_measured([air, rain], SITE)
+    both = read_measured([air, rain, wind], SITE)
+    assert both.values["wind speed"].tolist() == pytest.approx(
+        [np.nan, np.nan, 9.0, 18.0], nan_ok=True
+    )
     assert both.first == alone.first
     rain_of_hours, air_of_hours = both.values["precipitation"], both.values["temperature"]
     assert rain_of_hours.tolist() == pytest.approx([0.0, 1.5, np.nan, 0.2], nan_ok=True)

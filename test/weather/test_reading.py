@@ -295,6 +295,7 @@ def test_names_and_patterns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         (["c[1].csv"], ["c[1].csv"]),
         (["absent.csv"], ["absent.csv"]),  # reading it is an error
         ([str(tmp_path / "b-[1].csv")], ["b-1.csv"]),
+        ([str(tmp_path)], ["a.csv", "b-1.csv", "b-2.csv", "c[1].csv"]),  # a directory
     ):
         assert [path.name for path in find_files(names, "--weather")] == expected
     refusal(
