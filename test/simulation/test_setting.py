@@ -76,7 +76,7 @@ def test_the_first_rows_name_site_weather_and_period(command: str, tmp_path: Pat
 
 @pytest.mark.parametrize(("comment", "away"), [
     ("# latitude: 44.23, longitude: -76.50\n", 242.0),  # Kingston
-    ("# Station X\n# Longitude = -79.87\n# Latitude = 43.26\n", None),  # Hamilton, 56 km
+    ("# Station X\n# longitude: -79.87\n# latitude: 43.26\n", None),  # Hamilton, 56 km
     ("# latitude: 43.68\n# longitude: -79.63\n", 0.0),  # the airport, 19 km
     ("# Toronto\n", 0.0),  # no place
     ("# latitude: 43.68\n", 0.0),
