@@ -56,8 +56,8 @@ _WORDS = {
 }
 _OTHER = (
     r"gust|direction|\bdir|\bmax|\bmin\b|high|low\b|soil|inside|indoor|\bin temp|batt|panel|flag|"
-    r"quality|qualit|chill|index|evt|water|logger|_std|apparent|bucket|daily|event|month|year|week|"
-    r"sea ?level|relative pressure|altimeter|change|tendenc|vapo|24 h|total|racha|rate|heat|thw|wet"
+    r"quali|chill|index|evt|water|logger|_std|apparent|bucket|daily|event|month|year|week|"
+    r"sea ?level|relative pressure|altimeter|change|tendenc|vapo|24 h|total|racha|rate|heat|wet"
 )
 _OFFSET = re.compile(r"(?:UTC|GMT) ?([+-]\d{1,2})(?::?00)?\b")
 _UNKNOWN = '"?"'
