@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from argparse import Namespace
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -107,13 +108,22 @@ def _read_options(arguments: Namespace) -> Description | None:
             value = {
                 name: text.split("+") if name == TIME else text for name, _, text in pairs
             }
-        elif key.kind is not str and "tuple" not in str(key.kind):
-            value = float(value)
         elif key.name == "skiprows":
-            value = int(value[0]) if len(value) == 1 else [int(number) for number in value]
+            numbers = [_as_number(text) for text in value]
+            value = numbers[0] if len(numbers) == 1 else numbers
+        elif key.kind is not str and "tuple" not in str(key.kind):
+            value = _as_number(value)
         given[key.name] = value
     with rename_keys({key.name: _flag(key) for key in _options()}):
         return make_description(given) if given else None
+
+
+def _as_number(text: str) -> float | int | str:
+    """Return the number in a text; any other text is refused with the key of the description."""
+    for number in (int, float):
+        with suppress(ValueError):
+            return number(text)
+    return text
 
 
 @command

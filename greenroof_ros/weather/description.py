@@ -173,7 +173,7 @@ def _check(made: Description) -> None:
         "".encode(made.encoding)
     except LookupError:
         raise ConfigurationError(
-            "must be the name of an encoding, such as utf-8, cp1252 or utf-16", key="encoding",
+            "must be the name of an encoding, such as utf-8 or cp1252", key="encoding",
             value=made.encoding,
         ) from None
 
