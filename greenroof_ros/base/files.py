@@ -184,7 +184,7 @@ def read_lines(path: Path, encoding: str = "utf-8") -> Iterator[str]:
                 except UnicodeDecodeError as error:
                     form = "" if path.suffix in (".yaml", ".json") else " as CSV"
                     raise ConfigurationError(
-                        f"is not text in {encoding}; save it{form} in UTF-8, or state its encoding",
+                        f"is not {encoding.upper()} text; save it{form} in UTF-8",
                         file=path, line=number,
                     ) from error
                 if "\x00" in line:

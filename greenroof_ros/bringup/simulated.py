@@ -86,6 +86,7 @@ def simulated_run(arguments: argparse.Namespace) -> Run:
         ConfigurationError: if an option, or a file given by an option, is invalid.
     """
     run = build_run(arguments)
+    screen.print_weather(run.series.summary)
     if arguments.pump == EXTERNAL:
         run.sensor_and_pump.refuse_external_pump()
     return run

@@ -78,6 +78,7 @@ def main() -> None:
     """Simulate the run that the command line describes."""
     arguments = make_parser().parse_args()
     run = build_run(arguments)
+    screen.print_weather(run.series.summary)
     every = 0
     if arguments.trajectory or arguments.trajectory_every:
         every = run.count_ticks_between(arguments.trajectory_every)

@@ -27,7 +27,6 @@ from greenroof_ros.physics import sensor_and_pump
 from greenroof_ros.physics.start import INITIAL_STATES
 from greenroof_ros.simulation.inputs import INPUTS, make_inputs
 from greenroof_ros.simulation.run import Run
-from greenroof_ros.simulation.screen import print_weather
 
 
 def add_run_arguments(parser: Parser, arguments: Sequence[str] | None = None) -> None:
@@ -149,7 +148,7 @@ def read_controller(arguments: argparse.Namespace) -> tuple[ControllerChoice, di
 
 
 def build_run(arguments: argparse.Namespace) -> Run:
-    """Build and check the run that a command line specifies, and print what its weather contains.
+    """Build and check the run that a command line specifies.
 
     For a command without ``--controller``, only the site, the weather and the initial state matter.
 
@@ -161,6 +160,4 @@ def build_run(arguments: argparse.Namespace) -> Run:
         if "controller" in arguments:
             controller, parameters = read_controller(arguments)
         given = {name: getattr(arguments, name, None) for name in INPUTS}
-        run = make_inputs(controller, given | parameters).build()
-    print_weather(run.series.summary)
-    return run
+        return make_inputs(controller, given | parameters).build()

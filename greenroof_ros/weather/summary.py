@@ -70,7 +70,9 @@ def summarize(records: Records, site: Place, hours: range | None = None) -> dict
         name: _hottest_hour(values[name], first)
         for name in (RADIATION, TEMPERATURE) if name in values and _known(values[name]) >= _COURSE
     }
+    rates = records.minutes if records.minutes is not None else records.values[PRECIPITATION]
     statistics = {
+        "heaviest rain": float(np.nanmax(rates[part], initial=0.0)),
         **_judge_rain(values[PRECIPITATION], rain), **_judge_air(values),
         **_judge_sun(values, seconds, position),
     }

@@ -29,9 +29,9 @@ def test_a_disk_that_hangs_holds_no_one_up(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / ".numbers.json.part")
     numbers = NumberFile(tmp_path / "numbers.json")
     numbers.write({"a": 1.0})
-    numbers.write({"a": 2.0})
     numbers.close()
     wait_for(lambda: numbers.problem == "the disk does not respond", TOO_LONG_S, "the problem")
+    numbers.write({"a": 2.0})
     woken = (tmp_path / ".numbers.json.part").rename(tmp_path / "pipe")
     with woken.open() as pipe:  # the disk works again
         assert '"a": ' in pipe.read()

@@ -100,6 +100,16 @@ def test_wrong_clocks_are_noted(hours: int, statistic: str) -> None:
     assert any(note.startswith(f"{statistic}: ") for note in notes)
 
 
+def test_heavy_rain_in_minutes_is_noted() -> None:
+    """45 mm in five minutes are 540 mm/h; 41 mm are 492 mm/h."""
+    records = season()
+    for amount, is_noted in ((45.0, True), (41.0, False)):
+        minutes = np.zeros((records.hours, 60))
+        minutes[7, :5] = 12 * amount
+        notes = summarize(replace(records, minutes=minutes), SITE)["notes"]
+        assert is_noted == any(note.startswith("heaviest rain: 540 mm/h") for note in notes)
+
+
 def test_a_fraction_for_per_cent_is_noted() -> None:
     """Its dew point is that of 1 % of the humidity."""
     records = season()

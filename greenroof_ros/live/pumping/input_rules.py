@@ -16,7 +16,7 @@ from greenroof_ros.physics.parameters import PlantParameters, plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.physics.soil import retained_share
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
+from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, MUCH_RAIN, QUANTITIES
 
 # An input that has not arrived since the start is treated as silent after this time (s).
 _START_S = 10.0
@@ -26,7 +26,7 @@ _MARGIN = 1.5
 # narrower than this many tolerances. This takes some minutes.
 _SPIKE = 4.0
 # Above the world records of hourly rain and of daily evapotranspiration (m/s).
-_MAX_RAIN = QUANTITIES[PRECIPITATION].high / 1000 / 3600
+_MAX_RAIN = MUCH_RAIN / 1000 / 3600
 _MAX_EVAPOTRANSPIRATION = QUANTITIES[EVAPOTRANSPIRATION].high / 1000 / 86400
 # Maximum evapotranspiration of an hour (m/s), like max_loss of the delivery check; and the slowest
 # movement of a cistern that exceeds drift and unmeasured inflow, so that it counts: 5 mm/day.

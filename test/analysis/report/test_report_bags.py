@@ -251,7 +251,7 @@ def test_the_limits_are_the_sites(tmp_path: Path) -> None:
     ]).max()
     highest = {
         "roof_level": 1.0, "cistern_level": 9.0, "pump_flow": 3 * full,
-        "weather_precipitation": 0.5 / 3600, "weather_evapotranspiration": 0.05 / 86400 * 68.8,
+        "weather_precipitation": 2.0 / 3600, "weather_evapotranspiration": 0.05 / 86400 * 68.8,
     }
     for name, value in highest.items():
         loaded(small_bag(tmp_path / name, **{name: [value * (1 - 1e-6)] * 3}))
