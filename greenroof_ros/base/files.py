@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import codecs
 import hashlib
-import io
 import math
 import os
 import re
 from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from pathlib import Path, PosixPath
+from pathlib import Path
 from typing import Any, BinaryIO
 
 import yaml
@@ -129,23 +128,6 @@ def _refuse_other_kinds(path: Path, head: bytes) -> None:
     for pattern, what in _OTHER_KINDS:
         if re.match(pattern, start, re.IGNORECASE):
             raise ConfigurationError(what, file=path)
-
-
-class TextInMemory(PosixPath):
-    """Text in memory that is read like a file of the given name; the caller sets :attr:`text`."""
-
-    text = ""
-
-    def open(self, mode: str = "r", *_: object, **__: object) -> Any:
-        """Open the text for reading."""
-        stream = io.BufferedReader(io.BytesIO(self.text.encode()))
-        return stream if "b" in mode else io.TextIOWrapper(stream, "utf-8")
-
-    def exists(self, **_: object) -> bool:
-        """Return True."""
-        return True
-
-    is_file = exists
 
 
 def read_lines(path: Path, encoding: str = "utf-8") -> Iterator[str]:

@@ -7,6 +7,7 @@ import re
 import select
 import shlex
 import sys
+import tempfile
 import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,7 +21,7 @@ from greenroof_ros.base.command_line import (
     refuse_unwritable,
 )
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.files import TextInMemory, add_path_to_errors
+from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.ranges import read_number
 from greenroof_ros.commands.new_site_file import ASSUMED, format_new_site
@@ -212,12 +213,14 @@ def main() -> None:
     refuse_unwritable(output, (".yaml", ".yml"), "--output")
     _ask_what_is_missing(arguments)
     _check_clock(arguments.place, arguments.time_zone)
-    file = TextInMemory(output)
-    file.text = format_new_site(
+    text = format_new_site(
         _collect(arguments), valve=arguments.valve, mains=not arguments.no_mains
     )
     try:
-        site = read_site(file)
+        with tempfile.TemporaryDirectory() as directory:
+            file = Path(directory, output.name)
+            file.write_text(text, encoding="utf-8")
+            site = read_site(file)
     except ConfigurationError as error:
         raise ConfigurationError(
             f"no valid site file can be written from these answers: {error.wrong}"
@@ -227,7 +230,7 @@ def main() -> None:
     for note in (*_note_target(site), *note_pumps(site)):
         print(f"note: {note}", file=sys.stderr)
     with add_path_to_errors(output), output.open("x", encoding="utf-8") as stream:
-        stream.write(file.text)
+        stream.write(text)
     print(f"written: {output}, for a house at {format_place(*arguments.place)}")
     where = "a coastal place" if site.k_Rs == _COAST else "an interior place; --coast changes it"
     print(f"k_Rs:    {site.k_Rs}, for {where}")
