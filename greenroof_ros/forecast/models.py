@@ -47,7 +47,12 @@ from greenroof_ros.forecast.issue import (
 )
 from greenroof_ros.forecast.skill import Climate, Skill, read_skill
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
+from greenroof_ros.weather.quantities import (
+    EVAPOTRANSPIRATION,
+    MUCH_RAIN,
+    PRECIPITATION,
+    QUANTITIES,
+)
 from greenroof_ros.weather.records import HOUR
 from greenroof_ros.weather.series import Weather, select_records
 
@@ -403,7 +408,7 @@ class ErrorModel(ForecastModel):
         rain *= 1 + (skill.amount - 1) * unknown
         spread = skill.evapotranspiration * unknown
         return (
-            np.minimum(rain, QUANTITIES[PRECIPITATION].high),
+            np.minimum(rain, MUCH_RAIN),
             np.exp(spread * dry - spread**2 / 2),
         )
 
