@@ -125,6 +125,7 @@ class _Grid:
         # Every file is read once for all runs that use it in the same way.
         self._read_bytes = functools.cache(Path.read_bytes)
         self._read_weather = functools.cache(read_weather)
+        self._write_plain = functools.cache(write_plain)
         self._carry = functools.cache(self._carry_forecast)
 
     def cases(self) -> Iterator[Case]:
@@ -171,7 +172,7 @@ class _Grid:
             runs[key] = replace(alike, weather=weather).build()
             self._show_weather(runs[key])
         run = runs[key]
-        plain = write_plain(alike.weather, site.place)
+        plain = self._write_plain(alike.weather, site.place)
         if plain is None:
             files = tuple(map(self._input, run.weather.files))
         else:
