@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import sys
 
-from greenroof_ros.base.interrupts import end_on_interrupt, is_program
+from greenroof_ros.base.interrupts import begin_program
 
-if is_program(__name__):  # before the imports that take long
-    end_on_interrupt()
+begin_program(__name__)  # before the imports that take long
 
 import importlib
 from dataclasses import dataclass

@@ -156,7 +156,7 @@ def _become(
     tempfile.tempdir = None  # which TMPDIR decides
     sys.path[:0] = [cwd, *_python_path(env)]
     sys.argv = [module, *arguments]
-    importlib.import_module("greenroof_ros.base.interrupts").end_on_interrupt()
+    importlib.import_module("greenroof_ros.base.interrupts").begin_program("__main__")
     code = 0
     for name in (module, f"{module}.__main__"):  # imported above as a part of its package
         sys.modules.pop(name, None)

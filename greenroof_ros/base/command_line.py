@@ -9,13 +9,11 @@ import itertools
 import math
 import os
 import re
-import signal
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from greenroof_ros.base.errors import (
@@ -24,8 +22,8 @@ from greenroof_ros.base.errors import (
     describe_choices,
     find_similar,
 )
-from greenroof_ros.base.interrupts import INTERRUPTED, SIGNALS, end_interrupted
-from greenroof_ros.base.processes import end_with_parent, find_signal, store_signals
+from greenroof_ros.base.interrupts import INTERRUPTED
+from greenroof_ros.base.processes import InterruptedRun, end_with_parent
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.base.text import escape
 
@@ -37,77 +35,11 @@ EXIT_FAILED = 1
 EXIT_USAGE = 2
 EXIT_OCCUPIED = 3
 EXIT_INTERRUPTED = INTERRUPTED
-_HAS_TIMER = hasattr(signal, "setitimer")  # Windows has none
 
 
 def exit_code(error: Exception) -> int:
     """Return the exit code for a configuration error: 3 if another graph is running, or else 2."""
     return EXIT_OCCUPIED if isinstance(error, OccupiedError) else EXIT_USAGE
-
-
-class Interrupted(KeyboardInterrupt):
-    """Raised if a signal asks the command to stop; the message names the signal.
-
-    After a plain KeyboardInterrupt, Python may kill its own process with the signal, which would
-    make the exit code unpredictable.
-    """
-
-
-class _Interrupts:
-    """Signal handler that raises an error, and repeats it every second until the command stops.
-
-    Compiled code can discard an exception or replace it with another exception. A module that is
-    being imported can also discard an exception, or continue without a module that it tried to
-    import. Therefore the exception is raised after the import, or during the import if the import
-    takes a long time.
-    """
-
-    _IMPORT_S, _MAX_IMPORTS, _REPEAT_S = 0.05, 40, 1.0
-
-    def __init__(self) -> None:
-        self.received = 0
-        self._numbers = [
-            number for number in SIGNALS if signal.getsignal(number) is end_interrupted
-        ]
-        for number in self._numbers:
-            signal.signal(number, self)
-        if self._numbers:
-            store_signals()
-
-    def __call__(self, number: int, frame: FrameType | None) -> None:
-        self.received += 1
-        is_importing = False
-        while frame is not None and self.received <= self._MAX_IMPORTS:
-            is_importing |= frame.f_code.co_filename.startswith("<frozen importlib")
-            frame = frame.f_back
-        if _HAS_TIMER:
-            # As the signal again, for whatever handler is installed by then.
-            signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))
-            signal.setitimer(signal.ITIMER_REAL, self._IMPORT_S if is_importing else self._REPEAT_S)
-        if not (is_importing and _HAS_TIMER):
-            raise Interrupted(signal.Signals(number).name)
-
-    def end(self) -> None:
-        """Make all later signals kill the process immediately."""
-        for number in self._numbers:
-            signal.signal(number, end_interrupted)
-        if self.received:
-            end_repeats()
-
-
-def end_repeats() -> None:
-    """Stop raising :class:`Interrupted`, because the command is stopping and writing its result."""
-    if _HAS_TIMER:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-
-
-def check_interrupts() -> None:
-    """Raise :class:`Interrupted` if a signal was received, even if other code discarded it.
-
-    A user's class can handle signals itself, or discard a KeyboardInterrupt.
-    """
-    if (received := find_signal()) is not None:
-        raise Interrupted(received.name)
 
 
 def _discard_what_cannot_be_printed() -> None:
@@ -150,6 +82,9 @@ def command(
         except (ConfigurationError, argparse.ArgumentError) as error:
             _print_error(str(error))
             code = failed or exit_code(error)
+        except (InterruptedRun, KeyboardInterrupt) as error:
+            print(str(error) or "interrupted", file=sys.stderr)
+            code = EXIT_INTERRUPTED
         except OSError as error:
             if not isinstance(error, BrokenPipeError):
                 # When copying, it is the second file that has no room.
@@ -164,20 +99,7 @@ def command(
         end_with_parent()
         if isinstance(sys.stdout, io.TextIOWrapper):  # not if a Python caller replaced it
             sys.stdout.reconfigure(line_buffering=True)
-        interrupts = _Interrupts()
-        try:
-            code = run()
-            interrupts.end()
-            if interrupts.received:
-                raise Interrupted
-        except BaseException as error:
-            interrupts.end()
-            # Compiled code can turn it into any other error.
-            if not isinstance(error, KeyboardInterrupt) and not interrupts.received:
-                raise
-            print("interrupted", file=sys.stderr)
-            code = EXIT_INTERRUPTED
-        sys.exit(code)
+        sys.exit(run())
 
     return wrapper
 

@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and SIGHUP while a program's modules are imported, which takes up to seconds.
+"""The end of a program by Ctrl-C, SIGTERM and SIGHUP, from its first imports on.
 
 This module imports nothing that takes long, so that a program can call it first.
 """
@@ -21,45 +21,32 @@ SIGNALS = tuple(  # Windows has no SIGHUP
 """the signals that ask a process to end"""
 
 
-def is_program(module: str) -> bool:
-    """Return True if Python was started for a module of this package.
+def begin_program(module: str) -> bool:
+    """Let the signals end this process if it is a program of this package; return True if it is.
+
+    Signals that the shell has set to be ignored stay ignored. A command that has to close something
+    first handles the signals with :class:`greenroof_ros.base.processes.Signals`.
 
     Args:
         module: the module's ``__name__``. It is not ``__main__`` in the executables of pip, colcon
             and ``ros2 run``.
     """
     directory, _, name = sys.argv[0].rpartition("/")
-    return module == "__main__" or name == "greenroof" or directory.endswith("/lib/greenroof_ros")
-
-
-def end_interrupted(*_: Any) -> None:
-    """Exit on a signal, before a command handles signals or after it has ended.
-
-    A KeyboardInterrupt would print a traceback, or would raise another error in the import of a
-    compiled module. :func:`greenroof_ros.base.command_line.command` replaces this handler.
-    """
-    os.write(2, b"interrupted\n")
-    os._exit(INTERRUPTED)
-
-
-def end_on_interrupt() -> None:
-    """Let the signals end this process, except those that the shell has set to be ignored."""
+    is_executable = name == "greenroof" or directory.endswith("/lib/greenroof_ros")
+    if module != "__main__" and not is_executable:
+        return False
     for number in SIGNALS:
         if signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL):
-            signal.signal(number, end_interrupted)
+            signal.signal(number, _end_interrupted)
+    return True
 
 
-def begin_node(module: str) -> None:
-    """Begin a node's program, before its module imports ROS 2 and all else that takes long.
+def _end_interrupted(*_: Any) -> None:
+    """Exit at once.
 
-    From then on, a signal ends the program, and without ROS 2 the program exits with a one-line
-    error and code 2. Nothing is done if another program imports the module.
-
-    Args:
-        module: the module's ``__name__``.
+    A KeyboardInterrupt would print a traceback, or would raise another error in the import of a
+    compiled module; compiled code could even discard it.
     """
-    if is_program(module):
-        end_on_interrupt()
-        from greenroof_ros.base.ros_environment import end_without_ros
-
-        end_without_ros()
+    show_cursor = b"\x1b[?25h" if os.isatty(2) else b""  # a progress bar hides it
+    os.write(2, show_cursor + b"interrupted\n")
+    os._exit(INTERRUPTED)

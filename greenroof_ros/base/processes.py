@@ -186,28 +186,6 @@ def refuse_forked_polars() -> None:
 _IMPORTED_BY = os.getpid()
 if hasattr(os, "register_at_fork"):  # Windows does not fork
     os.register_at_fork(before=_watch_polars)
-# Sockets between which Python sends the number of each signal; None until it is set up. On Windows,
-# numbers cannot be sent through a pipe.
-_stored: tuple[socket.socket, socket.socket] | None = None
-
-
-def store_signals() -> None:
-    """Store every signal from now on for :func:`find_signal`, whatever code handles the signal."""
-    global _stored
-    _stored = socket.socketpair()
-    for end in _stored:
-        end.setblocking(False)
-    signal.set_wakeup_fd(_stored[1].fileno(), warn_on_full_buffer=False)
-
-
-def find_signal() -> signal.Signals | None:
-    """Return a stop signal received since the last call; None if none was received."""
-    if _stored is not None:
-        with contextlib.suppress(BlockingIOError):
-            for number in _stored[0].recv(4096):
-                if number in SIGNALS:
-                    return signal.Signals(number)
-    return None
 
 
 def count_cores() -> int:
@@ -227,25 +205,44 @@ class Signals:
     An exception from the handler could interrupt any code, even the shutdown of the nodes. A signal
     that the process already ignores stays ignored: under ``nohup`` a process ignores the closing of
     its terminal, and a shell makes background processes ignore Ctrl-C.
+
+    Python also sends the number of every signal through a socket. So a signal is found even if
+    other code, such as a controller of the user, handles the signal or discards the exception.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, interrupt: bool = False) -> None:
+        """Handle the signals from now on.
+
+        Args:
+            interrupt: True to raise a KeyboardInterrupt at each signal, for code that might not
+                reach a safe point for a long time.
+        """
         self._received: signal.Signals | None = None
+        self._interrupt = interrupt
+        self._numbers, self._sender = socket.socketpair()  # on Windows, a pipe would not do
+        for end in (self._numbers, self._sender):
+            end.setblocking(False)
+        signal.set_wakeup_fd(self._sender.fileno(), warn_on_full_buffer=False)
         for number in SIGNALS:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._on_signal)
 
-    def _on_signal(self, signum: int, frame: Any) -> None:
-        self._received = signal.Signals(signum)
+    def _on_signal(self, number: int, frame: Any) -> None:
+        self._received = signal.Signals(number)
+        if self._interrupt:
+            raise KeyboardInterrupt
 
     @property
     def received(self) -> signal.Signals | None:
         """The signal received so far, even if other code handled it; None if there was none."""
-        self._received = self._received or find_signal()
+        with contextlib.suppress(BlockingIOError):
+            for number in self._numbers.recv(4096):
+                if number in SIGNALS:
+                    self._received = signal.Signals(number)
         return self._received
 
     def ignore(self) -> None:
-        """Ignore all later signals, which would interrupt the shutdown of the interpreter."""
+        """Ignore all later signals, which would interrupt the end of the run or the interpreter."""
         for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
 

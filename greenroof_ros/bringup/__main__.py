@@ -1,9 +1,8 @@
 """``python -m greenroof_ros.bringup`` is equivalent to ``greenroof run``."""
 
-from greenroof_ros.base.interrupts import end_on_interrupt, is_program
+from greenroof_ros.base.interrupts import begin_program
 
-if is_program(__name__):
-    end_on_interrupt()
+begin_program(__name__)
 
 from greenroof_ros.bringup.simulated import main
 

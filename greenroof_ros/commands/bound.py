@@ -8,7 +8,6 @@ from greenroof_ros.base.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
     Parser,
-    check_interrupts,
     command,
     make_number_type,
 )
@@ -67,7 +66,6 @@ def _print_frontier(run: Run, as_json: bool) -> None:
     """Print the minimum discharge in wet weather for every amount of mains water."""
     with ProgressBar() as bar:
         def report(share: float) -> None:
-            check_interrupts()
             bar.show(hours_minutes_seconds(share * run.steps * run.site.tau), share)
 
         summary, trajectory = simulate(run, every=1, progress=report)

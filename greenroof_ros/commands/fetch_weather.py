@@ -21,6 +21,7 @@ from greenroof_ros.base.command_line import (
 )
 from greenroof_ros.base.files import replace_text
 from greenroof_ros.base.http import ServiceError
+from greenroof_ros.base.processes import Signals
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.times import FIRST_YEAR, to_people
 from greenroof_ros.site.file import read_site
@@ -142,6 +143,7 @@ def main() -> int:
     else:
         source = eccc_station(arguments.eccc, site, arguments.years, now.date(), arguments.url)
     part = output.with_name(f"{output.name}.part")
+    Signals(interrupt=True)  # a message says what is kept
     try:
         with ProgressBar() as progress:
             files = fetch(source, site, part, arguments.pause, progress)

@@ -14,14 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from greenroof_ros.base.command_line import (
-    Parser,
-    check_interrupts,
-    command,
-    end_repeats,
-    make_number_type,
-)
+from greenroof_ros.base.command_line import Parser, command, make_number_type
 from greenroof_ros.base.files import add_path_to_errors
+from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.base.progress import INTERVAL_S, RunProgress
 from greenroof_ros.base.times import hours_minutes_seconds
 from greenroof_ros.controllers.onoff import OnOff
@@ -83,7 +78,8 @@ def main() -> None:
     if arguments.trajectory or arguments.trajectory_every:
         every = run.count_ticks_between(arguments.trajectory_every)
     simulation = Simulation(run)  # if a controller cannot be made, there is no directory
-    directory, position = make_run_directory(arguments.output, run.controller.name), _At()
+    position = _At(Signals(interrupt=True))
+    directory = make_run_directory(arguments.output, run.controller.name)
     with _described(run, position, directory):
         write_configuration(directory, run, {})
         with RunProgress(run.steps, run.site.tau) as progress:
@@ -98,13 +94,14 @@ def main() -> None:
                 result = _simulate_at_once(run, every, directory / CSV, position, progress)
         summary.write(result, directory)
     screen.show_summary(result, directory, as_json=arguments.json)
-    check_interrupts()
+    position.signals.check()
 
 
 @dataclass
 class _At:
-    """The last tick that was simulated; None before the first."""
+    """The signals received so far, and the last simulated tick; None before the first."""
 
+    signals: Signals
     tick: int | None = None
 
 
@@ -119,13 +116,16 @@ def _described(run: Run, position: _At, directory: Path) -> Iterator[None]:
     try:
         write(summary.RUNNING)
         yield
-    except KeyboardInterrupt as error:
-        end_repeats()
-        write(summary.INTERRUPTED, f"interrupted by {error}")
-        raise
-    except Exception as error:
-        write(summary.FAILED, str(error))
-        raise
+    except (Exception, KeyboardInterrupt) as error:
+        received = position.signals.received
+        position.signals.ignore()
+        if received is None:
+            write(summary.FAILED, str(error))
+            raise
+        # Compiled code and a user's class can turn the interrupt into any other error.
+        reason = f"interrupted by {received.name}"
+        write(summary.INTERRUPTED, reason)
+        raise InterruptedRun(reason) from error
 
 
 def _paced(
@@ -140,7 +140,7 @@ def _paced(
         if speed:
             time.sleep(max(0.0, began + tick.k * run.site.tau / speed - now))
         if now - shown > INTERVAL_S or tick.k == run.steps:
-            check_interrupts()
+            position.signals.check()
             shown = now
             progress.show_tick(tick.k, tick.cistern_level, tick.roof_level, tick.command)
 
@@ -168,7 +168,7 @@ def _simulate_at_once(
         progress: progress bar.
     """
     def show(share: float) -> None:
-        check_interrupts()
+        position.signals.check()
         position.tick = round(share * (run.steps + 1)) - 1
         progress.show(hours_minutes_seconds(position.tick * run.site.tau), share)
 

@@ -11,18 +11,30 @@ neither problem, but makes each tick a little longer.
 
 from __future__ import annotations
 
+import importlib.util
 import os
+import re
+import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.base.errors import ConfigurationError, OccupiedError, describe_extra
+from greenroof_ros.base.errors import (
+    ConfigurationError,
+    OccupiedError,
+    describe_choices,
+    describe_extra,
+)
 from greenroof_ros.base.files import shared_directory
 from greenroof_ros.base.processes import LockedError, acquire_name_lock
-from greenroof_ros.base.ros_environment import DISCOVERY, check_environment, read_domain
+from greenroof_ros.base.ranges import Range
 
+_DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+_RANGES = ("LOCALHOST", "SUBNET", "SYSTEM_DEFAULT", "OFF")
+# From this number on, a domain's ports overlap the system's ephemeral ports.
+_LAST_DOMAIN = 101
 # Used in all profiles files: how long the others consider a killed process to be there (s). In
 # lockstep, a node stopped for longer than this is discovered a second time, and its recent messages
 # come twice.
@@ -38,6 +50,52 @@ _LISTEN_S = 1.0
 # when Python frees its last objects at exit. No Python code runs then, so the kernel must end the
 # process (SIGALRM).
 SHUTDOWN_S = 6
+
+
+def end_without_ros() -> None:
+    """Exit with a one-line error and code 2 if ROS 2 is missing."""
+    try:
+        _check_ros()
+    except ConfigurationError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+def check_environment() -> None:
+    """Check that ROS 2 can be loaded, and will use the domain and range in the environment.
+
+    Raises:
+        ConfigurationError: if ROS 2 is missing, or if ROS would silently use another domain or
+            range, so that messages might leave the machine.
+    """
+    _check_ros()
+    read_domain()
+    scope = os.environ.get(_DISCOVERY)
+    if scope and scope not in _RANGES:
+        raise ConfigurationError(describe_choices(_RANGES, scope), key=_DISCOVERY, value=scope)
+
+
+def _check_ros() -> None:
+    if importlib.util.find_spec("rclpy") is None:
+        raise ConfigurationError(
+            f"ROS 2 is not available: source your ROS 2, or {describe_extra('ros')}; "
+            "greenroof simulate does not need ROS 2"
+        )
+
+
+def read_domain() -> int:
+    """Return the number of the ROS domain.
+
+    Raises:
+        ConfigurationError: if the variable is not the number of a domain that has ports, or if ROS
+            would read it as an octal number.
+    """
+    text = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not re.fullmatch("0|[1-9][0-9]{0,2}", text) or int(text) > _LAST_DOMAIN:
+        raise ConfigurationError(
+            Range(0, _LAST_DOMAIN, whole=True).expected(), key="ROS_DOMAIN_ID", value=text
+        )
+    return int(text)
 
 
 @contextmanager
@@ -74,14 +132,13 @@ def choose_transport() -> None:
     sockets to the loopback interface.
 
     Raises:
-        ConfigurationError: if :func:`greenroof_ros.base.ros_environment.check_environment` raises
-            one.
+        ConfigurationError: if :func:`check_environment` raises one.
     """
     check_environment()
     import rclpy
 
     # To ROS, empty means SUBNET.
-    discovery = os.environ[DISCOVERY] = os.environ.get(DISCOVERY) or "LOCALHOST"
+    discovery = os.environ[_DISCOVERY] = os.environ.get(_DISCOVERY) or "LOCALHOST"
     fast_dds = rclpy.get_rmw_implementation_identifier().startswith("rmw_fastrtps")
     if not fast_dds or any(map(os.environ.get, _PROFILES)):
         return
@@ -89,7 +146,7 @@ def choose_transport() -> None:
     is_3 = _is_fast_dds_3()
     variable, name = _PROFILES[is_3], "fastdds3" if is_3 else "fastdds"
     if discovery == "LOCALHOST":
-        os.environ[DISCOVERY] = "SYSTEM_DEFAULT"
+        os.environ[_DISCOVERY] = "SYSTEM_DEFAULT"
         name += "_loopback"
     else:
         os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")

@@ -7,7 +7,7 @@ any class specified as ``package.module:Class``; the node is named after the con
 
 from __future__ import annotations
 
-from greenroof_ros.base.interrupts import begin_node
+from greenroof_ros.graph import begin_node
 
 begin_node(__name__)
 

@@ -18,7 +18,7 @@ since 1970) delivers a volume once, or returns the reason for rejecting the requ
 
 from __future__ import annotations
 
-from greenroof_ros.base.interrupts import begin_node
+from greenroof_ros.graph import begin_node
 
 begin_node(__name__)
 

@@ -10,7 +10,7 @@ otherwise, one report per node is recorded every ten seconds.
 
 from __future__ import annotations
 
-from greenroof_ros.base.interrupts import begin_node
+from greenroof_ros.graph import begin_node
 
 begin_node(__name__)
 

@@ -8,7 +8,7 @@ and the reason is reported on /diagnostics; the last value then becomes too old 
 
 from __future__ import annotations
 
-from greenroof_ros.base.interrupts import begin_node
+from greenroof_ros.graph import begin_node
 
 begin_node(__name__)
 

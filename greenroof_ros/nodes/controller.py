@@ -6,7 +6,7 @@ any class given as ``package.module:Class``. The node has the name of the contro
 
 from __future__ import annotations
 
-from greenroof_ros.base.interrupts import begin_node
+from greenroof_ros.graph import begin_node
 
 begin_node(__name__)
 

@@ -7,7 +7,7 @@ publishes the clock and the levels of tick k + 1, followed by the flows of tick 
 
 from __future__ import annotations
 
-from greenroof_ros.base.interrupts import begin_node
+from greenroof_ros.graph import begin_node
 
 begin_node(__name__)
 

@@ -1,4 +1,4 @@
-"""The lock that keeps two bringups out of one namespace, the transport, and the executor."""
+"""The environment, the lock of a namespace, the transport, and the executor."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from xml.etree import ElementTree
 
 import pytest
 from places import CONFIG
+from refusals import refusal
 
 from greenroof_ros.base.errors import OccupiedError
-from greenroof_ros.graph.domain import lock_namespace
+from greenroof_ros.graph.domain import check_environment, lock_namespace
 
 
 def test_one_bringup_in_a_namespace(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -64,3 +65,23 @@ def test_an_rclpy_without_the_fast_executor(monkeypatch: pytest.MonkeyPatch) -> 
         assert isinstance(make_executor(), SingleThreadedExecutor)
     finally:
         rclpy.try_shutdown()
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "words"),
+    [
+        ("ROS_DOMAIN_ID", "abc", "must be a whole number from 0 to 101"),
+        ("ROS_DOMAIN_ID", "010", "must be a whole number"),  # rcl reads 8
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "localhost", "did you mean LOCALHOST?"),  # rcl: SUBNET
+    ],
+)
+def test_values_that_ros_would_replace(
+    variable: str, value: str, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With its own values, messages may leave this machine. It takes an empty one as not set."""
+    pytest.importorskip("rclpy", reason="it is about ROS 2")
+    monkeypatch.setenv(variable, value)
+    message = refusal(check_environment)
+    assert message.startswith(f"{variable} = {value!r}: ") and words in message
+    monkeypatch.setenv(variable, "")  # as if it were not set
+    check_environment()

@@ -20,6 +20,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from greenroof_ros.base.command_line import CheckResult
 from greenroof_ros.base.errors import ConfigurationError, OccupiedError
+from greenroof_ros.base.processes import Signals
 from greenroof_ros.base.standard_error import ProgressLines
 from greenroof_ros.graph.domain import choose_transport
 from greenroof_ros.graph.errors import MalformedMessageError
@@ -324,6 +325,7 @@ def check_node(
         OccupiedError: if other nodes already publish the topics that the check publishes.
     """
     choose_transport()
+    Signals(interrupt=True)  # the node leaves the graph
     namespace, _, tested_name = tested.rpartition("/")
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
