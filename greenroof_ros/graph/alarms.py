@@ -7,7 +7,7 @@ its sockets to this module; the page, the status command and the bridge pass the
 the duration of each fault. Therefore all observers see the same alarms, with the same node, part,
 code and beginning. A node that died counts as lost from its last report on /diagnostics onwards,
 even if it is restarted before its silence alone would have been noticed. The supervisor prints the
-alarms and records them next to the bag (:mod:`greenroof_ros.interface.alarm`), and the bag
+alarms and records them next to the bag (:mod:`greenroof_ros.live.alarm_log`), and the bag
 contains the reports themselves. Therefore alarms need not be published, and no alarm is hidden if
 the supervisor dies.
 """
@@ -20,15 +20,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Any, NamedTuple
 
-from greenroof_ros.interface.alarm import (
-    ERROR,
-    LEVELS,
-    OK,
-    STALE,
-    WARN,
-    Alarm,
-    Change,
-)
+from greenroof_ros.interface.alarm import ERROR, LEVELS, OK, STALE, WARN, Alarm
 from greenroof_ros.interface.conditions import (
     Condition,
     Diagnosis,
@@ -55,6 +47,20 @@ _AHEAD_S = 60.0
 _MAX_OVER, _MAX_ABOUT = 20, 10
 # Endings of the names of statuses about what a node receives: they explain nothing elsewhere.
 _OF_INPUTS = ": inputs", ": refused"
+
+
+class Change(NamedTuple):
+    """A change in an alarm.
+
+    Attributes:
+        what: type of the change: ``begins``, ``changes`` (of the level or the cause), ``ends`` or
+            ``returns``.
+        alarm: the alarm after the change.
+    """
+
+    what: str
+    alarm: Alarm
+
 
 @dataclass(frozen=True)
 class StatusDiagnosis:

@@ -72,18 +72,16 @@ class Condition:
         """Whether a person has to go to the pump, whatever the cause."""
         return self.by_hand or (self.interlock is not None and self.interlock.kind == LATCHED)
 
-    def advise(self, node: str, role: str = "", reset: str = "") -> str:
+    def advise(self, node: str, role: str = "") -> str:
         """Return the advice on the condition.
 
         Args:
-            node: fully qualified name of the node, for the services that the advice names.
+            node: fully qualified name of the node, for the commands that the advice names.
             role: the node's role in the interface.
-            reset: instruction for clearing a fault; if empty, the command ``greenroof reset`` is
-                used.
         """
         return self.by_role.get(role, self.advice).format(
             node=node,
-            reset=reset or command_for(node, "reset"),
+            reset=f"{command_for(node, 'reset')}, in a terminal on the site's machine",
             release=command_for(node, "release"),
         )
 

@@ -29,13 +29,14 @@ from greenroof_ros.base.processes import (
     scratch_directory,
 )
 from greenroof_ros.base.standard_error import print_line
+from greenroof_ros.base.text import number_of
 from greenroof_ros.base.times import iso
 from greenroof_ros.base.versions import versions
 from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL
 from greenroof_ros.graph.alarms import Judge
 from greenroof_ros.graph.domain import lock_namespace, refuse_other_nodes, require_ros
 from greenroof_ros.graph.parameter_file import node_parameter_files
-from greenroof_ros.interface.alarm import WARN, add_alarm_count, advise
+from greenroof_ros.interface.alarm import WARN, advise
 from greenroof_ros.interface.states import PUMP, DriveState, PumpState
 from greenroof_ros.live.live_site import MIN_BAG_MB, LiveSite
 from greenroof_ros.live.pumping.ledger import RECORD, make_record
@@ -149,7 +150,8 @@ def _report_end(record: _SiteRecord, supervisor: LiveSupervisor, error: Exceptio
         record.write(summary.DONE, str(error))
         record.wait()
         print_line(f"{error}: the pump and the nodes are being stopped")
-        print_line(add_alarm_count("done", record.alarms.log.count))
+        count = record.alarms.log.count
+        print_line(f"done, with {number_of(count, 'alarm')}" if count else "done")
         return EXIT_DONE
     reason, last_lines, code = str(error), "", EXIT_FAILED
     if isinstance(error, NodeFailed):

@@ -30,7 +30,7 @@ from rosbags.highlevel import AnyReader
 from simulators import Simulator, serial_line
 
 from greenroof_ros.base.files import read_yaml
-from greenroof_ros.interface.alarm import read_alarms
+from greenroof_ros.results.alarm_file import read_alarms
 
 EXTERNAL = (
     "--controller", "mpc", "--sensors", "external", "--pump", "external", "--weather", "external",

@@ -18,10 +18,11 @@ import pytest
 from greenroof_ros import __version__
 from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.times import iso
-from greenroof_ros.interface.alarm import ALARMS, read_alarms
+from greenroof_ros.interface.alarm import ALARMS
 from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.supervisor import NodeStart
 from greenroof_ros.live.supervisor_socket import read_report
+from greenroof_ros.results.alarm_file import read_alarms
 from greenroof_ros.watch.alarms import list_alarms
 from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.wire import WireStatus

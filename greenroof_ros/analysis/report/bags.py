@@ -16,7 +16,7 @@ from greenroof_ros.analysis.report.run import About, ReportedRun, Row, load_traj
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.times import to_people
-from greenroof_ros.interface.alarm import read_alarms
+from greenroof_ros.results.alarm_file import read_alarms
 from greenroof_ros.results.bag_read import load_bag
 from greenroof_ros.results.bag_write import METADATA, name_recovered_bag
 from greenroof_ros.results.table import event_rows, format_exactly

@@ -10,16 +10,11 @@ from pathlib import Path
 import pytest
 
 from greenroof_ros.base.disk import DISK
-from greenroof_ros.interface import alarm as alarms
-from greenroof_ros.interface.alarm import (
-    ALARMS,
-    Alarm,
-    AlarmLog,
-    Change,
-    add_alarm_count,
-    read_alarms,
-    to_record,
-)
+from greenroof_ros.graph.alarms import Change
+from greenroof_ros.interface.alarm import ALARMS, Alarm, to_record
+from greenroof_ros.live import alarm_log
+from greenroof_ros.live.alarm_log import AlarmLog
+from greenroof_ros.results.alarm_file import read_alarms
 
 BEGAN = 1_795_000_000.25
 LOST = Alarm(
@@ -62,12 +57,8 @@ def test_each_change_is_printed_and_stored_at_once(tmp_path: Path) -> None:
     assert read_alarms(tmp_path) == [ends().alarm, begins(2, **follows).alarm]
     assert log.as_records() == [*map(to_record, read_alarms(tmp_path))]
     assert (log.count, log.changes) == (1, 6)
-    assert add_alarm_count("done", log.count) == "done, with 1 alarm"
     first = json.loads((tmp_path / ALARMS).read_text().splitlines()[0])
     assert first["since"] == "2026-11-18T11:06:40.250+00:00" and first["ended"] is None
-    (tmp_path / ALARMS).unlink()
-    (tmp_path / "summary.json").write_text(json.dumps({"alarms": log.as_records()}))
-    assert [alarm.number for alarm in read_alarms(tmp_path)] == [1, 2]
 
 
 def test_another_start_keeps_what_was_before(tmp_path: Path) -> None:
@@ -97,7 +88,7 @@ def test_a_killed_change_of_files_loses_no_number(tmp_path: Path, cut: str) -> N
 
 def test_a_flapping_sensor_fills_no_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two files keep the newest; what lasts is kept whenever it began."""
-    monkeypatch.setattr(alarms, "_FULL", 20_000)
+    monkeypatch.setattr(alarm_log, "_FULL", 20_000)
     log = written(tmp_path, begins(part="state file"))
     for number in range(2, 502):
         log.add([begins(number), ends(number)])
@@ -125,11 +116,3 @@ def test_a_disk_that_is_full_and_a_damaged_file_stop_no_one(tmp_path: Path) -> N
             read_alarms(tmp_path)
         written(tmp_path, read=printed.append)
         assert "alarms from before this start will not be shown" in printed[-1]
-    (tmp_path / ALARMS).unlink()
-    for foreign in ({"alarms": 7}, {"alarms": [7]}, {"alarms": [{}]}):
-        (tmp_path / "summary.json").write_text(json.dumps(foreign))
-        with pytest.raises(ValueError, match="an entry of alarms is not an alarm"):
-            read_alarms(tmp_path)
-    for other in ("{", "[]", "[" * 100_000):
-        (tmp_path / "summary.json").write_text(other)
-        assert read_alarms(tmp_path) == []
