@@ -16,10 +16,14 @@ import yaml
 
 from greenroof_ros.base.errors import ConfigurationError
 
-try:  # libyaml is ten times as fast, and every process reads the interface when it starts
-    from yaml import CBaseLoader as _Loader
-except ImportError:
-    from yaml import BaseLoader as _Loader  # type: ignore[assignment]
+# libyaml is ten times as fast, and every process reads the interface when it starts.
+_BaseLoader: Any = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
+
+
+class _Loader(_BaseLoader):  # type: ignore[misc]
+    def resolve(self, *_: object) -> str:
+        """Give no node a tag, except the tags in the text."""
+        return ""
 
 
 def shared_directory() -> Path:
@@ -265,89 +269,54 @@ def parse_yaml(text: str, path: Path) -> Any:
     """
     if len(text) > _MAX_YAML:
         raise ConfigurationError(f"is longer than {_MAX_YAML / 1e6:g} MB", file=path)
-    reader = _YamlReader(text)
     try:
-        return reader.read()
+        node = yaml.compose(text, Loader=_Loader)
+        return None if node is None else _YamlValues(len(text) + _MAX_ALIASED).read(node)
     except yaml.MarkedYAMLError as error:
-        mark, problem = error.problem_mark, error.problem
+        mark = error.problem_mark
+        problem = ", ".join(filter(None, (error.context, error.problem)))
         if mark and text[mark.index:mark.index + 1] == "\t":
             problem = "indent with spaces, not tabs"
         line = mark.line + 1 if mark else None
         raise ConfigurationError(f"is not valid YAML: {problem}", file=path, line=line) from error
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, RecursionError) as error:
         raise ConfigurationError(f"is not valid YAML: {error}", file=path) from error
 
 
-class _YamlReader:
-    """Reader of the events in a YAML text, whose recursion is limited.
+class _YamlValues:
+    """Reader of the values of YAML nodes; an alias is read again wherever it stands."""
 
-    An alias adds a reference to its value, but the code that uses the values repeats it.
-    """
+    def __init__(self, most: int) -> None:
+        self._left = most  # values
 
-    def __init__(self, text: str) -> None:
-        self._events: Iterator[Any] = yaml.parse(text, Loader=_Loader)
-        self._anchors: dict[str, tuple[Any, int]] = {}  # each value, with its number of values
-        self._count, self._most = 0, len(text) + _MAX_ALIASED  # values
-
-    def read(self) -> Any:
-        """Return the value of the only document; None if there is none."""
-        next(self._events)  # the start of the stream
-        if isinstance(next(self._events), yaml.StreamEndEvent):
-            return None
-        value = self._value(next(self._events), 0)
-        next(self._events)  # the end of the document
-        if not isinstance(after := next(self._events), yaml.StreamEndEvent):
-            raise _at(after, "there must not be a second document")
-        return value
-
-    def _value(self, event: Any, depth: int) -> Any:
-        """Return the value that begins with an event."""
-        if isinstance(event, yaml.AliasEvent):
-            return self._repeat(event)
-        if event.tag is not None:
-            raise _at(event, f"values must not have tags such as {event.tag!r}")
+    def read(self, node: yaml.Node, depth: int = 0) -> Any:
+        """Return the value of a node at a depth of nesting."""
+        self._left -= 1
+        if self._left < 0:
+            raise _at(node, f"its aliases (*NAME) add more than {_MAX_ALIASED} values")
+        if node.tag:
+            raise _at(node, f"values must not have tags such as {node.tag!r}")
         if depth > _DEEPEST:
-            raise _at(event, f"is nested more than {_DEEPEST} levels deep")
-        before = self._count
-        self._count += 1
-        value: Any
-        if isinstance(event, yaml.ScalarEvent):
-            value = event.value if event.style in ("'", '"') else _parse_plain(event.value)
-        elif isinstance(event, yaml.MappingStartEvent):
-            value = self._mapping(depth + 1)
-        else:
-            value = []
-            while not isinstance(item := next(self._events), yaml.SequenceEndEvent):
-                value.append(self._value(item, depth + 1))
-        if event.anchor:
-            self._anchors[event.anchor] = value, self._count - before
-        return value
-
-    def _mapping(self, depth: int) -> YamlMapping:
+            raise _at(node, f"is nested more than {_DEEPEST} levels deep")
+        if isinstance(node, yaml.ScalarNode):
+            return node.value if node.style in ("'", '"') else _parse_plain(node.value)
+        if isinstance(node, yaml.SequenceNode):
+            return [self.read(item, depth + 1) for item in node.value]
         mapping = YamlMapping()
-        while not isinstance(key := next(self._events), yaml.MappingEndEvent):
-            line = key.start_mark.line + 1
-            if not isinstance(key, yaml.ScalarEvent) or key.tag is not None:
+        for key, value in node.value:
+            name = key.value
+            if not isinstance(key, yaml.ScalarNode) or key.tag:
                 raise _at(key, "a key must be text without a tag")
-            if (name := key.value) in mapping:
+            if name in mapping:
                 first = mapping.lines[name]
                 raise _at(key, f"the key {name} appears twice, first on line {first}")
-            mapping[name] = self._value(next(self._events), depth)
-            mapping.lines[name] = line
+            mapping[name] = self.read(value, depth + 1)
+            mapping.lines[name] = key.start_mark.line + 1
         return mapping
 
-    def _repeat(self, alias: Any) -> Any:
-        if alias.anchor not in self._anchors:
-            raise _at(alias, f"*{alias.anchor} has no value before it")
-        value, size = self._anchors[alias.anchor]
-        self._count += size
-        if self._count > self._most:
-            raise _at(alias, f"its aliases (*NAME) add more than {_MAX_ALIASED} values")
-        return value
 
-
-def _at(event: Any, problem: str) -> yaml.MarkedYAMLError:
-    return yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
+def _at(node: yaml.Node, problem: str) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
 
 
 @contextmanager
