@@ -31,10 +31,14 @@ class DiskThread:
             thread.
     """
 
-    def __init__(self) -> None:
-        """Create the object without jobs; the thread does not start yet."""
+    def __init__(self, room: int = _ROOM) -> None:
+        """Create the object without jobs; the thread does not start yet.
+
+        Args:
+            room: the most that may wait (bytes).
+        """
         self.refused = 0
-        self._room = _ROOM  # free (bytes)
+        self._room = room  # free (bytes)
         # Each waiting job's size (bytes), and when it was requested (steady clock, s).
         self._waiting: OrderedDict[Callable[[], object], tuple[int, float]] = OrderedDict()
         self._oldest = math.inf  # when the job being done was requested; inf if there is none

@@ -7,15 +7,15 @@ from __future__ import annotations
 
 import atexit
 import os
-import threading
 import time
-from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
 
 from greenroof_ros.base.disk import DiskThread
 
-# How many lines may wait, and how long the end of the process waits for them (s).
-_MAX_LINES, _END_S = 1000, 2.0
+# How much may wait (bytes), and how long the end of the process waits for it (s).
+_ROOM, _END_S = 1_000_000, 2.0
 # How often progress is printed, and how often a line that others can cause (s).
 _EVERY_S, _SELDOM_S = 10.0, 60.0
 
@@ -25,7 +25,7 @@ class Lines:
 
     A terminal stopped with Ctrl-S blocks as well. A separate thread writes the lines, so that
     writing logs and the summary does not wait for the reader of standard error. If too many lines
-    are waiting, the oldest are dropped, and their number is printed.
+    are waiting, further lines are dropped, and their number is printed.
     """
 
     def __init__(self, number: int) -> None:
@@ -36,12 +36,10 @@ class Lines:
                 the stream holds its lock, and the interpreter would wait for the lock at exit.
         """
         self._number = number
-        self._waiting: deque[str] = deque()
-        self._dropped = 0
+        self._told = 0  # number of dropped lines that have been reported
         # By kind: when the next line is due (steady clock, s), and how many were left out.
         self._kinds: dict[str, tuple[float, int]] = {}
-        self._lock = threading.Lock()
-        self._thread = DiskThread()
+        self._thread = DiskThread(_ROOM)
 
     def print_line(self, text: str) -> None:
         """Queue one or more lines for writing, and return immediately."""
@@ -56,23 +54,18 @@ class Lines:
             text: one or more lines.
         """
         now = time.monotonic()
-        with self._lock:
-            due, left_out = self._kinds.get(kind, (0.0, 0))
-            if now < due:
-                self._kinds[kind] = due, left_out + 1
-                return
-            self._kinds[kind] = now + _SELDOM_S, 0
+        due, left_out = self._kinds.get(kind, (0.0, 0))
+        if now < due:
+            self._kinds[kind] = due, left_out + 1
+            return
+        self._kinds[kind] = now + _SELDOM_S, 0
         more = f" (and {left_out} similar messages before it)" if left_out else ""
         self.print_line(text + more)
 
     def write(self, text: str) -> None:
         """Queue a text; with ``flush`` and ``isatty``, progress bars can use this as a file."""
-        with self._lock:
-            if len(self._waiting) == _MAX_LINES:
-                self._waiting.popleft()
-                self._dropped += 1
-            self._waiting.append(text)
-        self._thread.do(self._write)
+        data = text.encode(errors="backslashreplace")
+        self._thread.do(partial(self._write, data, self._thread.refused), len(data))
 
     def flush(self) -> None:
         """Do nothing, because all texts are written as soon as possible."""
@@ -85,22 +78,14 @@ class Lines:
         """Wait up to the given time (s) until all texts are written; return True if they are."""
         return self._thread.wait(within)
 
-    def _write(self) -> None:
-        """Write the waiting texts in the thread; a text that cannot be written is lost."""
-        while True:
-            with self._lock:
-                if not self._waiting:
-                    return
-                text = self._waiting.popleft()
-                dropped, self._dropped = self._dropped, 0
-            if dropped:
-                text = f"{dropped} lines were dropped because standard error was blocked\n{text}"
-            data = text.encode(errors="backslashreplace")
-            try:
-                while data:
-                    data = data[os.write(self._number, data):]
-            except OSError:
-                continue
+    def _write(self, data: bytes, refused: int) -> None:
+        """Write a text in the thread, with the number of lines that were dropped before it."""
+        dropped, self._told = refused - self._told, refused
+        if dropped:
+            data = b"%d lines were dropped: standard error was blocked\n%b" % (dropped, data)
+        with suppress(OSError):  # a text that cannot be written is lost
+            while data:
+                data = data[os.write(self._number, data):]
 
 
 # The lines of this process, which are written before it ends.

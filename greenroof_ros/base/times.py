@@ -20,16 +20,6 @@ _EPOCH = datetime.fromisoformat("1970-01-01T00:00+00:00")
 # A date and a time of day, without other forms that Python reads, such as a separator of any kind.
 _ISO = re.compile(r"([0-9-]{8,10})(?:[Tt ](.+))?")
 
-# What is wrong with other forms of times.
-_HINTS = (
-    (r"\d{5}(\.\d+)?", "a spreadsheet counts days: format its cells as yyyy-mm-dd hh:mm"),
-    (r"\d{9,}(\.\d+)?", "write a date and a time, with hyphens and colons"),
-    (r".*\d *[AaPp]\.?[Mm]\.?", "hours range from 00 to 23"),
-    (r"\d{1,4}[./]\d{1,2}[./]\d{1,4}.*", "write year, month and day, in this order, with hyphens"),
-    (r".*[ T]\d:.*", "write hours with two digits, as in 00:00"),
-    (r".*:\d\d *[A-Za-z\[].*", "write the offset from UTC as a number, or Z for UTC"),
-)
-
 
 @functools.lru_cache(10_000)
 def parse_time(text: str, zone: tzinfo | None = None) -> datetime:
@@ -51,30 +41,6 @@ def parse_time(text: str, zone: tzinfo | None = None) -> datetime:
             raise ValueError
         time += timedelta(days=1)
     return _within_years(time if time.tzinfo else time.replace(tzinfo=zone))
-
-
-def time_hint(text: str) -> str:
-    """Return a hint for a time that :func:`parse_time` rejects; empty if there is no hint."""
-    for pattern, what in _HINTS:
-        if re.fullmatch(pattern, text.strip()):
-            return f"; {what}"
-    return ""
-
-
-def parse_local_time(text: str, zone: tzinfo) -> datetime:
-    """Read a local time in a zone, such as ``2021-07-01 0:00`` or ``2021-07-01T00:00:00``.
-
-    Raises:
-        ValueError: if the text is not a local time, has an offset, or is outside the supported
-            years.
-    """
-    match = re.fullmatch(
-        r"(\d{4}[-/]\d\d[-/]\d\d)[ T](\d{1,2})(:\d\d(?::\d\d(?:\.\d+)?)?)", text.strip()
-    )
-    if match is None:
-        raise ValueError
-    date, hour, minutes = match.groups()
-    return parse_time(f"{date.replace('/', '-')}T{hour.zfill(2)}{minutes}", zone)
 
 
 def parse_unix_time(text: str) -> datetime:
@@ -162,8 +128,7 @@ def read_start(text: str, zone: tzinfo | None = None) -> datetime:
         start = parse_time(text, zone)
     except ValueError:
         raise ConfigurationError(
-            f"must be a time such as {DEFAULT_START}, from {FIRST_YEAR} to {LAST_YEAR}"
-            + time_hint(text),
+            f"must be a time such as {DEFAULT_START}, from {FIRST_YEAR} to {LAST_YEAR}",
             key="start", value=text,
         ) from None
     if start.utcoffset() is None:

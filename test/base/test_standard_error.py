@@ -10,7 +10,6 @@ import time
 
 import pytest
 from disks import full_pipe
-from graphs import wait_for
 from places import CHECKOUT
 
 from greenroof_ros.base.progress import RunProgress
@@ -19,23 +18,23 @@ from greenroof_ros.base.standard_error import Lines
 TOO_LONG_S = 60
 
 
-def test_what_waits_for_too_long_is_dropped_and_counted() -> None:
-    """The oldest are dropped; as soon as someone reads, output is complete and in order again."""
+def test_what_finds_no_room_is_dropped_and_counted() -> None:
+    """As soon as someone reads, what waited comes in order, and the next line tells the number."""
     with full_pipe() as (reading, writing):
         lines = Lines(writing)
-        lines.print_line("first\n  more of it, in °C")
-        wait_for(lambda: not lines._waiting, TOO_LONG_S, "the first, which is being written")
-        for number in range(1090):
-            lines.print_line(f"line {number}")
+        for number in range(6000):
+            lines.print_line(f"line {number}\n  of °C")
         assert not lines.wait(0.0)
-        printed = b""
+        printed = _empty(reading)
         while not lines.wait(0.01):
             printed += _empty(reading)
-        printed += _empty(reading)
-    assert printed.lstrip(b"\0").decode().splitlines() == [
-        "first", "  more of it, in °C", "90 lines were dropped because standard error was blocked",
-        *(f"line {number}" for number in range(90, 1090)),
-    ]
+        lines.print_line("last")
+        assert lines.wait(TOO_LONG_S)
+        *waited, dropped, last = (printed + _empty(reading)).lstrip(b"\0").decode().splitlines()
+    count = len(waited) // 2
+    assert waited == [text for number in range(count) for text in (f"line {number}", "  of °C")]
+    assert dropped == f"{6000 - count} lines were dropped: standard error was blocked"
+    assert count > 4000 and last == "last"
 
 
 @pytest.mark.parametrize("full", [False, True])
