@@ -190,27 +190,24 @@ def make_client(
     if will is not None:
         client.will_set(*will, qos=1, retain=True)
 
-    refused = answered = False
+    lost = unanswered = "the connection was lost"
+    if not broker.tls:
+        unanswered += (
+            " before the broker responded; if the broker expects TLS, its address must begin with "
+            "mqtts://"
+        )
+    why = unanswered
 
     def connected(client: Client, data: Any, flags: Any, code: Any, properties: Any) -> None:
-        nonlocal refused, answered
-        refused, answered = code.is_failure, True
-        if refused:
-            on_disconnect(str(code))
-        else:
+        nonlocal why
+        why = str(code) if code.is_failure else lost
+        if not code.is_failure:
             on_connect()
 
     def disconnected(client: Client, data: Any, flags: Any, code: Any, properties: Any) -> None:
-        nonlocal refused, answered
-        lost = "the connection was lost"
-        if not answered and not broker.tls:
-            lost += (
-                " before the broker responded; if the broker expects TLS, its address must begin "
-                "with mqtts://"
-            )
-        if not refused:  # otherwise the reason has already been reported
-            on_disconnect(lost if code.value == _UNSPECIFIED else str(code))
-        refused = answered = False
+        nonlocal why
+        on_disconnect(why if code.value == _UNSPECIFIED else str(code))
+        why = unanswered
 
     client.on_connect = connected
     client.on_disconnect = disconnected
