@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from difflib import SequenceMatcher
+from difflib import get_close_matches
 from pathlib import Path
 
 from greenroof_ros.base.text import escape
@@ -120,15 +120,10 @@ _ALIKE, _SHORT_ALIKE = 0.6, 0.5
 
 def find_similar(name: str, known: Collection[str]) -> list[str]:
     """Return the known names most similar to a shortened or mistyped name."""
-    alikeness = {
-        word: 1.0 if name and word.casefold().startswith(name.casefold())
-        else SequenceMatcher(None, name.casefold(), word.casefold()).ratio()
-        for word in known
-    }
-    best = max(alikeness.values(), default=0.0)
-    if best < (_SHORT_ALIKE if len(name) <= 3 else _ALIKE):
-        return []
-    return [word for word in known if alikeness[word] == best]
+    start, words = name.casefold(), {word.casefold(): word for word in known}
+    longer = [word for folded, word in words.items() if start and folded.startswith(start)]
+    alike = get_close_matches(start, words, 1, _SHORT_ALIKE if len(name) <= 3 else _ALIKE)
+    return longer or [words[folded] for folded in alike]
 
 
 def suggest_names(name: str, known: Collection[str]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import codecs
 import hashlib
 import math
 import os
@@ -108,32 +107,6 @@ MAX_BYTES = 100_000_000
 the minute, or a year of hourly forecast runs with one member. So no file exhausts the memory."""
 
 
-# How files of other kinds begin, what they are, and what to do about it.
-_OTHER_KINDS = (
-    (rb"\x1f\x8b", "is compressed by gzip: unpack it with gunzip"),
-    (rb"\xfd7zXZ|BZh|\x28\xb5\x2f\xfd|7z\xbc\xaf", "is compressed: unpack it"),
-    (rb"PK[\x03\x05]", "is a zip archive or a spreadsheet workbook (.xlsx, .ods): unpack it, or "
-        "save the sheet as CSV in UTF-8"),
-    (rb"\xd0\xcf\x11\xe0", "is an Excel workbook (.xls): save the sheet as CSV in UTF-8"),
-    (rb"\xff\xfe|\xfe\xff", "is text in UTF-16: save it in UTF-8"),
-    (rb"%PDF-", "is a PDF file, from which no values can be read"),
-    (rb"CDF[\x01\x02\x05]|\x89HDF", "is NetCDF or HDF5: write its values as CSV"),
-    (rb"GRIB|BUFR", "is GRIB or BUFR: write its values as CSV"),
-    (rb"SQLite format 3", "is an SQLite database: write its values as CSV"),
-    (rb"\s*<(!doctype|html|\?xml|head|body|!--|script)",
-     "is a web page or XML, perhaps a message from the service: open it to check, and download the "
-     "file again"),
-)
-
-
-def _refuse_other_kinds(path: Path, head: bytes) -> None:
-    """Reject a file whose first bytes show that it is of another type; the error names the type."""
-    start = head.removeprefix(codecs.BOM_UTF8)
-    for pattern, what in _OTHER_KINDS:
-        if re.match(pattern, start, re.IGNORECASE):
-            raise ConfigurationError(what, file=path)
-
-
 def read_lines(path: Path, encoding: str = "utf-8") -> Iterator[str]:
     """Read a text file line by line, without any byte order mark at the beginning.
 
@@ -153,9 +126,7 @@ def read_lines(path: Path, encoding: str = "utf-8") -> Iterator[str]:
     blank = True
     try:
         with source.open("rb") as stream:
-            _refuse_other_kinds(path, stream.peek(1 << 10)[: 1 << 10])
-            size = stream.seek(0, os.SEEK_END)
-            stream.seek(0)
+            size = os.fstat(stream.fileno()).st_size
             if size > MAX_BYTES:
                 raise ConfigurationError(
                     f"is {size / 1e6:.0f} MB in size, but the limit is {MAX_BYTES / 1e6:g} MB: "
@@ -164,19 +135,16 @@ def read_lines(path: Path, encoding: str = "utf-8") -> Iterator[str]:
                 )
             for number, raw in enumerate(stream, start=1):
                 try:
-                    line = (raw if number > 1 else raw.removeprefix(codecs.BOM_UTF8)).decode(
-                        encoding
-                    )
-                except UnicodeDecodeError as error:
-                    form = "" if path.suffix in (".yaml", ".json") else " as CSV"
+                    line = raw.decode(encoding)
+                except UnicodeDecodeError:
+                    line = "\0"
+                if "\0" in line:
                     raise ConfigurationError(
-                        f"is not {encoding.upper()} text; save it{form} in UTF-8",
-                        file=path, line=number,
-                    ) from error
-                if "\x00" in line:
-                    raise ConfigurationError(
-                        "is not a text file (it contains a NUL byte)", file=path, line=number
+                        f"is not text in {encoding.upper()}: unpack a compressed file, and save a "
+                        "table as CSV in UTF-8", file=path, line=number,
                     )
+                if number == 1:
+                    line = line.removeprefix("\ufeff")
                 blank = blank and not line.strip()
                 yield line
     except OSError as error:

@@ -6,9 +6,8 @@ import functools
 import math
 import sys
 from array import array
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from greenroof_ros.base.errors import ConfigurationError
@@ -107,9 +106,9 @@ class Topic:
         return self.name if self.absolute else self.name.removeprefix("/")
 
 
-@functools.cache
-def _topics() -> dict[str, Topic]:
-    """Read the interface once per process, because sites, nodes and pages all use it."""
+@functools.cache  # sites, nodes and pages all use it
+def read_topics() -> Mapping[str, Topic]:
+    """Return the topics in the order of the file, which is also their order in a bag's ticks."""
     interface: dict[str, Any] = read_yaml(shared_directory() / "msg_defs" / "topics.yaml")
     profiles = {name: Qos(name=name, **profile) for name, profile in interface["qos"].items()}
     ages = {name: Age(parameter=name, **age) for name, age in interface["max_ages"].items()}
@@ -122,27 +121,20 @@ def _topics() -> dict[str, Topic]:
     }
 
 
-def _make_topic(
-    name: str, qos: Qos, *, range: Sequence[float] = (-math.inf, math.inf),
-    undecided: float | list[float] = math.nan, display: Mapping[str, Any] | None = None,
-    **entry: Any,
-) -> Topic:
-    low, high = range
+def _make_topic(name: str, qos: Qos, **entry: Any) -> Topic:
     fields: dict[str, Any] = {
-        key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()
+        key: tuple(item) if isinstance(item, list) else item for key, item in entry.items()
     }
+    low, high = fields.pop("range", (-math.inf, math.inf))
+    if isinstance(fields.get("undecided"), tuple):
+        fields["undecided"] = array("d", fields["undecided"])
+    if "display" in fields:
+        fields["display"] = Display(**fields["display"])
     return Topic(
         name=name, qos=qos,
         # Even without limits, a value must be finite.
-        low=max(low, -sys.float_info.max), high=min(high, sys.float_info.max),
-        undecided=array("d", undecided) if isinstance(undecided, list) else undecided,
-        display=None if display is None else Display(**display), **fields,
+        low=max(low, -sys.float_info.max), high=min(high, sys.float_info.max), **fields,
     )
-
-
-def read_topics() -> dict[str, Topic]:
-    """Return the topics in the order of the file, which is also their order in a bag's ticks."""
-    return dict(_topics())
 
 
 def read_live_topics() -> dict[str, Topic]:
@@ -195,35 +187,3 @@ def recorded_topics(outputs: Mapping[str, str], valve: bool) -> list[Topic]:
         if topic.per_tick and (not topic.optional or topic.name in outputs)
         and (valve or not topic.of_valve)
     ]
-
-
-def find_namespace(names: Collection[str], needed: Sequence[str], bag: Path) -> str:
-    """Return the namespace of a graph, derived from the full names of its topics.
-
-    Args:
-        names: full topic names, such as ``/site1/roof/level``.
-        needed: names of the topics in the interface, such as ``/roof/level``, that the graph must
-            have.
-        bag: the bag that contains the topics, for messages.
-
-    Returns:
-        The prefix of the names, such as ``/site1``; empty if there is no prefix, or if no namespace
-        contains all needed topics.
-
-    Raises:
-        ConfigurationError: if more than one namespace contains all needed topics.
-    """
-    first = needed[0]
-    namespaces = [
-        name.removesuffix(first)
-        for name in names
-        if name.endswith(first)
-        and all(name.removesuffix(first) + topic in names for topic in needed)
-    ]
-    if len(namespaces) > 1:
-        raise ConfigurationError(
-            "must be from a single graph, but contains topics from the namespaces "
-            + ", ".join(namespace or "/" for namespace in sorted(namespaces)),
-            file=bag,
-        )
-    return namespaces[0] if namespaces else ""

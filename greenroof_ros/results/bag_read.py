@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from datetime import tzinfo
 from pathlib import Path
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from greenroof_ros.base.errors import ConfigurationError, require_extra
 from greenroof_ros.base.files import read_yaml
 from greenroof_ros.base.times import from_epoch_ns
-from greenroof_ros.interface.topics import Topic, find_namespace, read_topics
+from greenroof_ros.interface.topics import Topic, read_topics
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.results.bag_write import METADATA
 from greenroof_ros.results.trajectory import COLUMNS, Trajectory, recorded_columns
@@ -332,3 +332,31 @@ def _describe_gaps(samples: Stamps, gaps: NDArray[np.intp], zone: tzinfo) -> str
         f"there are no messages from {', '.join(named)}: in these gaps, the command, the weather "
         "and the flows are unknown and are treated as 0, and the levels keep their last values"
     )
+
+
+def find_namespace(names: Collection[str], needed: Sequence[str], bag: Path) -> str:
+    """Return the namespace of a graph, derived from the full names of its topics.
+
+    Args:
+        names: full topic names, such as ``/site1/roof/level``.
+        needed: names of the topics in the interface, such as ``/roof/level``, that the graph must
+            have.
+        bag: the bag that contains the topics, for messages.
+
+    Returns:
+        The prefix of the names, such as ``/site1``; empty if there is no prefix, or if no namespace
+        contains all needed topics.
+
+    Raises:
+        ConfigurationError: if more than one namespace contains all needed topics.
+    """
+    prefixes = sorted({name.removesuffix(needed[0]) for name in names})
+    namespaces = [
+        prefix for prefix in prefixes if all(prefix + topic in names for topic in needed)
+    ]
+    if len(namespaces) > 1:
+        raise ConfigurationError(
+            "must be from a single graph, but contains topics from the namespaces "
+            + ", ".join(namespace or "/" for namespace in namespaces), file=bag,
+        )
+    return namespaces[0] if namespaces else ""

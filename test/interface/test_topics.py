@@ -13,10 +13,9 @@ from typing import Any
 import pytest
 from graphs import Process, wait_for
 from paper import VALVE, site_file
-from refusals import refusal
 
 from greenroof_ros.base.files import read_yaml, shared_directory
-from greenroof_ros.interface.topics import find_namespace, read_topics, recorded_topics
+from greenroof_ros.interface.topics import read_topics, recorded_topics
 
 
 def test_numbers_have_a_display() -> None:
@@ -38,17 +37,6 @@ def test_numbers_have_a_display() -> None:
             assert display.decimals in range(4), topic.name
             labels.append(display.label)
     assert len(set(labels)) == len(labels)
-
-
-def test_namespace_of_a_bag() -> None:
-    """A graph's topics are found by the ends of their names; two graphs are refused."""
-    needed, bag = ["/roof/level", "/pump/flow"], Path("bag")
-    assert find_namespace({"/roof/level", "/pump/flow", "/clock"}, needed, bag) == ""
-    assert find_namespace({"/a/b/roof/level", "/a/b/pump/flow"}, needed, bag) == "/a/b"
-    # A single topic is not a graph.
-    assert find_namespace({"/roof/level", "/pump/flow", "/s/roof/level"}, needed, bag) == ""
-    two = {"/roof/level", "/pump/flow", "/s/roof/level", "/s/pump/flow"}
-    refusal(find_namespace, two, needed, bag, match=r"bag: .*/, /s")
 
 
 def test_types_match_ros() -> None:

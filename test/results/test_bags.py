@@ -28,7 +28,7 @@ from rosbags.typesys import Stores, get_typestore
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.commands.recover import recover
 from greenroof_ros.interface.topics import read_topics
-from greenroof_ros.results.bag_read import count_ticks
+from greenroof_ros.results.bag_read import count_ticks, find_namespace
 from greenroof_ros.results.bag_write import BagWriter, LiveBag
 
 START_NS = 1625641200 * 10**9  # 07:00 UTC, by date -d
@@ -531,3 +531,14 @@ def test_recording_that_fails_tries_again(tmp_path: Path, room: int) -> None:
     assert set(restored) <= {
         (TOPICS[0], LATE_NS + second * 10**9, value) for second, value in enumerate(values)
     }
+
+
+def test_namespace_of_a_bag() -> None:
+    """A graph's topics are found by the ends of their names; two graphs are refused."""
+    needed, bag = ["/roof/level", "/pump/flow"], Path("bag")
+    assert find_namespace({"/roof/level", "/pump/flow", "/clock"}, needed, bag) == ""
+    assert find_namespace({"/a/b/roof/level", "/a/b/pump/flow"}, needed, bag) == "/a/b"
+    # A single topic is not a graph.
+    assert find_namespace({"/roof/level", "/pump/flow", "/s/roof/level"}, needed, bag) == ""
+    two = {"/roof/level", "/pump/flow", "/s/roof/level", "/s/pump/flow"}
+    refusal(find_namespace, two, needed, bag, match=r"bag: .*/, /s")

@@ -178,7 +178,7 @@ WRONG_CSV = {
     "line 3: must have 5 cells, like the header, but has 4": CSV.replace(",Lane 2", ""),
     "has a header but no rows": CSV.partition("\n")[0] + "\n",
     "is empty": "",
-    "is a zip archive or a spreadsheet": "PK\x03\x04",
+    "is not text in UTF-8: unpack a compressed file": "PK\x03\x04\0",
 }
 
 
