@@ -31,7 +31,6 @@ from greenroof_ros.base.processes import (
 from greenroof_ros.base.standard_error import print_line
 from greenroof_ros.base.text import number_of
 from greenroof_ros.base.times import iso
-from greenroof_ros.base.versions import versions
 from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL
 from greenroof_ros.graph.alarms import Judge
 from greenroof_ros.graph.domain import lock_namespace, refuse_other_nodes, require_ros
@@ -42,6 +41,7 @@ from greenroof_ros.live.live_site import MIN_BAG_MB, LiveSite
 from greenroof_ros.live.pumping.ledger import RECORD, make_record
 from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart
+from greenroof_ros.results.versions import versions
 from greenroof_ros.simulation import summary
 from greenroof_ros.simulation.directory import write_parameters
 from greenroof_ros.site.file import format_site, read_site

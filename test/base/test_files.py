@@ -21,7 +21,7 @@ from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.base.command_line import refuse_unwritable
 from greenroof_ros.base.errors import ConfigurationError, describe_value
 from greenroof_ros.base.files import read_yaml
-from greenroof_ros.base.parameter_sections import read_sections
+from greenroof_ros.controllers.parameter_sections import read_sections
 from greenroof_ros.live.devices.drive_file import read_drive_file
 from greenroof_ros.live.devices.relay_file import read_relay_file
 from greenroof_ros.live.devices.sensor_file import read_sensors

@@ -14,7 +14,7 @@ from greenroof_ros.analysis.report.drawing import CONFIG, Figure, Rows
 from greenroof_ros.analysis.report.groups import Report
 from greenroof_ros.analysis.report.tables import Table, make_notes, make_tables
 from greenroof_ros.base.parameter import parameters_of
-from greenroof_ros.base.versions import format_versions, versions
+from greenroof_ros.results.versions import format_versions, versions
 from greenroof_ros.site.site import Site
 
 

@@ -20,10 +20,10 @@ from greenroof_ros.analysis.workers.input_files import write_inputs
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import add_path_to_errors, replace_text
 from greenroof_ros.base.processes import LockedError, lock_file
-from greenroof_ros.base.versions import versions
 from greenroof_ros.forecast.skill import REAL, read_skill
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.results.table import parameter_columns
+from greenroof_ros.results.versions import versions
 
 _OUTCOME = "outcome.json"
 _DIGEST = "digest"

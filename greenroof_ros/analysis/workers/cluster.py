@@ -15,7 +15,7 @@ from typing import Any
 from greenroof_ros.analysis.workers.input_files import write_inputs
 from greenroof_ros.analysis.workers.processes import Workers, WorkersLostError
 from greenroof_ros.base.errors import ConfigurationError, require_extra
-from greenroof_ros.base.versions import versions
+from greenroof_ros.results.versions import versions
 
 with require_extra("dask"):
     import dask
