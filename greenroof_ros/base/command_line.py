@@ -138,15 +138,11 @@ class Parser(argparse.ArgumentParser):
         """Parse a command line; for an unknown option, suggest the likely options."""
         parsed, unknown = self.parse_known_args(args, namespace)
         if unknown:
-            option = next((word[2:] for word in unknown if word.startswith("--")), "")
-            known = [known[2:] for known in self._option_string_actions if known.startswith("--")]
-            similar = find_similar(option.partition("=")[0], known)
-            meant = " or ".join(f"--{name}" for name in similar)
-            self.error(
-                f"unrecognized arguments: {' '.join(unknown)}"
-                + (f"; did you mean {meant}?" if meant else "")
-                + (f" ({self.hint})" if self.hint else "")
-            )
+            option = next((word for word in unknown if word.startswith("--")), "")
+            similar = find_similar(option.partition("=")[0], self._option_string_actions)
+            meant = f"; did you mean {' or '.join(similar)}?" if similar else ""
+            hint = f" ({self.hint})" if self.hint else ""
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{meant}{hint}")
         return parsed
 
     def error(self, message: str) -> NoReturn:
@@ -277,20 +273,15 @@ class CheckResult:
 
 
 def print_check_results(title: str, results: Sequence[CheckResult]) -> int:
-    """Print results as a table, and return exit code 0 if every check passed, otherwise 1."""
-    from rich.console import Console  # most commands print none
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left")
-    for name in ("check", "result"):
-        table.add_column(name)
+    """Print results, and return exit code 0 if every check passed, otherwise 1."""
+    print(title)
     for result in results:
-        passed = f"passed: {result.result}" if result.result else "passed"
-        table.add_row(result.check, result.problem or passed)
-    Console().print(table)
-    failed = [result for result in results if result.problem]
-    print(f"{len(results) - len(failed)} of {len(results)} checks passed")
-    return EXIT_FAILED if failed else EXIT_DONE
+        outcome = "failed" if result.problem else "passed"
+        shown = ": ".join(filter(None, (result.check, result.problem or result.result)))
+        print(f"  {outcome}: {shown}")
+    passed = sum(not result.problem for result in results)
+    print(f"{passed} of {len(results)} checks passed")
+    return EXIT_DONE if passed == len(results) else EXIT_FAILED
 
 
 def refuse_unwritable(file: Path, endings: Sequence[str], key: str) -> None:

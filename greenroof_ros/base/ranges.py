@@ -72,15 +72,12 @@ class Range:
             str(end) if isinstance(end, int) else f"{end:.9g}" for end in (self.low, self.high)
         )
         positive, negative = 0 < self.low <= _TINY, -_TINY <= self.high < 0
-        above = ("", "greater than 0") if positive else ("of ", f"at least {low}")
-        below = ("", "less than 0") if negative else ("of ", f"at most {high}")
-        if self.low <= -_MAXIMUM:
-            return ("", "") if self.high >= _MAXIMUM else below
-        if self.high >= _MAXIMUM:
-            return above
-        if positive or negative:
-            return above[0], f"{above[1]} and {below[1]}"
-        return "from ", f"{low} to {high}"
+        above = "greater than 0" if positive else f"at least {low}"
+        below = "less than 0" if negative else f"at most {high}"
+        ends = [above] * (self.low > -_MAXIMUM) + [below] * (self.high < _MAXIMUM)
+        if len(ends) == 2 and not (positive or negative):
+            return "from ", f"{low} to {high}"
+        return "of " if ends and ends[0].startswith("at") else "", " and ".join(ends)
 
     def __str__(self) -> str:
         """Return a description of valid values, such as ``a number from 0 to 1 m``."""
