@@ -25,6 +25,9 @@ class _Loader(_BaseLoader):  # type: ignore[misc]
         return ""
 
 
+_SHARED = "msg_defs/topics.yaml", "config/site.yaml"
+
+
 def shared_directory() -> Path:
     """Return the directory that contains ``config/`` and ``msg_defs/``.
 
@@ -34,11 +37,9 @@ def shared_directory() -> Path:
     """
     package = Path(__file__).resolve().parent
     for parent in package.parents:
-        for candidate in (parent / "share" / "greenroof_ros", parent):
-            if (candidate / "msg_defs" / "topics.yaml").is_file() and (
-                candidate / "config" / "site.yaml"
-            ).is_file():
-                return candidate
+        for place in (parent / "share/greenroof_ros", parent):
+            if all(Path(place, file).is_file() for file in _SHARED):
+                return place
     raise ConfigurationError(
         "greenroof_ros was installed without its directory share/greenroof_ros (config, "
         "msg_defs); reinstall it with pip or colcon",
@@ -105,6 +106,7 @@ def file_digest(path: Path) -> str:
 MAX_BYTES = 100_000_000
 """Maximum size of a user's file (bytes): 100 years of hourly weather, three years of a record by
 the minute, or a year of hourly forecast runs with one member. So no file exhausts the memory."""
+_WEB_PAGE = re.compile(r"\s*<(!doctype|html|\?xml|head|body|!--)", re.IGNORECASE)
 
 
 def read_lines(path: Path, encoding: str = "utf-8") -> Iterator[str]:
@@ -145,6 +147,10 @@ def read_lines(path: Path, encoding: str = "utf-8") -> Iterator[str]:
                     )
                 if number == 1:
                     line = line.removeprefix("\ufeff")
+                    if _WEB_PAGE.match(line):
+                        raise ConfigurationError(
+                            "is a web page or XML, perhaps a message from a service", file=path
+                        )
                 blank = blank and not line.strip()
                 yield line
     except OSError as error:
@@ -166,14 +172,10 @@ _MAX_YAML, _MAX_ALIASED = 1_000_000, 10_000
 # Longer integers (digits) are read as floating-point numbers: no quantity needs so many digits.
 _MAX_DIGITS = 20
 _WORDS = {
-    form: value
-    for value, words in (
-        (True, "yes true on"), (False, "no false off"), (None, "null ~"), (math.nan, ".nan .NaN"),
-        (math.inf, ".inf +.inf"), (-math.inf, "-.inf"),
-    )
-    for word in words.split()
-    for form in (word, word.title(), word.upper())
-} | {"": None, ".NaN": math.nan}
+    "yes": True, "true": True, "on": True, "no": False, "false": False, "off": False,
+    "null": None, "~": None, "": None,
+    ".nan": math.nan, ".inf": math.inf, "+.inf": math.inf, "-.inf": -math.inf,
+}
 _NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 
 
@@ -189,8 +191,8 @@ class YamlMapping(dict[str, Any]):
 
 def _parse_plain(text: str) -> Any:
     """Return the value of an unquoted text: numbers as in YAML 1.2, and yes and no as in 1.1."""
-    if text in _WORDS:
-        return _WORDS[text]
+    if (word := text.lower()) in _WORDS:
+        return _WORDS[word]
     if not _NUMBER.fullmatch(text):
         return text
     whole = len(text) <= _MAX_DIGITS and not set(text) & {*".eE"}

@@ -44,16 +44,16 @@ class Broker:
         host: host name or IP address.
         port: TCP port.
         tls: True if the connection is encrypted and the broker's certificate is checked.
-        login: file with ``username`` and ``password``, readable by one user only; None for no
+        login: file with ``username`` and ``password``, readable by one user only; empty for no
             login.
-        authority: file with trusted certificates (PEM); None for the system's certificates.
+        authority: file with trusted certificates (PEM); empty for the system's certificates.
     """
 
     host: str
     port: int
     tls: bool = False
-    login: Path | None = None
-    authority: Path | None = None
+    login: str = ""
+    authority: str = ""
 
     def __str__(self) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host
@@ -91,10 +91,7 @@ def parse_broker(text: str, key: str, login: str = "", authority: str = "") -> B
         raise ConfigurationError(
             "certificates can be used only with mqtts://HOST[:PORT]", key=key, value=text
         )
-    return Broker(
-        host, port or (_TLS_PORT if tls else _PORT), tls,
-        Path(login) if login else None, Path(authority) if authority else None,
-    )
+    return Broker(host, port or (_TLS_PORT if tls else _PORT), tls, login, authority)
 
 
 def parse_topic(
@@ -176,12 +173,11 @@ def make_client(
         CallbackAPIVersion.VERSION2, client_id=f"{name}_{secrets.token_hex(4)}",
         clean_session=True, protocol=MQTTv311,
     )
-    if broker.login is not None:
-        client.username_pw_set(*_read_login(broker.login))
+    if broker.login:
+        client.username_pw_set(*_read_login(Path(broker.login)))
     if broker.tls:
         try:
-            authority = None if broker.authority is None else str(as_started(broker.authority))
-            client.tls_set(authority)
+            client.tls_set(str(as_started(Path(broker.authority))) if broker.authority else None)
         except OSError as error:  # or ssl.SSLError
             raise ConfigurationError(
                 f"cannot be read as a certificate file: {error.strerror or error}",

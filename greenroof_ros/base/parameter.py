@@ -16,7 +16,7 @@ import types
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, NewType, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, NewType, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 from greenroof_ros.base.errors import ConfigurationError, describe_choices, suggest_names
 from greenroof_ros.base.files import YamlMapping, read_yaml
@@ -80,8 +80,7 @@ class Parameter:
         return Range(self.low, self.high, self.unit, self.whole)
 
     def read(
-        self, value: Any, *, file: Path | None = None, line: int | None = None,
-        key: str = "",
+        self, value: Any, *, key: str, file: Path | None = None, line: int | None = None
     ) -> Any:
         """Check a user's value, and return it, with a number converted to a Python number.
 
@@ -98,9 +97,8 @@ class Parameter:
             return self.range.read(value, file=file, line=line, key=key)
         if isinstance(value, str) and value in self.among:
             return value
-        raise ConfigurationError(
-            describe_choices(self.among, str(value)), file=file, line=line, key=key, value=value
-        )
+        expected = describe_choices([*filter(None, self.among)], str(value))
+        raise ConfigurationError(expected, file=file, line=line, key=key, value=value)
 
     @property
     def limits(self) -> str:
@@ -216,8 +214,7 @@ def make_record(kind: type[Record], values: Mapping[str, Any]) -> Record:
         ConfigurationError: if a key is unknown or missing, or if a value is of the wrong type or
             out of range.
     """
-    record: Record = _record(kind, values, ())
-    return record
+    return cast(Record, _record(kind, values, ()))
 
 
 def find(content: YamlMapping, key: str) -> tuple[int | None, Any]:
@@ -241,10 +238,10 @@ def find(content: YamlMapping, key: str) -> tuple[int | None, Any]:
 
 def _record(kind: Any, value: Any, parts: tuple[str, ...]) -> Any:
     entries, by_name = _mapping(value, parts), {key.name: key for key in keys(kind)}
-    for name in entries:
+    for name, given in entries.items():
         if name not in by_name:
             wrong = f"is not a valid key; {suggest_names(name, by_name)}"
-            raise _refuse((*parts, name), wrong, entries[name])
+            raise _refuse((*parts, name), wrong, given)
     fields = {}
     for name, key in by_name.items():
         if name in entries:
@@ -303,16 +300,14 @@ def _scalar(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> 
             raise _refuse(parts, "must be true or false", value)
         return value
     if kind is str:
-        if not isinstance(value, str) or not (value.strip() or value in entry.among):
+        if entry.among:
+            return entry.read(value, key=".".join(parts))
+        if not isinstance(value, str) or not value.strip():
             raise _refuse(parts, f"must be text ({entry.meaning})", value)
-        if entry.among and value not in entry.among:
-            raise _refuse(parts, describe_choices([*filter(None, entry.among)], value), value)
         return " ".join(value.split())
     if kind is Word and isinstance(value, str) and _HEXADECIMAL.fullmatch(value):
         value = int(value, 16)
-    allowed, whole = entry.range, kind in (int, Word)
-    if (allowed.whole, allowed.words) != (whole, entry.among):
-        allowed = replace(allowed, whole=whole, words=entry.among)
+    allowed = replace(entry.range, whole=kind in (int, Word), words=entry.among)
     example = ", such as 0x047E or 1150" if kind is Word else ""
     return allowed.read(value, key=".".join(parts), about=f"{example} ({entry.meaning})")
 

@@ -54,11 +54,11 @@ class Range:
     words: tuple[str, ...] = ()
 
     def __contains__(self, value: Any) -> bool:
-        if isinstance(value, bool) or not isinstance(value, Integral if self.whole else Real):
+        if isinstance(value, bool) or not isinstance(value, Real):
             return False
         # NumPy compares its 32-bit infinity with the largest float as equal.
         number: Any = value if isinstance(value, Integral) else float(value)
-        return bool(self.low <= number <= self.high)
+        return bool(self.low <= number <= self.high and (not self.whole or number % 1 == 0))
 
     @property
     def limits(self) -> str:
@@ -95,6 +95,8 @@ class Range:
     def check(self, value: Any) -> float:
         """Check a value, and return it as an int if it must be an integer, otherwise as a float.
 
+        An integer may also be written as 5.0.
+
         Args:
             value: a Python or NumPy number; true and false are not numbers.
 
@@ -109,17 +111,15 @@ class Range:
 
     def parse(self, text: str) -> float:
         """Check the number in a text, and return it; see :meth:`check`."""
-        value: object = text
         with suppress(ValueError):
-            number = read_number(text)
-            value = int(text) if self.whole else number
-        return self.check(value)
+            return self.check(read_number(text))
+        raise ValueError(self.expected(text))
 
     def read(
         self, value: Any, *, key: str, file: Path | None = None, line: int | None = None,
         about: str = "",
     ) -> float:
-        """Check the number of a key, and return it; an integer may also be written as 5.0.
+        """Check the number of a key, and return it; see :meth:`check`.
 
         Args:
             value: value of the key.
@@ -131,9 +131,8 @@ class Range:
         Raises:
             ConfigurationError: if the value is not a number in this range.
         """
-        plain = self.whole and isinstance(value, float) and value.is_integer()
         try:
-            return self.check(int(value) if plain else value)
+            return self.check(value)
         except ValueError as error:
             raise ConfigurationError(
                 f"{error}{about}", file=file, line=line, key=key, value=value

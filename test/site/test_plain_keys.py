@@ -161,7 +161,7 @@ def test_what_is_no_number_of_its_range(tmp_path: Path, key: str, range_: str) -
         ({"substrate_depth": 10}, "line 8: substrate_depth = 10: must be a number from 0.02 to 2"),
         ({"substrate": "sand"}, "line 7: substrate = 'sand': is unknown; did you mean sandy_loam?"),
         ({"substrate": "moss"}, "line 7: substrate = 'moss': must be one of neubrandenburg"),
-        ({"substrate": 3}, "line 7: substrate = 3: must be text (name of"),
+        ({"substrate": 3}, "line 7: substrate = 3: must be one of neubrandenburg"),
         ({"irrigation_rate": None, "emitters": 3}, "line 9: emitters = 3: needs emitter_flow as"),
         ({"irrigation_rate": None, "emitter_flow": 3}, "line 9: emitter_flow = 3.0: needs emit"),
         ({"irrigation_rate": None, "emitters": 2.5}, "line 9: emitters = 2.5: must be a whole"),
