@@ -81,8 +81,8 @@ def summarize(records: Records, site: Place, hours: range | None = None) -> dict
             name: {"unit": QUANTITIES[name].unit, **_describe(series)}
             for name, series in values.items() if name in QUANTITIES
         }, "rain": rain, "course": {
-            name: (first + _find_peak(values[name]) * HOUR).hour for name in (RADIATION, TEMPERATURE)
-            if _known(values.get(name)) >= _COURSE
+            name: (first + _find_peak(values[name]) * HOUR).hour
+            for name in (RADIATION, TEMPERATURE) if _known(values.get(name)) >= _COURSE
         }, "statistics": statistics, "notes": [*_note(statistics)],
     }
 

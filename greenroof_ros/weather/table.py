@@ -12,12 +12,12 @@ import itertools
 import math
 from array import array
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta, timezone, tzinfo
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -62,8 +62,9 @@ class Row(NamedTuple):
     """A row of a table."""
 
     line: int
-    """line number in the file"""
-    cells: Sequence[str]
+    """line number in the file, or number of the row in a data frame, from 0"""
+    cells: Sequence[Any]
+    """texts; those of a data frame are numbers and times"""
 
 
 class Table:
@@ -102,7 +103,7 @@ class Table:
 
     def cell(self, row: Row, column: str) -> str:
         """Return the text of a cell."""
-        return row.cells[self.place(column)]
+        return str(row.cells[self.place(column)])
 
     def refuse(
         self, expected: str, column: str | None = None, row: Row | None = None
@@ -250,17 +251,6 @@ class Rows:
     ignored: tuple[str, ...]
 
 
-class Times(NamedTuple):
-    """The times of rows."""
-
-    seconds: Values
-    """times (s since 1970), in ascending order"""
-    lines: Sequence[int]
-    """line of every row in the file, or number of the row in a data frame"""
-    offset: float
-    """UTC offset of the first row (s)"""
-
-
 def read_rows(
     file: Path, site: Place, wanted: Collection[str], described: Description | None = None
 ) -> Rows:
@@ -281,70 +271,55 @@ def read_rows(
         ConfigurationError: if the file does not conform to its description; the message names the
             line, the column and the value.
     """
-    table, described = _open(file, described)
-    columns, method = find_columns(table, described)
+    return arrange(*_open(file, described), site, wanted)
+
+
+def arrange(table: Table, described: Description, site: Place, wanted: Collection[str]) -> Rows:
+    """Read the rows of a table, and return them in steps; see :func:`read_rows`.
+
+    Raises:
+        ConfigurationError: if the rows are not at regular intervals, or a cell does not contain a
+            number in the physical range of its quantity.
+    """
+    columns, method = _find_columns(table, described)
     readers = {
         name: _number_reader(table, described, name, column)
         for name, (column, _) in columns.items() if name in wanted
     }
     clock = [table.place(column) for column in described.columns.get(TIME, (TIME,))]
-    lines, times, numbers = array("l"), list[str](), [array("d") for _ in readers]
-    position = described
+    lines, times, numbers = array("l"), list[str | datetime](), [array("d") for _ in readers]
     for row in table.rows:
         if not lines:
-            position = _read_position(table, row, described)
+            described = _read_position(table, row, described)
         lines.append(row.line)
-        times.append(" ".join(row.cells[place] for place in clock))
+        first, *more = (row.cells[place] for place in clock)
+        times.append(" ".join([first, *more]) if more else first)
         for series, read in zip(numbers, readers.values(), strict=True):
             series.append(read(row))
     if _is_newest_first(times, described.time_format):
-        for each in (lines, times, *numbers):
-            each.reverse()
-    return arrange(
-        table, position, site, columns, method, find_times(table, site, described, lines, times),
-        dict(zip(readers, map(np.array, numbers), strict=True)),
-    )
-
-
-def arrange(
-    table: Table, described: Description, site: Place, columns: dict[str, tuple[str, str]],
-    method: str, times: Times, numbers: Mapping[str, Values],
-) -> Rows:
-    """Return rows in steps, from times, and numbers in the units of the file.
-
-    Args:
-        table: the table, for messages.
-        described: what the table means.
-        site: the site, if litres and m3 may occur.
-        columns: name and unit of the column of every quantity.
-        method: method of the evapotranspiration.
-        times: times of the rows.
-        numbers: numbers of every quantity, NaN if missing.
-
-    Raises:
-        ConfigurationError: if the rows are not at regular intervals, or a value is outside the
-            physical range of its quantity.
-    """
-    step_s = described.step or _find_step(table, times)
-    begin, steps = _number_steps(table, times, step_s)
-    area = site.a2 if isinstance(site, Site) else math.nan
+        lines.reverse()
+        times.reverse()
+        for series in numbers:
+            series.reverse()
+    seconds, offset_s = _find_times(table, site, described, lines, times)
+    step_s = described.step or _find_step(table, seconds, lines)
+    begin, steps = _number_steps(table, seconds + offset_s, lines, step_s)
     values = {
-        name: _convert(table, *columns[name], name, series, times.lines, step_s / 3600, area)
-        for name, series in numbers.items()
+        name: _convert(table, *columns[name], name, np.array(series), lines, step_s / 3600, site)
+        for name, series in zip(readers, numbers, strict=True)
     }
     if described.rows == END:
         begin -= step_s
         for level in values.keys() & {*_LEVELS}:
             values[level] = _move_to_next(values[level], steps)
-    zone = timezone(timedelta(seconds=times.offset))
     used = {
         TIME, *(column for column, _ in columns.values()), *described.flags.values(),
         *itertools.chain(*described.columns.values()),
     }
     return Rows(
         table, described, columns, method,
-        datetime.fromtimestamp(begin - times.offset, timezone.utc).astimezone(zone), step_s, steps,
-        values, tuple(name for name in table.header if name not in used),
+        datetime.fromtimestamp(begin - offset_s, timezone(timedelta(seconds=offset_s))), step_s,
+        steps, values, tuple(name for name in table.header if name not in used),
     )
 
 
@@ -404,7 +379,7 @@ def _read_as(file: Path, lines: Iterable[tuple[int, str]], described: Descriptio
     })
 
 
-def find_columns(
+def _find_columns(
     table: Table, described: Description
 ) -> tuple[dict[str, tuple[str, str]], str]:
     """Return the column and unit of every quantity, and the method of evapotranspiration."""
@@ -445,11 +420,12 @@ def split_unit(column: str) -> tuple[str, str]:
 
 def _read_position(table: Table, row: Row, described: Description) -> Description:
     """Return a description with the position in a row, if the file has such columns."""
-    return replace(described, **{
+    position: dict[str, Any] = {
         name: table.read_number(row, described.columns[name][0], Range(-end, end))
         for name, end in _PLACES.items()
         if name in described.columns and table.cell(row, described.columns[name][0])
-    })
+    }
+    return replace(described, **position)
 
 
 # --- values ---------------------------------------------------------------------------------------
@@ -460,6 +436,7 @@ def _number_reader(
 ) -> Callable[[Row], float]:
     """Return a function that reads the number in a column, in the unit of the file."""
     place, comma = table.place(column), described.decimal == ","
+    marks = str.maketrans(",.", ".?") if comma else {}
     flag = table.place(described.flags[quantity]) if quantity in described.flags else None
     zeros = described.zero_values if quantity == PRECIPITATION else ()
     meanings = dict.fromkeys(("", *described.na_values), math.nan) | dict.fromkeys(zeros, 0.0)
@@ -469,16 +446,19 @@ def _number_reader(
             codes[read_number(text)] = meaning
 
     def read(row: Row) -> float:
-        text = row.cells[place]
+        cell = row.cells[place]
         if flag is not None and row.cells[flag] in described.flag_values:
             return math.nan
-        if text in meanings:
-            return meanings[text]
+        if cell in meanings:
+            return meanings[cell]
         try:
-            number = read_number(text.replace(",", ".") if comma else text)
-            if not math.isfinite(number) or (comma and "." in text):
+            if isinstance(cell, str):
+                number = read_number(cell.translate(marks))
+            else:
+                number = math.nan if cell is None else float(cell)
+            if math.isinf(number) or (isinstance(cell, str) and math.isnan(number)):
                 raise ValueError
-        except ValueError:
+        except (TypeError, ValueError):
             raise table.refuse(
                 f"must be a number with a decimal {'comma' if comma else 'point'}, or empty; if it "
                 "denotes a missing value, name it in na_values", column, row,
@@ -490,13 +470,14 @@ def _number_reader(
 
 def _convert(
     table: Table, column: str, unit_name: str, name: str, numbers: Values, lines: Sequence[int],
-    step_h: float, area: float,
+    step_h: float, site: Place,
 ) -> Values:
     """Return values in the unit of :data:`.quantities.QUANTITIES`.
 
     Raises:
         ConfigurationError: if a value is outside the physical range of its quantity.
     """
+    area = site.a2 if isinstance(site, Site) else math.nan
     quantity, unit = QUANTITIES[name], find_unit(name, unit_name, step_h, area)
     values = (numbers - unit.zero) / unit.per_ours
     wrong = np.flatnonzero((values < quantity.low) | (values > quantity.high))
@@ -515,7 +496,7 @@ def _convert(
 # --- times ----------------------------------------------------------------------------------------
 
 
-def _is_newest_first(times: Sequence[str], form: str) -> bool:
+def _is_newest_first(times: Sequence[str | datetime], form: str) -> bool:
     """Return whether the first row is later than the last; times that cannot be read are not."""
     try:
         return parse_text(times[-1], form) < parse_text(times[0], form)
@@ -523,11 +504,11 @@ def _is_newest_first(times: Sequence[str], form: str) -> bool:
         return False
 
 
-def find_times(
+def _find_times(
     table: Table, site: Place, described: Description, lines: Sequence[int],
-    times: Iterable[str | datetime],
-) -> Times:
-    """Return the times of rows, from their lines and their texts or times.
+    times: Sequence[str | datetime],
+) -> tuple[Values, float]:
+    """Return the times of rows (s since 1970), and the UTC offset of the first (s).
 
     In the hour that occurs twice when daylight saving time ends, a time that is not later than the
     previous one belongs to the second occurrence.
@@ -539,40 +520,49 @@ def find_times(
     """
     zone = _find_zone(site, described)
     key = described.columns.get(TIME, (TIME,))[0]
-    seconds, offset, before = array("d"), 0.0, -math.inf
+    seconds, offset, before = array("d"), timedelta(), -math.inf
     for line, given in zip(lines, times, strict=True):
-        text = str(given)
         try:
-            time = parse_text(text, described.time_format) if isinstance(given, str) else given
-        except ValueError:
-            raise table.refuse_at(
-                f"must be a time such as {described.time_format or DEFAULT_START}", line, key, text
-            ) from None
-        if time.tzinfo is None:
-            if zone is None:
-                raise table.refuse_at(
-                    f"must include a UTC offset, as in {DEFAULT_START}, unless the site file, a "
-                    "description or a comment states time_zone or utc_offset", line, key, text,
-                )
-            time = time.replace(tzinfo=zone)
-            if is_skipped(time):
-                raise table.refuse_at(
-                    f"is in an hour that the clocks in {zone} skip; if this clock is not changed "
-                    "in summer, state utc_offset in place of time_zone", line, key, text,
-                )
-            if time.timestamp() <= before:
-                time = time.replace(fold=1)
-        now = time.timestamp()
-        if now <= before:
-            raise table.refuse_at(
-                "must be later than the time of the previous row; if this clock is changed in "
-                "summer, state time_zone, such as Europe/Berlin", line, key, text,
-            )
+            time = _read_time(given, described.time_format, zone, before)
+        except ValueError as error:
+            raise table.refuse_at(str(error), line, key, str(given)) from None
         if not seconds:
-            offset = (time.utcoffset() or timedelta()).total_seconds()
-        seconds.append(now)
-        before = now
-    return Times(np.array(seconds), lines, offset)
+            offset = time.utcoffset() or timedelta()
+        before = time.timestamp()
+        seconds.append(before)
+    return np.array(seconds), offset.total_seconds()
+
+
+def _read_time(given: str | datetime, form: str, zone: tzinfo | None, before: float) -> datetime:
+    """Return the time in a cell, with an offset; the row before it has another (s since 1970).
+
+    Raises:
+        ValueError: if the time is invalid; the message states what would be right.
+    """
+    try:
+        time = parse_text(given, form)
+    except (TypeError, ValueError):
+        raise ValueError(f"must be a time such as {form or DEFAULT_START}") from None
+    if time.tzinfo is None:
+        if zone is None:
+            raise ValueError(
+                f"must include a UTC offset, as in {DEFAULT_START}, unless the site file, a "
+                "description or a comment states time_zone or utc_offset"
+            )
+        time = time.replace(tzinfo=zone)
+        if is_skipped(time):
+            raise ValueError(
+                f"is in an hour that the clocks in {zone} skip; if this clock is not changed in "
+                "summer, state utc_offset in place of time_zone"
+            )
+        if time.timestamp() <= before:
+            time = time.replace(fold=1)
+    if time.timestamp() <= before:
+        raise ValueError(
+            "must be later than the time of the previous row; if this clock is changed in summer, "
+            "state time_zone, such as Europe/Berlin"
+        )
+    return time
 
 
 def _find_zone(site: Place, described: Description) -> tzinfo | None:
@@ -591,12 +581,14 @@ def _find_zone(site: Place, described: Description) -> tzinfo | None:
     return None if site.time_zone is None and site.utc_offset is None else site.zone
 
 
-def parse_text(text: str, form: str) -> datetime:
+def parse_text(text: str | datetime, form: str) -> datetime:
     """Return the time in a text; 24:00 is the end of the day.
 
     Raises:
         ValueError: if the text does not have the form.
     """
+    if isinstance(text, datetime):
+        return text
     if not form:
         return parse_time(text)
     if form.endswith("%p") and text[-1:] in "ap":
@@ -607,15 +599,15 @@ def parse_text(text: str, form: str) -> datetime:
     return datetime.strptime(text, form)  # noqa: DTZ007
 
 
-def _find_step(table: Table, times: Times) -> float:
+def _find_step(table: Table, seconds: Values, lines: Sequence[int]) -> float:
     """Return the interval between the first ten rows (s); a single row covers an hour.
 
     Raises:
         ConfigurationError: if the intervals disagree.
     """
-    if len(times.seconds) < 2:
+    if len(seconds) < 2:
         return _HOUR_S
-    spacing = np.diff(times.seconds[:_FIRST_ROWS])
+    spacing = np.diff(seconds[:_FIRST_ROWS])
     middle = float(np.median(spacing))
     minutes = 60.0 * round(middle / 60)
     step_s = minutes if abs(minutes - middle) <= _CLOCK * middle else float(max(1, round(middle)))
@@ -624,13 +616,14 @@ def _find_step(table: Table, times: Times) -> float:
         raise table.refuse_at(
             f"this row is {duration(float(spacing[wrong[0]]))} after the previous row, but the "
             f"first rows are {duration(step_s)} apart: state the interval in seconds, as in step: "
-            f"{step_s:g}; rows that are missing may be left out", times.lines[int(wrong[0]) + 1],
-            "step",
+            f"{step_s:g}; rows that are missing may be left out", lines[int(wrong[0]) + 1], "step",
         )
     return step_s
 
 
-def _number_steps(table: Table, times: Times, step_s: float) -> tuple[float, NDArray[np.int64]]:
+def _number_steps(
+    table: Table, local: Values, lines: Sequence[int], step_s: float
+) -> tuple[float, NDArray[np.int64]]:
     """Return the start of step 0 (s since 1970 on the file's clock), and the step of every row.
 
     Steps that divide an hour or a day begin at multiples of the interval since midnight. Other
@@ -640,7 +633,6 @@ def _number_steps(table: Table, times: Times, step_s: float) -> tuple[float, NDA
         ConfigurationError: if a row is too far from the beginning of a step, or in the same step as
             the previous row.
     """
-    local = times.seconds + times.offset
     begin = step_s * math.floor(local[0] / step_s + 0.5)
     if abs(local[0] - begin) > _OFF * step_s or (_HOUR_S % step_s and 24 * _HOUR_S % step_s):
         whole = 60.0 if step_s >= 60 else 1.0
@@ -653,7 +645,7 @@ def _number_steps(table: Table, times: Times, step_s: float) -> tuple[float, NDA
         raise table.refuse_at(
             f"this row is {duration(float(local[row] - local[max(0, row - 1)]))} after the "
             f"previous row, but rows must be {duration(step_s)} or a multiple apart: where the "
-            "interval changes, split the file", times.lines[row], TIME,
+            "interval changes, split the file", lines[row], TIME,
         )
     return begin, steps
 
