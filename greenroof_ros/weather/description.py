@@ -20,7 +20,7 @@ from __future__ import annotations
 import functools
 import glob
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from zoneinfo import ZoneInfo
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import YamlMapping, parse_yaml, read_yaml, shared_directory
 from greenroof_ros.base.parameter import entry, find, keys, make_record
-from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, QUANTITIES, SYNONYMS, known_units
+from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 
 TIME = "time"
 START, END = "start", "end"
@@ -45,7 +45,7 @@ IN_COMMENTS = (
     "rows", "step", "time_zone", "utc_offset", *PLACE, "wind_height", "rain_late", "rain_kind",
 )
 """keys that the comments at the head of a file can contain, as in ``# rows: end``"""
-_LISTS = "na_values", "zero_values", "flag_values", "header", "skiprows"
+_LISTS = "na_values", "zero_values", "flag_values", "header"
 _COMMENT = re.compile(rf"#\s*((?:{'|'.join(IN_COMMENTS)}|stamped)\s*:.*)")
 
 
@@ -101,45 +101,48 @@ class Description:
         return SEPARATORS[self.sep]
 
 
-def make_description(values: Mapping[str, Any], base: Description | None = None) -> Description:
-    """Return a description with the given keys, and otherwise those of a base.
+def make_description(values: Mapping[str, Any], given: Description | None = None) -> Description:
+    """Return a description with keys, except that the keys of a given description come first.
 
     Raises:
         ConfigurationError: if a key is unknown, or a value is not valid for it.
     """
-    plain: dict[str, Any] = dict(values)
-    for key in _LISTS:
-        if key in plain and not isinstance(plain[key], (list, tuple)):
-            plain[key] = [*range(plain[key])] if isinstance(plain[key], int) else [plain[key]]
-        if key in plain and key != "skiprows":
-            plain[key] = [_as_text(item) for item in plain[key]]
-    if isinstance(plain.get("columns"), Mapping):
-        plain["columns"] = {
-            _name(name): [
-                _as_text(each) for each in (column if isinstance(column, list) else [column])
-            ]
-            for name, column in plain["columns"].items()
-        }
-    for key in ("units", "flags"):
-        if isinstance(plain.get(key), Mapping):
-            plain[key] = {_name(name): _as_text(item) for name, item in plain[key].items()}
-    if plain.get("sep") == "\t":
-        plain["sep"] = "tab"
-    made = make_record(Description, plain)
+    made = make_record(Description, {key: _shape(key, value) for key, value in values.items()})
     _check(made)
-    return made if base is None else replace(base, **{
-        key.name: getattr(made, key.name) for key in keys(Description) if key.name in plain
+    default = Description()
+    return made if given is None else replace(made, **{
+        key.name: value for key in keys(Description)
+        if (value := getattr(given, key.name)) != getattr(default, key.name)
     })
+
+
+def _shape(key: str, value: Any) -> Any:
+    """Return a value with lists of texts, as the key has it, where a file may be shorter."""
+    if key in ("columns", "units", "flags") and isinstance(value, Mapping):
+        listed = key == "columns"
+        return {
+            usual_name(name): _as_texts(each) if listed else _as_text(each)
+            for name, each in value.items()
+        }
+    if key == "skiprows":
+        return [*range(value)] if isinstance(value, int) else value
+    if key == "sep" and value == "\t":
+        return "tab"
+    return _as_texts(value) if key in _LISTS else value
+
+
+def _as_texts(value: Any) -> list[Any]:
+    return [_as_text(each) for each in (value if isinstance(value, (list, tuple)) else [value])]
 
 
 def _as_text(value: Any) -> Any:
     return str(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else value
 
 
-def _name(name: str) -> str:
-    """Return the usual name of a quantity, which may be written with underscores."""
+def usual_name(name: str) -> str:
+    """Return the usual name of a quantity, which may be written with underscores, or as rain."""
     plain = name.replace("_", " ")
-    return SYNONYMS.get(plain, plain)
+    return PRECIPITATION if plain == "rain" else plain
 
 
 def quantity_of(name: str) -> str:
@@ -149,12 +152,11 @@ def quantity_of(name: str) -> str:
 
 def _check(made: Description) -> None:
     for key in ("columns", "units", "flags"):
+        others = (TIME, *PLACE) if key == "columns" else ()
         for name in getattr(made, key):
-            if quantity_of(name) not in QUANTITIES and (
-                key != "columns" or name not in (TIME, *PLACE)
-            ):
+            if quantity_of(name) not in QUANTITIES and name not in others:
                 raise ConfigurationError(
-                    f"must be one of {TIME}, {', '.join(QUANTITIES)}", key=f"{key}.{name}"
+                    f"must be one of {', '.join((*others, *QUANTITIES))}", key=f"{key}.{name}"
                 )
     for name, columns in made.columns.items():
         if len(columns) != 1 and name != TIME:
@@ -176,11 +178,6 @@ def _check(made: Description) -> None:
             "must be the name of an encoding, such as utf-8 or cp1252", key="encoding",
             value=made.encoding,
         ) from None
-
-
-def unknown_unit(quantity: str) -> str:
-    """Return the message about a column with a unit that its quantity does not have."""
-    return f"the unit of {quantity} must be one of {', '.join(known_units(quantity))}"
 
 
 def read_description(path: Path) -> Description:
@@ -231,9 +228,6 @@ def read_comment(path: Path, number: int, text: str) -> dict[str, Any]:
     match = _COMMENT.fullmatch(text.strip().strip(',;"'))
     if match is None:
         return {}
-    if match[1].startswith("stamped"):
-        raise ConfigurationError("is now called 'rows', as in '# rows: end'", file=path,
-                                 line=number, key="stamped")
     try:
         stated = parse_yaml(f"{{{match[1]}}}", path)
     except ConfigurationError as error:
@@ -253,13 +247,13 @@ def service_descriptions() -> tuple[Description, ...]:
     )))
 
 
-def find_service(header: Sequence[str], separator: str) -> Description | None:
-    """Return the description of the service whose files begin with a header; None if unknown."""
-    return next((
-        described for described in service_descriptions()
-        if described.separator == separator
-        and (*header[: len(described.header)],) == described.header
-    ), None)
+def find_service(line: str) -> Description | None:
+    """Return the description of the service whose files have this header; None if unknown."""
+    for described in service_descriptions():
+        cells = [cell.strip('" ') for cell in line.strip().split(described.separator)]
+        if (*cells[: len(described.header)],) == described.header:
+            return described
+    return None
 
 
 def expand(paths: Iterable[Path]) -> list[tuple[Path, Description | None]]:

@@ -14,7 +14,7 @@ from greenroof_ros.weather.description import TIME, Description
 from greenroof_ros.weather.hours import make_hours
 from greenroof_ros.weather.quantities import ROOF
 from greenroof_ros.weather.records import Records
-from greenroof_ros.weather.table import Row, Table, arrange, find_columns, find_times
+from greenroof_ros.weather.table import Table, arrange, find_columns, find_times
 
 _NAME = Path("the data frame")
 
@@ -39,7 +39,7 @@ def read_frame(frame: Any, site: Place) -> Records:
     """
     described = Description(name="data frame")
     names = [*map(str, frame.columns)]
-    table = Table(_NAME, names, None, iter([Row(0, ())]))
+    table = Table(_NAME, names, None, iter(()))
     columns, method = find_columns(table, described)
     numbers = {}
     for quantity in columns.keys() - {*ROOF}:
@@ -57,7 +57,8 @@ def read_frame(frame: Any, site: Place) -> Records:
                 "must be a finite number", int(infinite[0]), columns[quantity][0],
                 float(numbers[quantity][infinite[0]]),
             )
-    times = find_times(table, site, described, enumerate(_list_times(frame)))
+    listed = _list_times(frame)
+    times = find_times(table, site, described, range(len(listed)), listed)
     return make_hours(_NAME, arrange(table, described, site, columns, method, times, numbers))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,10 +52,11 @@ def make_hours(file: Path, rows: Rows) -> Records:
         minutes = _spread_over_minutes(rows.values[PRECIPITATION], begins, rows.step_s, count)
         values[PRECIPITATION] = average_minutes(minutes)
     about = rows.described
+    place: Any = about.latitude, about.longitude
     return Records(
         (file,), first, add_dew_point(values), rows.method,
         rain_late=about.rain_late, applied=(describe_rows(rows),),
-        places={} if rows.position is None else {file: rows.position},
+        places={} if None in place else {file: place},
         wind_height=about.wind_height, minutes=minutes,
         rain_kind=about.rain_kind if PRECIPITATION in values else "",
     )

@@ -11,8 +11,8 @@ import csv
 import itertools
 import math
 from array import array
-from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta, timezone, tzinfo
@@ -25,14 +25,12 @@ from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
 from greenroof_ros.base.files import read_lines
-from greenroof_ros.base.parameter import keys
 from greenroof_ros.base.ranges import Range, read_number
 from greenroof_ros.base.times import DEFAULT_START, duration, is_skipped, parse_time
 from greenroof_ros.site.site import Place, Site
 from greenroof_ros.weather.description import (
     END,
     PLACE,
-    SEPARATORS,
     STANDARD,
     TIME,
     Description,
@@ -41,14 +39,14 @@ from greenroof_ros.weather.description import (
     quantity_of,
     read_comment,
     service_descriptions,
-    unknown_unit,
+    usual_name,
 )
 from greenroof_ros.weather.quantities import (
     EVAPOTRANSPIRATION,
     PRECIPITATION,
     QUANTITIES,
-    SYNONYMS,
     find_unit,
+    known_units,
 )
 
 Values = NDArray[np.float64]
@@ -81,18 +79,10 @@ class Table:
     def __init__(
         self, file: Path, header: Sequence[str], line: int | None, rows: Iterator[Row]
     ) -> None:
-        """Prepare the table, and read its first row.
-
-        Raises:
-            ConfigurationError: if the table has no rows, or its first row is invalid.
-        """
-        self.file, self.header, self.line = file, header, line
-        self._places = {name: place for place, name in reversed([*enumerate(header)])}
-        first = next(rows, None)
-        if first is None:
-            raise ConfigurationError("has a header but no rows", file=file)
-        self.first, self.rows_after_first = first, rows
-        self.rows: Iterator[Row] = itertools.chain([first], rows)
+        """Prepare the table."""
+        self.file, self.header, self.line, self.rows = file, header, line, rows
+        counts = Counter(header)
+        self._places = {name: place for place, name in enumerate(header) if counts[name] == 1}
 
     def place(self, column: str) -> int:
         """Return the position of a column, from its name or its number.
@@ -100,18 +90,19 @@ class Table:
         Raises:
             ConfigurationError: if the header does not contain the column exactly once.
         """
-        if column.isdecimal() and column not in self.header and int(column) < len(self.header):
+        if column in self._places:
+            return self._places[column]
+        if column in self.header:
+            what = "occurs more than once"
+        elif column.isdecimal() and int(column) < len(self.header):
             return int(column)
-        if self.header.count(column) != 1:
-            what = "occurs more than once" if column in self.header else suggest_names(
-                column, self.header
-            )
-            raise self.refuse(f"must be the name of one column of the file; {what}", column)
-        return self._places[column]
+        else:
+            what = suggest_names(column, self.header)
+        raise self.refuse(f"must be the name of one column of the file; {what}", column)
 
     def cell(self, row: Row, column: str) -> str:
         """Return the text of a cell."""
-        return row.cells[self._places[column] if column in self._places else int(column)]
+        return row.cells[self.place(column)]
 
     def refuse(
         self, expected: str, column: str | None = None, row: Row | None = None
@@ -169,20 +160,18 @@ def split(text: str, separator: str) -> list[str]:
     """Return the cells of a line; a quoted cell must end within its line.
 
     Raises:
-        ValueError: if a quote is not closed, or is followed by text.
+        csv.Error: if a quote is not closed, or is followed by text.
     """
-    if '"' not in text:
-        return [cell.strip() for cell in text.split(separator)]
-    try:
-        cells = next(csv.reader([text.strip()], delimiter=separator, strict=True))
-    except csv.Error as error:
-        raise ValueError(str(error)) from None
+    plain = '"' not in text  # the module csv takes longer
+    cells = text.split(separator) if plain else next(
+        csv.reader([text.strip()], delimiter=separator, strict=True)
+    )
     return [cell.strip() for cell in cells]
 
 
 def read_table(
     file: Path, lines: Iterable[tuple[int, str]] | None = None, separator: str = ",",
-    first_value: Callable[[Sequence[str]], int] = lambda _: 0,
+    with_values: Container[str] = (),
 ) -> Table:
     """Read CSV as a table; blank lines, and lines that begin with ``#``, are left out.
 
@@ -190,51 +179,47 @@ def read_table(
         file: file to read.
         lines: numbered lines, beginning with the header; by default, those of the file.
         separator: separator between cells.
-        first_value: function that returns the position of the first column with a value. A row that
-            ends before it is a row without values.
+        with_values: names of columns. A row that ends before the first of them has no values.
 
     Raises:
         ConfigurationError: if the file cannot be read, or the header or all rows are missing. A row
             that has more or fewer cells than the header is rejected when it is read.
     """
-    if lines is None:
-        lines = enumerate(read_lines(file), start=1)
-    numbered = (
-        (number, text) for number, text in lines
-        if text.strip() and not text.lstrip().startswith("#")
-    )
 
-    def parse(number: int, text: str) -> list[str]:
-        try:
-            return split(text, separator)
-        except ValueError as error:
+    def parse() -> Iterator[Row]:
+        for number, text in lines or enumerate(read_lines(file), start=1):
+            if text.strip() and not text.lstrip().startswith("#"):
+                try:
+                    yield Row(number, split(text, separator))
+                except csv.Error as error:
+                    raise ConfigurationError(
+                        f"is not a line of CSV: {error}", file=file, line=number
+                    ) from None
+
+    def fit(row: Row) -> Row:
+        """Return a row with as many cells as the header."""
+        cells = [*row.cells[:count]] if not any(row.cells[count:]) else row.cells
+        if len(cells) < count and len(cells) <= first:
+            cells = [*cells, *[""] * (count - len(cells))]
+        if len(cells) != count:
             raise ConfigurationError(
-                f"is not a line of CSV: {error}", file=file, line=number
-            ) from None
+                f"must have {count} cells, like the header, but has {len(cells)}", file=file,
+                line=row.line,
+            )
+        return Row(row.line, cells)
 
-    line, text = next(numbered, (0, ""))
-    if not line:
+    rows = parse()
+    head, second = next(rows, None), next(rows, None)
+    if head is None or not any(head.cells):
         raise ConfigurationError("must contain a header and rows", file=file)
-    header = [" ".join(name.split()) for name in parse(line, text)]
+    if second is None:
+        raise ConfigurationError("has a header but no rows", file=file)
+    header = [" ".join(name.split()) for name in head.cells]
     while header and not header[-1]:  # separators at the end of each line
         header.pop()
-    count, first = len(header), first_value(header)
-
-    def rows() -> Iterator[Row]:
-        for number, text in numbered:
-            cells = parse(number, text)
-            if len(cells) > count and not any(cells[count:]):
-                cells = cells[:count]
-            if len(cells) < count and len(cells) <= first:
-                cells += [""] * (count - len(cells))
-            if len(cells) != count:
-                raise ConfigurationError(
-                    f"must have {count} cells, like the header, but has {len(cells)}", file=file,
-                    line=number,
-                )
-            yield Row(number, cells)
-
-    return Table(file, header, line, rows())
+    count = len(header)
+    first = next((place for place, name in enumerate(header) if name in with_values), 0)
+    return Table(file, header, head.line, map(fit, itertools.chain([second], rows)))
 
 
 @dataclass(frozen=True)
@@ -243,7 +228,7 @@ class Rows:
 
     Attributes:
         table: table of the file, for messages; its rows have been read.
-        described: what the file means, with the statements in its comments.
+        described: what the file means, with the statements in its comments and columns.
         columns: name and unit of the column of every quantity.
         method: method of the evapotranspiration; empty without a column of evapotranspiration.
         first: start of step 0, with a UTC offset.
@@ -264,11 +249,16 @@ class Rows:
     values: dict[str, Values]
     ignored: tuple[str, ...]
 
-    @property
-    def position(self) -> tuple[float, float] | None:
-        """Latitude and longitude (degrees) that the file states; None if it states none."""
-        latitude, longitude = self.described.latitude, self.described.longitude
-        return None if latitude is None or longitude is None else (latitude, longitude)
+
+class Times(NamedTuple):
+    """The times of rows."""
+
+    seconds: Values
+    """times (s since 1970), in ascending order"""
+    lines: Sequence[int]
+    """line of every row in the file, or number of the row in a data frame"""
+    offset: float
+    """UTC offset of the first row (s)"""
 
 
 def read_rows(
@@ -293,27 +283,27 @@ def read_rows(
     """
     table, described = _open(file, described)
     columns, method = find_columns(table, described)
-    cells = {
-        name: _Cells(table, columns[name][0], name, described)
-        for name in columns if name in wanted
+    readers = {
+        name: _number_reader(table, described, name, column)
+        for name, (column, _) in columns.items() if name in wanted
     }
-    times = _read_times(table, site, described, [*cells.values()])
-    position = _read_position(table, described)
+    clock = [table.place(column) for column in described.columns.get(TIME, (TIME,))]
+    lines, times, numbers = array("l"), list[str](), [array("d") for _ in readers]
+    position = described
+    for row in table.rows:
+        if not lines:
+            position = _read_position(table, row, described)
+        lines.append(row.line)
+        times.append(" ".join(row.cells[place] for place in clock))
+        for series, read in zip(numbers, readers.values(), strict=True):
+            series.append(read(row))
+    if _is_newest_first(times, described.time_format):
+        for each in (lines, times, *numbers):
+            each.reverse()
     return arrange(
-        table, replace(described, **position), site, columns, method, times,  # type: ignore[arg-type]
-        {name: np.array(each.numbers) for name, each in cells.items()},
+        table, position, site, columns, method, find_times(table, site, described, lines, times),
+        dict(zip(readers, map(np.array, numbers), strict=True)),
     )
-
-
-class Times(NamedTuple):
-    """The times of rows."""
-
-    seconds: Values
-    """times (s since 1970), in ascending order"""
-    lines: Sequence[int]
-    """line of every row in the file, or number of the row in a data frame"""
-    offset: float
-    """UTC offset of the first row (s)"""
 
 
 def arrange(
@@ -367,7 +357,7 @@ def _open(file: Path, described: Description | None) -> tuple[Table, Description
     lines = enumerate(read_lines(file, given.encoding), start=1)
     if given.columns:
         skipped = {*given.skiprows}
-        kept = ((number, text) for number, text in lines if number - 1 not in skipped)
+        kept = (line for line in lines if line[0] - 1 not in skipped)
         return _read_as(file, _without_last(kept, given.skipfooter), given), given
     head, stated = [(0, "")], dict[str, object]()
     for number, text in lines:
@@ -381,21 +371,13 @@ def _open(file: Path, described: Description | None) -> tuple[Table, Description
                         "differs from an earlier comment", file=file, line=number, key=key,
                         value=value,
                     )
-    is_own = head[-1][1].strip('" \r\n').startswith(TIME)
-    for number, text in () if is_own else head[-2:]:  # a header can be the last comment
-        for separator in SEPARATORS.values():
-            header = [cell.strip('" ') for cell in text.strip().split(separator)]
-            service = find_service(header, separator)
-            if service is not None:
-                later = [line for line in head if line[0] > number]
-                start = (number, text.replace("#", " ", 1))
-                return _read_as(file, itertools.chain([start], later, lines), service), service
-    made = make_description({
-        **stated, **{
-            key.name: getattr(given, key.name) for key in keys(Description)
-            if getattr(given, key.name) != getattr(Description(), key.name)
-        },
-    })
+    for place, (number, text) in enumerate(head[-2:], len(head) - 2):  # it can be a comment
+        service = find_service(text)
+        if service is not None:
+            header = number, text.replace("#", " ", 1)
+            later = itertools.chain([header], head[place + 1 :], lines)
+            return _read_as(file, later, service), service
+    made = make_description(stated, given)
     table = _read_as(file, itertools.chain(head[-1:], lines), made)
     if table.header[0] != TIME:
         known = sorted({described.name for described in service_descriptions()})
@@ -407,9 +389,7 @@ def _open(file: Path, described: Description | None) -> tuple[Table, Description
     return table, made
 
 
-def _without_last(
-    lines: Iterable[tuple[int, str]], count: int
-) -> Iterator[tuple[int, str]]:
+def _without_last(lines: Iterable[tuple[int, str]], count: int) -> Iterator[tuple[int, str]]:
     waiting = deque[tuple[int, str]]()
     for line in lines:
         waiting.append(line)
@@ -418,41 +398,36 @@ def _without_last(
 
 
 def _read_as(file: Path, lines: Iterable[tuple[int, str]], described: Description) -> Table:
-    values = {column for name in described.columns.keys() & QUANTITIES.keys()
-              for column in described.columns[name]}
-
-    def first_value(header: Sequence[str]) -> int:
-        return min((header.index(name) for name in values if name in header), default=0)
-
-    return read_table(file, lines, described.separator, first_value)
+    return read_table(file, lines, described.separator, {
+        column for name in described.columns.keys() & QUANTITIES.keys()
+        for column in described.columns[name]
+    })
 
 
 def find_columns(
     table: Table, described: Description
 ) -> tuple[dict[str, tuple[str, str]], str]:
     """Return the column and unit of every quantity, and the method of evapotranspiration."""
-    named = {
-        name: column for name, (column, *_) in described.columns.items()
+    named = [
+        (name, column) for name, (column, *_) in described.columns.items()
         if name not in (TIME, *PLACE)
-    }
-    for column in table.header if not described.columns else ():
-        name = split_unit(column)[0]
-        name = SYNONYMS.get(name, name)
-        if quantity_of(name) in QUANTITIES:
-            if name in named:
-                raise table.refuse(f"an earlier column already contains {name}", column)
-            named[name] = column
+    ]
+    if not described.columns:
+        named = [(usual_name(split_unit(column)[0]), column) for column in table.header]
+        named = [pair for pair in named if quantity_of(pair[0]) in QUANTITIES]
     columns, method = dict[str, tuple[str, str]](), ""
-    for name, column in named.items():
-        table.place(column)
+    for name, column in named:
         quantity = quantity_of(name)
+        if quantity in columns:
+            raise table.refuse(f"an earlier column already contains {quantity}", column)
+        table.place(column)
         unit = described.units.get(name, described.units.get(quantity, split_unit(column)[1]))
         try:
             find_unit(quantity, unit, 1.0, 1.0)
         except ValueError:
-            raise table.refuse(unknown_unit(quantity), column) from None
-        if quantity in columns:
-            raise table.refuse(f"an earlier column already contains {quantity}", column)
+            raise table.refuse(
+                f"the unit of {quantity} must be one of {', '.join(known_units(quantity))}", column
+            ) from None
         columns[quantity] = column, unit
         if quantity == EVAPOTRANSPIRATION:
             method = name.removesuffix(EVAPOTRANSPIRATION).strip() or "unnamed"
@@ -468,69 +443,49 @@ def split_unit(column: str) -> tuple[str, str]:
     return column, ""
 
 
-def _read_position(table: Table, described: Description) -> dict[str, float]:
-    """Return the position in the columns of the first row, if the file has such columns."""
-    return {
-        name: table.read_number(table.first, described.columns[name][0], Range(-end, end))
+def _read_position(table: Table, row: Row, described: Description) -> Description:
+    """Return a description with the position in a row, if the file has such columns."""
+    return replace(described, **{
+        name: table.read_number(row, described.columns[name][0], Range(-end, end))
         for name, end in _PLACES.items()
-        if name in described.columns and table.cell(table.first, described.columns[name][0])
-    }
+        if name in described.columns and table.cell(row, described.columns[name][0])
+    })
 
 
 # --- values ---------------------------------------------------------------------------------------
 
 
-class _Cells:
-    """The numbers in a column, in the unit of the file, which are read row by row."""
+def _number_reader(
+    table: Table, described: Description, quantity: str, column: str
+) -> Callable[[Row], float]:
+    """Return a function that reads the number in a column, in the unit of the file."""
+    place, comma = table.place(column), described.decimal == ","
+    flag = table.place(described.flags[quantity]) if quantity in described.flags else None
+    zeros = described.zero_values if quantity == PRECIPITATION else ()
+    meanings = dict.fromkeys(("", *described.na_values), math.nan) | dict.fromkeys(zeros, 0.0)
+    codes = dict[float, float]()  # by number, as in -99.0
+    for text, meaning in meanings.items():
+        with suppress(ValueError):
+            codes[read_number(text)] = meaning
 
-    def __init__(
-        self, table: Table, column: str, quantity: str, described: Description
-    ) -> None:
-        """Prepare the column."""
-        self._table, self._column = table, column
-        self._place = table.place(column)
-        self._missing = {"", *described.na_values}
-        self._missing_numbers = _numbers_of(described.na_values)
-        self._zero = {*described.zero_values} if quantity == PRECIPITATION else set[str]()
-        self._comma = described.decimal == ","
-        flag = described.flags.get(quantity)
-        self._flag = None if flag is None else table.place(flag)
-        self._flags = {*described.flag_values}
-        self.numbers = array("d")
-
-    def add(self, row: Row) -> None:
-        """Read the cell in a row.
-
-        Raises:
-            ConfigurationError: if the cell is neither a number nor declared to be missing.
-        """
-        text = row.cells[self._place]
-        if text in self._missing or (
-            self._flag is not None and row.cells[self._flag] in self._flags
-        ):
-            self.numbers.append(math.nan)
-            return
-        if text in self._zero:
-            self.numbers.append(0.0)
-            return
+    def read(row: Row) -> float:
+        text = row.cells[place]
+        if flag is not None and row.cells[flag] in described.flag_values:
+            return math.nan
+        if text in meanings:
+            return meanings[text]
         try:
-            number = read_number(self._with_point(text))
-            if not math.isfinite(number):
+            number = read_number(text.replace(",", ".") if comma else text)
+            if not math.isfinite(number) or (comma and "." in text):
                 raise ValueError
         except ValueError:
-            mark = "comma" if self._comma else "point"
-            raise self._table.refuse(
-                f"must be a number with a decimal {mark}, or empty; if it denotes a missing value, "
-                "name it in na_values", self._column, row,
+            raise table.refuse(
+                f"must be a number with a decimal {'comma' if comma else 'point'}, or empty; if it "
+                "denotes a missing value, name it in na_values", column, row,
             ) from None
-        self.numbers.append(math.nan if number in self._missing_numbers else number)
+        return codes.get(number, number)
 
-    def _with_point(self, text: str) -> str:
-        if not self._comma:
-            return text
-        if "." in text:
-            raise ValueError
-        return text.replace(",", ".")
+    return read
 
 
 def _convert(
@@ -557,45 +512,20 @@ def _convert(
     return np.asarray(values)
 
 
-def _numbers_of(texts: Iterable[str]) -> set[float]:
-    numbers = set[float]()
-    for text in texts:
-        with suppress(ValueError):
-            numbers.add(read_number(text))
-    return numbers
-
-
 # --- times ----------------------------------------------------------------------------------------
 
 
-def _read_times(
-    table: Table, site: Place, described: Description, cells: Sequence[_Cells]
-) -> Times:
-    """Read all rows, and return their times."""
-    columns = described.columns.get(TIME, (TIME,))
-    places = [table.place(column) for column in columns]
-
-    def rows() -> Iterator[tuple[int, str]]:
-        for row in table.rows:
-            yield row.line, text_of(row)
-            for cell in cells:
-                cell.add(row)
-
-    def text_of(row: Row) -> str:
-        return " ".join(row.cells[place] for place in places)
-
-    second = next(table.rows_after_first, None)
-    if second is not None:
-        table.rows = itertools.chain([table.first, second], table.rows_after_first)
-        with suppress(ValueError, TypeError):  # such times are refused below
-            form = described.time_format
-            if parse_text(text_of(second), form) < parse_text(text_of(table.first), form):
-                table.rows = reversed([*table.rows])  # the newest row is the first
-    return find_times(table, site, described, rows())
+def _is_newest_first(times: Sequence[str], form: str) -> bool:
+    """Return whether the first row is later than the last; times that cannot be read are not."""
+    try:
+        return parse_text(times[-1], form) < parse_text(times[0], form)
+    except (ValueError, TypeError):
+        return False
 
 
 def find_times(
-    table: Table, site: Place, described: Description, times: Iterable[tuple[int, str | datetime]]
+    table: Table, site: Place, described: Description, lines: Sequence[int],
+    times: Iterable[str | datetime],
 ) -> Times:
     """Return the times of rows, from their lines and their texts or times.
 
@@ -609,9 +539,8 @@ def find_times(
     """
     zone = _find_zone(site, described)
     key = described.columns.get(TIME, (TIME,))[0]
-    seconds, lines = array("d"), array("l")
-    offset, before = 0.0, -math.inf
-    for line, given in times:
+    seconds, offset, before = array("d"), 0.0, -math.inf
+    for line, given in zip(lines, times, strict=True):
         text = str(given)
         try:
             time = parse_text(text, described.time_format) if isinstance(given, str) else given
@@ -639,10 +568,9 @@ def find_times(
                 "must be later than the time of the previous row; if this clock is changed in "
                 "summer, state time_zone, such as Europe/Berlin", line, key, text,
             )
-        if not lines:
+        if not seconds:
             offset = (time.utcoffset() or timedelta()).total_seconds()
         seconds.append(now)
-        lines.append(line)
         before = now
     return Times(np.array(seconds), lines, offset)
 

@@ -210,7 +210,7 @@ def test_times_that_do_not_fit(
         ("time,rain [l]\n2024-06-01T00:00,1\n", "the unit of precipitation must be one of mm"),
         ("date,rain [mm]\n2024-06-01T00:00,1\n", "greenroof weather FILE --describe"),
         ("# rows: sometimes\ntime,rain [mm]\n", "line 1: rows = 'sometimes'"),
-        ("# stamped: end\ntime,rain [mm]\n", "line 1: stamped: is now called 'rows'"),
+        ("# stamped: end\ntime,rain [mm]\n", "line 1: stamped = 'end': is not a valid key"),
         ("# rows: end\n# rows: start\ntime,rain [mm]\n", "line 2: rows = 'start': differs"),
         ("# latitude: north\ntime,rain [mm]\n", "line 1: latitude = 'north': must be a number"),
         ("time,rain [mm]\n", "has a header but no rows"), ("# nothing\n", "must contain a header"),
