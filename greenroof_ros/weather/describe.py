@@ -6,18 +6,22 @@ question mark stands where a person must decide. Reading uses none of this.
 
 from __future__ import annotations
 
+import csv
+import itertools
 import re
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import yaml
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import read_lines
 from greenroof_ros.base.ranges import read_number
 from greenroof_ros.base.times import parse_time
-from greenroof_ros.weather.description import SEPARATORS
+from greenroof_ros.weather.description import SEPARATORS, Description
 from greenroof_ros.weather.quantities import (
     DEW_POINT,
     HUMIDITY,
@@ -33,14 +37,11 @@ from greenroof_ros.weather.table import parse_text, split, split_unit
 
 _LINES = 2000
 _HIGHEST = 1e4  # of any quantity in our unit
+_DATES = "%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y", "%d/%m/%y", "%m/%d/%y", "%Y/%m/%d"
+_CLOCKS = "%H:%M", "%H:%M:%S", "%I:%M %p", "%I:%M:%S %p", "%I:%M%p"
 _FORMS = (
-    "", "%d.%m.%Y %H:%M", "%d.%m.%Y %H:%M:%S", "%d.%m.%y %H:%M", "%d/%m/%Y %H:%M",
-    "%d/%m/%Y %H:%M:%S", "%m/%d/%Y %H:%M", "%m/%d/%Y %H:%M:%S", "%d/%m/%y %H:%M", "%m/%d/%y %H:%M",
-    "%m/%d/%y %I:%M:%S %p", "%d/%m/%y %I:%M:%S %p", "%m/%d/%Y %I:%M %p", "%m/%d/%y %I:%M %p",
-    "%m/%d/%Y %I:%M:%S %p", "%Y/%m/%d %H:%M", "%Y/%m/%d %H:%M:%S", "%d-%m-%Y %H:%M",
-    "%d-%m-%Y %H:%M:%S", "%d-%b-%Y %H:%M", "%d-%b-%Y %H:%M:%S", "%Y%m%d%H%M", "%Y%m%d%H",
-    "%Y%m%d %H%M", "%Y%m%d %H:%M", "%Y%m%d %H", "%Y %m %d %H", "%Y %m %d %H %M", "%m/%d/%y %I:%M%p",
-    "%d/%m/%y %I:%M%p",
+    "", *map(" ".join, itertools.product((*_DATES, "%d-%m-%Y", "%d-%b-%Y"), _CLOCKS)), "%Y%m%d%H%M",
+    "%Y%m%d%H", "%Y%m%d %H%M", "%Y%m%d %H:%M", "%Y%m%d %H", "%Y %m %d %H", "%Y %m %d %H %M",
 )
 # Words in the names of columns, in lower case, and words of columns that are something else.
 _WORDS = {
@@ -60,7 +61,7 @@ _OTHER = (
     r"sea ?level|relative pressure|altimeter|change|tendenc|vapo|24 h|total|racha|rate|heat|wet"
 )
 _OFFSET = re.compile(r"(?:UTC|GMT) ?([+-]\d{1,2})(?::?00)?\b")
-_UNKNOWN = '"?"'
+_UNKNOWN = "?"
 
 
 class _Found(NamedTuple):
@@ -94,44 +95,43 @@ def describe(file: Path) -> str:
             "a file in the package's own form", file=file,
         )
     names = [" ".join(name.split()) for name in cells[found.header]]
-    between = cells[found.header + 1 : found.first]
     rows = [row for row in cells[found.first : len(cells) - found.foot] if any(row)]
-    twice = len({*names}) < len([name for name in names if name])
-    full = [" ".join(parts) for parts in zip(cells[found.header - 1], names, strict=False)]
-    columns, units = _find_quantities(full if twice and found.header else names, between)
+    full = names
+    if found.header and len({*names}) < len([*filter(None, names)]):  # in two lines
+        full = [" ".join(parts) for parts in zip(cells[found.header - 1], names, strict=False)]
+    columns, units = _find_quantities(full, cells[found.header + 1 : found.first])
     decimal, missing = _read_values(
         [(name, units[name], [row[n] for row in rows]) for name, n in columns.items()]
     )
     names = [str(n) if names.count(name) > 1 else name for n, name in enumerate(names)]
-    skipped = [n for n in range(found.first) if n != found.header]
-    if skipped == [*range(len(skipped))]:
-        skip = [str(len(skipped))] if skipped else []
-    else:
-        skip = [str(skipped)]
-    time = [_quote(names[n]) for n in found.time]
-    pairs = [f"time: {time[0] if len(time) == 1 else '[' + ', '.join(time) + ']'}", *(
-        f"{_key(name)}: {_quote(names[n])}" for name, n in columns.items()
-    )]
-    form = found.forms[0] if len(found.forms) == 1 else "?"
-    text = [
-        f"file: {_quote(file.name)}",
-        f"columns: {{{', '.join(pairs)}}}",
-        *([f"time_format: {_quote(form)}" + (
-            "" if len(found.forms) == 1 else f"    # {' or '.join(found.forms)}"
-        )] if form else []),
-        *_describe_zone([*names, *("".join(line) for line in cells[: found.header])],
-                        rows[0], found),
-        f"rows: {_UNKNOWN}    # is the time of a row the start or the end of its interval?",
-        f"units: {{{', '.join(f'{_key(name)}: {unit}' for name, unit in units.items())}}}",
-        *([f"na_values: [{', '.join(map(_quote, missing))}]"] if missing else []),
-        *([f"encoding: {encoding}"] if encoding != "utf-8" else []),
-        *([f"sep: {_quote(separator)}"] if separator != "," else []),
-        *([f"decimal: {_quote(decimal)}"] if decimal != "." else []),
-        *(f"skiprows: {number}" for number in skip),
-        *(["skipfooter: 1"] if found.foot else []),
-    ]
+    time, skipped = [names[n] for n in found.time], {*range(found.first)} - {found.header}
+    head = " ".join(itertools.chain(names, *cells[: found.header]))
+    keys = {
+        "file": file.name,
+        "columns": {"time": time[0] if len(time) == 1 else time}
+        | {name: names[n] for name, n in columns.items()},
+        "time_format": found.forms[0] if len(found.forms) == 1 else _UNKNOWN,
+        **_find_zone(head, rows[0], found), "rows": _UNKNOWN, "units": units,
+        "na_values": missing, "encoding": encoding, "sep": separator, "decimal": decimal,
+        "skiprows": len(skipped) if skipped == {*range(len(skipped))} else sorted(skipped),
+        "skipfooter": found.foot,
+    }
+    default = Description()
+    stated = {key: value for key, value in keys.items() if value and value != getattr(default, key)}
     unused = [name for n, name in enumerate(names) if n not in (*found.time, *columns.values())]
-    return "\n".join([*text, f"# not used: {', '.join(unused)}", ""])
+    text = yaml.safe_dump(
+        stated, sort_keys=False, allow_unicode=True, default_flow_style=None, width=1000
+    )
+    to_decide = {
+        "time_format": " or ".join(found.forms), "time_zone": "such as Europe/Berlin, UTC, or "
+        "standard for the site's utc_offset", "rows": "is the time of a row the start or the end "
+        "of its interval?", "units": "of each quantity with a question mark",
+    }
+    comments = [
+        *(f"{key}: {what}" for key, what in to_decide.items() if _UNKNOWN in str(stated.get(key))),
+        f"not used: {', '.join(unused)}",
+    ]
+    return text + "".join(f"# {comment}\n" for comment in comments)
 
 
 def _read(file: Path) -> tuple[str, list[str]]:
@@ -151,26 +151,23 @@ def _split_lines(lines: Sequence[str]) -> tuple[str, list[list[str]]]:
     for line in lines:
         try:
             cells.append(split(line, SEPARATORS[name]))
-        except ValueError:
+        except csv.Error:
             cells.append([line])
     return name, cells
 
 
 def _find_rows(cells: Sequence[Sequence[str]]) -> _Found | None:
-    for first, row in enumerate(cells):
-        for places in (
-            tuple(range(n, n + count)) for n in range(min(8, len(row))) for count in (4, 2, 1)
-            if n + count <= len(row)
-        ):
-            forms = [form for form in _FORMS if _fits(form, [row], places)]
-            rows = [other for other in cells[first:] if any(other)]
+    for first, row in enumerate(cells[1:], start=1):
+        header = [n for n in range(first) if len(cells[n]) >= len(row) - 1]
+        rows = [other for other in cells[first:] if any(other)]
+        for begin, count in itertools.product(range(min(8, len(row))), (4, 2, 1)):
+            places = tuple(range(begin, begin + count))
+            forms = [form for form in _FORMS if header and _fits(form, [row], places)]
             foot = 0 if any(_fits(form, rows[-1:], places) for form in forms) else 1
             fits = [form for form in forms if _fits(form, rows[: len(rows) - foot], places)]
-            if fits and first:
-                wide = [n for n in range(first) if len(cells[n]) >= len(row) - 1]
-                named = [n for n in wide if any(map(_quantity_of, cells[n]))]
-                if wide:
-                    return _Found(named[-1] if named else wide[0], first, places, fits, foot)
+            if fits:
+                named = [n for n in header if any(map(_quantity_of, cells[n]))]
+                return _Found((named or header[:1])[-1], first, places, fits, foot)
     return None
 
 
@@ -205,7 +202,7 @@ def _find_quantities(
         texts = [split_unit(name)[1], *re.split(r"[,_ ]+", re.sub(r"\(.*", "", name))]
         for text in [*(line[n] for line in between if n < len(line)), *texts]:
             with suppress(ValueError):
-                units[quantity] = _quote(find_unit(quantity, text, 1.0, 1.0).name)
+                units[quantity] = find_unit(quantity, text, 1.0, 1.0).name
                 break
     return columns, units
 
@@ -219,7 +216,7 @@ def _read_values(columns: Sequence[tuple[str, str, list[str]]]) -> tuple[str, li
     for name, unit_name, texts in columns:
         unit = find_unit(name, QUANTITIES[name].unit, 1.0, 1.0)
         with suppress(ValueError):
-            unit = find_unit(name, unit_name.strip('"'), 1.0, 1.0)
+            unit = find_unit(name, unit_name, 1.0, 1.0)
         for text in filter(None, texts):
             with suppress(ValueError):
                 number = read_number(text.replace(",", ".") if comma else text)
@@ -229,24 +226,10 @@ def _read_values(columns: Sequence[tuple[str, str, list[str]]]) -> tuple[str, li
     return "," if comma else ".", [*missing][:10]
 
 
-def _describe_zone(texts: Sequence[str], row: Sequence[str], found: _Found) -> list[str]:
-    time = " ".join(row[n] for n in found.time)
-    if not found.forms[0] and parse_time(time).tzinfo is not None:
-        return []
-    for text in texts:
-        if match := _OFFSET.search(text):
-            return [f"utc_offset: {float(match[1]):g}"]
-        if re.search(r"\b(UTC|GMT)\b", text):
-            return ["time_zone: UTC"]
-    return [f"time_zone: {_UNKNOWN}    # such as Europe/Berlin, UTC, or standard for the site's"]
-
-
-def _key(name: str) -> str:
-    return name.replace(" ", "_")
-
-
-def _quote(text: str) -> str:
-    plain = re.fullmatch(r"[A-Za-z][\w ./()-]*", text) is not None
-    return text if plain and text.lower() not in ("no", "yes", "on", "off", "null") else (
-        '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
-    )
+def _find_zone(head: str, row: Sequence[str], found: _Found) -> dict[str, Any]:
+    """Return the key of the zone, unless the times contain their offset."""
+    if not found.forms[0] and parse_time(" ".join(row[n] for n in found.time)).tzinfo is not None:
+        return {}
+    if match := _OFFSET.search(head):
+        return {"utc_offset": float(match[1])}
+    return {"time_zone": "UTC" if re.search(r"\b(UTC|GMT)\b", head) else _UNKNOWN}

@@ -20,7 +20,7 @@ from __future__ import annotations
 import functools
 import glob
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from zoneinfo import ZoneInfo
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import YamlMapping, parse_yaml, read_yaml, shared_directory
 from greenroof_ros.base.parameter import entry, find, keys, make_record
-from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, QUANTITIES, SYNONYMS, known_units
+from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 
 TIME = "time"
 START, END = "start", "end"
@@ -45,7 +45,7 @@ IN_COMMENTS = (
     "rows", "step", "time_zone", "utc_offset", *PLACE, "wind_height", "rain_late", "rain_kind",
 )
 """keys that the comments at the head of a file can contain, as in ``# rows: end``"""
-_LISTS = "na_values", "zero_values", "flag_values", "header", "skiprows"
+_LISTS = "columns", "na_values", "zero_values", "flag_values", "header"
 _COMMENT = re.compile(rf"#\s*((?:{'|'.join(IN_COMMENTS)}|stamped)\s*:.*)")
 
 
@@ -101,45 +101,45 @@ class Description:
         return SEPARATORS[self.sep]
 
 
-def make_description(values: Mapping[str, Any], base: Description | None = None) -> Description:
-    """Return a description with the given keys, and otherwise those of a base.
+def make_description(values: Mapping[str, Any], given: Description | None = None) -> Description:
+    """Return a description with keys, except that the keys of a given description come first.
 
     Raises:
         ConfigurationError: if a key is unknown, or a value is not valid for it.
     """
-    plain: dict[str, Any] = dict(values)
-    for key in _LISTS:
-        if key in plain and not isinstance(plain[key], (list, tuple)):
-            plain[key] = [*range(plain[key])] if isinstance(plain[key], int) else [plain[key]]
-        if key in plain and key != "skiprows":
-            plain[key] = [_as_text(item) for item in plain[key]]
-    if isinstance(plain.get("columns"), Mapping):
-        plain["columns"] = {
-            _name(name): [
-                _as_text(each) for each in (column if isinstance(column, list) else [column])
-            ]
-            for name, column in plain["columns"].items()
-        }
-    for key in ("units", "flags"):
-        if isinstance(plain.get(key), Mapping):
-            plain[key] = {_name(name): _as_text(item) for name, item in plain[key].items()}
-    if plain.get("sep") == "\t":
-        plain["sep"] = "tab"
-    made = make_record(Description, plain)
+    made = make_record(Description, {key: _shape(key, value) for key, value in values.items()})
     _check(made)
-    return made if base is None else replace(base, **{
-        key.name: getattr(made, key.name) for key in keys(Description) if key.name in plain
+    default = Description()
+    return made if given is None else replace(made, **{
+        key.name: value for key in keys(Description)
+        if (value := getattr(given, key.name)) != getattr(default, key.name)
     })
+
+
+def _shape(key: str, value: Any) -> Any:
+    """Return a value with lists of texts, as the key has it, where a file may be shorter."""
+    top, _, name = key.partition(".")
+    if value == "?":
+        raise ConfigurationError(
+            "must be decided, because the file does not say it", key=key, value=value
+        )
+    if isinstance(value, Mapping):
+        return {usual_name(each): _shape(f"{key}.{each}", value[each]) for each in value}
+    if key == "skiprows" and isinstance(value, int):
+        return [*range(value)]
+    if top in _LISTS:
+        return [_as_text(each) for each in (value if isinstance(value, (list, tuple)) else [value])]
+    return "tab" if (key, value) == ("sep", "\t") else _as_text(value) if name else value
 
 
 def _as_text(value: Any) -> Any:
     return str(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else value
 
 
-def _name(name: str) -> str:
-    """Return the usual name of a quantity, which may be written with underscores."""
+def usual_name(name: str) -> str:
+    """Return the usual name of a quantity, which may be written with underscores, or as rain."""
     plain = name.replace("_", " ")
-    return SYNONYMS.get(plain, plain)
+    return PRECIPITATION if plain == "rain" else plain
 
 
 def quantity_of(name: str) -> str:
@@ -149,12 +149,11 @@ def quantity_of(name: str) -> str:
 
 def _check(made: Description) -> None:
     for key in ("columns", "units", "flags"):
+        others = (TIME, *PLACE) if key == "columns" else ()
         for name in getattr(made, key):
-            if quantity_of(name) not in QUANTITIES and (
-                key != "columns" or name not in (TIME, *PLACE)
-            ):
+            if quantity_of(name) not in QUANTITIES and name not in others:
                 raise ConfigurationError(
-                    f"must be one of {TIME}, {', '.join(QUANTITIES)}", key=f"{key}.{name}"
+                    f"must be one of {', '.join((*others, *QUANTITIES))}", key=f"{key}.{name}"
                 )
     for name, columns in made.columns.items():
         if len(columns) != 1 and name != TIME:
@@ -178,71 +177,51 @@ def _check(made: Description) -> None:
         ) from None
 
 
-def unknown_unit(quantity: str) -> str:
-    """Return the message about a column with a unit that its quantity does not have."""
-    return f"the unit of {quantity} must be one of {', '.join(known_units(quantity))}"
-
-
 def read_description(path: Path) -> Description:
     """Read a description.
 
     Raises:
         ConfigurationError: if the file is not a description; the message names the line and key.
     """
-    described = _place_errors(path, read_yaml(path))
+    described = _make_placed(path, read_yaml(path))
     return described if described.name != OWN else replace(described, name=path.name)
 
 
-def _place_errors(path: Path, content: YamlMapping, first: int = 0) -> Description:
-    """Return the description in a mapping; an error names the file and the line of the key."""
-    undecided = next((key for key, value in content.items() if _is_open(value)), None)
-    try:
-        if undecided is not None:
-            raise ConfigurationError(
-                "must be decided, because the file does not say it", key=undecided, value="?"
-            )
-        return make_description(content)
-    except ConfigurationError as error:
-        line = find(content, error.key or "")[0] or min(content.lines.values(), default=1)
-        raise ConfigurationError(
-            error.expected, file=path, line=first + line, key=error.key, value=error.value
-        ) from None
+def read_comments(
+    path: Path, comments: Iterable[tuple[int, str]], given: Description
+) -> Description:
+    """Return the description in comments at the head of a file, such as ``# rows: end``.
 
-
-def _is_open(value: Any) -> bool:
-    if isinstance(value, Mapping):
-        return any(map(_is_open, value.values()))
-    return bool(value == "?")
-
-
-def read_comment(path: Path, number: int, text: str) -> dict[str, Any]:
-    """Return the keys that a comment at the head of a file states, such as ``# rows: end``.
-
-    Other comments are prose, and state nothing.
+    Comments that do not begin with a key are prose, and state nothing.
 
     Args:
         path: the file, for messages.
-        number: number of the line.
-        text: the line.
+        comments: number and text of each line.
+        given: description whose keys come first.
 
     Raises:
-        ConfigurationError: if the comment begins with a key, but has no value for it.
+        ConfigurationError: if a comment that begins with a key does not consist of keys and values,
+            or two comments state the same key.
     """
-    match = _COMMENT.fullmatch(text.strip().strip(',;"'))
-    if match is None:
-        return {}
-    if match[1].startswith("stamped"):
-        raise ConfigurationError("is now called 'rows', as in '# rows: end'", file=path,
-                                 line=number, key="stamped")
+    stated = {
+        number: match[1] for number, text in comments
+        if (match := _COMMENT.fullmatch(text.strip().strip(',;"')))
+    }
+    lines = [f"{stated[n]}," if n in stated else "" for n in range(1, max(stated, default=0) + 1)]
+    return _make_placed(path, parse_yaml("{" + "\n".join(lines) + "}", path), given)
+
+
+def _make_placed(
+    path: Path, content: YamlMapping, given: Description | None = None
+) -> Description:
+    """Return the description in a mapping; an error names the file and the line of the key."""
     try:
-        stated = parse_yaml(f"{{{match[1]}}}", path)
+        return make_description(content, given)
     except ConfigurationError as error:
+        line = find(content, error.key or "")[0] or min(content.lines.values(), default=1)
         raise ConfigurationError(
-            "must be a key and its value alone, as in '# rows: end'", file=path, line=number,
-            value=match[1],
-        ) from error
-    _place_errors(path, stated, number - 1)
-    return dict(stated)
+            error.expected, file=path, line=line, key=error.key, value=error.value
+        ) from None
 
 
 @functools.cache
@@ -253,13 +232,13 @@ def service_descriptions() -> tuple[Description, ...]:
     )))
 
 
-def find_service(header: Sequence[str], separator: str) -> Description | None:
-    """Return the description of the service whose files begin with a header; None if unknown."""
-    return next((
-        described for described in service_descriptions()
-        if described.separator == separator
-        and (*header[: len(described.header)],) == described.header
-    ), None)
+def find_service(line: str) -> Description | None:
+    """Return the description of the service whose files have this header; None if unknown."""
+    for described in service_descriptions():
+        cells = [cell.strip('" ') for cell in line.strip().split(described.separator)]
+        if (*cells[: len(described.header)],) == described.header:
+            return described
+    return None
 
 
 def expand(paths: Iterable[Path]) -> list[tuple[Path, Description | None]]:

@@ -40,7 +40,6 @@ from greenroof_ros.weather.open_meteo import VARIABLES, make_parameters
 from greenroof_ros.weather.quantities import PRECIPITATION
 from greenroof_ros.weather.read import read_file, read_measured
 from greenroof_ros.weather.records import HOUR, Records
-from greenroof_ros.weather.table import split
 
 _OPEN_METEO_URL = "https://archive-api.open-meteo.com/v1/archive"
 _ECCC_URL = "https://climate.weather.gc.ca/climate_data/bulk_data_e.html"
@@ -271,7 +270,7 @@ def _is_empty(file: Path) -> bool:
     """Return whether a block contains no hours, as in a month before the station existed."""
     lines = file.read_bytes().splitlines() if file.exists() else []
     return len(lines) == 1 and file.suffix == ".csv" and find_service(
-        split(lines[0].decode("utf-8-sig", "replace"), ","), ","
+        lines[0].decode("utf-8-sig", "replace")
     ) is not None
 
 

@@ -8,10 +8,8 @@ equation (``fao56``). Hargreaves' equation requires only a day's minimum and max
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
-from datetime import datetime, timedelta, timezone
-from typing import NamedTuple
+from datetime import datetime
 
 import numpy as np
 from eto import ETo
@@ -21,23 +19,31 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.site.site import Place, Site
 from greenroof_ros.weather.quantities import (
+    DEW_POINT,
     EVAPOTRANSPIRATION,
     FOR_EVAPOTRANSPIRATION,
     PRESSURE,
     QUANTITIES,
     RADIATION,
     TEMPERATURE,
+    WIND,
 )
-from greenroof_ros.weather.records import HOUR, Records, find_gaps, name_hours, number_days
-from greenroof_ros.weather.sun import MM_PER_MJ, extraterrestrial_radiation
+from greenroof_ros.weather.records import HOUR, Records, find_gaps, name_hours
+
+Values = NDArray[np.float64]
+Days = NDArray[np.datetime64]
 
 FAO56, HARGREAVES, MONTHLY = "fao56", "hargreaves", "monthly"
 COMPUTED = (FAO56, HARGREAVES, MONTHLY)
 """methods for records without evapotranspiration, in descending order of accuracy"""
-_PLACE = ("latitude", "longitude")
+_REQUIRED = {FAO56: FOR_EVAPOTRANSPIRATION, HARGREAVES: (TEMPERATURE,)}
 _MJ_PER_M2_AND_HOUR = 3600e-6  # per W/m2
 _LATITUDES = Range(-66.0, 66.0, "degrees")  # between the polar circles
 _METRES_PER_SECOND = 1 / 3.6  # per km/h
+_MM_PER_MJ = 0.408  # water that solar radiation could evaporate (mm per MJ/m2), Eq. 20
+_DAY_S, _PART_S = 86400, 300
+# Hours of a day with temperatures for its extremes to be known, and how far away they may be (d).
+_ENOUGH_H, _MAX_GAP_DAYS = 18, 3
 
 
 def saturation_vapour_pressure(temperature: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -66,20 +72,11 @@ def compute_hourly(
         values: temperature and dew point (degC), wind speed (km/h), station pressure (kPa) and
             either solar radiation (W/m2) or ``Tmin`` and ``Tmax`` of the day (degC).
     """
-    hours = len(values["temperature"])
-    assert site.utc_offset is not None
-    utc_offset = site.utc_offset
-    local = first.astimezone(timezone(timedelta(hours=utc_offset)))
-    since_midnight = local.hour + local.minute / 60 + np.arange(hours)
-    hour = since_midnight % 24
-    days = (since_midnight // 24).astype("timedelta64[D]")
-    dates = np.datetime64(local.date(), "D") + days
-    of_year = number_days(dates)
+    seconds = _find_local_seconds(first, len(values[TEMPERATURE]), site)
+    hour, of_year = seconds % _DAY_S / 3600, _number_days(seconds)
     data = {
-        "T_mean": values["temperature"],
-        "e_a": saturation_vapour_pressure(values["dew point"]),
-        "U_z": values["wind speed"] * _METRES_PER_SECOND,
-        "P": values["station pressure"],
+        "T_mean": values[TEMPERATURE], "e_a": saturation_vapour_pressure(values[DEW_POINT]),
+        "U_z": values[WIND] * _METRES_PER_SECOND, "P": values[PRESSURE],
     }
     if RADIATION in values:
         data["R_s"] = np.maximum(values[RADIATION], 0.0) * _MJ_PER_M2_AND_HOUR  # a sensor's offset
@@ -90,17 +87,17 @@ def compute_hourly(
         return ETo(
             {key: series[:hours] for key, series in data.items()},
             freq="h", day_of_year=of_year[:hours], hour=hour[:hours], z_msl=site.elevation,
-            lat=site.latitude, lon=site.longitude, TZ_lon=15 * utc_offset,
+            lat=site.latitude, lon=site.longitude, TZ_lon=15 * site.clock_offset,
             z_u=site.wind_height, K_rs=site.k_Rs, alb=site.albedo, validate=False,
             rs_rso_init=ratio,
         )
 
     # For the night before the first evening: Rs/Rso of the first 24 hours.
-    day = model(min(hours, 24), 1.0).ts_param
+    day = model(24, 1.0).ts_param
     clear = float(day["R_so"].sum())
     night_ratio = float(day["R_s"].sum()) / clear if clear > 0 else 1.0
     # The package's default would round to 0.01 mm, and drop values that it considers too large.
-    result: NDArray[np.float64] = model(hours, night_ratio).eto_fao(max_ETo=None, decimals=None)
+    result: NDArray[np.float64] = model(len(hour), night_ratio).eto_fao(max_ETo=None, decimals=None)
     return result
 
 
@@ -116,14 +113,7 @@ def compute_fao56(records: Records, site: Place) -> NDArray[np.float64]:
         ConfigurationError: if the file lacks a required quantity, if the site file lacks the
             location, or if the site is beyond a polar circle.
     """
-    lacking = [name for name in FOR_EVAPOTRANSPIRATION if name not in records.values]
-    if lacking:
-        raise ConfigurationError(
-            f"has no column '{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION].unit}]', and "
-            f"lacks {', '.join(lacking)}, which {FAO56} requires", file=records.source,
-        )
-    check_place(site, FAO56, _PLACE)
-    site = _complete_place(site, records)
+    site = _prepare(site, records, FAO56)
     if records.wind_height is not None:
         site = replace(site, wind_height=records.wind_height)
     values = {name: records.values[name] for name in FOR_EVAPOTRANSPIRATION}
@@ -131,9 +121,9 @@ def compute_fao56(records: Records, site: Place) -> NDArray[np.float64]:
     if RADIATION in records.values:
         result = _compute_stretches(site, records, {**values, RADIATION: records.values[RADIATION]})
     if np.isnan(result).any():
-        _, day = np.unique(_find_local_seconds(records, site) // _DAY_S, return_inverse=True)
-        temperature = records.values[TEMPERATURE]
-        minimum, maximum = find_extremes(day, temperature, temperature, 24, 1.0)[:, day]
+        seconds = _find_local_seconds(records.first, records.hours, site)
+        _, day = np.unique(seconds // _DAY_S, return_inverse=True)
+        minimum, maximum = find_extremes(day, values[TEMPERATURE], values[TEMPERATURE], 24)[:, day]
         computed = _compute_stretches(site, records, {**values, "Tmin": minimum, "Tmax": maximum})
         result = np.where(np.isnan(result), computed, result)
     return result * 24 * site.crop_coefficient
@@ -155,13 +145,13 @@ def _compute_stretches(
     return result
 
 
-def check_place(site: Place, method: str, needed: Sequence[str]) -> None:
+def check_place(site: Place, method: str) -> None:
     """Reject a site whose location is incomplete or beyond a polar circle.
 
     Raises:
-        ConfigurationError: if the site lacks a parameter, or is beyond a polar circle.
+        ConfigurationError: if the site lacks a coordinate, or is beyond a polar circle.
     """
-    lacking = [name for name in needed if getattr(site, name) is None]
+    lacking = [name for name in ("latitude", "longitude") if getattr(site, name) is None]
     if lacking:
         raise ConfigurationError(
             f"{method} requires {', '.join(lacking)} in the site file (see config/site.yaml)"
@@ -175,18 +165,23 @@ def check_place(site: Place, method: str, needed: Sequence[str]) -> None:
         )
 
 
-def _complete_place(site: Place, records: Records) -> Place:
-    """Return a site with a UTC offset and an elevation, derived if the site file omits them.
+def _prepare(site: Place, records: Records, method: str) -> Place:
+    """Return a site with an elevation, derived from the mean pressure if unknown (Eq. 7).
 
-    The derived UTC offset is the whole hour closest to solar time, and is used only to determine
-    when days begin. The elevation is derived from the mean pressure (FAO-56 Eq. 7).
+    Raises:
+        ConfigurationError: if the records or the site lack what the method requires.
     """
-    site = replace(site, utc_offset=site.clock_offset)
-    pressure = records.values.get(PRESSURE)
-    if site.elevation is None and pressure is not None:
-        mean = float(np.nanmean(pressure))
-        site = replace(site, elevation=293 / 0.0065 * (1 - (mean / 101.3) ** (1 / 5.26)))
-    return site
+    lacking = [name for name in _REQUIRED[method] if name not in records.values]
+    if lacking:
+        raise ConfigurationError(
+            f"has no column '{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION].unit}]', and "
+            f"lacks {', '.join(lacking)}, which {method} requires", file=records.source,
+        )
+    check_place(site, method)
+    if site.elevation is not None or PRESSURE not in records.values:
+        return site
+    mean = float(np.nanmean(records.values[PRESSURE]))
+    return replace(site, elevation=293 / 0.0065 * (1 - (mean / 101.3) ** (1 / 5.26)))
 
 
 def is_polar(site: Place) -> bool:
@@ -211,11 +206,15 @@ def find_monthly_mean(site: Site, month: int) -> float | None:
     return site.crop_coefficient * reference / 1000 / 86400 * site.a2
 
 
-def _find_local_seconds(records: Records, site: Place) -> NDArray[np.int64]:
+def _find_local_seconds(first: datetime, hours: int, site: Place) -> NDArray[np.int64]:
     """Return the start of every hour in local standard time (s since 1970 on this clock)."""
-    assert site.utc_offset is not None
-    first = round(records.first.timestamp() + 3600 * site.utc_offset)
-    return first + 3600 * np.arange(records.hours)
+    return round(first.timestamp() + 3600 * site.clock_offset) + 3600 * np.arange(hours)
+
+
+def _number_days(seconds: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the day of the year of every time (s since 1970 on its clock), from 1."""
+    days = (seconds // _DAY_S).astype("datetime64[D]")
+    return np.asarray((days - days.astype("datetime64[Y]")).astype(np.int64) + 1)
 
 
 def explain_missing(records: Records, hours: NDArray[np.int64]) -> str:
@@ -225,26 +224,18 @@ def explain_missing(records: Records, hours: NDArray[np.int64]) -> str:
         records: the records passed to :func:`compute_fao56` or :func:`compute_hargreaves`.
         hours: indices of the run's hours in which the result is NaN.
     """
-    reasons = []
     near = slice(max(0, int(hours.min()) - 24), int(hours.max()) + 25)
-    for name in (*FOR_EVAPOTRANSPIRATION, RADIATION):
-        if name in records.values:
-            missing = near.start + np.flatnonzero(np.isnan(records.values[name][near]))
-            if missing.size:
-                reasons.append(f"{name} at {', '.join(name_hours(records.first, missing))}")
+    missing = {
+        name: near.start + np.flatnonzero(np.isnan(records.values[name][near]))
+        for name in (*FOR_EVAPOTRANSPIRATION, RADIATION) if name in records.values
+    }
+    reasons = [
+        f"{name} at {', '.join(name_hours(records.first, of_name))}"
+        for name, of_name in missing.items() if of_name.size
+    ]
     if not reasons:
         return "the file does not cover the whole day (0 to 24 h of local standard time)"
     return "the file lacks " + "; ".join(reasons)
-
-
-Values = NDArray[np.float64]
-Days = NDArray[np.datetime64]
-
-_DAY_S = 86400
-_PART_S = 300
-# Minimum share of a day with temperatures for its extremes to be known, and how far away they may
-# be (d).
-_ENOUGH, _MAX_GAP_DAYS, _FOR_EVER = 0.75, 3, 10**6
 
 
 def hargreaves(latitude: float, days: Days, minimum: Values, maximum: Values) -> Values:
@@ -261,9 +252,12 @@ def hargreaves(latitude: float, days: Days, minimum: Values, maximum: Values) ->
         minimum: lowest temperature of every day (degC).
         maximum: highest temperature of every day (degC).
     """
-    radiation = MM_PER_MJ * extraterrestrial_radiation(latitude, days)
-    warmth = (minimum + maximum) / 2 + 17.8
-    return np.asarray(np.maximum(0.0, 0.0023 * warmth * np.sqrt(maximum - minimum) * radiation))
+    model = ETo(
+        {"T_min": minimum, "T_max": maximum}, freq="D", z_msl=0.0, lat=latitude, validate=False,
+        day_of_year=_number_days(days.astype("datetime64[s]").astype(np.int64)),
+    ).ts_param
+    reference = 0.0023 * (model["T_mean"] + 17.8) * np.sqrt(maximum - minimum)
+    return np.asarray(np.maximum(0.0, reference * (_MM_PER_MJ * model["R_a"])))
 
 
 def sun_height(latitude: float, seconds: NDArray[np.int64], east_of_meridian: float) -> Values:
@@ -274,8 +268,7 @@ def sun_height(latitude: float, seconds: NDArray[np.int64], east_of_meridian: fl
         seconds: times in local standard time (s since 1970-01-01).
         east_of_meridian: longitude relative to the meridian of the clock (degrees, east positive).
     """
-    days = seconds.astype("datetime64[s]").astype("datetime64[D]")
-    number = number_days(days)
+    number = _number_days(seconds)
     declination = 0.409 * np.sin(2 * np.pi * number / 365 - 1.39)
     b = 2 * np.pi * (number - 81) / 364
     equation_of_time = 0.1645 * np.sin(2 * b) - 0.1255 * np.cos(b) - 0.025 * np.sin(b)  # h
@@ -320,68 +313,55 @@ def spread_over_day(
 
 
 def find_extremes(
-    day: NDArray[np.intp], minimum: Values, maximum: Values, complete: float,
-    min_share: float = _ENOUGH,
+    day: NDArray[np.intp], minimum: Values, maximum: Values, needed: float
 ) -> Values:
     """Return the minimum and maximum temperature of every day (degC), shape (2, days).
-
-    The result is NaN for a day on which less than the minimum share of values is known.
 
     Args:
         day: index of the day of every value.
         minimum: temperatures that include the minimum of every day; NaN if missing.
         maximum: temperatures that include every day's maximum; NaN if missing.
-        complete: number of values of a complete day.
-        min_share: minimum share of the values of a complete day that must be known (1).
+        needed: number of values that a day needs; its extremes are NaN if fewer are known.
     """
     extremes = np.full((2, day.max() + 1), np.nan)
     for of_days, extreme, values in zip(
         extremes, (np.fmin, np.fmax), (minimum, maximum), strict=True
     ):
         extreme.at(of_days, day, values)
-        of_days[np.bincount(day, ~np.isnan(values)) < min_share * complete] = np.nan
+        of_days[np.bincount(day, ~np.isnan(values)) < needed] = np.nan
     return extremes
 
 
-class DailyTemperatures(NamedTuple):
-    """The temperature extremes of days, from which evapotranspiration is computed."""
+def spread_hargreaves(
+    site: Place, dates: Days, extremes: Values, seconds: NDArray[np.int64], step_s: float
+) -> tuple[Values, NDArray[np.bool_]]:
+    """Return each step's reference evapotranspiration (mm) by Hargreaves' method.
 
-    dates: Days
-    """dates of the days, in chronological order"""
-    extremes: Values
-    """minimum and maximum temperatures (degC), shape (2, days); NaN if unknown"""
+    Every step receives a share of the evapotranspiration of the day in which it begins. On days
+    without extremes, the extremes are interpolated.
 
-    def far(self, days: Days) -> NDArray[np.bool_]:
-        """Return a mask of days that are more than three days from any day with extremes."""
-        known = self.dates[~np.isnan(self.extremes).any(axis=0)].astype(np.int64)
-        apart = np.abs(days.astype(np.int64)[:, None] - known)
-        return np.asarray(np.min(apart, axis=1, initial=_FOR_EVER) > _MAX_GAP_DAYS)
+    Args:
+        site: site with its location, and the UTC offset of the clock of the steps.
+        dates: dates of days, in chronological order.
+        extremes: minimum and maximum temperatures of these days (degC), shape (2, days); NaN if
+            unknown. At least one day must be known.
+        seconds: start of every step, in local standard time, shape (steps,).
+        step_s: duration of a step (s).
 
-    def evapotranspiration(
-        self, site: Place, seconds: NDArray[np.int64], step_s: float, offset_s: float
-    ) -> Values:
-        """Return each step's reference evapotranspiration (mm) by Hargreaves' method.
-
-        The result has the shape (steps,). Every step receives a share of the evapotranspiration of
-        the day in which it begins. On days without extremes, the extremes are interpolated.
-
-        Args:
-            site: site with its location.
-            seconds: start of every step, in local standard time.
-            step_s: duration of a step (s).
-            offset_s: UTC offset of local standard time (s).
-        """
-        assert site.latitude is not None
-        assert site.longitude is not None
-        days, day_of_step = np.unique(seconds // _DAY_S, return_inverse=True)
-        at = self.dates.astype(np.int64)
-        minimum, maximum = (
-            np.interp(days, at[~np.isnan(values)], values[~np.isnan(values)])
-            for values in self.extremes
-        )
-        daily = hargreaves(site.latitude, days.astype("datetime64[D]"), minimum, maximum)
-        east = site.longitude - offset_s / 240
-        return spread_over_day(daily, site.latitude, seconds, day_of_step, step_s, east)
+    Returns:
+        The depths, shape (steps,), and a mask of the steps on days that are more than three days
+        from any day with extremes.
+    """
+    days, day = np.unique(seconds // _DAY_S, return_inverse=True)
+    at, unknown = dates.astype(np.int64), np.isnan(extremes)
+    minimum, maximum = (
+        np.interp(days, at[~missing], values[~missing])
+        for values, missing in zip(extremes, unknown, strict=True)
+    )
+    daily = hargreaves(site.latitude or 0.0, days.astype("datetime64[D]"), minimum, maximum)
+    far = np.abs(days[:, None] - at[~unknown.any(axis=0)]).min(axis=1) > _MAX_GAP_DAYS
+    east = (site.longitude or 0.0) - 15 * site.clock_offset
+    return spread_over_day(daily, site.latitude or 0.0, seconds, day, step_s, east), far[day]
 
 
 def compute_hargreaves(records: Records, site: Place) -> Values:
@@ -396,20 +376,13 @@ def compute_hargreaves(records: Records, site: Place) -> Values:
         ConfigurationError: if the file contains no temperature, if the site file lacks the
             location, or if the site is beyond a polar circle.
     """
-    if TEMPERATURE not in records.values:
-        raise ConfigurationError(
-            f"contains no {TEMPERATURE}, which {HARGREAVES} requires", file=records.source
-        )
-    check_place(site, HARGREAVES, _PLACE)
-    site = _complete_place(site, records)
-    seconds = _find_local_seconds(records, site)
-    dates, day = np.unique((seconds // _DAY_S).astype("datetime64[D]"), return_inverse=True)
-    hourly_values = records.values[TEMPERATURE]
-    temperatures = DailyTemperatures(
-        dates, find_extremes(day, hourly_values, hourly_values, 24)
+    site = _prepare(site, records, HARGREAVES)
+    seconds, temperature = (
+        _find_local_seconds(records.first, records.hours, site), records.values[TEMPERATURE]
     )
-    far = temperatures.far(dates)
-    if far.all():
+    days, day = np.unique(seconds // _DAY_S, return_inverse=True)
+    extremes = find_extremes(day, temperature, temperature, _ENOUGH_H)
+    if np.isnan(extremes).all():
         return np.full(records.hours, np.nan)
-    depths = temperatures.evapotranspiration(site, seconds, 3600, 3600 * (site.utc_offset or 0.0))
-    return np.where(far[day], np.nan, depths * 24 * site.crop_coefficient)
+    depths, far = spread_hargreaves(site, days.astype("datetime64[D]"), extremes, seconds, 3600)
+    return np.where(far, np.nan, depths * 24 * site.crop_coefficient)

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 from datetime import datetime, tzinfo
 from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
 
-import numpy as np
-
 from greenroof_ros.site.site import Place
 from greenroof_ros.weather.description import TIME, Description
-from greenroof_ros.weather.hours import make_hours
-from greenroof_ros.weather.quantities import ROOF
+from greenroof_ros.weather.hours import WEATHER, make_hours
 from greenroof_ros.weather.records import Records
-from greenroof_ros.weather.table import Row, Table, arrange, find_columns, find_times
+from greenroof_ros.weather.table import Row, Table, arrange
 
 _NAME = Path("the data frame")
 
@@ -37,28 +35,11 @@ def read_frame(frame: Any, site: Place) -> Records:
         ConfigurationError: if a column or a value is invalid; the message states the row, counted
             from 0.
     """
-    described = Description(name="data frame")
-    names = [*map(str, frame.columns)]
-    table = Table(_NAME, names, None, iter([Row(0, ())]))
-    columns, method = find_columns(table, described)
-    numbers = {}
-    for quantity in columns.keys() - {*ROOF}:
-        series = frame[columns[quantity][0]].to_numpy()
-        try:
-            numbers[quantity] = series.astype(float)
-        except (TypeError, ValueError):
-            row = next(row for row, value in enumerate(series) if not _is_number(value))
-            raise table.refuse_at(
-                "must be a number", row, columns[quantity][0], series[row]
-            ) from None
-        infinite = np.flatnonzero(np.isinf(numbers[quantity]))
-        if infinite.size:
-            raise table.refuse_at(
-                "must be a finite number", int(infinite[0]), columns[quantity][0],
-                float(numbers[quantity][infinite[0]]),
-            )
-    times = find_times(table, site, described, enumerate(_list_times(frame)))
-    return make_hours(_NAME, arrange(table, described, site, columns, method, times, numbers))
+    series = {str(name): [*frame[name]] for name in frame.columns}
+    series.setdefault(TIME, _list_times(frame))
+    rows = map(Row, itertools.count(), zip(*series.values(), strict=True))
+    table = Table(_NAME, [*series], None, rows)
+    return make_hours(_NAME, arrange(table, Description(name="data frame"), site, WEATHER))
 
 
 def find_zone(frame: Any) -> tzinfo | None:
@@ -70,11 +51,3 @@ def find_zone(frame: Any) -> tzinfo | None:
 def _list_times(frame: Any) -> list[str | datetime]:
     times: Any = frame[TIME] if TIME in frame.columns else getattr(frame, "index", ())
     return [*times]
-
-
-def _is_number(value: Any) -> bool:
-    try:
-        float(value)
-    except (TypeError, ValueError):
-        return False
-    return True

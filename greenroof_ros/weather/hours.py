@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +13,7 @@ from greenroof_ros.base.times import duration
 from greenroof_ros.site.site import Place
 from greenroof_ros.weather.description import PLACE, Description
 from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES, ROOF
-from greenroof_ros.weather.records import (
-    HOUR,
-    Records,
-    add_dew_point,
-    average_minutes,
-)
+from greenroof_ros.weather.records import HOUR, Records, add_dew_point, average_minutes
 from greenroof_ros.weather.table import Rows, Values, read_rows
 
 WEATHER = [name for name in QUANTITIES if name not in ROOF]
@@ -47,28 +42,21 @@ def make_hours(file: Path, rows: Rows) -> Records:
         raise rows.table.refuse(
             f"rows must be at most one hour apart, not {duration(rows.step_s)}"
         )
-    first, minutes, values = rows.first, None, rows.values
-    hours = rows.steps
+    first, begins, minutes = rows.first, rows.step_s * rows.steps.astype(np.float64), None
     if rows.step_s < 3600:
         first = first.replace(minute=0, second=0, microsecond=0)
-        begins = rows.step_s * rows.steps.astype(np.float64) + (rows.first - first).total_seconds()
-        first += int(begins[0] // 3600) * HOUR
-        begins -= begins[0] // 3600 * 3600
-        count = math.ceil((begins[-1] + rows.step_s) / 3600)
-        of_rows = (begins // 3600).astype(np.intp)
-        values = {name: _average_hours(series, of_rows, count) for name, series in values.items()}
-        if PRECIPITATION in values:
-            minutes = _spread_over_minutes(rows.values[PRECIPITATION], begins, rows.step_s, count)
-            values[PRECIPITATION] = average_minutes(minutes)
-        hours = np.arange(count)
-    arranged = {name: np.full(hours[-1] + 1, np.nan) for name in values}
-    for name, series in values.items():
-        arranged[name][hours] = series
+        begins += (rows.first - first).total_seconds()
+    of_rows, count = (begins // 3600).astype(np.intp), math.ceil((begins[-1] + rows.step_s) / 3600)
+    values = {name: _average_hours(series, of_rows, count) for name, series in rows.values.items()}
+    if rows.step_s < 3600 and PRECIPITATION in values:
+        minutes = _spread_over_minutes(rows.values[PRECIPITATION], begins, rows.step_s, count)
+        values[PRECIPITATION] = average_minutes(minutes)
     about = rows.described
+    place: Any = about.latitude, about.longitude
     return Records(
-        (file,), first, add_dew_point(arranged), rows.method,
+        (file,), first, add_dew_point(values), rows.method,
         rain_late=about.rain_late, applied=(describe_rows(rows),),
-        places={} if rows.position is None else {file: rows.position},
+        places={} if None in place else {file: place},
         wind_height=about.wind_height, minutes=minutes,
         rain_kind=about.rain_kind if PRECIPITATION in values else "",
     )
@@ -117,13 +105,11 @@ def _average_hours(series: Values, hours: NDArray[np.intp], count: int) -> Value
         hours: indices of the hours in which the rows begin.
         count: number of hours.
     """
-    known = ~np.isnan(series)
-    series, hours = series[known], hours[known]
-    rows = np.bincount(hours, minlength=count)
-    total = np.bincount(hours, series, count)
+    rows = np.bincount(hours, ~np.isnan(series), count)
+    total = np.bincount(hours, np.nan_to_num(series), count)
+    means = np.divide(total, rows, out=np.full(count, math.nan), where=rows > 0)
     # Tenths do not add up exactly in binary numbers.
-    means = np.where(rows > 1, np.round(total / np.maximum(rows, 1), 9), total)
-    return np.where(rows > 0, means, np.nan)
+    return np.asarray(np.where(rows > 1, np.round(means, 9), means))
 
 
 def _find_longest_step(minutes: Values) -> int:
@@ -142,40 +128,32 @@ def write_records(records: Records, about: str) -> str:
         records: hourly records for one location; gaps are written as empty cells.
         about: text of the first comment, of one or more lines.
     """
-    head = []
-    places = {*records.places.values()}
-    if len(places) == 1:
-        head += [
-            f"{name}: {degrees:.5f}"
-            for name, degrees in zip(PLACE, *places, strict=True)
-        ]
-    if records.wind_height is not None:
-        head.append(f"wind_height: {records.wind_height:g}")
-    if records.rain_late:
-        head.append(f"rain_late: {records.rain_late}")
-    if records.rain_kind:
-        head += [f"rain_kind: {records.rain_kind}", records.rain_note]
-    names = {
-        name: f"{records.method} {name}" if name == EVAPOTRANSPIRATION else name
-        for name in records.values
-    }
-    table, step = np.array(list(records.values.values())), HOUR
+    places, values, rows = {*records.places.values()}, dict(records.values), 1
     if records.minutes is not None:
         rain = np.where(
-            np.isnan(records.minutes), records.values[PRECIPITATION][:, None], records.minutes
+            np.isnan(records.minutes), values[PRECIPITATION][:, None], records.minutes
         )
-        step_min = _find_longest_step(rain)
-        step = timedelta(minutes=step_min)
-        rows = np.full((*table.shape, 60 // step_min), math.nan)
-        rows[..., 0] = table
-        rows[list(records.values).index(PRECIPITATION)] = rain[:, ::step_min]
-        table = rows.reshape(len(table), -1)
-    head.append(f"step: {step.total_seconds():g}")
+        rows = 60 // _find_longest_step(rain)
+        for name, series in values.items():
+            values[name] = np.full((records.hours, rows), math.nan)
+            values[name][:, 0] = series
+        values[PRECIPITATION] = rain[:, :: 60 // rows]
+    stated: dict[str, object] = {
+        "wind_height": records.wind_height, "rain_late": records.rain_late,
+        "rain_kind": records.rain_kind, "step": 3600 // rows,
+    }
+    if len(places) == 1:
+        stated |= zip(PLACE, map(str, *places), strict=True)
+    names = {
+        name: f"{records.method} {name}" if name == EVAPOTRANSPIRATION else name for name in values
+    }
     lines = [
-        *(f"# {line}" for line in (*about.splitlines(), *head)),
+        *(f"# {line}" for line in (*about.splitlines(), *filter(None, [records.rain_note]))),
+        *(f"# {key}: {value}" for key, value in stated.items() if value),
         ",".join(["time", *(f"{text} [{QUANTITIES[name].unit}]" for name, text in names.items())]),
     ]
-    for row, values in enumerate(table.T.tolist()):
-        cells = ("" if math.isnan(value) else repr(value) for value in values)
-        lines.append(",".join([(records.first + row * step).isoformat(), *cells]))
+    table = np.array([*values.values()]).reshape(len(values), -1)
+    for row, numbers in enumerate(table.T.tolist()):
+        cells = ("" if math.isnan(number) else repr(number) for number in numbers)
+        lines.append(",".join([(records.first + row * HOUR / rows).isoformat(), *cells]))
     return "\n".join([*lines, ""])

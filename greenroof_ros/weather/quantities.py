@@ -16,7 +16,6 @@ PRESSURE = "station pressure"
 
 FOR_EVAPOTRANSPIRATION = (TEMPERATURE, DEW_POINT, WIND, PRESSURE)
 """the quantities from which evapotranspiration is computed if a file lacks it"""
-SYNONYMS = {"rain": PRECIPITATION}
 
 MUCH_RAIN = 500.0
 """rain (mm/h) above which a note is printed: the record of an hour is 401 mm (Shangdu, China, 1975)

@@ -6,18 +6,20 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import to_minutes
-from greenroof_ros.weather.quantities import DEW_POINT, HUMIDITY, PRECIPITATION, TEMPERATURE
+from greenroof_ros.weather.quantities import DEW_POINT, HUMIDITY, PRECIPITATION, TEMPERATURE, WIND
 
+Array = NDArray[np.float64]
 HOUR = timedelta(hours=1)
 ENOUGH = 0.75
 """Minimum share of an hour for which rain must be known; other quantities need only one value."""
-_MINUTE = timedelta(minutes=1)
+_MINUTE, _MINUTES = timedelta(minutes=1), "minutes"
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class Records:
 
     files: tuple[Path, ...]
     first: datetime
-    values: dict[str, NDArray[np.float64]]
+    values: dict[str, Array]
     method: str = ""
     shifted: tuple[str, ...] = ()
     rain_late: int = 0
@@ -60,7 +62,7 @@ class Records:
     left_out: tuple[str, ...] = ()
     places: dict[Path, tuple[float, float]] = field(default_factory=dict)
     wind_height: float | None = None
-    minutes: NDArray[np.float64] | None = None
+    minutes: Array | None = None
     rain_kind: str = ""
     applied: tuple[str, ...] = ()
 
@@ -74,8 +76,21 @@ class Records:
         """Mask of the hours of which only some minutes are known, shape (hours,)."""
         if self.minutes is None:
             return np.zeros(self.hours, dtype=bool)
-        known = np.count_nonzero(~np.isnan(self.minutes), axis=1)
-        return np.asarray((known > 0) & (known < self.minutes.shape[1]))
+        known = ~np.isnan(self.minutes)
+        return np.asarray(known.any(axis=1) & ~known.all(axis=1))
+
+    @property
+    def arrays(self) -> dict[str, Array]:
+        """The values of every quantity and, if known, the rain of minutes, under ``minutes``."""
+        return self.values if self.minutes is None else {**self.values, _MINUTES: self.minutes}
+
+    def cut(self, begin: int, end: int) -> Self:
+        """Return the hours from one to another (exclusive)."""
+        return replace(
+            self, first=self.first + begin * HOUR,
+            minutes=None if self.minutes is None else self.minutes[begin:end],
+            values={name: series[begin:end] for name, series in self.values.items()},
+        )
 
     @property
     def source(self) -> str:
@@ -102,7 +117,7 @@ class Records:
         )
 
 
-def average_minutes(minutes: NDArray[np.float64]) -> NDArray[np.float64]:
+def average_minutes(minutes: Array) -> Array:
     """Return the mean rain in every hour; NaN if less than 0.75 of its minutes are known."""
     count = np.count_nonzero(~np.isnan(minutes), axis=1)
     # Tenths of a millimetre do not add up exactly in binary numbers.
@@ -110,7 +125,7 @@ def average_minutes(minutes: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(count >= ENOUGH * minutes.shape[1], means, np.nan)
 
 
-def add_dew_point(values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+def add_dew_point(values: Mapping[str, Array]) -> dict[str, Array]:
     """Replace relative humidity with the dew point (FAO-56 Eqs. 11 and 14)."""
     rest = {name: series for name, series in values.items() if name != HUMIDITY}
     if HUMIDITY in values and TEMPERATURE in values:
@@ -122,7 +137,7 @@ def add_dew_point(values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArra
     return rest
 
 
-def bridge_gaps(series: NDArray[np.float64], max_hours: int) -> NDArray[np.float64]:
+def bridge_gaps(series: Array, max_hours: int) -> Array:
     """Fill gaps of up to ``max_hours`` in hourly values by linear interpolation."""
     filled = series.copy()
     for low, high in find_gaps(np.isnan(series)):
@@ -174,144 +189,76 @@ def name_hours(first: datetime, hours: Iterable[int]) -> list[str]:
     return spans
 
 
-def number_days(days: NDArray[np.datetime64]) -> NDArray[np.int64]:
-    """Return the day of the year of every date, from 1."""
-    since = (days - days.astype("datetime64[Y]")).astype("timedelta64[D]")
-    return np.asarray(since.astype(np.int64) + 1)
-
-
 def join_records(parts: Sequence[Records]) -> Records:
     """Join the records of more than one file.
 
-    The records are sorted by time. A value that is in no file is missing (NaN). No value may be in
-    more than one file, except in an hour that a file covers only in part. In such an hour, the
-    values of other files take precedence, and the rain is computed from the minutes of all files.
-    If the hours of a file begin at a different minute from those of the first file, each value
-    becomes the mean of the two hours that it overlaps, and values from other files take precedence.
-    Some services have one file per quantity; files without any quantity of the first file are
-    joined by quantity.
+    The files may have the same quantities, or some of them other quantities. A value that is in no
+    file is missing (NaN). No value may be in more than one file, except in an hour that a file
+    covers only in part. In such an hour, the values of other files take precedence, and the rain is
+    computed from the minutes of all files. If the hours of a file begin at a different minute from
+    those of the first file, each value becomes the mean of the two hours that it overlaps, and
+    values from other files take precedence.
 
     Raises:
-        ConfigurationError: if two files have values for the same time, different quantities,
-            different methods of evapotranspiration or different conventions for time stamps. The
-            message names both files.
+        ConfigurationError: if two files have values for the same time, only some quantities in
+            common, different methods of evapotranspiration or different conventions for time
+            stamps. The message names both files.
     """
-    first = min(parts, key=lambda part: part.first)
-    others = [part for part in parts if part.values.keys().isdisjoint(first.values)]
-    if others:
-        alike = [part for part in parts if not part.values.keys().isdisjoint(first.values)]
-        return _add_quantities(join_records(alike), join_records(others))
-    for part in parts:
-        _check_same_kind(first, part)
-    moved = [part for part in parts if (part.first - first.first) % HOUR]
-    parts = [
-        *sorted((part for part in parts if part not in moved), key=lambda part: part.first),
-        *(_shift_to_hours_of(first, part) for part in moved),
-    ]
+    given = sorted(parts, key=lambda part: part.first)
+    first = given[0]
+    for part in given:
+        _check_same_kind(next(other for other in given if other.values.keys() & part.values), part)
+    parts = [_shift_to_hours_of(first, part) for part in given]
     begins = [(part.first - first.first) // HOUR for part in parts]
     hours = max(begin + part.hours for begin, part in zip(begins, parts, strict=True))
-    values = {quantity: np.full(hours, np.nan) for quantity in first.values}
-    wholes = [~part.parts_of_hours for part in parts]
-    for begin, part, whole in zip(begins, parts, wholes, strict=True):
-        for quantity, series in part.values.items():
-            joined = values[quantity][begin : begin + part.hours]
-            known = whole & ~np.isnan(series)
-            if part.source in [other.source for other in moved]:
-                known &= np.isnan(joined)
-            both = np.flatnonzero(known & ~np.isnan(joined))
-            if both.size:
-                hour = int(both[0])
-                other = next(
-                    part for at, part, whole in zip(begins, parts, wholes, strict=True)
-                    if 0 <= begin + hour - at < part.hours and whole[begin + hour - at]
-                    and not np.isnan(part.values[quantity][begin + hour - at])
-                )
-                raise _refuse_overlap(part, other.source, quantity, part.first + hour * HOUR)
-            joined[known] = series[known]
-    for begin, part in zip(begins, parts, strict=True):
-        for quantity, series in part.values.items():
-            joined = values[quantity][begin : begin + part.hours]
-            np.copyto(joined, series, where=np.isnan(joined))
-    minutes = _join_minutes(hours, zip(begins, parts, strict=True))
+    values = {
+        name: np.full((hours, *series.shape[1:]), np.nan)
+        for part in parts for name, series in part.arrays.items()
+    }
+    for certain in (True, False):
+        for begin, part, own in zip(begins, parts, given, strict=True):
+            whole = np.full(part.hours, part is own) & ~part.parts_of_hours
+            for name, series in part.arrays.items():
+                joined = values[name][begin : begin + part.hours]
+                known = ~np.isnan(series)
+                if certain and name != _MINUTES:
+                    known &= whole
+                both = np.argwhere(known & ~np.isnan(joined))
+                if certain and both.size:
+                    raise _refuse_overlap(parts, part, name, both[0].tolist())
+                np.copyto(joined, series, where=known & np.isnan(joined))
+    minutes = values.pop(_MINUTES, None)
     if minutes is not None:
         means = average_minutes(minutes)
         np.copyto(values[PRECIPITATION], means, where=~np.isnan(means))
         minutes[np.isnan(means) & ~np.isnan(values[PRECIPITATION])] = np.nan
     parts = sorted(parts, key=lambda part: part.first)
-    files = tuple(file for part in parts for file in part.files)
-    left_out = tuple(note for part in parts for note in part.left_out)
-    places = {file: place for part in parts for file, place in part.places.items()}
-    return replace(
-        first, files=files, values=values, left_out=left_out, places=places, minutes=minutes,
-        rain_kind=max(part.rain_kind for part in parts),
+    return Records(
+        tuple(file for part in parts for file in part.files), first.first, values,
+        max(part.method for part in parts),
+        tuple(dict.fromkeys(name for part in parts for name in part.shifted)),
+        max(part.rain_late for part in parts),
+        left_out=tuple(note for part in parts for note in part.left_out),
+        places={file: place for part in parts for file, place in part.places.items()},
+        wind_height=min(parts, key=lambda part: WIND not in part.values).wind_height,
+        minutes=minutes, rain_kind=max(part.rain_kind for part in parts),
         applied=tuple(dict.fromkeys(text for part in parts for text in part.applied)),
     )
 
 
 def _refuse_overlap(
-    part: Records, other: str, quantity: str, time: datetime
+    parts: Sequence[Records], part: Records, name: str, index: Sequence[int]
 ) -> ConfigurationError:
+    """Return the error about a value of a part that is also in one of the other parts."""
+    time = part.first + index[0] * HOUR + sum(index[1:]) * _MINUTE
+    other = next(
+        each for each in parts
+        if each is not part and name in each.arrays
+        and each.first <= time < each.first + each.hours * HOUR
+    )
     return ConfigurationError(
-        f"is also in {other}: files must not overlap", file=part.source,
-        key=f"{quantity} at {to_minutes(time)}",
-    )
-
-
-def _join_minutes(
-    hours: int, parts: Iterable[tuple[int, Records]]
-) -> NDArray[np.float64] | None:
-    """Join the per-minute rain of parts, given their first hours; None if no part contains any.
-
-    Raises:
-        ConfigurationError: if two parts have rain in the same minute.
-    """
-    joined = None
-    for begin, part in parts:
-        if part.minutes is not None:
-            if joined is None:
-                joined = np.full((hours, part.minutes.shape[1]), np.nan)
-            place = joined[begin : begin + part.hours]
-            both = np.argwhere(~np.isnan(place) & ~np.isnan(part.minutes))
-            if both.size:
-                hour, minute = (int(index) for index in both[0])
-                time = part.first + hour * HOUR + minute * _MINUTE
-                raise _refuse_overlap(part, "another file", PRECIPITATION, time)
-            np.copyto(place, part.minutes, where=np.isnan(place))
-    return joined
-
-
-def _add_quantities(first: Records, other: Records) -> Records:
-    """Return records with the quantities of both parts, over the period that they cover together.
-
-    Raises:
-        ConfigurationError: if the hours of the two parts do not begin at the same minute.
-    """
-    if (other.first - first.first) % HOUR:
-        raise ConfigurationError(
-            f"hours must begin at the same minute as in {first.source}, which contains the other "
-            "quantities",
-            file=other.source,
-        )
-    begin = min(first.first, other.first)
-    hours = max((part.first - begin) // HOUR + part.hours for part in (first, other))
-    values = {}
-    for part in (first, other):
-        at = (part.first - begin) // HOUR
-        for quantity, series in part.values.items():
-            values[quantity] = np.full(hours, np.nan)
-            values[quantity][at : at + part.hours] = series
-    minutes = _join_minutes(
-        hours, [((part.first - begin) // HOUR, part) for part in (first, other)]
-    )
-    heights = [part.wind_height for part in (first, other) if "wind speed" in part.values]
-    return replace(
-        first, files=(*first.files, *other.files), first=begin, values=values,
-        method=first.method or other.method, shifted=(*first.shifted, *other.shifted),
-        rain_late=max(first.rain_late, other.rain_late),
-        rain_kind=max(first.rain_kind, other.rain_kind),
-        left_out=(*first.left_out, *other.left_out),
-        applied=(*first.applied, *other.applied), places={**first.places, **other.places},
-        wind_height=heights[0] if heights else None, minutes=minutes,
+        f"is also in {other.source}: files must not overlap", file=part.source,
+        key=f"{PRECIPITATION if name == _MINUTES else name} at {to_minutes(time)}",
     )
 
 
@@ -333,29 +280,23 @@ def _check_same_kind(first: Records, part: Records) -> None:
 def _shift_to_hours_of(first: Records, part: Records) -> Records:
     """Shift records to hours that begin at the same minute as those of the first records."""
     late = (part.first - first.first) % HOUR
-    share, values = late / HOUR, part.values
-    minutes, begin = part.minutes, part.first - late + HOUR
-    if minutes is not None:  # rain of the first and last hour is kept as far as it is known
-        begin -= HOUR
-        edge = late // _MINUTE, 60 - late // _MINUTE
-        minutes = np.pad(minutes.ravel(), edge, constant_values=np.nan).reshape(-1, 60)
-        values = {
-            name: np.pad(series, 1, constant_values=np.nan) for name, series in values.items()
-        }
-    values = {
-        quantity: share * series[:-1] + (1 - share) * series[1:]
-        for quantity, series in values.items()
-    }
+    if not late:
+        return part
+    share, late_min, values, minutes = late / HOUR, late // _MINUTE, {}, part.minutes
+    for name, series in part.values.items():
+        padded = np.pad(series, 1, constant_values=np.nan)
+        values[name] = share * padded[:-1] + (1 - share) * padded[1:]
     if minutes is not None:
+        edge = late_min, 60 - late_min
+        minutes = np.pad(minutes.ravel(), edge, constant_values=np.nan).reshape(-1, 60)
         values[PRECIPITATION] = average_minutes(minutes)
-        first_empty, last_empty = (int(np.isnan(minutes[hour]).all()) for hour in (0, -1))
-        there = slice(first_empty, len(minutes) - last_empty)
-        begin, minutes = begin + first_empty * HOUR, minutes[there]
-        values = {name: series[there] for name, series in values.items()}
-    return replace(
-        part, first=begin, minutes=minutes, values=values,
+    shifted = replace(
+        part, first=part.first - late, minutes=minutes, values=values,
         left_out=(*part.left_out, (
-            f"{part.source}: hours begin {late // _MINUTE} min after those of {first.source}; "
+            f"{part.source}: hours begin {late_min} min after those of {first.source}; "
             "each value is the mean of the two hours that it overlaps"
         )),
     )
+    # Of its first and last hour, a part may know nothing.
+    known = np.count_nonzero(~np.isnan(np.column_stack([*shifted.arrays.values()])), axis=1)
+    return shifted.cut(int(known[0] == 0), shifted.hours - int(known[-1] == 0))

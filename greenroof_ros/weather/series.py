@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from functools import cached_property
 from typing import Any, NamedTuple, overload
@@ -98,40 +98,29 @@ class Weather(Records):
         yield from filter(None, [self.rain_note])
 
 
-class _Clock(NamedTuple):
-    """The hour (or other step) of every tick in the records, but no later than the last hour."""
-
-    offset_ns: int
-    """time of tick 0 relative to hour 0 (ns)"""
-    tick_ns: int
-    """duration of a tick (ns)"""
-    last: int
-    """index of the last hour"""
-    step_ns: int = _HOUR_NS
-    """duration of an hour, or of another step (ns)"""
-
-    def step(self, tick: int) -> int:
-        return min((self.offset_ns + tick * self.tick_ns) // self.step_ns, self.last)
-
-    def steps(self, ticks: range) -> NDArray[np.int64]:
-        numbers = np.arange(ticks.start, ticks.stop, ticks.step, dtype=np.int64)
-        elapsed_ns = self.offset_ns + numbers * self.tick_ns
-        return np.minimum(elapsed_ns // self.step_ns, self.last)
-
-    def first_tick(self, step: int) -> int:
-        """Return the first tick that begins in a given step or later."""
-        return -((self.offset_ns - step * self.step_ns) // self.tick_ns)
-
-
 @dataclass(frozen=True, eq=False)
 class PerTick(Sequence[float]):
     """A value for every tick, looked up in hourly or other values; a slice yields an array."""
 
     values: NDArray[np.float64]
-    """values for all steps of the clock"""
-    clock: _Clock
+    """values of consecutive steps, such as hours; the last also holds for all later ticks"""
+    offset_ns: int
+    """time of tick 0 relative to step 0 (ns)"""
+    tick_ns: int
+    """duration of a tick (ns)"""
     ticks: range
     """all ticks"""
+    step_ns: int = _HOUR_NS
+    """duration of a step (ns)"""
+
+    def step(self, ticks: Any) -> Any:
+        """Return the step in which a tick begins, or the steps of an array of ticks."""
+        steps = (self.offset_ns + ticks * self.tick_ns) // self.step_ns
+        return np.minimum(steps, len(self.values) - 1)
+
+    def first_tick(self, step: Any) -> Any:
+        """Return the first tick that begins in a given step or later, or those of many steps."""
+        return -((self.offset_ns - step * self.step_ns) // self.tick_ns)
 
     def __len__(self) -> int:
         """Return the number of ticks."""
@@ -147,14 +136,14 @@ class PerTick(Sequence[float]):
         """Return the value of a tick, or the values of a range of ticks."""
         ticks = self.ticks[key]
         if isinstance(ticks, int):
-            return float(self.values[self.clock.step(ticks)])
-        return array("d", self.values[self.clock.steps(ticks)].tobytes())
+            return float(self.values[self.step(ticks)])
+        numbers = np.arange(ticks.start, ticks.stop, ticks.step, dtype=np.int64)
+        return array("d", self.values[self.step(numbers)].tobytes())
 
     @property
     def maximum(self) -> float:
         """The maximum value of all ticks."""
-        first, last = self.clock.step(0), self.clock.step(len(self) - 1)
-        return float(self.values[first : last + 1].max())
+        return float(self.values[self.step(0) : self.step(len(self) - 1) + 1].max())
 
 
 class Hour(NamedTuple):
@@ -209,26 +198,21 @@ class WeatherSeries:
                 f"but the run starts at {to_minutes(start)} and lasts {duration(steps * site.tau)}",
                 file=weather.source,
             )
-        ticks = steps + site.M
+        ticks, last = range(steps + site.M), weather.hours - 1
         offset_ns = round((start - weather.first) / timedelta(microseconds=1)) * 1000
-        last = len(weather.precipitation) - 1
-        self._clock = clock = _Clock(offset_ns, tick_ns, last)
-        past = offset_ns + (ticks - 1) * tick_ns >= (last + 1) * _HOUR_NS
+        past = offset_ns + ticks[-1] * tick_ns >= (last + 1) * _HOUR_NS
         self.repeats_from = weather.end if past else None
-        first = clock.step(0)
-        _check_hours(weather, np.arange(first, clock.step(ticks - 1) + 1))
         frost = np.zeros(last + 1) if weather.frost is None else weather.frost.astype(float)
-        self.precipitation = rain_per_tick(weather, clock, ticks)
-        self._rain_changes = None if weather.minutes is None else (
-            1 + np.flatnonzero(np.diff(self.precipitation.values))
-        )
+        self.frost = PerTick(frost, offset_ns, tick_ns, ticks)
+        first = self.frost.step(0)
+        _check_hours(weather, np.arange(first, self.frost.step(ticks[-1]) + 1))
+        self.precipitation = rain_per_tick(weather, offset_ns, tick_ns, ticks)
         depth = np.maximum(weather.evapotranspiration, 0.0)  # dew does not count
-        self.evapotranspiration = PerTick(depth / 1000 / 86400 * site.a2, clock, range(ticks))
-        self.frost = PerTick(frost, clock, range(ticks))
+        self.evapotranspiration = replace(self.frost, values=depth / 1000 / 86400 * site.a2)
         # From tick 0 to the end of tick N-1; the window after it is not part of the run.
-        run = range(first, clock.step(steps - 1) + 1)
-        begins = [clock.first_tick(hour) for hour in run[1:]]
-        frozen = frost[run.start : run.stop] * np.diff([0, *begins, steps])
+        run = range(first, self.frost.step(steps - 1) + 1)
+        begins = self.frost.first_tick(np.array(run))
+        frozen = frost[run.start : run.stop] * np.diff([0, *begins[1:], steps])
         self.frost_hours: float | None = None
         if weather.frost is not None:
             self.frost_hours = float(frozen.sum()) * site.tau / 3600
@@ -264,38 +248,35 @@ class WeatherSeries:
 
     def at(self, tick: int) -> Hour:
         """Return the weather of a tick, and the tick until which it remains constant."""
-        hour = self._clock.step(tick)
-        until = self._clock.first_tick(hour + 1)
-        if self._rain_changes is not None:
-            rain = self.precipitation.clock
-            later = self._rain_changes.searchsorted(rain.step(tick), side="right")
-            if later < len(self._rain_changes):
-                until = min(until, rain.first_tick(int(self._rain_changes[later])))
+        until = min(
+            values.first_tick(values.step(tick) + 1)
+            for values in (self.precipitation, self.evapotranspiration)
+        )
         return Hour(
             self.precipitation[tick], self.evapotranspiration[tick], self.frost[tick],
-            until if tick < until else len(self.precipitation),
+            int(until) if tick < until else len(self.precipitation),
         )
 
 
-def rain_per_tick(weather: Weather, hours: _Clock, ticks: int) -> PerTick:
+def rain_per_tick(weather: Weather, offset_ns: int, tick_ns: int, ticks: range) -> PerTick:
     """Return the rain in every tick (m/s), at the finest resolution of the records.
 
     Args:
         weather: the records.
-        hours: clock with the hour of every tick.
-        ticks: number of ticks.
+        offset_ns: time of tick 0 relative to hour 0 (ns).
+        tick_ns: duration of a tick (ns).
+        ticks: the ticks.
     """
-    minutes, step_ns = weather.finest_rain
-    clock = hours._replace(last=len(minutes) - 1, step_ns=step_ns)
-    fits = _MINUTE_NS % clock.tick_ns == 0 == clock.offset_ns % clock.tick_ns
-    if weather.minutes is None or fits:
-        return PerTick(minutes, clock, range(ticks))
-    edges = (clock.offset_ns + clock.tick_ns * np.arange(ticks + 1)) / _MINUTE_NS
-    beyond = max(0, math.ceil(edges[-1]) - len(minutes))
-    fallen = np.cumsum(np.nan_to_num(np.append(minutes, np.full(beyond, minutes[-1]))))
-    means = np.diff(np.interp(edges, np.arange(1 + len(fallen)), np.append(0.0, fallen)))
-    means = np.maximum(means, 0.0) / (clock.tick_ns / _MINUTE_NS)  # never negative by rounding
-    return PerTick(means, _Clock(0, clock.tick_ns, ticks - 1, clock.tick_ns), range(ticks))
+    rain, step_ns = weather.finest_rain
+    if weather.minutes is None or _MINUTE_NS % tick_ns == 0 == offset_ns % tick_ns:
+        return PerTick(rain, offset_ns, tick_ns, ticks, step_ns)
+    edges = (offset_ns + tick_ns * np.arange(len(ticks) + 1)) / _MINUTE_NS
+    beyond = max(0, math.ceil(edges[-1]) - len(rain))
+    later = np.full(beyond, rain[-1])
+    fallen = np.cumsum(np.nan_to_num(np.concatenate(([0.0], rain, later))))
+    means = np.diff(np.interp(edges, np.arange(len(fallen)), fallen))
+    means = np.maximum(means, 0.0) / (tick_ns / _MINUTE_NS)  # never negative by rounding
+    return PerTick(means, 0, tick_ns, ticks, tick_ns)
 
 
 def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:
@@ -306,27 +287,23 @@ def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:
             "; or fill the gaps (gaps: fill), which sets missing rain to 0, and other missing "
             "values to the mean at the same time of day on the three days before and after"
         )
-    own = () if weather.method in COMPUTED else (EVAPOTRANSPIRATION,)
-    for quantity in (PRECIPITATION, TEMPERATURE, *own):
+    for quantity in (PRECIPITATION, TEMPERATURE, EVAPOTRANSPIRATION):
         if quantity in weather.values:
-            _refuse_missing(weather, quantity, hours, f"; {way_out}")
-    unknown = hours[np.isnan(weather.evapotranspiration[hours])]
-    if unknown.size:
-        named = ", ".join(name_hours(weather.first, unknown))
-        raise ConfigurationError(
-            f"there is no {weather.method} evapotranspiration for {named}: "
-            f"{explain_missing(weather, unknown)}; {way_out}", file=weather.source,
-        )
+            _refuse_missing(weather, quantity, hours, way_out)
 
 
 def _refuse_missing(
-    weather: Weather, quantity: str, hours: NDArray[np.int64], further: str
+    weather: Weather, quantity: str, hours: NDArray[np.int64], way_out: str
 ) -> None:
-    """Reject records that lack a quantity for some hours; the message ends with ``further``."""
+    """Reject records that lack a quantity for some hours; the message ends with ``way_out``."""
     missing = np.unique(hours[np.isnan(weather.values[quantity][hours])])
     if missing.size:
-        named = ", ".join(name_hours(weather.first, missing))
-        raise ConfigurationError(f"{quantity} is missing at {named}{further}", file=weather.source)
+        why = ", ".join(name_hours(weather.first, missing))
+        if quantity == EVAPOTRANSPIRATION and weather.method in COMPUTED:
+            why += f" ({weather.method}): {explain_missing(weather, missing)}"
+        raise ConfigurationError(
+            f"{quantity} is missing at {why}; {way_out}", file=weather.source
+        )
 
 
 def select_records(
@@ -339,7 +316,7 @@ def select_records(
     """
     index = np.clip(hours, 0, weather.hours - 1)
     _refuse_missing(
-        weather, quantity, index, ", within the look-ahead of the run; fill "
-        "the gaps (gaps: fill), or choose another period",
+        weather, quantity, index,
+        "a forecast in the run needs it; fill the gaps (gaps: fill), or choose another period",
     )
     return weather.values[quantity][index]

@@ -62,26 +62,28 @@ def summarize(records: Records, site: Place, hours: range | None = None) -> dict
         if name in records.filled else series[part]
         for name, series in records.values.items()
     }
-    first = (records.first + part.start * HOUR).astimezone(_zone_of(records, site))
+    has_clock = site.time_zone is not None or site.utc_offset is not None
+    first = (records.first + part.start * HOUR).astimezone(
+        site.zone if has_clock else records.first.tzinfo
+    )
     position = next(iter(records.places.values()), (site.latitude, site.longitude))
     rain = _describe_rain(values[PRECIPITATION], first)
-    seconds = round(first.timestamp()) + 3600 * np.arange(len(values[PRECIPITATION]))
-    course = {
-        name: _hottest_hour(values[name], first)
-        for name in (RADIATION, TEMPERATURE) if name in values and _known(values[name]) >= _COURSE
-    }
     rates = records.minutes if records.minutes is not None else records.values[PRECIPITATION]
-    statistics = {
+    judged = {
         "heaviest rain": float(np.nanmax(rates[part], initial=0.0)),
         **_judge_rain(values[PRECIPITATION], rain), **_judge_air(values),
-        **_judge_sun(values, seconds, position),
+        **_judge_sun(values, first, *position),
     }
+    statistics = {name: value for name, value in judged.items() if math.isfinite(value)}
     return {
         "applied": list(records.applied), "from": to_people(first),
         "hours": len(values[PRECIPITATION]), "quantities": {
             name: {"unit": QUANTITIES[name].unit, **_describe(series)}
             for name, series in values.items() if name in QUANTITIES
-        }, "rain": rain, "course": course, "statistics": statistics, "notes": [*_note(statistics)],
+        }, "rain": rain, "course": {
+            name: (first + _find_peak(values[name]) * HOUR).hour
+            for name in (RADIATION, TEMPERATURE) if _known(values.get(name)) >= _COURSE
+        }, "statistics": statistics, "notes": [*_note(statistics)],
     }
 
 
@@ -110,13 +112,8 @@ def as_lines(summary: Mapping[str, Any]) -> list[str]:
     return [*lines, *summary["notes"]]
 
 
-def _zone_of(records: Records, site: Place) -> Any:
-    has_clock = site.time_zone is not None or site.utc_offset is not None
-    return site.zone if has_clock else records.first.tzinfo
-
-
-def _known(series: Values) -> int:
-    return int(np.count_nonzero(~np.isnan(series)))
+def _known(series: Values | None) -> int:
+    return 0 if series is None else int(np.count_nonzero(~np.isnan(series)))
 
 
 def _describe(series: Values) -> dict[str, Any]:
@@ -134,6 +131,7 @@ def _describe_rain(series: Values, first: datetime) -> dict[str, Any]:
     local = np.datetime64(first.replace(tzinfo=None), "h") + np.arange(len(rain))
     days, of_day = np.unique(local.astype("datetime64[D]"), return_inverse=True)
     by_day = np.bincount(of_day, rain)
+    dry = (by_day < _DRY_DAY) & (np.bincount(of_day, ~np.isnan(series)) > 0)
     months, of_month = np.unique(local.astype("datetime64[M]"), return_inverse=True)
     names = [f"{_MONTHS[int(month.astype(int)) % 12]}" for month in months]
     if len(months) > _MAX_MONTHS:
@@ -144,20 +142,17 @@ def _describe_rain(series: Values, first: datetime) -> dict[str, Any]:
         "total": float(rain.sum()), "wet_hours": int(np.count_nonzero(rain > 0)),
         "wettest_hour": float(rain[hour]), "wettest_hour_at": to_people(first + hour * HOUR),
         "wettest_day": float(by_day[day]), "wettest_day_at": str(days[day]),
-        "longest_dry_days": max((end - start for start, end in find_gaps(by_day < _DRY_DAY)),
-                                default=0),
+        "longest_dry_days": max((end - start for start, end in find_gaps(dry)), default=0),
         "parts": dict(zip(names, np.bincount(of_month, rain).tolist(), strict=True)),
     }
 
 
-def _hottest_hour(series: Values, first: datetime) -> int:
-    """Return the hour of the local day with the highest mean."""
-    times = [(first + hour * HOUR).hour for hour in range(24)]
-    means = [
-        float(np.nanmean(series[hour::24])) if _known(series[hour::24]) else -math.inf
-        for hour in range(24)
-    ]
-    return times[int(np.argmax(means))]
+def _find_peak(series: Values) -> int:
+    """Return the hour of the day, counted from the first hour, with the highest mean."""
+    days = np.pad(series, (0, -len(series) % 24), constant_values=np.nan).reshape(-1, 24)
+    known = np.count_nonzero(~np.isnan(days), axis=0)
+    means = np.nansum(days, axis=0) / np.maximum(known, 1)
+    return int(np.argmax(np.where(known > 0, means, -math.inf)))
 
 
 # --- climates -------------------------------------------------------------------------------------
@@ -186,70 +181,61 @@ def _note(statistics: Mapping[str, float]) -> Iterator[str]:
 
 
 def _judge_rain(series: Values, rain: Mapping[str, Any]) -> dict[str, float]:
-    known, wet = _known(series), max(1, rain["wet_hours"])
-    found = {"wettest day": rain["wettest_day"], "wettest hour": rain["wettest_hour"]}
-    if known >= _YEAR:
-        found["rain in a year"] = rain["total"] * 8766 / known
-    if known >= _AIR:
-        found["longest dry spell"] = float(rain["longest_dry_days"])
-        found["wet hours"] = 100.0 * rain["wet_hours"] / known
-        if rain["total"] > 0:
-            found["mean of wet hours"] = rain["total"] / wet
-    return found
+    """Return the statistics of rain; NaN if the record is too short."""
+    known = _known(series)
+    return {"wettest day": rain["wettest_day"], "wettest hour": rain["wettest_hour"]} | ({} if (
+        known < _AIR
+    ) else {
+        "rain in a year": rain["total"] * 8766 / known if known >= _YEAR else math.nan,
+        "longest dry spell": float(rain["longest_dry_days"]),
+        "wet hours": 100.0 * rain["wet_hours"] / known,
+        "mean of wet hours": rain["total"] / rain["wet_hours"] if rain["wet_hours"] else math.nan,
+    })
 
 
 def _judge_air(values: Mapping[str, Values]) -> dict[str, float]:
-    found = {}
-    for name, key in ((TEMPERATURE, "mean temperature"), (WIND, "mean wind")):
-        if name in values and _known(values[name]) >= _AIR:
-            found[key] = float(np.nanmean(values[name]))
-    if TEMPERATURE in values and DEW_POINT in values:
-        above = values[DEW_POINT] - values[TEMPERATURE]
-        if _known(above) >= _AIR:
-            saturated, vapour = (
-                saturation_vapour_pressure(values[name]) for name in (TEMPERATURE, DEW_POINT)
-            )
-            found["highest relative humidity"] = 100.0 * float(np.nanmax(vapour / saturated))
-            share = np.count_nonzero(above > 1) / _known(above)
-            found["dew point above temperature"] = 100.0 * share
+    """Return the statistics of the air; NaN if the record is too short."""
+    air = {name: values.get(name, np.full(1, np.nan)) for name in (TEMPERATURE, DEW_POINT, WIND)}
     constant = [
-        end - start + 1 for name in (TEMPERATURE, DEW_POINT, WIND) if name in values
-        for start, end in find_gaps(np.diff(values[name]) == 0)
+        end - start + 1 for series in air.values() for start, end in find_gaps(np.diff(series) == 0)
     ]
-    return found | {"longest constant value": float(max(constant, default=0))}
+    found = {"longest constant value": float(max(constant, default=0))}
+    found |= {
+        f"mean {what}": float(np.nanmean(air[name]))
+        for name, what in ((TEMPERATURE, "temperature"), (WIND, "wind"))
+        if _known(air[name]) >= _AIR
+    }
+    above = air[DEW_POINT] - air[TEMPERATURE]
+    if _known(above) < _AIR:
+        return found
+    vapour, saturated = map(saturation_vapour_pressure, (air[DEW_POINT], air[TEMPERATURE]))
+    return found | {
+        "highest relative humidity": 100.0 * float(np.nanmax(vapour / saturated)),
+        "dew point above temperature": 100.0 * np.count_nonzero(above > 1) / _known(above),
+    }
 
 
 def _judge_sun(
-    values: Mapping[str, Values], seconds: NDArray[np.int64],
-    position: tuple[float | None, float | None],
+    values: Mapping[str, Values], first: datetime, latitude: float | None, longitude: float | None
 ) -> dict[str, float]:
     """Return the statistics that compare the course of a day with the sun's."""
-    latitude, longitude = position
     if latitude is None or longitude is None:
         return {}
-    # The middle of an hour on the clock of the meridian of Greenwich.
-    sun = sun_height(latitude, seconds + 1800, longitude)
-    found = {}
-    if RADIATION in values and _known(values[RADIATION]) >= _COURSE:
-        radiation = np.nan_to_num(values[RADIATION])
+    middles = round(first.timestamp()) + 1800 + 3600 * np.arange(len(values[PRECIPITATION]))
+    # The sun on the clock of the meridian of Greenwich, and mean solar time relative to noon (h).
+    sun = sun_height(latitude, middles, longitude)
+    noon = (middles / 3600 + longitude / 15) % 24 - 12
+    found, radiation = {}, np.nan_to_num(values.get(RADIATION, np.zeros(1)))
+    if _known(values.get(RADIATION)) >= _COURSE and radiation.any():
         high = sun > _HIGH_SUN
-        if high.any():
-            outside = _SOLAR_CONSTANT * sun[high]
-            found["clearest hour"] = 100.0 * float(np.max(radiation[high] / outside))
-        noon = _after_noon(seconds, longitude)
-        if radiation.sum() > 0:
-            found["radiation at night"] = 100.0 * float(radiation[sun == 0].sum() / radiation.sum())
-            found["middle of the sun"] = float(
+        outside = _SOLAR_CONSTANT * sun[high]
+        found = {
+            "clearest hour": 100.0 * float(np.max(radiation[high] / outside, initial=0.0)),
+            "radiation at night": 100.0 * float(radiation[sun == 0].sum() / radiation.sum()),
+            "middle of the sun": float(
                 np.average(noon, weights=radiation) - np.average(noon, weights=sun)
-            )
-    if TEMPERATURE in values and _known(values[TEMPERATURE]) >= _AIR:
-        noon = _after_noon(seconds, longitude)
-        hours = (values[TEMPERATURE][np.floor(noon) == hour] for hour in range(-12, 12))
-        means = [float(np.nanmean(series)) if _known(series) else -math.inf for series in hours]
-        found["warmest hour"] = float(np.argmax(means) - 11.5)
+            ),
+        }
+    if _known(values.get(TEMPERATURE)) >= _AIR:
+        found["warmest hour"] = float(np.floor(noon[_find_peak(values[TEMPERATURE])]) + 0.5)
     return found
-
-
-def _after_noon(seconds: NDArray[np.int64], longitude: float) -> Values:
-    """Return the mean solar time of the middle of every hour, relative to noon (h)."""
-    return np.asarray(((seconds + 1800) / 3600 + longitude / 15 - 12 + 12) % 24 - 12)

@@ -11,13 +11,13 @@ import csv
 import itertools
 import math
 from array import array
-from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta, timezone, tzinfo
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -25,30 +25,27 @@ from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
 from greenroof_ros.base.files import read_lines
-from greenroof_ros.base.parameter import keys
 from greenroof_ros.base.ranges import Range, read_number
 from greenroof_ros.base.times import DEFAULT_START, duration, is_skipped, parse_time
 from greenroof_ros.site.site import Place, Site
 from greenroof_ros.weather.description import (
     END,
     PLACE,
-    SEPARATORS,
     STANDARD,
     TIME,
     Description,
     find_service,
-    make_description,
     quantity_of,
-    read_comment,
+    read_comments,
     service_descriptions,
-    unknown_unit,
+    usual_name,
 )
 from greenroof_ros.weather.quantities import (
     EVAPOTRANSPIRATION,
     PRECIPITATION,
     QUANTITIES,
-    SYNONYMS,
     find_unit,
+    known_units,
 )
 
 Values = NDArray[np.float64]
@@ -64,8 +61,9 @@ class Row(NamedTuple):
     """A row of a table."""
 
     line: int
-    """line number in the file"""
-    cells: Sequence[str]
+    """line number in the file, or number of the row in a data frame, from 0"""
+    cells: Sequence[Any]
+    """texts; those of a data frame are numbers and times"""
 
 
 class Table:
@@ -81,18 +79,10 @@ class Table:
     def __init__(
         self, file: Path, header: Sequence[str], line: int | None, rows: Iterator[Row]
     ) -> None:
-        """Prepare the table, and read its first row.
-
-        Raises:
-            ConfigurationError: if the table has no rows, or its first row is invalid.
-        """
-        self.file, self.header, self.line = file, header, line
-        self._places = {name: place for place, name in reversed([*enumerate(header)])}
-        first = next(rows, None)
-        if first is None:
-            raise ConfigurationError("has a header but no rows", file=file)
-        self.first, self.rows_after_first = first, rows
-        self.rows: Iterator[Row] = itertools.chain([first], rows)
+        """Prepare the table."""
+        self.file, self.header, self.line, self.rows = file, header, line, rows
+        counts = Counter(header)
+        self._places = {name: place for place, name in enumerate(header) if counts[name] == 1}
 
     def place(self, column: str) -> int:
         """Return the position of a column, from its name or its number.
@@ -100,18 +90,19 @@ class Table:
         Raises:
             ConfigurationError: if the header does not contain the column exactly once.
         """
-        if column.isdecimal() and column not in self.header and int(column) < len(self.header):
+        if column in self._places:
+            return self._places[column]
+        if column in self.header:
+            what = "occurs more than once"
+        elif column.isdecimal() and int(column) < len(self.header):
             return int(column)
-        if self.header.count(column) != 1:
-            what = "occurs more than once" if column in self.header else suggest_names(
-                column, self.header
-            )
-            raise self.refuse(f"must be the name of one column of the file; {what}", column)
-        return self._places[column]
+        else:
+            what = suggest_names(column, self.header)
+        raise self.refuse(f"must be the name of one column of the file; {what}", column)
 
     def cell(self, row: Row, column: str) -> str:
         """Return the text of a cell."""
-        return row.cells[self._places[column] if column in self._places else int(column)]
+        return str(row.cells[self.place(column)])
 
     def refuse(
         self, expected: str, column: str | None = None, row: Row | None = None
@@ -169,20 +160,18 @@ def split(text: str, separator: str) -> list[str]:
     """Return the cells of a line; a quoted cell must end within its line.
 
     Raises:
-        ValueError: if a quote is not closed, or is followed by text.
+        csv.Error: if a quote is not closed, or is followed by text.
     """
-    if '"' not in text:
-        return [cell.strip() for cell in text.split(separator)]
-    try:
-        cells = next(csv.reader([text.strip()], delimiter=separator, strict=True))
-    except csv.Error as error:
-        raise ValueError(str(error)) from None
+    plain = '"' not in text  # the module csv takes longer
+    cells = text.split(separator) if plain else next(
+        csv.reader([text.strip()], delimiter=separator, strict=True)
+    )
     return [cell.strip() for cell in cells]
 
 
 def read_table(
     file: Path, lines: Iterable[tuple[int, str]] | None = None, separator: str = ",",
-    first_value: Callable[[Sequence[str]], int] = lambda _: 0,
+    with_values: Container[str] = (),
 ) -> Table:
     """Read CSV as a table; blank lines, and lines that begin with ``#``, are left out.
 
@@ -190,51 +179,47 @@ def read_table(
         file: file to read.
         lines: numbered lines, beginning with the header; by default, those of the file.
         separator: separator between cells.
-        first_value: function that returns the position of the first column with a value. A row that
-            ends before it is a row without values.
+        with_values: names of columns. A row that ends before the first of them has no values.
 
     Raises:
         ConfigurationError: if the file cannot be read, or the header or all rows are missing. A row
             that has more or fewer cells than the header is rejected when it is read.
     """
-    if lines is None:
-        lines = enumerate(read_lines(file), start=1)
-    numbered = (
-        (number, text) for number, text in lines
-        if text.strip() and not text.lstrip().startswith("#")
-    )
 
-    def parse(number: int, text: str) -> list[str]:
-        try:
-            return split(text, separator)
-        except ValueError as error:
+    def parse() -> Iterator[Row]:
+        for number, text in lines or enumerate(read_lines(file), start=1):
+            if text.strip() and not text.lstrip().startswith("#"):
+                try:
+                    yield Row(number, split(text, separator))
+                except csv.Error as error:
+                    raise ConfigurationError(
+                        f"is not a line of CSV: {error}", file=file, line=number
+                    ) from None
+
+    def fit(row: Row) -> Row:
+        """Return a row with as many cells as the header."""
+        cells = [*row.cells[:count]] if not any(row.cells[count:]) else row.cells
+        if len(cells) < count and len(cells) <= first:
+            cells = [*cells, *[""] * (count - len(cells))]
+        if len(cells) != count:
             raise ConfigurationError(
-                f"is not a line of CSV: {error}", file=file, line=number
-            ) from None
+                f"must have {count} cells, like the header, but has {len(cells)}", file=file,
+                line=row.line,
+            )
+        return Row(row.line, cells)
 
-    line, text = next(numbered, (0, ""))
-    if not line:
+    rows = parse()
+    head, second = next(rows, None), next(rows, None)
+    if head is None or not any(head.cells):
         raise ConfigurationError("must contain a header and rows", file=file)
-    header = [" ".join(name.split()) for name in parse(line, text)]
+    if second is None:
+        raise ConfigurationError("has a header but no rows", file=file)
+    header = [" ".join(name.split()) for name in head.cells]
     while header and not header[-1]:  # separators at the end of each line
         header.pop()
-    count, first = len(header), first_value(header)
-
-    def rows() -> Iterator[Row]:
-        for number, text in numbered:
-            cells = parse(number, text)
-            if len(cells) > count and not any(cells[count:]):
-                cells = cells[:count]
-            if len(cells) < count and len(cells) <= first:
-                cells += [""] * (count - len(cells))
-            if len(cells) != count:
-                raise ConfigurationError(
-                    f"must have {count} cells, like the header, but has {len(cells)}", file=file,
-                    line=number,
-                )
-            yield Row(number, cells)
-
-    return Table(file, header, line, rows())
+    count = len(header)
+    first = next((place for place, name in enumerate(header) if name in with_values), 0)
+    return Table(file, header, head.line, map(fit, itertools.chain([second], rows)))
 
 
 @dataclass(frozen=True)
@@ -243,7 +228,7 @@ class Rows:
 
     Attributes:
         table: table of the file, for messages; its rows have been read.
-        described: what the file means, with the statements in its comments.
+        described: what the file means, with the statements in its comments and columns.
         columns: name and unit of the column of every quantity.
         method: method of the evapotranspiration; empty without a column of evapotranspiration.
         first: start of step 0, with a UTC offset.
@@ -263,12 +248,6 @@ class Rows:
     steps: NDArray[np.int64]
     values: dict[str, Values]
     ignored: tuple[str, ...]
-
-    @property
-    def position(self) -> tuple[float, float] | None:
-        """Latitude and longitude (degrees) that the file states; None if it states none."""
-        latitude, longitude = self.described.latitude, self.described.longitude
-        return None if latitude is None or longitude is None else (latitude, longitude)
 
 
 def read_rows(
@@ -291,70 +270,55 @@ def read_rows(
         ConfigurationError: if the file does not conform to its description; the message names the
             line, the column and the value.
     """
-    table, described = _open(file, described)
-    columns, method = find_columns(table, described)
-    cells = {
-        name: _Cells(table, columns[name][0], name, described)
-        for name in columns if name in wanted
-    }
-    times = _read_times(table, site, described, [*cells.values()])
-    position = _read_position(table, described)
-    return arrange(
-        table, replace(described, **position), site, columns, method, times,  # type: ignore[arg-type]
-        {name: np.array(each.numbers) for name, each in cells.items()},
-    )
+    return arrange(*_open(file, described), site, wanted)
 
 
-class Times(NamedTuple):
-    """The times of rows."""
-
-    seconds: Values
-    """times (s since 1970), in ascending order"""
-    lines: Sequence[int]
-    """line of every row in the file, or number of the row in a data frame"""
-    offset: float
-    """UTC offset of the first row (s)"""
-
-
-def arrange(
-    table: Table, described: Description, site: Place, columns: dict[str, tuple[str, str]],
-    method: str, times: Times, numbers: Mapping[str, Values],
-) -> Rows:
-    """Return rows in steps, from times, and numbers in the units of the file.
-
-    Args:
-        table: the table, for messages.
-        described: what the table means.
-        site: the site, if litres and m3 may occur.
-        columns: name and unit of the column of every quantity.
-        method: method of the evapotranspiration.
-        times: times of the rows.
-        numbers: numbers of every quantity, NaN if missing.
+def arrange(table: Table, described: Description, site: Place, wanted: Collection[str]) -> Rows:
+    """Read the rows of a table, and return them in steps; see :func:`read_rows`.
 
     Raises:
-        ConfigurationError: if the rows are not at regular intervals, or a value is outside the
-            physical range of its quantity.
+        ConfigurationError: if the rows are not at regular intervals, or a cell does not contain a
+            number in the physical range of its quantity.
     """
-    step_s = described.step or _find_step(table, times)
-    begin, steps = _number_steps(table, times, step_s)
-    area = site.a2 if isinstance(site, Site) else math.nan
+    columns, method = _find_columns(table, described)
+    readers = {
+        name: _number_reader(table, described, name, column)
+        for name, (column, _) in columns.items() if name in wanted
+    }
+    clock = [table.place(column) for column in described.columns.get(TIME, (TIME,))]
+    lines, times, numbers = array("l"), list[str | datetime](), [array("d") for _ in readers]
+    for row in table.rows:
+        if not lines:
+            described = _read_position(table, row, described)
+        lines.append(row.line)
+        first, *more = (row.cells[place] for place in clock)
+        times.append(" ".join([first, *more]) if more else first)
+        for series, read in zip(numbers, readers.values(), strict=True):
+            series.append(read(row))
+    if _is_newest_first(times, described.time_format):
+        lines.reverse()
+        times.reverse()
+        for series in numbers:
+            series.reverse()
+    seconds, offset_s = _find_times(table, site, described, lines, times)
+    step_s = described.step or _find_step(table, seconds, lines)
+    begin, steps = _number_steps(table, seconds + offset_s, lines, step_s)
     values = {
-        name: _convert(table, *columns[name], name, series, times.lines, step_s / 3600, area)
-        for name, series in numbers.items()
+        name: _convert(table, *columns[name], name, np.array(series), lines, step_s / 3600, site)
+        for name, series in zip(readers, numbers, strict=True)
     }
     if described.rows == END:
         begin -= step_s
         for level in values.keys() & {*_LEVELS}:
             values[level] = _move_to_next(values[level], steps)
-    zone = timezone(timedelta(seconds=times.offset))
     used = {
         TIME, *(column for column, _ in columns.values()), *described.flags.values(),
         *itertools.chain(*described.columns.values()),
     }
     return Rows(
         table, described, columns, method,
-        datetime.fromtimestamp(begin - times.offset, timezone.utc).astimezone(zone), step_s, steps,
-        values, tuple(name for name in table.header if name not in used),
+        datetime.fromtimestamp(begin - offset_s, timezone(timedelta(seconds=offset_s))), step_s,
+        steps, values, tuple(name for name in table.header if name not in used),
     )
 
 
@@ -367,35 +331,21 @@ def _open(file: Path, described: Description | None) -> tuple[Table, Description
     lines = enumerate(read_lines(file, given.encoding), start=1)
     if given.columns:
         skipped = {*given.skiprows}
-        kept = ((number, text) for number, text in lines if number - 1 not in skipped)
+        kept = (line for line in lines if line[0] - 1 not in skipped)
         return _read_as(file, _without_last(kept, given.skipfooter), given), given
-    head, stated = [(0, "")], dict[str, object]()
+    head = [(0, "")]
     for number, text in lines:
         if text.strip():
             head.append((number, text))
             if not text.lstrip().startswith("#"):
                 break
-            for key, value in read_comment(file, number, text).items():
-                if stated.setdefault(key, value) != value:
-                    raise ConfigurationError(
-                        "differs from an earlier comment", file=file, line=number, key=key,
-                        value=value,
-                    )
-    is_own = head[-1][1].strip('" \r\n').startswith(TIME)
-    for number, text in () if is_own else head[-2:]:  # a header can be the last comment
-        for separator in SEPARATORS.values():
-            header = [cell.strip('" ') for cell in text.strip().split(separator)]
-            service = find_service(header, separator)
-            if service is not None:
-                later = [line for line in head if line[0] > number]
-                start = (number, text.replace("#", " ", 1))
-                return _read_as(file, itertools.chain([start], later, lines), service), service
-    made = make_description({
-        **stated, **{
-            key.name: getattr(given, key.name) for key in keys(Description)
-            if getattr(given, key.name) != getattr(Description(), key.name)
-        },
-    })
+    for place, (number, text) in enumerate(head[-2:], len(head) - 2):  # it can be a comment
+        service = find_service(text)
+        if service is not None:
+            header = number, text.replace("#", " ", 1)
+            later = itertools.chain([header], head[place + 1 :], lines)
+            return _read_as(file, later, service), service
+    made = read_comments(file, head[:-1], given)
     table = _read_as(file, itertools.chain(head[-1:], lines), made)
     if table.header[0] != TIME:
         known = sorted({described.name for described in service_descriptions()})
@@ -407,9 +357,7 @@ def _open(file: Path, described: Description | None) -> tuple[Table, Description
     return table, made
 
 
-def _without_last(
-    lines: Iterable[tuple[int, str]], count: int
-) -> Iterator[tuple[int, str]]:
+def _without_last(lines: Iterable[tuple[int, str]], count: int) -> Iterator[tuple[int, str]]:
     waiting = deque[tuple[int, str]]()
     for line in lines:
         waiting.append(line)
@@ -418,41 +366,36 @@ def _without_last(
 
 
 def _read_as(file: Path, lines: Iterable[tuple[int, str]], described: Description) -> Table:
-    values = {column for name in described.columns.keys() & QUANTITIES.keys()
-              for column in described.columns[name]}
-
-    def first_value(header: Sequence[str]) -> int:
-        return min((header.index(name) for name in values if name in header), default=0)
-
-    return read_table(file, lines, described.separator, first_value)
+    return read_table(file, lines, described.separator, {
+        column for name in described.columns.keys() & QUANTITIES.keys()
+        for column in described.columns[name]
+    })
 
 
-def find_columns(
+def _find_columns(
     table: Table, described: Description
 ) -> tuple[dict[str, tuple[str, str]], str]:
     """Return the column and unit of every quantity, and the method of evapotranspiration."""
-    named = {
-        name: column for name, (column, *_) in described.columns.items()
+    named = [
+        (name, column) for name, (column, *_) in described.columns.items()
         if name not in (TIME, *PLACE)
-    }
-    for column in table.header if not described.columns else ():
-        name = split_unit(column)[0]
-        name = SYNONYMS.get(name, name)
-        if quantity_of(name) in QUANTITIES:
-            if name in named:
-                raise table.refuse(f"an earlier column already contains {name}", column)
-            named[name] = column
+    ]
+    if not described.columns:
+        named = [(usual_name(split_unit(column)[0]), column) for column in table.header]
+        named = [pair for pair in named if quantity_of(pair[0]) in QUANTITIES]
     columns, method = dict[str, tuple[str, str]](), ""
-    for name, column in named.items():
-        table.place(column)
+    for name, column in named:
         quantity = quantity_of(name)
+        if quantity in columns:
+            raise table.refuse(f"an earlier column already contains {quantity}", column)
+        table.place(column)
         unit = described.units.get(name, described.units.get(quantity, split_unit(column)[1]))
         try:
             find_unit(quantity, unit, 1.0, 1.0)
         except ValueError:
-            raise table.refuse(unknown_unit(quantity), column) from None
-        if quantity in columns:
-            raise table.refuse(f"an earlier column already contains {quantity}", column)
+            raise table.refuse(
+                f"the unit of {quantity} must be one of {', '.join(known_units(quantity))}", column
+            ) from None
         columns[quantity] = column, unit
         if quantity == EVAPOTRANSPIRATION:
             method = name.removesuffix(EVAPOTRANSPIRATION).strip() or "unnamed"
@@ -468,80 +411,66 @@ def split_unit(column: str) -> tuple[str, str]:
     return column, ""
 
 
-def _read_position(table: Table, described: Description) -> dict[str, float]:
-    """Return the position in the columns of the first row, if the file has such columns."""
-    return {
-        name: table.read_number(table.first, described.columns[name][0], Range(-end, end))
+def _read_position(table: Table, row: Row, described: Description) -> Description:
+    """Return a description with the position in a row, if the file has such columns."""
+    position: dict[str, Any] = {
+        name: table.read_number(row, described.columns[name][0], Range(-end, end))
         for name, end in _PLACES.items()
-        if name in described.columns and table.cell(table.first, described.columns[name][0])
+        if name in described.columns and table.cell(row, described.columns[name][0])
     }
+    return replace(described, **position)
 
 
 # --- values ---------------------------------------------------------------------------------------
 
 
-class _Cells:
-    """The numbers in a column, in the unit of the file, which are read row by row."""
+def _number_reader(
+    table: Table, described: Description, quantity: str, column: str
+) -> Callable[[Row], float]:
+    """Return a function that reads the number in a column, in the unit of the file."""
+    place, comma = table.place(column), described.decimal == ","
+    marks = str.maketrans(",.", ".?") if comma else {}
+    flag = table.place(described.flags[quantity]) if quantity in described.flags else None
+    zeros = described.zero_values if quantity == PRECIPITATION else ()
+    meanings = dict.fromkeys(("", *described.na_values), math.nan) | dict.fromkeys(zeros, 0.0)
+    codes = dict[float, float]()  # by number, as in -99.0
+    for text, meaning in meanings.items():
+        with suppress(ValueError):
+            codes[read_number(text)] = meaning
 
-    def __init__(
-        self, table: Table, column: str, quantity: str, described: Description
-    ) -> None:
-        """Prepare the column."""
-        self._table, self._column = table, column
-        self._place = table.place(column)
-        self._missing = {"", *described.na_values}
-        self._missing_numbers = _numbers_of(described.na_values)
-        self._zero = {*described.zero_values} if quantity == PRECIPITATION else set[str]()
-        self._comma = described.decimal == ","
-        flag = described.flags.get(quantity)
-        self._flag = None if flag is None else table.place(flag)
-        self._flags = {*described.flag_values}
-        self.numbers = array("d")
-
-    def add(self, row: Row) -> None:
-        """Read the cell in a row.
-
-        Raises:
-            ConfigurationError: if the cell is neither a number nor declared to be missing.
-        """
-        text = row.cells[self._place]
-        if text in self._missing or (
-            self._flag is not None and row.cells[self._flag] in self._flags
-        ):
-            self.numbers.append(math.nan)
-            return
-        if text in self._zero:
-            self.numbers.append(0.0)
-            return
+    def read(row: Row) -> float:
+        cell = row.cells[place]
+        if flag is not None and row.cells[flag] in described.flag_values:
+            return math.nan
+        if cell in meanings:
+            return meanings[cell]
         try:
-            number = read_number(self._with_point(text))
-            if not math.isfinite(number):
+            if isinstance(cell, str):
+                number = read_number(cell.translate(marks))
+            else:
+                number = math.nan if cell is None else float(cell)
+            if math.isinf(number) or (isinstance(cell, str) and math.isnan(number)):
                 raise ValueError
-        except ValueError:
-            mark = "comma" if self._comma else "point"
-            raise self._table.refuse(
-                f"must be a number with a decimal {mark}, or empty; if it denotes a missing value, "
-                "name it in na_values", self._column, row,
+        except (TypeError, ValueError):
+            raise table.refuse(
+                f"must be a number with a decimal {'comma' if comma else 'point'}, or empty; if it "
+                "denotes a missing value, name it in na_values", column, row,
             ) from None
-        self.numbers.append(math.nan if number in self._missing_numbers else number)
+        return codes.get(number, number)
 
-    def _with_point(self, text: str) -> str:
-        if not self._comma:
-            return text
-        if "." in text:
-            raise ValueError
-        return text.replace(",", ".")
+    return read
 
 
 def _convert(
     table: Table, column: str, unit_name: str, name: str, numbers: Values, lines: Sequence[int],
-    step_h: float, area: float,
+    step_h: float, site: Place,
 ) -> Values:
     """Return values in the unit of :data:`.quantities.QUANTITIES`.
 
     Raises:
         ConfigurationError: if a value is outside the physical range of its quantity.
     """
+    area = site.a2 if isinstance(site, Site) else math.nan
     quantity, unit = QUANTITIES[name], find_unit(name, unit_name, step_h, area)
     values = (numbers - unit.zero) / unit.per_ours
     wrong = np.flatnonzero((values < quantity.low) | (values > quantity.high))
@@ -557,47 +486,22 @@ def _convert(
     return np.asarray(values)
 
 
-def _numbers_of(texts: Iterable[str]) -> set[float]:
-    numbers = set[float]()
-    for text in texts:
-        with suppress(ValueError):
-            numbers.add(read_number(text))
-    return numbers
-
-
 # --- times ----------------------------------------------------------------------------------------
 
 
-def _read_times(
-    table: Table, site: Place, described: Description, cells: Sequence[_Cells]
-) -> Times:
-    """Read all rows, and return their times."""
-    columns = described.columns.get(TIME, (TIME,))
-    places = [table.place(column) for column in columns]
-
-    def rows() -> Iterator[tuple[int, str]]:
-        for row in table.rows:
-            yield row.line, text_of(row)
-            for cell in cells:
-                cell.add(row)
-
-    def text_of(row: Row) -> str:
-        return " ".join(row.cells[place] for place in places)
-
-    second = next(table.rows_after_first, None)
-    if second is not None:
-        table.rows = itertools.chain([table.first, second], table.rows_after_first)
-        with suppress(ValueError, TypeError):  # such times are refused below
-            form = described.time_format
-            if parse_text(text_of(second), form) < parse_text(text_of(table.first), form):
-                table.rows = reversed([*table.rows])  # the newest row is the first
-    return find_times(table, site, described, rows())
+def _is_newest_first(times: Sequence[str | datetime], form: str) -> bool:
+    """Return whether the first row is later than the last; times that cannot be read are not."""
+    try:
+        return parse_text(times[-1], form) < parse_text(times[0], form)
+    except (ValueError, TypeError):
+        return False
 
 
-def find_times(
-    table: Table, site: Place, described: Description, times: Iterable[tuple[int, str | datetime]]
-) -> Times:
-    """Return the times of rows, from their lines and their texts or times.
+def _find_times(
+    table: Table, site: Place, described: Description, lines: Sequence[int],
+    times: Sequence[str | datetime],
+) -> tuple[Values, float]:
+    """Return the times of rows (s since 1970), and the UTC offset of the first (s).
 
     In the hour that occurs twice when daylight saving time ends, a time that is not later than the
     previous one belongs to the second occurrence.
@@ -609,42 +513,49 @@ def find_times(
     """
     zone = _find_zone(site, described)
     key = described.columns.get(TIME, (TIME,))[0]
-    seconds, lines = array("d"), array("l")
-    offset, before = 0.0, -math.inf
-    for line, given in times:
-        text = str(given)
+    seconds, offset, before = array("d"), timedelta(), -math.inf
+    for line, given in zip(lines, times, strict=True):
         try:
-            time = parse_text(text, described.time_format) if isinstance(given, str) else given
-        except ValueError:
-            raise table.refuse_at(
-                f"must be a time such as {described.time_format or DEFAULT_START}", line, key, text
-            ) from None
-        if time.tzinfo is None:
-            if zone is None:
-                raise table.refuse_at(
-                    f"must include a UTC offset, as in {DEFAULT_START}, unless the site file, a "
-                    "description or a comment states time_zone or utc_offset", line, key, text,
-                )
-            time = time.replace(tzinfo=zone)
-            if is_skipped(time):
-                raise table.refuse_at(
-                    f"is in an hour that the clocks in {zone} skip; if this clock is not changed "
-                    "in summer, state utc_offset in place of time_zone", line, key, text,
-                )
-            if time.timestamp() <= before:
-                time = time.replace(fold=1)
-        now = time.timestamp()
-        if now <= before:
-            raise table.refuse_at(
-                "must be later than the time of the previous row; if this clock is changed in "
-                "summer, state time_zone, such as Europe/Berlin", line, key, text,
+            time = _read_time(given, described.time_format, zone, before)
+        except ValueError as error:
+            raise table.refuse_at(str(error), line, key, str(given)) from None
+        if not seconds:
+            offset = time.utcoffset() or timedelta()
+        before = time.timestamp()
+        seconds.append(before)
+    return np.array(seconds), offset.total_seconds()
+
+
+def _read_time(given: str | datetime, form: str, zone: tzinfo | None, before: float) -> datetime:
+    """Return the time in a cell, with an offset; the row before it has another (s since 1970).
+
+    Raises:
+        ValueError: if the time is invalid; the message states what would be right.
+    """
+    try:
+        time = parse_text(given, form)
+    except (TypeError, ValueError):
+        raise ValueError(f"must be a time such as {form or DEFAULT_START}") from None
+    if time.tzinfo is None:
+        if zone is None:
+            raise ValueError(
+                f"must include a UTC offset, as in {DEFAULT_START}, unless the site file, a "
+                "description or a comment states time_zone or utc_offset"
             )
-        if not lines:
-            offset = (time.utcoffset() or timedelta()).total_seconds()
-        seconds.append(now)
-        lines.append(line)
-        before = now
-    return Times(np.array(seconds), lines, offset)
+        time = time.replace(tzinfo=zone)
+        if is_skipped(time):
+            raise ValueError(
+                f"is in an hour that the clocks in {zone} skip; if this clock is not changed in "
+                "summer, state utc_offset in place of time_zone"
+            )
+        if time.timestamp() <= before:
+            time = time.replace(fold=1)
+    if time.timestamp() <= before:
+        raise ValueError(
+            "must be later than the time of the previous row; if this clock is changed in summer, "
+            "state time_zone, such as Europe/Berlin"
+        )
+    return time
 
 
 def _find_zone(site: Place, described: Description) -> tzinfo | None:
@@ -663,12 +574,14 @@ def _find_zone(site: Place, described: Description) -> tzinfo | None:
     return None if site.time_zone is None and site.utc_offset is None else site.zone
 
 
-def parse_text(text: str, form: str) -> datetime:
+def parse_text(text: str | datetime, form: str) -> datetime:
     """Return the time in a text; 24:00 is the end of the day.
 
     Raises:
         ValueError: if the text does not have the form.
     """
+    if isinstance(text, datetime):
+        return text
     if not form:
         return parse_time(text)
     if form.endswith("%p") and text[-1:] in "ap":
@@ -679,15 +592,15 @@ def parse_text(text: str, form: str) -> datetime:
     return datetime.strptime(text, form)  # noqa: DTZ007
 
 
-def _find_step(table: Table, times: Times) -> float:
+def _find_step(table: Table, seconds: Values, lines: Sequence[int]) -> float:
     """Return the interval between the first ten rows (s); a single row covers an hour.
 
     Raises:
         ConfigurationError: if the intervals disagree.
     """
-    if len(times.seconds) < 2:
+    if len(seconds) < 2:
         return _HOUR_S
-    spacing = np.diff(times.seconds[:_FIRST_ROWS])
+    spacing = np.diff(seconds[:_FIRST_ROWS])
     middle = float(np.median(spacing))
     minutes = 60.0 * round(middle / 60)
     step_s = minutes if abs(minutes - middle) <= _CLOCK * middle else float(max(1, round(middle)))
@@ -696,13 +609,14 @@ def _find_step(table: Table, times: Times) -> float:
         raise table.refuse_at(
             f"this row is {duration(float(spacing[wrong[0]]))} after the previous row, but the "
             f"first rows are {duration(step_s)} apart: state the interval in seconds, as in step: "
-            f"{step_s:g}; rows that are missing may be left out", times.lines[int(wrong[0]) + 1],
-            "step",
+            f"{step_s:g}; rows that are missing may be left out", lines[int(wrong[0]) + 1], "step",
         )
     return step_s
 
 
-def _number_steps(table: Table, times: Times, step_s: float) -> tuple[float, NDArray[np.int64]]:
+def _number_steps(
+    table: Table, local: Values, lines: Sequence[int], step_s: float
+) -> tuple[float, NDArray[np.int64]]:
     """Return the start of step 0 (s since 1970 on the file's clock), and the step of every row.
 
     Steps that divide an hour or a day begin at multiples of the interval since midnight. Other
@@ -712,7 +626,6 @@ def _number_steps(table: Table, times: Times, step_s: float) -> tuple[float, NDA
         ConfigurationError: if a row is too far from the beginning of a step, or in the same step as
             the previous row.
     """
-    local = times.seconds + times.offset
     begin = step_s * math.floor(local[0] / step_s + 0.5)
     if abs(local[0] - begin) > _OFF * step_s or (_HOUR_S % step_s and 24 * _HOUR_S % step_s):
         whole = 60.0 if step_s >= 60 else 1.0
@@ -725,7 +638,7 @@ def _number_steps(table: Table, times: Times, step_s: float) -> tuple[float, NDA
         raise table.refuse_at(
             f"this row is {duration(float(local[row] - local[max(0, row - 1)]))} after the "
             f"previous row, but rows must be {duration(step_s)} or a multiple apart: where the "
-            "interval changes, split the file", times.lines[row], TIME,
+            "interval changes, split the file", lines[row], TIME,
         )
     return begin, steps
 

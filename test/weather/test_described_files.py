@@ -55,15 +55,15 @@ def test_a_description_takes_two_edits(
     """The rows end at their times, on the clock of Berlin; the rain is in the row of 01:40."""
     (tmp_path / "gauge.csv").write_bytes(text.encode(encoding))
     printed = describe(tmp_path / "gauge.csv")
-    assert printed.count('"?"') == 2
+    assert printed.count("'?'") == 2
     description = tmp_path / "gauge.yaml"
     description.write_text(printed, encoding="utf-8")
     assert refusal(read_measured, [description], SITE).endswith(
         "time_zone = '?': must be decided, because the file does not say it"
     )
     description.write_text(
-        printed.replace('time_zone: "?"', "time_zone: Europe/Berlin")
-        .replace('rows: "?"', "rows: end"), encoding="utf-8",
+        printed.replace("time_zone: '?'", "time_zone: Europe/Berlin")
+        .replace("rows: '?'", "rows: end"), encoding="utf-8",
     )
     records = read_measured([description], SITE)
     assert records.minutes is not None

@@ -128,8 +128,8 @@ def test_a_description_is_printed_and_its_keys_are_options(tmp_path: Path) -> No
     ))
     printed = weather(tmp_path, "gauge.csv", "--describe").stdout
     (tmp_path / "gauge.yaml").write_text(
-        printed.replace('time_zone: "?"', "time_zone: UTC").replace('rows: "?"', "rows: end")
-        .replace('precipitation: "?"', "precipitation: mm")
+        printed.replace("time_zone: '?'", "time_zone: UTC").replace("rows: '?'", "rows: end")
+        .replace("precipitation: '?'", "precipitation: mm")
     )
     options = (
         "gauge.csv", "--columns", "time=Zeit", "rain=Regen", "--units", "rain=mm", "--sep", ";",

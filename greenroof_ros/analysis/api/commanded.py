@@ -159,19 +159,20 @@ class Surroundings:
             compiles: whether to compile the ticks, for which numba must be installed.
         """
         site, series, sensor = run.site, run.series, run.sensor_and_pump
-        clock, quiet = series.evapotranspiration.clock, np.empty(0, np.bool_)
+        frost, quiet = series.frost, np.empty(0, np.bool_)
         if site.quiet is not None:
-            first = run.time_ns(0) - clock.offset_ns + hours.start * _HOUR_NS
+            first = run.time_ns(0) - frost.offset_ns + hours.start * _HOUR_NS
             quiet = site.quiet.quiet_ticks(first, _MINUTE_NS, 60 * len(hours))
-        times = [clock.tick_ns, rain.clock.step_ns, rain.clock.last, clock.last, 60 * hours.start]
+        lasts = len(rain.values) - 1, len(frost.values) - 1
+        times = [frost.tick_ns, rain.step_ns, *lasts, 60 * hours.start]
         parameters = [plant_parameters(site)]
         arrays = (
-            np.array(times), rain.values, series.evapotranspiration.values, series.frost.values,
+            np.array(times), rain.values, series.evapotranspiration.values, frost.values,
             quiet, read_errors(sensor, run.steps + 1),
         )
         if compiles:
-            return cls(run, rain.clock.offset_ns, True, (records(parameters), *arrays))
-        return cls(run, rain.clock.offset_ns, False, (
+            return cls(run, rain.offset_ns, True, (records(parameters), *arrays))
+        return cls(run, rain.offset_ns, False, (
             parameters, *map(np.ndarray.tolist, arrays)
         ))
 
@@ -221,7 +222,7 @@ class CommandedSites:
         later = np.array([
             1000 * round((start - run.start) / timedelta(microseconds=1)) for start in starts
         ])
-        hours = run.series.evapotranspiration.clock.offset_ns + later
+        hours = run.series.evapotranspiration.offset_ns + later
         new_days = np.full((count, 1 + max(len(days) for _, days in earlier)), -1)
         for row, (_, days) in enumerate(earlier):
             new_days[row, : len(days)] = days

@@ -77,9 +77,9 @@ class Environment:
         self._run = run = build_run(choose_class(FunctionController), inputs, set())
         self.site = run.site
         self._ends = look_ahead_ends(self.site, run.parameters["horizon"])
-        clock = run.series.evapotranspiration.clock
+        frost = run.series.frost
         self._surroundings = Surroundings.of_run(
-            run, run.series.precipitation, range(clock.step(0), clock.step(run.steps) + 1),
+            run, run.series.precipitation, range(frost.step(0), frost.step(run.steps) + 1),
             self._pays_to_compile(run.steps),
         )
         self.reset()

@@ -329,8 +329,8 @@ class GreenRoofVectorEnv(VectorEnv[Array, Array, NDArray[Any]]):
         run = self._single._make_roof({
             key: value for key, value in places.items() if value not in (None, RANDOM)
         })._run
-        rain, clock = run.series.precipitation, run.series.evapotranspiration.clock
-        hours = range(clock.step(0), clock.step(run.steps) + 1)
+        rain, frost = run.series.precipitation, run.series.frost
+        hours = range(frost.step(0), frost.step(run.steps) + 1)
         if places["start"] == RANDOM:
             rain, hours = _rain_of_record(run), range(run.weather.hours)
         self._surroundings = Surroundings.of_run(run, rain, hours, can_compile())
@@ -376,14 +376,14 @@ def _rain_of_record(run: Run) -> PerTick:
         ConfigurationError: if the ticks of runs that start at other hours have other means of the
             rain.
     """
-    rain, clock = run.series.precipitation, run.series.evapotranspiration.clock
-    if run.weather.minutes is None or _MINUTE_NS % clock.tick_ns == 0:
+    rain, tick_ns = run.series.precipitation, run.series.frost.tick_ns
+    if run.weather.minutes is None or _MINUTE_NS % tick_ns == 0:
         return rain
-    if _HOUR_NS % clock.tick_ns:
+    if _HOUR_NS % tick_ns:
         raise ConfigurationError(
             "must divide an hour, because the starts are random and the rain has a resolution of "
             "one minute", key="tau", value=run.site.tau,
         )
-    ticks = run.weather.hours * (_HOUR_NS // clock.tick_ns)
-    rain = rain_per_tick(run.weather, clock._replace(offset_ns=0), ticks)
-    return replace(rain, clock=rain.clock._replace(offset_ns=clock.offset_ns))
+    ticks = range(run.weather.hours * (_HOUR_NS // tick_ns))
+    rain = rain_per_tick(run.weather, 0, tick_ns, ticks)
+    return replace(rain, offset_ns=run.series.frost.offset_ns)

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.analysis.calibration.record import select_months
 from greenroof_ros.analysis.calibration.step_record import (
@@ -23,9 +22,9 @@ from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.evapotranspiration import (
     HARGREAVES,
-    DailyTemperatures,
     check_place,
     find_extremes,
+    spread_hargreaves,
 )
 from greenroof_ros.weather.hours import describe_rows, make_hours
 from greenroof_ros.weather.quantities import (
@@ -215,7 +214,7 @@ def _compute_from_temperatures(
             capture a day's extremes or too far from a day that is used, or if a minimum is above
             the maximum.
     """
-    check_place(site, HARGREAVES, ("latitude", "longitude"))
+    check_place(site, HARGREAVES)
     if TEMPERATURE in series and record.step_s > _MAX_STEP_S:
         raise ConfigurationError(
             f"has rows that are {name_time(record.step_s)} apart, but only rows up to three "
@@ -226,9 +225,8 @@ def _compute_from_temperatures(
     low, high = (
         series[name] for name in ([TEMPERATURE] * 2 if TEMPERATURE in series else _EXTREMES)
     )
-    minimum, maximum = extremes = find_extremes(
-        day, low, high, DAY_S / record.step_s if TEMPERATURE in series else 1.0
-    )
+    complete = DAY_S / record.step_s if TEMPERATURE in series else 1.0
+    minimum, maximum = extremes = find_extremes(day, low, high, 0.75 * complete)
     crossed = np.flatnonzero(minimum > maximum)
     if len(crossed):
         raise ConfigurationError(
@@ -238,14 +236,14 @@ def _compute_from_temperatures(
     there = ~np.isnan(extremes).any(axis=0)
     if not there.any():
         raise ConfigurationError("no day has a complete set of temperatures", file=record.source)
-    temperatures = DailyTemperatures(dates, extremes)
-    counted: NDArray[np.datetime64] = np.unique(record.times[counts].astype("datetime64[D]"))
-    far = temperatures.far(counted)
-    if far.any():
+    clock = replace(site, utc_offset=record.offset_s / HOUR_S)
+    depths, far = spread_hargreaves(clock, dates, extremes, record.seconds, record.step_s)
+    lacking = np.flatnonzero(far & counts)
+    if lacking.size:
         raise ConfigurationError(
-            f"has no temperature within 3 days of {counted[far][0]}, but evapotranspiration is "
-            "computed from temperatures; add a row with the temperatures for each day that lacks "
-            "them, leaving all other cells empty, or exclude its month with "
+            f"has no temperature within 3 days of {record.time(lacking[0])[:10]}, but "
+            "evapotranspiration is computed from temperatures; add a row with the temperatures for "
+            "each day that lacks them, leaving all other cells empty, or exclude its month with "
             "--months", file=record.source,
         )
-    return temperatures.evapotranspiration(site, record.seconds, record.step_s, record.offset_s)
+    return depths
