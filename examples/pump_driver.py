@@ -13,15 +13,20 @@ from std_msgs.msg import Float64
 MAX_FLOW, LAG, TICK = 0.008, 30.0, 1.0  # maximum flow (m3/s), first-order lag (s), tick (s)
 SILENCE = 3.0  # time without a command after which the pump stops (s)
 SUCTION = 0.75  # cistern level at or below which the pump runs dry (m)
-state = dict.fromkeys(("cistern/level", "roof/level", "weather/frost"), math.nan)  # by topic
+INPUTS = "pump/command", "cistern/level", "roof/level", "weather/frost"
+tick = {}  # messages of the present tick, by topic
 
 
-def on_command(message):
-    """Follow a command, and publish the simulated flow; publish your pump's flow instead."""
+def on_message(topic, message):
+    """Follow the command once all messages of a tick have arrived; publish your pump's flow."""
+    tick[topic] = message.data
+    if len(tick) < len(INPUTS):
+        return
     watchdog.reset()
-    command = min(message.data, 1.0) if 0.0 <= message.data < math.inf else 0.0  # not a NaN
-    dry = not state["cistern/level"] > SUCTION  # an unknown level, NaN, counts as dry
-    if node.commanders > 1 or dry or math.isnan(state["roof/level"]) or state["weather/frost"] != 0:
+    command, cistern, roof, frost = map(tick.pop, INPUTS)
+    command = min(command, 1.0) if 0.0 <= command < math.inf else 0.0  # not a NaN
+    dry = not cistern > SUCTION  # an unknown level, NaN, counts as dry
+    if node.commanders > 1 or dry or math.isnan(roof) or frost != 0:
         command = 0.0
     flow.data += (command * MAX_FLOW - flow.data) * (1 - math.exp(-TICK / LAG))
     publisher.publish(flow)
@@ -44,13 +49,15 @@ rclpy.init()
 node, flow = rclpy.create_node("pump"), Float64()
 node.commanders = 0
 qos = QoSProfile(depth=64, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # and reliable
-for key in state:  # before the command, which is the last message of a tick
-    node.create_subscription(Float64, key, lambda msg, key=key: state.update({key: msg.data}), qos)
+for name in INPUTS[1:]:
+    node.create_subscription(Float64, name, lambda msg, name=name: on_message(name, msg), qos)
 qos.liveliness_lease_duration = Duration(seconds=1)
 publisher = node.create_publisher(Float64, "pump/flow", qos)
 watchdog = node.create_timer(SILENCE, on_silence, clock=Clock(clock_type=ClockType.STEADY_TIME))
 events = SubscriptionEventCallbacks(liveliness=on_liveliness)
-node.create_subscription(Float64, "pump/command", on_command, qos, event_callbacks=events)
+node.create_subscription(
+    Float64, INPUTS[0], lambda msg: on_message(INPUTS[0], msg), qos, event_callbacks=events
+)
 try:
     rclpy.spin(node)
 except (KeyboardInterrupt, ExternalShutdownException):  # SIGINT, SIGTERM: send 0 to your pump

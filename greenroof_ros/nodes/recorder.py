@@ -90,8 +90,13 @@ class RecorderNode(SimulationNode):
         """Queue a message of a topic, and write every tick that has become complete.
 
         Raises:
-            LockstepError: if the topic is further ahead of the other topics than lockstep allows.
+            LockstepError: if the topic is further ahead of the other topics than lockstep allows,
+                or the bag is already closed.
         """
+        if self.finished:
+            raise LockstepError(
+                f"{name} has a second message in tick {self._bag.written} (after the last tick)"
+            )
         queue = self._queues[name]
         queue.append(message)
         if len(queue) > _MAX_AHEAD:

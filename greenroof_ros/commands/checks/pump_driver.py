@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import ClassVar
 
@@ -52,6 +53,9 @@ _MIN_ABOVE_SUCTION, _DRY = 0.022, -0.001
 # After that, rain refills it to this far above the suction level (m), which is more than a driver
 # may need.
 _REFILLED = 0.5
+# How long the last input of a tick is held back (s): a driver that does not wait for it answers by
+# then.
+_DELAY_S = 0.05
 # The states of /pump/state in which a pump is on.
 _ON = ("starting", "running")
 _NOT_RUNNING = "not checked: the pump does not run"
@@ -71,7 +75,6 @@ class PumpCheck(NodeCheck):
     answer: ClassVar[str] = "flow"
     output: ClassVar[str] = "/pump/flow"
     inputs: ClassVar[tuple[str, ...]] = (_COMMAND,)
-    # The command comes last.
     played: ClassVar[tuple[str, ...]] = (
         "/clock", "/cistern/level", "/roof/level", "/weather/frost", _COMMAND,
     )
@@ -116,6 +119,10 @@ class PumpCheck(NodeCheck):
         self._runs(f"at command {self._usual:g}")
         if not self._steady:
             self.hindered = self.hindered or _NOT_RUNNING
+        if not self.live:
+            with self.check("waits for all inputs of a tick, in whatever order they arrive"):
+                for order in itertools.permutations(self.played[1:]):
+                    self._answer({}, order)
         with self.check("treats a command above 1 as 1"):
             most, beyond = self._steady_flow(1.0), self._steady_flow(3.0)
             require(
@@ -171,11 +178,16 @@ class PumpCheck(NodeCheck):
 
     # --- ticks ----------------------------------------------------------------------------------
 
-    def _answer(self, overrides: Mapping[str, float]) -> float:
+    def _answer(self, overrides: Mapping[str, float], order: Sequence[str] = ()) -> float:
         """Publish a tick, and return the flow reported in response to its command (m3/s).
 
         Args:
             overrides: values by topic that replace the values of an undisturbed tick.
+            order: order in which the topics are published, the last after a delay; by default, the
+                command comes last, without a delay.
+
+        Raises:
+            BrokenRuleError: if the flow arrives before the last input, or not in time.
         """
         began = time.monotonic()
         self.start_tick()
@@ -187,8 +199,13 @@ class PumpCheck(NodeCheck):
             _COMMAND: self._usual,
             **overrides,
         }
-        for topic, value in values.items():
-            self.publish(topic, value)
+        for topic in order[:-1] or values:
+            self.publish(topic, values[topic])
+        if order:
+            self.spin(_DELAY_S)
+            waited = not self.answers
+            self.publish(order[-1], values[order[-1]])
+            require(waited, f"a flow arrived before the last of {', '.join(order)}")
         require(
             self.wait_for_answer(began + ANSWER_S),
             f"no flow arrived within {ANSWER_S:g} s of command number {self.ticks}, which was "
