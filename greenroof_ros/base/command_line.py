@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import functools
 import io
-import itertools
 import math
 import os
 import re
@@ -108,15 +107,11 @@ class _HelpFormatter(argparse.HelpFormatter):
     """Formatter that wraps paragraphs at the terminal's width, except for indented lines."""
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
-        filled: list[str] = []
-        for is_laid_out, lines in itertools.groupby(
-            text.strip().splitlines(), lambda line: not line or line.startswith(" ")
-        ):
-            if is_laid_out:
-                filled += lines
-            else:
-                filled += textwrap.wrap(" ".join(lines), width, break_on_hyphens=False)
-        return "\n".join(filled)
+        text = re.sub(r"^(\S.*)\n(?=\S)", r"\1 ", text.strip(), flags=re.MULTILINE)
+        return "\n".join(
+            line if line.startswith(" ") else textwrap.fill(line, width, break_on_hyphens=False)
+            for line in text.splitlines()
+        )
 
 
 class Parser(argparse.ArgumentParser):
