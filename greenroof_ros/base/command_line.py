@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import functools
 import io
-import itertools
 import math
 import os
 import re
@@ -108,15 +107,11 @@ class _HelpFormatter(argparse.HelpFormatter):
     """Formatter that wraps paragraphs at the terminal's width, except for indented lines."""
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
-        filled: list[str] = []
-        for is_laid_out, lines in itertools.groupby(
-            text.strip().splitlines(), lambda line: not line or line.startswith(" ")
-        ):
-            if is_laid_out:
-                filled += lines
-            else:
-                filled += textwrap.wrap(" ".join(lines), width, break_on_hyphens=False)
-        return "\n".join(filled)
+        text = re.sub(r"^(\S.*)\n(?=\S)", r"\1 ", text.strip(), flags=re.MULTILINE)
+        return "\n".join(
+            line if line.startswith(" ") else textwrap.fill(line, width, break_on_hyphens=False)
+            for line in text.splitlines()
+        )
 
 
 class Parser(argparse.ArgumentParser):
@@ -282,26 +277,3 @@ def print_check_results(title: str, results: Sequence[CheckResult]) -> int:
     passed = sum(not result.problem for result in results)
     print(f"{passed} of {len(results)} checks passed")
     return EXIT_DONE if passed == len(results) else EXIT_FAILED
-
-
-def refuse_unwritable(file: Path, endings: Sequence[str], key: str) -> None:
-    """Reject a file that has the wrong extension, already exists, or cannot be written.
-
-    Args:
-        file: the file to write.
-        endings: the allowed file extensions, such as ``.html``.
-        key: option that specifies the file.
-
-    Raises:
-        ConfigurationError: if the file has the wrong extension, already exists, or cannot be
-            written.
-    """
-    def error(expected: str) -> ConfigurationError:
-        return ConfigurationError(expected, key=key, value=str(file))
-
-    if file.suffix not in endings:
-        raise error(f"must be a file name that ends in {' or '.join(endings)}")
-    if not (file.parent.is_dir() and os.access(file.parent, os.W_OK)):
-        raise error("must be in an existing, writable directory")
-    if file.exists():
-        raise error("exists; choose another file name")

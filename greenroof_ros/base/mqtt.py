@@ -26,7 +26,6 @@ _ADDRESS = re.compile(
     r"([a-z]+)://([A-Za-z0-9_-]{1,63}(?:\.[A-Za-z0-9_-]{1,63})*\.?|\[[0-9A-Fa-f:]+\])"
     r"(?::(\d{1,5}))?/?"
 )
-_STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
 _PORT, _TLS_PORT = 1883, 8883
 # Keep-alive (s): a broker that is silent for one and a half times as long is treated as lost.
 _KEEP_ALIVE_S = 5
@@ -116,25 +115,6 @@ def parse_topic(
             key=key, value=text
         )
     return parse_broker(scheme + mark + place, key, login, authority), topic
-
-
-def parse_path(path: str) -> list[str | int]:
-    """Return the names and indices in a JSON path such as ``sensors[0].distance``."""
-    return [int(index) if index else name for index, name in _STEP.findall(path)]
-
-
-def value_at(content: Any, path: str) -> Any:
-    """Return the value at a path in a JSON value.
-
-    Raises:
-        LookupError: if there is no value at the path.
-    """
-    try:
-        for step in parse_path(path):
-            content = content[step]
-    except TypeError:
-        raise LookupError(path) from None
-    return content
 
 
 def make_client(

@@ -34,10 +34,11 @@ from greenroof_ros.analysis.calibration.site_file import (
     list_fit_entries,
 )
 from greenroof_ros.analysis.calibration.step_record import DAY_S, StepRecord, Steps, name_time
-from greenroof_ros.base.command_line import Parser, add_site, command, refuse_unwritable
+from greenroof_ros.base.command_line import Parser, add_site, command
 from greenroof_ros.base.errors import ConfigurationError, require_extra
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.progress import ProgressBar
+from greenroof_ros.commands.output_file import refuse_unwritable
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 

@@ -17,13 +17,13 @@ from greenroof_ros.base.command_line import (
     add_site,
     command,
     make_number_type,
-    refuse_unwritable,
 )
 from greenroof_ros.base.files import replace_text
 from greenroof_ros.base.http import ServiceError
 from greenroof_ros.base.processes import Signals
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.times import FIRST_YEAR, to_people
+from greenroof_ros.commands.output_file import refuse_unwritable
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import format_place, measure_distance
 from greenroof_ros.weather.download import (

@@ -18,13 +18,13 @@ from greenroof_ros.base.command_line import (
     Parser,
     command,
     make_number_type,
-    refuse_unwritable,
 )
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.ranges import read_number
 from greenroof_ros.commands.new_site_file import ASSUMED, format_new_site
+from greenroof_ros.commands.output_file import refuse_unwritable
 from greenroof_ros.simulation.run import note_pumps
 from greenroof_ros.site.clock import standard_offset
 from greenroof_ros.site.file import SITE_KEYS, SUBSTRATES, read_site

@@ -22,12 +22,12 @@ from greenroof_ros.base.command_line import (
     add_site,
     command,
     make_number_type,
-    refuse_unwritable,
 )
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.times import to_people
+from greenroof_ros.commands.output_file import refuse_unwritable
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.read import find_files, read_weather
 from greenroof_ros.weather.summary import as_lines, summarize

@@ -34,7 +34,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.memo import Memo
 from greenroof_ros.base.times import from_epoch_ns, hours_since_1970, to_minutes
 from greenroof_ros.forecast.archive import read_archive
 from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
@@ -45,6 +44,7 @@ from greenroof_ros.forecast.issue import (
     IssuedForecast,
     align_to_hours,
 )
+from greenroof_ros.forecast.memo import Memo
 from greenroof_ros.forecast.skill import Climate, Skill, read_skill
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.quantities import (

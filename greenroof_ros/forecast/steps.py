@@ -19,9 +19,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.base.memo import Memo
 from greenroof_ros.base.times import to_minutes
 from greenroof_ros.forecast.choice import ForecastChoice
+from greenroof_ros.forecast.memo import Memo
 from greenroof_ros.forecast.models import ForecastModel, PerfectModel, make_model
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site

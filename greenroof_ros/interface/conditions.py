@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from string import Formatter
 from typing import Any
@@ -178,25 +178,6 @@ def identity_of(values: Mapping[str, Any]) -> tuple[str, str]:
     may change.
     """
     return values.get("code", ""), values.get("fault") or values.get("warning") or ""
-
-
-def join_diagnoses(
-    diagnoses: Sequence[Diagnosis], worst: Diagnosis | None = None
-) -> Diagnosis | None:
-    """Merge diagnoses into one with the code and values of the worst; return None if given none.
-
-    Args:
-        diagnoses: the diagnoses, in the order of their sentences.
-        worst: the worst of the diagnoses; None if it is the first.
-    """
-    if not diagnoses:
-        return None
-    topics = {str(topic): None for each in diagnoses if (topic := each.values.get("topic"))}
-    worst = worst or diagnoses[0]
-    return replace(
-        worst, text="; ".join(each.sentence for each in diagnoses),
-        values={**worst.values, **({"topics": " ".join(topics)} if topics else {})},
-    )
 
 
 class _Formatter(Formatter):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,7 +17,7 @@ from greenroof_ros.graph.errors import MalformedMessageError
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.messages import qos_profile
 from greenroof_ros.graph.publishers import DISCOVERY_S, Publishers
-from greenroof_ros.interface.conditions import Diagnosis, join_diagnoses
+from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.topics import Topic
 from greenroof_ros.live.pumping.input_rules import AWAITED, InputRules
 
@@ -172,3 +172,22 @@ def bad_inputs(inputs: Iterable[Input]) -> Diagnosis | None:
     diagnoses = [diagnosis for entry in inputs if (diagnosis := entry.diagnosis) is not None]
     worst = min(diagnoses, key=lambda each: each.code in AWAITED, default=None)
     return join_diagnoses(diagnoses, worst)
+
+
+def join_diagnoses(
+    diagnoses: Sequence[Diagnosis], worst: Diagnosis | None = None
+) -> Diagnosis | None:
+    """Merge diagnoses into one with the code and values of the worst; return None if given none.
+
+    Args:
+        diagnoses: the diagnoses, in the order of their sentences.
+        worst: the worst of the diagnoses; None if it is the first.
+    """
+    if not diagnoses:
+        return None
+    topics = {str(topic): None for each in diagnoses if (topic := each.values.get("topic"))}
+    worst = worst or diagnoses[0]
+    return replace(
+        worst, text="; ".join(each.sentence for each in diagnoses),
+        values={**worst.values, **({"topics": " ".join(topics)} if topics else {})},
+    )

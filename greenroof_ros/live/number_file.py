@@ -8,9 +8,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.base.disk import DISK, LatestWriter
+from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import replace_text
+from greenroof_ros.live.latest_writer import LatestWriter
 
 _CLOSE_S = 2.0
 

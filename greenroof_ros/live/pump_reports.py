@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from greenroof_ros.interface.conditions import Diagnosis, join_diagnoses, read_interlocks
+from greenroof_ros.interface.conditions import Diagnosis, read_interlocks
 from greenroof_ros.interface.states import PumpState
 from greenroof_ros.live.devices.exchange import DriveExchange, DriveSnapshot
 from greenroof_ros.live.live_diagnostics import ERROR, OK, WARN, LiveDiagnostics
-from greenroof_ros.live.live_input import LiveInput, bad_inputs
+from greenroof_ros.live.live_input import LiveInput, bad_inputs, join_diagnoses
 from greenroof_ros.live.pumping.dose import DONE, Dose
 from greenroof_ros.live.pumping.pump_control import Decision, drive_fault
 from greenroof_ros.live.pumping.pump_inputs import INPUTS

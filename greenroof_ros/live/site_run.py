@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED
-from greenroof_ros.base.disk import DISK, LatestWriter
+from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.errors import OccupiedError
 from greenroof_ros.base.files import COPIES, add_path_to_errors, writable
 from greenroof_ros.base.parameter import replace_infinity
@@ -25,7 +25,6 @@ from greenroof_ros.base.processes import (
     LockedError,
     Signals,
     lock_file,
-    notify,
     scratch_directory,
 )
 from greenroof_ros.base.standard_error import print_line
@@ -37,8 +36,10 @@ from greenroof_ros.graph.domain import lock_namespace, refuse_other_nodes, requi
 from greenroof_ros.graph.parameter_file import node_parameter_files
 from greenroof_ros.interface.alarm import WARN, advise
 from greenroof_ros.interface.states import PUMP, DriveState, PumpState
+from greenroof_ros.live.latest_writer import LatestWriter
 from greenroof_ros.live.live_site import MIN_BAG_MB, LiveSite
 from greenroof_ros.live.pumping.ledger import RECORD, make_record
+from greenroof_ros.live.service_manager import notify
 from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart
 from greenroof_ros.results.versions import versions

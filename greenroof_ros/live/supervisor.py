@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import logging
 import os
@@ -65,11 +64,6 @@ _LIVE_LEASE_S = "3"
 _NOT_REQUIRED = {
     RECORDER, *(quantity.node for section, quantity in QUANTITIES.items() if section not in TANKS)
 }
-
-# A full disk does not count as a logging error: lines that do not fit are lost. There is no flush
-# at exit, which would block on a hung disk, and every line is flushed when it is written.
-logging.raiseExceptions = False
-atexit.unregister(logging.shutdown)
 
 # A function that stops the drive without the pump node, whose process id it takes; it returns
 # whether the drive reports the pump as stopped, and the outcome in words.

@@ -8,6 +8,7 @@ once at the start.
 from __future__ import annotations
 
 from greenroof_ros.graph import begin_node
+from greenroof_ros.live.latest_writer import LatestWriter
 
 begin_node(__name__)
 
@@ -16,7 +17,7 @@ from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.base.disk import DiskThread, LatestWriter
+from greenroof_ros.base.disk import DiskThread
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import from_epoch_ns, to_people

@@ -6,11 +6,8 @@ import itertools
 import math
 import os
 import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from itertools import permutations
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from commands import run_command
@@ -18,61 +15,13 @@ from places import CONFIG
 from refusals import refusal
 
 from greenroof_ros.analysis.study.grid import read_grid
-from greenroof_ros.base.command_line import refuse_unwritable
 from greenroof_ros.base.errors import ConfigurationError, describe_value
 from greenroof_ros.base.files import read_yaml
-from greenroof_ros.controllers.parameter_sections import read_sections
+from greenroof_ros.commands.output_file import refuse_unwritable
 from greenroof_ros.live.devices.drive_file import read_drive_file
 from greenroof_ros.live.devices.relay_file import read_relay_file
 from greenroof_ros.live.devices.sensor_file import read_sensors
 from greenroof_ros.site.file import read_site
-
-
-@contextmanager
-def node_with(file: Path, domain: int, namespace: str = "/") -> Iterator[Any]:
-    """A node that has read a parameter file by rcl."""
-    rclpy = pytest.importorskip("rclpy", reason="rcl comes with ROS 2")
-    from rclpy.node import Node
-
-    context = rclpy.Context()
-    rclpy.init(
-        args=["--ros-args", "--params-file", str(file), "-r", f"__ns:={namespace}"],
-        context=context, domain_id=domain,
-    )
-    try:
-        node = Node(
-            "reader", context=context, automatically_declare_parameters_from_overrides=True,
-            start_parameter_services=False, enable_rosout=False,
-        )
-        yield node
-        node.destroy_node()
-    finally:
-        context.try_shutdown()
-
-
-SECTIONS = ("/**", "reader", "/reader", "/**/reader", "/*/reader", "/*", "/x/**", "/x/reader", "y")
-
-
-@pytest.mark.parametrize("namespace", ["/", "/x", "/x/y"])
-def test_sections_apply_to_nodes_as_rcl_applies_them(
-    namespace: str, tmp_path: Path, domain: int
-) -> None:
-    """Two sections at a time, in both orders, one in a namespace; groups become dots."""
-    file = tmp_path / "parameters.yaml"
-    for first, second in permutations(SECTIONS, 2):
-        file.write_text(
-            f"{first}:\n  ros__parameters: {{a: 1, b: {{c: {{d: 2}}}}}}\n"
-            f"{second}:\n  ros__parameters: {{a: 3}}\n"
-            "x:\n  reader:\n    ros__parameters: {e: 4}\n"
-        )
-        given = dict[str, Any]()
-        for section in read_sections(file):
-            if section.applies_to(f"{namespace.rstrip('/')}/reader"):
-                given |= section.values
-        with node_with(file, domain, namespace) as node:
-            known = node.get_parameters_by_prefix("").items()
-            theirs = {name: value.value for name, value in known if name[1:2] in ("", ".")}
-        assert given == theirs, (first, second)
 
 
 def test_plain_values(tmp_path: Path) -> None:
@@ -115,21 +64,18 @@ def nested(levels: int, brackets: str = "[{}]", item: str = "{1}") -> str:
         "line"),
         ("a: " + "[" * 300 + "]" * 300, ", line 1: is not valid YAML: is nested more than 200"),
         ("a: " + "[" * 400_000, ", line 1: is not valid YAML: "),
-        ("a: " + "- " * 400_000, ", line 1: is not valid YAML: "),
         ("a: 1\n---\nb: 2\n", ", line 2: is not valid YAML: expected a single document"),
         ("a: *x\n", ", line 1: is not valid YAML: found undefined alias"),
         ("a: 1\nb: \0\n", ", line 2: is not text in UTF-8"),
         ("a: 1\n# m\udcb2\n", ", line 2: is not text in UTF-8"),
         ("a:\n\tb: 1\n", ", line 2: is not valid YAML: indent with spaces, not tabs"),
         ("a: !!int 5\n", ", line 1: is not valid YAML: values must not have tags such as"),
-        ("a: &x {b: *x}\n", ", line 1: is not valid YAML: is nested more than 200"),
         ("a: &x [*x]\n", ", line 1: is not valid YAML: is nested more than 200"),
         (f"a: {nested(8)}\n", "is not valid YAML: its aliases (*NAME) add more than 10000"),
         ("a: " + nested(8, "{{{}}}", "k{0}: {1}"), "is not valid YAML: its aliases (*NAME) add"),
         (f"a: {{? {nested(8)} : 1}}\n", ", line 1: is not valid YAML: a key must be text"),
         ("a: {!!str b: 1}\n", ", line 1: is not valid YAML: a key must be text without a tag"),
         (f"a: {'x' * 1_000_000}\n", ": is longer than 1 MB"),
-        (f"a: [{'x, ' * 200_000}\n", ": is not valid YAML: "),
     ],
     ids=itertools.count(),
 )
@@ -186,12 +132,8 @@ def test_no_control_character_reaches_the_terminal(tmp_path: Path, text: str) ->
         assert all(sign == "\n" or sign.isprintable() for sign in done.stderr)
 
 
-@pytest.mark.parametrize(("value", "shown"), [
-    ("a'b", '"a\'b"'), ([1, "x", None], "[1, 'x', None]"), ({"a": {"b": 1.5}}, "{'a': {'b': 1.5}}"),
-    (10**5000, "a number with thousands of digits"), (Path("/a"), "PosixPath('/a')"),
-], ids=itertools.count())
-def test_how_a_value_is_shown(value: object, shown: str) -> None:
-    assert describe_value(value) == shown
+def test_a_number_that_python_does_not_print_is_described() -> None:
+    assert describe_value(10**5000) == "a number with thousands of digits"
 
 
 def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:

@@ -1,10 +1,9 @@
-"""Processes that end with their parent, and the messages that systemd receives."""
+"""Processes that end with their parent, locks, and temporary files."""
 
 from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -86,22 +85,6 @@ def test_a_lock_is_its_process_alone_until_that_ends(tmp_path: Path) -> None:
         holder.kill()
         holder.communicate()
     acquire_name_lock(name).close()
-
-
-# --- systemd ------------------------------------------------------------------------------------
-
-
-def test_a_full_socket_stops_no_one(tmp_path: Path) -> None:
-    """With a service manager that reads nothing; the time limit is the test."""
-    path = tmp_path / "notify"
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
-        receiver.bind(str(path))
-        code = "from greenroof_ros.base.processes import notify\n" \
-            "for _ in range(10_000): notify('WATCHDOG=1')"
-        subprocess.run(
-            [sys.executable, "-c", code], env={"NOTIFY_SOCKET": str(path)}, timeout=300, check=True,
-            cwd=CHECKOUT,
-        )
 
 
 _SCRATCH = """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import math
 import sys
@@ -15,7 +16,7 @@ from pathlib import Path
 from greenroof_ros.analysis.report.bags import read_run, run_directory
 from greenroof_ros.analysis.report.run import ReportedRun, Row, read_about
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.files import file_digest, read_text
+from greenroof_ros.base.files import read_text
 from greenroof_ros.physics.sensor_and_pump import PARAMETERS
 from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.results.table import (
@@ -141,7 +142,8 @@ def _name_by_difference(runs: Mapping[Path, ReportedRun]) -> None:
     for path, run in runs.items():
         row = run.row
         weather = sorted((run_directory(path) / "configuration" / "weather").glob("*"))
-        identity = (run.site, row["cistern_m3"], row["roof_m3"], *map(file_digest, weather))
+        digests = [hashlib.sha256(file.read_bytes()).digest() for file in weather]
+        identity = (run.site, row["cistern_m3"], row["roof_m3"], *digests)
         if windows.setdefault(row["window"], identity) != identity:
             row["window"] += f" ({run.name})"
         given = row_parameters(row)

@@ -8,7 +8,8 @@ import math
 import re
 import time
 
-from greenroof_ros.base.mqtt import make_client, value_at
+from greenroof_ros.base.mqtt import make_client
+from greenroof_ros.live.devices.json_path import value_at
 from greenroof_ros.live.devices.readings import Reading, SensorReader
 from greenroof_ros.live.devices.sensor_file import MqttSensor
 

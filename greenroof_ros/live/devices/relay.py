@@ -21,9 +21,10 @@ from dataclasses import dataclass
 from string import Template
 from typing import Any
 
-from greenroof_ros.base.mqtt import Broker, make_client, value_at
+from greenroof_ros.base.mqtt import Broker, make_client
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.devices.drive import DriveStatus
+from greenroof_ros.live.devices.json_path import value_at
 from greenroof_ros.live.devices.modbus_line import Address, DriveError
 from greenroof_ros.live.devices.relay_file import RelayFile, RelayMessage, Timer, Value
 

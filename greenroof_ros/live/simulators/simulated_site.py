@@ -11,7 +11,8 @@ from functools import partial
 from typing import Any
 
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.mqtt import make_client, parse_path
+from greenroof_ros.base.mqtt import make_client
+from greenroof_ros.live.devices.json_path import parse_path
 from greenroof_ros.live.devices.modbus_line import encode, parse_address
 from greenroof_ros.live.devices.sensor_file import ModbusSensor, MqttSensor, Sensors
 from greenroof_ros.live.simulators.server import Device, Server
