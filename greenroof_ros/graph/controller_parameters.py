@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections import deque
 from collections.abc import Callable
 from typing import Any
@@ -56,7 +57,8 @@ class ControllerParameters:
         # tick.
         self._changes: deque[dict[str, Any]] = deque(maxlen=_CHANGES)
         self._change_count = 0
-        node.add_on_set_parameters_callback(self._on_parameters)
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._apply)
 
     def make(self) -> Any:
         """Create the controller with the current values of its parameters, and return it.
@@ -86,21 +88,24 @@ class ControllerParameters:
             "parameter_changes": list(self._changes), "parameter_change_count": self._change_count,
         }
 
-    def _on_parameters(self, changes: list[RosParameter]) -> SetParametersResult:
-        may_change = {
-            parameter.name for parameter in self._choice.kind.parameters if parameter.may_change
-        }
-        tick = self._tick()
-        for name, value in (
-            (parameter.name, parameter.value) for parameter in changes
-            if parameter.name in may_change
-        ):
+    def _check(self, changes: list[RosParameter]) -> SetParametersResult:
+        """Try the changes on a copy of the controller; other checks may still reject them."""
+        tried = copy.copy(self.controller)
+        for name, value in self._of_controller(changes):
             try:
-                if self.controller is not None:
-                    setattr(self.controller, name, value)
+                if tried is not None:
+                    setattr(tried, name, value)
             except (Exception, SystemExit) as error:  # whatever a user's class raises
                 reason = str(locate_error(self._choice.kind, error))
                 return SetParametersResult(successful=False, reason=reason)
+        return SetParametersResult(successful=True)
+
+    def _apply(self, changes: list[RosParameter]) -> None:
+        """Apply changes that every check has accepted."""
+        tick = self._tick()
+        for name, value in self._of_controller(changes):
+            if self.controller is not None:
+                setattr(self.controller, name, value)
             before, self._values[name] = self._values[name], value
             self._change_count += 1
             self._changes.append({
@@ -108,7 +113,12 @@ class ControllerParameters:
                 **replace_infinity({"before": before, "value": value}),
             })
             self._node.get_logger().info(f"{name} is {value:g} from tick {tick} on")
-        return SetParametersResult(successful=True)
+
+    def _of_controller(self, changes: list[RosParameter]) -> list[tuple[str, Any]]:
+        may_change = {
+            parameter.name for parameter in self._choice.kind.parameters if parameter.may_change
+        }
+        return [(each.name, each.value) for each in changes if each.name in may_change]
 
 
 def of_reference(

@@ -139,17 +139,21 @@ def _check_value(parameter: Parameter, value: Any) -> Any:
     raise ValueError(f"must be {parameter.limits or _TEXTS[kind]}")
 
 
+_LONG = 2**62  # beyond any number that a node uses
+
+
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(
         description=parameter.description, read_only=not parameter.may_change,
         additional_constraints=f"must be {parameter.limits}" if parameter.among else "",
     )
-    if math.isinf(parameter.low):
+    low, high = parameter.low, parameter.high
+    if math.isinf(low) and math.isinf(high):
         return descriptor
-    ends = map(int if parameter.whole else float, (parameter.low, parameter.high))
-    limits = dict(zip(("from_value", "to_value"), ends, strict=True))
+    limits = {"from_value": low, "to_value": high}
     if parameter.whole:
-        descriptor.integer_range = [IntegerRange(**limits)]
+        whole = {name: int(min(max(end, -_LONG), _LONG)) for name, end in limits.items()}
+        descriptor.integer_range = [IntegerRange(**whole)]
     else:
         descriptor.floating_point_range = [FloatingPointRange(**limits)]
     return descriptor

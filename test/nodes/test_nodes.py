@@ -17,7 +17,12 @@ from commands import Forked, run_command
 from graphs import Process, environment, summary_of, udp_addresses_of, wait_for
 from places import CONFIG
 from rcl_interfaces.msg import ParameterValue
-from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
+from rcl_interfaces.srv import (
+    GetParameters,
+    ListParameters,
+    SetParameters,
+    SetParametersAtomically,
+)
 from rclpy.parameter import Parameter
 from ros_rig import Observer
 from rosgraph_msgs.msg import Clock
@@ -103,6 +108,11 @@ def test_who_sets_and_commands(domain: int, tmp_path: Path, observer: Observer) 
         assert not answer.results[0].successful and "use_sim_time" in answer.results[0].reason
     weights = [Parameter("weight", value=float(1 + n)).to_parameter_msg() for n in range(50)]
     observer.call(SetParameters, "/mpc/set_parameters", parameters=weights)
+    both = [Parameter("weight", value=7.0).to_parameter_msg(), wall]  # refused as a whole
+    answer = observer.call(
+        SetParametersAtomically, "/mpc/set_parameters_atomically", parameters=both
+    )
+    assert not answer.result.successful and "use_sim_time" in answer.result.reason
     assert set_weight(observer, 0.01).successful
     assert set_weight(observer, 5).successful
     observer.publisher("/pump/command")
