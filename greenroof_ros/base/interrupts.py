@@ -47,6 +47,8 @@ def _end_interrupted(*_: Any) -> None:
     A KeyboardInterrupt would print a traceback, or would raise another error in the import of a
     compiled module; compiled code could even discard it.
     """
-    show_cursor = b"\x1b[?25h" if os.isatty(2) else b""  # a progress bar hides it
-    os.write(2, show_cursor + b"interrupted\n")
-    os._exit(INTERRUPTED)
+    try:
+        # A progress bar hides the cursor.
+        os.write(2, b"\x1b[?25h\ninterrupted\n" if os.isatty(2) else b"interrupted\n")
+    finally:
+        os._exit(INTERRUPTED)

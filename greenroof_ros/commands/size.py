@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +16,6 @@ from greenroof_ros.analysis.sizing.designs import OUTLETS, TARGETS, VOLUMES
 from greenroof_ros.analysis.sizing.run import JOBS, KNEE_RANGE, OPTIONS, PRICES, size_site
 from greenroof_ros.analysis.sizing.sizes import PAGE, TABLE, Sizes
 from greenroof_ros.base.command_line import (
-    EXIT_DONE,
-    EXIT_INTERRUPTED,
     Parser,
     add_option,
     add_site,
@@ -28,7 +25,7 @@ from greenroof_ros.base.command_line import (
 )
 from greenroof_ros.base.errors import ConfigurationError, rename_keys, require_extra
 from greenroof_ros.base.files import writable
-from greenroof_ros.base.processes import InterruptedRun, Signals, count_cores
+from greenroof_ros.base.processes import Signals, count_cores
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.simulation.inputs import INPUTS
 from greenroof_ros.simulation.screen import print_weather
@@ -112,7 +109,7 @@ def make_parser() -> Parser:
 
 
 @command
-def main() -> int:
+def main() -> None:
     """Size the cistern of the site named on the command line."""
     arguments = make_parser().parse_args()
     with require_extra("study"):
@@ -123,20 +120,15 @@ def main() -> int:
     if given["jobs"] is None:
         given["jobs"] = count_cores()
     signals = Signals()  # a signal ends the runs at the next report
-    try:
-        with ProgressBar() as bar, rename_keys({name: option_of(name) for name in OPTIONS}):
-            def report(text: str, share: float) -> None:
-                signals.check()
-                bar.show(text, share)
+    with ProgressBar() as bar, rename_keys({name: option_of(name) for name in OPTIONS}):
+        def report(text: str, share: float) -> None:
+            signals.check()
+            bar.show(text, share)
 
-            sizes = size_site(given, report, print_weather)
-            report("drawing", 1.0)
-            page = sizes.save(arguments.output)
-    except InterruptedRun as error:
-        print(error, file=sys.stderr)
-        return EXIT_INTERRUPTED
+        sizes = size_site(given, report, print_weather)
+        report("drawing", 1.0)
+        page = sizes.save(arguments.output)
     show(sizes, page)
-    return EXIT_DONE
 
 
 def _refuse_other_files(directory: Path) -> None:
