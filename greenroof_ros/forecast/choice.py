@@ -9,8 +9,7 @@ from typing import Any
 
 from greenroof_ros.base.errors import ConfigurationError, describe_choices, rename_keys
 from greenroof_ros.base.parameter import entry, make_record, parameters_of
-from greenroof_ros.forecast.archive import SUFFIXES
-from greenroof_ros.forecast.issue import SERVICE_DELAY_H
+from greenroof_ros.forecast.issue import SERVICE_DELAY_H, SUFFIXES
 from greenroof_ros.forecast.skill import REAL, SKILLS
 from greenroof_ros.site.horizon import MAX_MEMBERS
 
