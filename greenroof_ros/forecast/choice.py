@@ -98,12 +98,7 @@ def choose(text: str, options: Mapping[str, Any] | None = None) -> ForecastChoic
         checked = make_record(ForecastChoice, options)
         for name, value in options.items():
             if name not in _OPTIONS_OF[model]:
-                owners = [
-                    "a file" if owner == FILE else owner
-                    for owner, names in _OPTIONS_OF.items() if name in names
-                ]
                 raise ConfigurationError(
-                    f"is an option of {' and '.join(owners)}, but the forecast is {text}", key=name,
-                    value=value,
+                    f"is not an option of the forecast {text}", key=name, value=value
                 )
     return replace(checked, model=model, file=Path(text) if model == FILE else None)

@@ -51,21 +51,21 @@ _MAX_BRIDGE_H = 6
 # The longest forecasts, those of ensembles, cover 36 days (h).
 _MAX_HOURS = 36 * 24
 _DAY_H = 24
-# Columns of the values, by quantity; all columns in their order; the optional columns.
-_QUANTITIES = {
-    name: quantities.QUANTITIES[name] for name in (PRECIPITATION, EVAPOTRANSPIRATION, TEMPERATURE)
+# Ranges and columns of the values, by quantity; all columns in their order; the optional columns.
+_RANGES = {
+    name: Range(each.low, each.high, each.unit) for name, each in quantities.QUANTITIES.items()
+    if name in (PRECIPITATION, EVAPOTRANSPIRATION, TEMPERATURE)
 }
-_COLUMNS = {name: f"{name} [{quantity.unit}]" for name, quantity in _QUANTITIES.items()}
+_COLUMNS = {name: f"{name} [{limits.unit}]" for name, limits in _RANGES.items()}
 _NAMES = ["issued", "available", "time", "member", *_COLUMNS.values()]
 _OPTIONAL = {"available", "member", _COLUMNS[EVAPOTRANSPIRATION], _COLUMNS[TEMPERATURE]}
-_RANGES = {name: Range(each.low, each.high, each.unit) for name, each in _QUANTITIES.items()}
 _MEMBERS = Range(0.0, MAX_MEMBERS - 1.0, "(whole)")
 _PREVIOUS = re.compile(r"precipitation_previous_day([1-7])")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, order=True)
 class IssuedForecast:
-    """A forecast of consecutive hours.
+    """A forecast of consecutive hours; forecasts are sorted by time of issue, then of arrival.
 
     Attributes:
         issued: nominal time of issue, at which the first hour starts.
@@ -98,11 +98,6 @@ class IssuedForecast:
     def end(self) -> datetime:
         """End of the last hour."""
         return self.issued + self.hours * HOUR
-
-    @property
-    def order(self) -> tuple[datetime, datetime]:
-        """Key for sorting issues: the nominal time, then the time of arrival."""
-        return self.issued, self.available
 
     def ahead(self, lead: int, hours: int, late: int = 0) -> tuple[Array, Array | None]:
         """Return the values from a lead on, which continue after the end of the issue.
@@ -177,12 +172,11 @@ def mend_forecast(issue: IssuedForecast) -> IssuedForecast:
         name: bridge_gaps(series, _MAX_BRIDGE_H)
         for name, series in issue.values.items() if name != PRECIPITATION
     }
-    ends = {name: _count_known(values[name]).min() for name in values if name != TEMPERATURE}
-    hours = min(ends.values())
+    hours = min(_count_known(values[name]).min() for name in values if name != TEMPERATURE)
     if not hours:
         raise ConfigurationError(
-            f"contains no {min(ends, key=ends.__getitem__)} at the time of its issue, "
-            f"{to_minutes(issue.issued)}", file=issue.file, line=issue.line,
+            f"lacks a value for the hour of its issue, {to_minutes(issue.issued)}",
+            file=issue.file, line=issue.line,
         )
     notes = [
         f"member {number} is left out: it has {lengths[number]} hours, but the longest member has "
@@ -228,7 +222,7 @@ def read_archive(source: Path, site: Place, delay: float | None = None) -> list[
             forms, or if an issue occurs twice.
     """
     files, own = _list_files(source)
-    issues = _join_own(files) if own else _make_issues(_join_previous_runs(files, site))
+    issues = _join_own(files) if own else _make_issues(files, site)
     if delay is None:
         return issues
     return [replace(issue, available=issue.issued + delay * HOUR) for issue in issues]
@@ -244,7 +238,7 @@ def read_verified(source: Path, site: Place) -> tuple[list[IssuedForecast], int]
     files, own = _list_files(source)
     if own:
         return _join_own(files), 1
-    return _make_issues(_join_previous_runs(files, site), daily=True), _DAY_H
+    return _make_issues(files, site, daily=True), _DAY_H
 
 
 def _list_files(source: Path) -> tuple[list[Path], bool]:
@@ -265,11 +259,9 @@ def _join_own(files: Sequence[Path]) -> list[IssuedForecast]:
     Raises:
         ConfigurationError: if an issue repeats another issue.
     """
-    issues = sorted(
-        (issue for file in files for issue in read_forecasts(file)), key=lambda issue: issue.order
-    )
+    issues = sorted(issue for file in files for issue in read_forecasts(file))
     for earlier, later in itertools.pairwise(issues):
-        if earlier.order == later.order:
+        if (earlier.issued, earlier.available) == (later.issued, later.available):
             raise ConfigurationError(
                 f"contains the issue of {to_minutes(later.issued)}, which is already in "
                 f"{earlier.file.name}", file=later.file, line=later.line,
@@ -316,8 +308,7 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForeca
     )
     time = table.place("time")
     grouped = itertools.groupby(table.rows, lambda row: row.cells[:time])
-    issues = [_read_issue(table, rows) for _, rows in grouped]
-    return sorted(issues, key=lambda issue: issue.order)
+    return sorted(_read_issue(table, rows) for _, rows in grouped)
 
 
 def _select_latest(path: Path, now: datetime) -> list[tuple[int, str]]:
@@ -402,10 +393,6 @@ def write_forecasts(issues: Sequence[IssuedForecast]) -> str:
 # --- previous runs --------------------------------------------------------------------------------
 
 
-def _join_previous_runs(files: Sequence[Path], site: Place) -> Records:
-    return join_records([_read_previous_runs(file, site) for file in files])
-
-
 def _read_previous_runs(file: Path, site: Place) -> Records:
     """Return the precipitation by variable; values are for the hour after their time stamps."""
     if file.suffix == ".json":
@@ -436,20 +423,24 @@ def _read_previous_runs(file: Path, site: Place) -> Records:
     })
 
 
-def _make_issues(previous: Records, *, daily: bool = False) -> list[IssuedForecast]:
-    """Return the forecasts that were known at 00, 06, 12 and 18 UTC, as issues.
+def _make_issues(
+    files: Sequence[Path], site: Place, *, daily: bool = False
+) -> list[IssuedForecast]:
+    """Return the forecasts that were known at 00, 06, 12 and 18 UTC, from previous runs.
 
     With l as the lead time (h) from the issue to the end of an hour, the forecast for this hour is
     the value with the smallest N for which 24 N >= l and the value is not missing. An issue ends
     before the first hour without a known value.
 
     Args:
-        previous: the previous runs.
+        files: files of previous runs.
+        site: site that must be near the position in the files.
         daily: True for one issue per day; see :func:`read_verified`.
 
     Raises:
         ConfigurationError: if no issue has a known first hour.
     """
+    previous = join_records([_read_previous_runs(file, site) for file in files])
     days = {int(name[-1]): series for name, series in previous.values.items()}
     span = _DAY_H * max(days)
     padded = np.full((max(days), previous.hours + 2 * span), np.nan)
@@ -461,18 +452,18 @@ def _make_issues(previous: Records, *, daily: bool = False) -> list[IssuedForeca
     for start in range(-span, previous.hours):
         if (since_1970 + start) % (_DAY_H if daily else ISSUE_HOURS) == 0:
             by_days = np.where(allowed, padded[:, span + start : 2 * span + start], np.nan)
-            known = ~np.isnan(by_days)
-            hours = span if daily else int(np.append(known.any(axis=0), False).argmin())
-            rain = by_days[known.argmax(axis=0), leads][None, :hours]
-            if hours:
+            rain = by_days[(~np.isnan(by_days)).argmax(axis=0), leads]
+            if not daily:
+                rain = rain[: _count_known(rain)]
+            if len(rain):
                 issued = previous.first + start * HOUR
                 issues.append(IssuedForecast(
-                    issued, issued + SERVICE_DELAY_H * HOUR, previous.files[0], None,
-                    {PRECIPITATION: rain},
+                    issued, issued + SERVICE_DELAY_H * HOUR, files[0], None,
+                    {PRECIPITATION: rain[None]},
                 ))
     if not issues:
         raise ConfigurationError(
             "must contain a value for an hour that starts at 00, 06, 12 or 18 UTC, the times at "
-            "which forecasts are issued", file=previous.files[0],
+            "which forecasts are issued", file=files[0],
         )
     return issues

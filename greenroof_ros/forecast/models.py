@@ -340,12 +340,11 @@ class ErrorModel(ForecastModel):
             Rain (mm/h), shape (members, leads), and the factor of evapotranspiration (1), shape
             (leads,).
         """
-        signal, of_all, of_one, errors = _make_filters(
-            self._skill, self._reach, math.ceil(leads / _LEADS)
-        )
+        skill, blocks = self._skill, math.ceil(leads / _LEADS)
+        signal, of_all, of_one, errors = _make_filters(skill, self._reach, blocks)
         hours = issue - self._first + np.arange(-self._reach, leads + self._reach)
         (common, *own), dry = self._noise(issue, len(hours))
-        skill, unknown = self._skill, errors[:leads]
+        unknown = errors[:leads]
         normal = _find_normal(skill.climate, self._weather.precipitation, self._first, hours)
         known = _apply_filters(signal, normal) + _apply_filters(of_all, common)
         members = np.stack([known + _apply_filters(of_one, noise) for noise in own])

@@ -142,7 +142,7 @@ WRONG = {
     "member.csv": (
         OWN.replace("time,", "time,member,").replace("Z,0", "Z,1,0"), ", line 2: member = '1'",
     ),
-    "empty.csv": (OWN.replace(",0\n", ",\n"), ", line 2: contains no precipitation at"),
+    "empty.csv": (OWN.replace(",0\n", ",\n"), ", line 2: lacks a value for the hour"),
     "negative.csv": (OWN.replace(",0\n", ",-1\n"), ", line 2: precipitation [mm/h] = '-1'"),
 }
 
