@@ -18,7 +18,6 @@ from greenroof_ros.results.bag_write import (
     find_files,
     name_next_file,
     name_recovered_bag,
-    read_index,
     read_recorded,
     write_metadata,
 )
@@ -72,7 +71,7 @@ def recover(directory: Path, output: Path | None = None) -> Recovered:
                 copies.append(copy)
             else:
                 copy.unlink(missing_ok=True)
-        write_metadata(target, map(read_index, copies))
+        write_metadata(target, copies)
     except OSError as error:
         shutil.rmtree(target, ignore_errors=True)
         raise ConfigurationError(
