@@ -183,10 +183,7 @@ def mend_forecast(issue: IssuedForecast) -> IssuedForecast:
         f"{lengths.max()}" for number in np.flatnonzero(~used)
     ]
     if count := int(np.isnan(issue.rain[used, :hours]).sum()):
-        notes.append(
-            f"{count} missing hours of precipitation were filled with the mean of the adjacent "
-            "hours"
-        )
+        notes.append(f"{count} missing hours of precipitation were filled from adjacent hours")
     return replace(
         issue, values={name: series[..., :hours] for name, series in values.items()},
         notes=(*issue.notes, *(
@@ -218,8 +215,8 @@ def read_archive(source: Path, site: Place, delay: float | None = None) -> list[
             usual delay for the kind of archive.
 
     Raises:
-        ConfigurationError: if a file does not conform to its form, if the files have different
-            forms, or if an issue occurs twice.
+        ConfigurationError: if a file does not conform to its form, or if the files have different
+            forms.
     """
     files, own = _list_files(source)
     issues = _join_own(files) if own else _make_issues(files, site)
@@ -254,18 +251,11 @@ def _list_files(source: Path) -> tuple[list[Path], bool]:
 def _join_own(files: Sequence[Path]) -> list[IssuedForecast]:
     """Return the issues of files in this project's own form, with equal numbers of members.
 
-    If an issue has fewer members than others, the other issues are reduced to the same number.
-
-    Raises:
-        ConfigurationError: if an issue repeats another issue.
+    If an issue has fewer members than others, the other issues are reduced to the same number. Of
+    issues with the same times of issue and arrival, the last one counts.
     """
-    issues = sorted(issue for file in files for issue in read_forecasts(file))
-    for earlier, later in itertools.pairwise(issues):
-        if (earlier.issued, earlier.available) == (later.issued, later.available):
-            raise ConfigurationError(
-                f"contains the issue of {to_minutes(later.issued)}, which is already in "
-                f"{earlier.file.name}", file=later.file, line=later.line,
-            )
+    every = (issue for file in files for issue in read_forecasts(file))
+    issues = sorted({(issue.issued, issue.available): issue for issue in every}.values())
     members = min(len(issue.rain) for issue in issues)
     return [
         replace(issue, values={**issue.values, PRECIPITATION: issue.rain[:members]}, notes=(
@@ -282,7 +272,7 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForeca
     """Read a file of forecasts with one or more issues, and return them in chronological order.
 
     Lines that start with ``#`` are comments. The first other line is the header. The columns are
-    ``issued``, ``available`` (the time of arrival; by default, the time of issue), ``time``,
+    ``issued``, ``available`` (the time of arrival; not before the time of issue), ``time``,
     ``member``, ``precipitation [mm/h]``, ``evapotranspiration [mm/day]`` and ``temperature
     [degC]``. All but ``issued``, ``time`` and ``precipitation`` are optional; of evapotranspiration
     and temperature, only the values of member 0 are used. Every other line contains the forecast
@@ -301,13 +291,9 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForeca
             the value.
     """
     table = read_table(path, None if now is None else _select_latest(path, now))
-    table.require_header(
-        [name for name in _NAMES if name not in _OPTIONAL or name in table.header],
-        f"; the columns are {', '.join(map(repr, _NAMES))}, of which "
-        f"{', '.join(sorted(_OPTIONAL))} are optional",
-    )
-    time = table.place("time")
-    grouped = itertools.groupby(table.rows, lambda row: row.cells[:time])
+    columns = [name for name in _NAMES if name not in _OPTIONAL or name in table.header]
+    table.require_header(columns, f"; the columns are {', '.join(map(repr, _NAMES))}")
+    grouped = itertools.groupby(table.rows, lambda row: row.cells[: columns.index("time")])
     return sorted(_read_issue(table, rows) for _, rows in grouped)
 
 
@@ -330,12 +316,9 @@ def _select_latest(path: Path, now: datetime) -> list[tuple[int, str]]:
 def _read_issue(table: Table, rows: Iterator[Row]) -> IssuedForecast:
     """Return the issue in rows that have the same times of issue and arrival."""
     first = next(rows)
-    issued = table.read_time(first, "issued")
-    available = table.read_time(first, "available") if "available" in table.header else issued
-    if available < issued:
-        raise table.refuse(
-            f"must not be before {to_minutes(issued)}, the time of issue", "available", first
-        )
+    issued = available = table.read_time(first, "issued")
+    if "available" in table.header:  # no forecast can be used before its first hour
+        available = max(issued, table.read_time(first, "available"))
     columns = {name: column for name, column in _COLUMNS.items() if column in table.header}
     members = defaultdict[float, list[list[float]]](list)
     for row in itertools.chain([first], rows):
@@ -345,8 +328,7 @@ def _read_issue(table: Table, rows: Iterator[Row]) -> IssuedForecast:
         if time != expected or len(members[member]) == _MAX_HOURS:
             raise table.refuse(
                 f"must be {to_minutes(expected.astimezone(time.tzinfo))}: every forecast must have "
-                f"up to {_MAX_HOURS} consecutive hours from its time of issue onward, without gaps "
-                "or repetitions", "time", row,
+                f"up to {_MAX_HOURS} consecutive hours, from its time of issue on", "time", row,
             )
         members[member].append([
             table.read_number(row, column, _RANGES[name]) if table.cell(row, column) else math.nan
@@ -354,8 +336,7 @@ def _read_issue(table: Table, rows: Iterator[Row]) -> IssuedForecast:
         ])
     if sorted(members) != [*range(len(members))]:
         raise table.refuse(
-            "every issue must have the members 0, 1, 2 and so on, without gaps, but has "
-            f"{', '.join(f'{member:g}' for member in sorted(members))}", "member", first,
+            "every issue must have the members 0, 1, 2 and so on, without gaps", "member", first
         )
     # Members that end early are missing (NaN) in the remaining hours.
     cells = np.full((len(members), max(map(len, members.values())), len(columns)), np.nan)
@@ -408,8 +389,7 @@ def _read_previous_runs(file: Path, site: Place) -> Records:
     time, names = table.header[0], list(filter(_PREVIOUS.fullmatch, table.header))
     if time not in ("time", "datetime") or not names:
         raise table.refuse(
-            "must begin with 'issued', as in this project's form, or with time or datetime before "
-            "columns precipitation_previous_day1 and so on", time,
+            "must begin with issued, or with time and precipitation_previous_day1 and so on", time
         )
     parts = {
         name: read_file(file, site, Description(
@@ -463,7 +443,6 @@ def _make_issues(
                 ))
     if not issues:
         raise ConfigurationError(
-            "must contain a value for an hour that starts at 00, 06, 12 or 18 UTC, the times at "
-            "which forecasts are issued", file=files[0],
+            "must contain a value for an hour that starts at 00, 06, 12 or 18 UTC", file=files[0]
         )
     return issues

@@ -44,14 +44,14 @@ class ForecastFile:
         self._path = path
         self._file_status: tuple[int, ...] = ()
 
-    def update(self) -> bool:
-        """Read the file if it has changed, and return whether a new file was read."""
+    def update(self) -> None:
+        """Read the file if it has changed."""
         try:
             status = self._path.stat()
             before = self._file_status
             self._file_status = status.st_dev, status.st_ino, status.st_mtime_ns, status.st_size
             if self._file_status == before:
-                return False
+                return
             issues = read_forecasts(self._path, datetime.now(timezone.utc))
             if EVAPOTRANSPIRATION not in issues[0].values:
                 raise ConfigurationError(
@@ -61,12 +61,10 @@ class ForecastFile:
         except OSError as error:
             self._file_status = ()
             self.problem = f"{self._path} cannot be read: {error.strerror}"
-            return False
         except ConfigurationError as error:
             self.problem = str(error)
-            return False
-        self.issues, self.problem = issues, ""
-        return True
+        else:
+            self.issues, self.problem = issues, ""
 
 
 class LiveForecast:
@@ -147,9 +145,7 @@ class LiveForecast:
         """
         number = bisect.bisect_right([issue.issued for issue in self.issues], now)
         if not number:
-            raise NoForecastError(
-                "the first forecast is in the future" if self.issues else "there is no forecast"
-            )
+            raise NoForecastError("there is no forecast" + ", except in the future" * bool(self.issues))
         issue, wrong = self.issues[number - 1], ""
         if now - issue.issued > self._limit:
             wrong = f"is older than {duration(self._limit.total_seconds())}"

@@ -186,9 +186,9 @@ class FileModel(ForecastModel):
         now = self._weather.first + hour * HOUR
         number = bisect.bisect_right(self._available, now - self._late * HOUR) - 1
         if number < 0:
+            first = to_minutes(self._available[0] + self._late * HOUR)
             raise ConfigurationError(
-                "has no forecast that is available before "
-                f"{to_minutes(self._available[0] + self._late * HOUR)}, but the run needs one at "
+                f"has no forecast that is available before {first}, but the run needs one at "
                 f"{to_minutes(now)}", file=self._issues[0].file,
             )
         issue = self._issues[number]
@@ -436,8 +436,7 @@ def _apply_filters(weights: Array, values: Array) -> Array:
         values: value of every hour, shape (leads + width - 1,).
     """
     windows = sliding_window_view(values, weights.shape[1])
-    filtered: Array = (weights[: len(windows)] * windows).sum(axis=1)
-    return filtered
+    return np.asarray((weights[: len(windows)] * windows).sum(axis=1))
 
 
 def make_model(

@@ -80,9 +80,8 @@ class Service:
         self._site = site
         more = {"models": model} if model else {}
         self._parameters = make_parameters(site, forecast_days=days, **more)
-        self._url = check_url(
-            url or (_ENSEMBLE_URL if ensemble else _FORECAST_URL), self._parameters
-        )
+        default = _ENSEMBLE_URL if ensemble else _FORECAST_URL
+        self._url = check_url(url or default, self._parameters)
 
     def fetch(self, now: datetime) -> IssuedForecast:
         """Return the latest forecast, issued in the current hour, with evapotranspiration.

@@ -126,7 +126,7 @@ WRONG = {
     "days.json": ('{"daily": {"time": ["2021-07-07"]}}', ": must be an answer of Open-Meteo"),
     "temperature.csv": (
         "\n".join([HEAD.replace("precipitation", "temperature_2m"), *ROWS, ""]),
-        ", line 1: 'datetime': must begin with 'issued'",
+        ", line 1: 'datetime': must begin with issued, or",
     ),
     "half.csv": (
         "\n".join([HEAD, *ROWS, "2024-03-01 01:30:00,0,0,0,0,0"]),
@@ -157,20 +157,21 @@ def test_wrong_files(tmp_path: Path, name: str) -> None:
 
 
 def test_wrong_directories(tmp_path: Path) -> None:
-    """An archive has one form, one kind, and each issue once."""
+    """An archive has one form and one kind; an issue that occurs twice counts once."""
     refusal(read_archive, tmp_path, TORONTO, match="must contain forecast files")
     (tmp_path / "a.csv").write_text(OWN)
     for name, text, wrong in (
-        (
-            "b.csv", OWN.replace(",0\n", ",1\n"),
-            r"b.csv, line 2: contains the issue of 2024-06-01T00:00.00:00, .* already in a.csv",
-        ),
         ("b.csv", GEM.read_text(), r"b.csv, line 1: 'datetime': the column must be 'issued'"),
-        ("a.csv", GEM.read_text(), r"b.csv, line 1: 'issued': must begin with 'issued', as in"),
+        ("a.csv", GEM.read_text(), "b.csv, line 1: 'issued': must begin with issued, or"),
     ):
         (tmp_path / "b.csv").write_text(OWN)
         (tmp_path / name).write_text(text)
         refusal(read_archive, tmp_path, TORONTO, match=wrong)
+    (tmp_path / "a.csv").write_text(OWN.replace(",0\n", ",1\n"))
+    (tmp_path / "b.csv").write_text(OWN)
+    (tmp_path / "README.md").write_text("# Forecasts")
+    (issue,) = read_archive(tmp_path, TORONTO)
+    assert issue.rain.tolist() == [[0.0]]
 
 
 def test_issues_with_fewer_members(tmp_path: Path) -> None:
