@@ -64,7 +64,7 @@ def recover(directory: Path, output: Path | None = None) -> Recovered:
     try:
         target.mkdir(parents=True)
         for file in files:
-            copy = name_next_file(copies, target)
+            copy = name_next_file(target)
             counts[file.name], lost = _copy_file(file, copy, recorded.get(file.name, (0, 0)))
             losses += lost
             if counts[file.name]:

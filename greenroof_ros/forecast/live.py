@@ -145,7 +145,7 @@ class LiveForecast:
         """
         number = bisect.bisect_right([issue.issued for issue in self.issues], now)
         if not number:
-            raise NoForecastError("there is no forecast" + ", except in the future" * bool(self.issues))
+            raise NoForecastError("there is no forecast" + ", only later ones" * bool(self.issues))
         issue, wrong = self.issues[number - 1], ""
         if now - issue.issued > self._limit:
             wrong = f"is older than {duration(self._limit.total_seconds())}"

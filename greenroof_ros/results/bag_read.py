@@ -32,9 +32,6 @@ _NEEDED = ("/roof/level", "/cistern/level", "/pump/command", "/pump/flow")
 _TYPE = "std_msgs/msg/Float64"
 _CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 
-# A live graph publishes NaN for an unknown value, as defined in the interface.
-_MAY_BE_UNKNOWN = ("/weather/frost",)
-
 # A smaller share of wrong values in a topic counts as outliers of a sensor; a larger one is a
 # mistake.
 _MAX_OUTLIERS = 0.01
@@ -47,8 +44,6 @@ _GAP_S, _GAP_SPACINGS = 600, 10
 
 # If there are no messages for longer than this (ns), a clock is wrong.
 _MAX_GAP_NS = 366 * 86400e9
-
-_MAX_NAMED = 10
 
 
 def count_ticks(bag: Path) -> int | None:
@@ -106,7 +101,7 @@ def load_bag(
     recorded, notes = _keep_one_time(_read_series(bag, repair), zone)
     if silent := [topic for topic in _NEEDED if topic not in recorded]:
         raise ConfigurationError(
-            "; ".join([f"contains no messages on {', '.join(silent)}", *notes]), file=bag
+            "; ".join([f"contains no messages ({_TYPE}) on {', '.join(silent)}", *notes]), file=bag
         )
     of_site = {column.topic: column.attribute for column in recorded_columns(site)}
     notes += [
@@ -122,10 +117,18 @@ def load_bag(
         # What the plant itself published are the results of the run.
         by_plant = "plant" not in topic.subscribers or (name == "/pump/flow" and not external_pump)
         fine = (of_topic.values >= topic.low) & (of_topic.values <= topic.high)  # a NaN is neither
-        if not fine.all() and not (own and by_plant):
-            mend = _replace_refused if own else _drop_wrong
-            of_topic, note = mend(bag, topic, of_topic, fine)
-            notes.append(note)
+        if own and not by_plant and not fine.all():
+            of_topic = of_topic._replace(values=np.where(fine, of_topic.values, 0.0))
+            notes.append(
+                f"{np.count_nonzero(~fine)} of {len(fine)} values of {name} were rejected in the "
+                f"run and replaced by 0, because a value {topic.range.expected()}"
+            )
+        elif not own and not fine.all():
+            of_topic = _drop_wrong(bag, topic, of_topic, fine)
+            notes.append(
+                f"{np.count_nonzero(~fine)} of {len(fine)} values of {name} are left out because "
+                "they are not finite or are out of range"
+            )
         if len(of_topic.times):  # otherwise it was never known
             series[name] = of_topic
     stamps = np.unique(np.concatenate([of_topic.times for of_topic in series.values()]))
@@ -144,8 +147,7 @@ def load_bag(
         if topic_name in series:
             times, values = series[topic_name]
             # If several messages have the same time, the last one counts.
-            index = np.searchsorted(times, samples, side="right") - 1
-            columns[name] = np.where(index >= 0, values[np.maximum(index, 0)], 0.0)
+            columns[name] = np.append(0.0, values)[np.searchsorted(times, samples, side="right")]
         if name not in ("roof", "cistern"):
             columns[name][gaps] = 0.0
     columns["roof"] = columns["roof"] * site.a2
@@ -209,19 +211,9 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
     clock = set[int]()  # the simulated times (ns)
     try:
         with AnyReader([bag], default_typestore=typestore) as reader:
-            types = {each.topic: each.msgtype for each in reader.connections}
-            namespace = find_namespace(types, list(_NEEDED), bag)
+            known = {each.topic for each in reader.connections if each.msgtype == _TYPE}
+            namespace = find_namespace(known, _NEEDED, bag)
             names = {f"{namespace}{topic}": topic for topic in (*_ATTRIBUTES, _CLOCK)}
-            if missing := [topic for topic in _NEEDED if namespace + topic not in types]:
-                raise ConfigurationError(
-                    f"lacks {', '.join(missing)}, which the report needs; the topics in the bag "
-                    f"are: {', '.join(sorted(types)) or 'none'}", file=bag,
-                )
-            for name, topic in names.items():
-                if topic != _CLOCK and types.get(name, _TYPE) != _TYPE:
-                    raise ConfigurationError(
-                        f"must be of type {_TYPE}, not {types[name]}", file=bag, key=name
-                    )
             wanted = [
                 each for each in reader.connections
                 if each.topic in names and each.msgtype in (_TYPE, _CLOCK_TYPE)
@@ -273,8 +265,8 @@ def _compute_maxima(site: Site) -> dict[str, float]:
 
 def _drop_wrong(
     bag: Path, topic: Topic, series: _Series, fine: NDArray[np.bool_]
-) -> tuple[_Series, str]:
-    """Remove implausible values of a topic, and return the others with a note.
+) -> _Series:
+    """Remove implausible values of a topic, and return the others.
 
     Raises:
         ConfigurationError: if the implausible values are too many to be outliers, or if at least
@@ -282,7 +274,7 @@ def _drop_wrong(
             rain, or of a pump that is active for less than a hundredth of the time.
     """
     times, values = series
-    unknown = np.isnan(values) & (topic.name in _MAY_BE_UNKNOWN)
+    unknown = np.isnan(values) & topic.may_be_unknown  # a NaN of a live graph
     wrong = np.flatnonzero(~fine & ~unknown)
     large = np.count_nonzero(values > topic.high)
     if len(wrong) and (
@@ -293,31 +285,15 @@ def _drop_wrong(
             f"{from_epoch_ns(int(times[wrong[0]])).isoformat()}; is a unit wrong?",
             file=bag, key=topic.name,
         )
-    return _Series(times[fine], values[fine]), (
-        f"{np.count_nonzero(~fine)} of {len(fine)} values of {topic.name} are left out because "
-        "they are not finite or are out of range"
-    )
-
-
-def _replace_refused(
-    bag: Path, topic: Topic, series: _Series, fine: NDArray[np.bool_]
-) -> tuple[_Series, str]:
-    """Return the values of a topic that the run's plant used, with 0 for rejected values."""
-    return series._replace(values=np.where(fine, series.values, 0.0)), (
-        f"{np.count_nonzero(~fine)} of {len(fine)} values of {topic.name} were rejected in the "
-        f"run and replaced by 0, because a value {topic.range.expected()}"
-    )
+    return _Series(times[fine], values[fine])
 
 
 def _describe_gaps(samples: Stamps, gaps: NDArray[np.intp], zone: tzinfo) -> str:
     hours = (samples[gaps + 1] - samples[gaps]) / 3.6e12
-    named = [
-        f"{_name_time(samples[gap], zone)} to {_name_time(samples[gap + 1], zone)} ({length:.3g} h)"
-        for gap, length in zip(gaps[:_MAX_NAMED], hours, strict=False)
-    ]
-    if len(gaps) > _MAX_NAMED:
-        named.append(f"and {len(gaps) - _MAX_NAMED} more gaps, {hours.sum():.3g} h in total")
+    longest = gaps[hours.argmax()]
     return (
-        f"there are no messages from {', '.join(named)}: in these gaps, the command, the weather "
-        "and the flows are unknown and are treated as 0, and the levels keep their last values"
+        f"there are no messages in {len(gaps)} gaps, {hours.sum():.3g} h in total, the longest "
+        f"from {_name_time(samples[longest], zone)} to {_name_time(samples[longest + 1], zone)} "
+        f"({hours.max():.3g} h): in gaps, the command, the weather and the flows are unknown and "
+        "are treated as 0, and the levels keep their last values"
     )

@@ -9,15 +9,12 @@ from __future__ import annotations
 import functools
 import math
 import os
-import struct
 from collections.abc import Collection, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import yaml
-import zstandard
-from mcap.exceptions import McapError
 from mcap.reader import FOOTER_SIZE
 from mcap.records import Channel, Footer, Schema, Statistics
 from mcap.stream_reader import MAGIC_SIZE, StreamReader
@@ -28,12 +25,6 @@ from greenroof_ros.interface.topics import Qos, Topic
 from greenroof_ros.results.mcap import McapWriter
 
 METADATA = "metadata.yaml"
-
-# Errors that reading a truncated or damaged file can raise.
-DAMAGED = (
-    McapError, EOFError, MemoryError, OverflowError, RuntimeError, ValueError, struct.error,
-    zstandard.ZstdError,
-)
 
 # Ticks passed to the operating system together. A kill -9 loses no more than the ticks by which the
 # plant is ahead of them: 32.
@@ -115,14 +106,10 @@ class LiveBag:
             return
         day = time_ns // _DAY_NS
         try:
-            if self._file is not None and (
-                self._file.size >= self._file_bytes or day != self._day
-            ):
-                self._close(self._file)
-            if self._file is None:
-                self._file = self._open()
-                self._flushed, self._day = now, day
-            self._file.write(time_ns, [(self._index[topic], message)])
+            file = self._file
+            if file is None or file.size >= self._file_bytes or day != self._day:
+                file = self._begin(now, day)
+            file.write(time_ns, [(self._index[topic], message)])
         except OSError as error:
             self.lost += 1
             self._fail(error, now)
@@ -146,22 +133,25 @@ class LiveBag:
     def close(self) -> None:
         """Close the current file; if closing fails, :attr:`problem` contains the reason."""
         try:
-            if self._file is not None:
-                self._close(self._file)
+            self._close()
         except OSError as error:
             self._fail(error, -math.inf)
 
-    def _open(self) -> BagFile:
+    def _begin(self, now: float, day: int) -> BagFile:
+        """Close the current file, if any, and begin the next one."""
+        self._close()
         self.directory.mkdir(parents=True, exist_ok=True)
-        self._before = self.recorded
-        return BagFile(name_next_file(find_files(self.directory), self.directory), self._topics)
+        self._file = file = BagFile(name_next_file(self.directory), self._topics)
+        self._flushed, self._day, self._before = now, day, self.recorded
+        return file
 
-    def _close(self, file: BagFile) -> None:
-        file.close()
-        self._file = None
-        self._count_flushed(file)
-        self._remove_oldest()
-        write_metadata(self.directory, find_files(self.directory))
+    def _close(self) -> None:
+        if self._file is not None:
+            self._file.close()
+            self._count_flushed(self._file)
+            self._file = None
+            self._remove_oldest()
+            write_metadata(self.directory, find_files(self.directory))
 
     def _count_flushed(self, file: BagFile) -> None:
         """Update the number of recorded messages after a flush, and clear the problem."""
@@ -192,7 +182,7 @@ class LiveBag:
                 write_metadata(self.directory, files)
 
 
-class BagFile:
+class BagFile(McapWriter):
     """An mcap file that is being written, and that must be truncated after a write error.
 
     Otherwise the file would contain a part of the failed write, and the number of recoverable
@@ -215,12 +205,10 @@ class BagFile:
             FileExistsError: if the file exists.
             OSError: if the file cannot be written.
         """
+        super().__init__(path.open("xb"))
         self.path = path
         self.written = self.safe = 0
         self._safe_bytes = 0
-        self._stream: BinaryIO = path.open("xb")
-        self._writer = McapWriter(self._stream)
-        self._add = self._writer.add_message
         types = _read_types()
         kinds: list[str] = []
         for number, topic in enumerate(topics, start=1):
@@ -228,12 +216,10 @@ class BagFile:
             if kind not in kinds:
                 kinds.append(kind)
                 definition = read_definition(kind).encode()
-                self._writer.add_schema(Schema(len(kinds), definition, "ros2msg", kind))
+                self.add_schema(Schema(len(kinds), definition, "ros2msg", kind))
             about = {_PROFILES: _write_yaml([_describe_qos(topic.qos)]), _HASH: types[kind]["hash"]}
-            self._writer.add_channel(
-                Channel(number, topic.name, "cdr", about, kinds.index(kind) + 1)
-            )
-        self._counts = [0] * len(topics)
+            self.add_channel(Channel(number, topic.name, "cdr", about, kinds.index(kind) + 1))
+        self._sequences = [0] * len(topics)
 
     @property
     def size(self) -> int:
@@ -251,8 +237,8 @@ class BagFile:
             OSError: if writing fails, for instance because the disk is full.
         """
         for index, message in messages:
-            self._add(index + 1, time_ns, message, time_ns, self._counts[index])
-            self._counts[index] += 1
+            self.add_message(index + 1, time_ns, message, time_ns, self._sequences[index])
+            self._sequences[index] += 1
         self.written += 1
 
     def flush(self, *, to_disk: bool = False) -> None:
@@ -264,7 +250,7 @@ class BagFile:
         Raises:
             OSError: if writing fails, for instance because the disk is full.
         """
-        self._writer.flush()
+        super().flush()
         if to_disk:
             os.fsync(self._stream.fileno())
         self.safe, self._safe_bytes = self.written, self._stream.tell()
@@ -275,7 +261,7 @@ class BagFile:
         Raises:
             OSError: if writing fails, for instance because the disk is full.
         """
-        self._writer.finish()
+        self.finish()
         self.flush()
         self._stream.close()
 
@@ -309,7 +295,7 @@ class BagWriter(BagFile):
         """
         self.directory = directory
         directory.mkdir(parents=True)
-        super().__init__(name_next_file([], directory), topics)
+        super().__init__(name_next_file(directory), topics)
 
     def write_tick(self, time_ns: int, messages: Sequence[bytes]) -> None:
         """Write the messages of a tick.
@@ -342,16 +328,16 @@ def find_files(bag: Path) -> list[Path]:
     return sorted(numbered, key=lambda path: int(_read_number(path)))
 
 
-def name_next_file(files: Sequence[Path], bag: Path) -> Path:
-    """Return the path of the file that follows the given files, which are sorted, oldest first."""
+def name_next_file(bag: Path) -> Path:
+    """Return the path of the file that follows the files of a bag."""
+    files = find_files(bag)
     number = int(_read_number(files[-1])) + 1 if files else 0
     return bag / f"{bag.name}_{number}.mcap"
 
 
 def name_recovered_bag(bag: Path) -> Path:
     """Return the default path of the recovered copy of a damaged bag, next to the bag."""
-    place = bag.resolve()
-    return place.parent / f"{place.name}-recovered"
+    return bag.resolve().with_name(f"{bag.resolve().name}-recovered")
 
 
 def _read_number(file: Path) -> str:
@@ -377,7 +363,7 @@ def _read_index(path: Path) -> tuple[dict[int, str], list[Channel], Statistics] 
     """
     types: dict[int, str] = {}
     channels: list[Channel] = []
-    with suppress(OSError, *DAMAGED), path.open("rb") as stream:
+    with suppress(Exception), path.open("rb") as stream:  # the library raises any error
         if seek_summary(stream) is None:
             return None
         # Do not read to the end: a day has thousands of chunks, each with an index.
@@ -458,12 +444,10 @@ def read_recorded(bag: Path) -> dict[str, tuple[int, int]]:
     """
     with suppress(ConfigurationError, AttributeError, KeyError, TypeError, ValueError):
         about = read_yaml(bag / METADATA)["rosbag2_bagfile_information"]
+        counts = {str(file["path"]): int(file["message_count"]) for file in about["files"]}
         sizes = about.get("custom_data") or {}
         return {
-            str(file["path"]): (
-                int(file["message_count"]), int(sizes.get(f"bytes of {file['path']}", 0))
-            )
-            for file in about["files"]
+            name: (count, int(sizes.get(f"bytes of {name}", 0))) for name, count in counts.items()
         }
     return {}
 

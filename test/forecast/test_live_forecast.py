@@ -50,26 +50,6 @@ def live(path: Path, horizon: float = 0.0, limit: float = 7200.0) -> LiveForecas
     return forecasts
 
 
-def test_the_present_hour_and_the_look_ahead(file: Path) -> None:
-    """At 07:59:57 three of the ten seconds are in the second hour, the rest in the third.
-
-    A gauge's reading stands for the present second. 3.6 mm/h are 1e-6 m/s; 3 and 4 mm/day from 68.8
-    m2 are 2.3889e-6 and 3.1852e-6 m3/s.
-    """
-    write(file, SIX, [0.0, 3.6, 7.2, 0.0])
-    now = SIX + timedelta(hours=1, minutes=59, seconds=57)
-    for read, rain_now in ((None, 1e-6), (5e-6, 5e-6)):
-        outlook = live(file).at(now, observed_rain=read)
-        assert outlook.issued == SIX
-        assert np.array(outlook.rain) == pytest.approx([rain_now] + [1e-6] * 2 + [2e-6] * 7)
-        assert np.array(outlook.evapotranspiration) == pytest.approx(
-            [2.38889e-6] * 3 + [3.18519e-6] * 7, rel=1e-5
-        )
-        assert outlook.rain_now == pytest.approx(rain_now)
-        assert outlook.evapotranspiration_now == pytest.approx(2.38889e-6, rel=1e-5)
-        assert outlook.temperature == 14.0
-
-
 @pytest.mark.parametrize("read", [None, 0.0, 30.0])
 def test_the_rest_of_the_hour_is_forecast(file: Path, read: float | None) -> None:
     """At 12:05 and at 12:59:55 a gauge tells what falls now (mm/h), and nothing about later.
@@ -104,7 +84,7 @@ def test_the_rest_of_the_hour_is_forecast(file: Path, read: float | None) -> Non
     [
         (timedelta(hours=2, seconds=1), 0.0, "older than 2 h"),
         (timedelta(hours=5), 3.0, r"issued at .*, ended at 2026-07-01 10:00\S*, after 4 h"),
-        (-timedelta(seconds=1), 0.0, "in the future"),
+        (-timedelta(seconds=1), 0.0, "no forecast, only later ones"),
     ],
 )
 def test_no_forecast(file: Path, later: timedelta, horizon: float, words: str) -> None:
@@ -153,18 +133,6 @@ def test_a_forecast_that_is_long_enough_lacks_nothing(file: Path) -> None:
     """To the second: two of 122 hours have passed."""
     write(file, SIX, [0.0] * 122)
     assert live(file, 120.0).shortage(SIX + timedelta(hours=2)) == ""
-
-
-def test_all_members_of_a_short_ensemble_are_dry_after_its_end(file: Path) -> None:
-    """1 and 3 mm in each of two hours."""
-    rain = np.array([[1.0] * 2, [3.0] * 2])
-    values = {"precipitation": rain, "evapotranspiration": np.ones(2)}
-    issue = IssuedForecast(SIX, SIX, file, None, values)
-    forecasts = LiveForecast(PAPER_SITE, 24.0, 7200.0, all_members=True)
-    forecasts.issues = [issue]
-    rain = np.asarray(forecasts.at(SIX).rain)
-    depths = 1000 * (rain * np.diff(look_ahead_ends(PAPER_SITE, 24.0))).sum(axis=1)
-    assert depths == pytest.approx([2.0, 6.0])
 
 
 def test_a_file_is_read_again_when_it_is_replaced(file: Path) -> None:
