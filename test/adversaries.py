@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import datetime, timedelta
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,6 @@ TOGETHER = "all of them, a member each"
 class Adversary:
     """Hourly forecasts of one kind."""
 
-    max_issue_h = None  # they have no end
     notes = ()
 
     def __init__(self, kind: str, weather: Weather) -> None:
@@ -54,8 +54,9 @@ class Adversary:
     def issued(self, hour: int) -> None:
         """Return None: these forecasts have no issues."""
 
-    def repeats_from(self, hour: int, hours: int) -> None:
-        """Return None: this is not a record that repeats."""
+    def end(self, hour: int) -> datetime:
+        """Return a time after every run: these forecasts have no end."""
+        return self._weather.end + timedelta(days=366)
 
 
 def with_forecasts(run: Run, kind: str) -> Run:

@@ -1,11 +1,9 @@
-"""Made-up weather and forecast archives in the format of a forecast service."""
+"""Made-up weather and forecasts in the format of a forecast service."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from datetime import datetime, timedelta
-from pathlib import Path
 from typing import Any
 
 _UNITS = {
@@ -28,16 +26,3 @@ def answer(first: str, hours: int, **columns: Sequence[Any]) -> dict[str, Any]:
             **columns,
         },
     }
-
-
-def write_runs(directory: Path, first: str = "2021-07-06T18:00", count: int = 8) -> Path:
-    """Write Open-Meteo runs six hours apart; run n forecasts n.LL mm/h at lead time LL."""
-    directory.mkdir()
-    start = datetime.fromisoformat(first)
-    for number in range(count):
-        run = start + number * timedelta(hours=6)
-        rain = [None, *(number + hour / 100 for hour in range(48))]
-        (directory / f"run_{run:%Y%m%d%H}.json").write_text(
-            json.dumps(answer(run.isoformat(), 49, precipitation=rain))
-        )
-    return directory

@@ -18,7 +18,6 @@ from greenroof_ros.results.bag_write import (
     find_files,
     name_next_file,
     name_recovered_bag,
-    read_index,
     read_recorded,
     write_metadata,
 )
@@ -65,14 +64,14 @@ def recover(directory: Path, output: Path | None = None) -> Recovered:
     try:
         target.mkdir(parents=True)
         for file in files:
-            copy = name_next_file(copies, target)
+            copy = name_next_file(target)
             counts[file.name], lost = _copy_file(file, copy, recorded.get(file.name, (0, 0)))
             losses += lost
             if counts[file.name]:
                 copies.append(copy)
             else:
                 copy.unlink(missing_ok=True)
-        write_metadata(target, map(read_index, copies))
+        write_metadata(target, copies)
     except OSError as error:
         shutil.rmtree(target, ignore_errors=True)
         raise ConfigurationError(

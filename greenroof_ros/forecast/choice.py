@@ -9,8 +9,7 @@ from typing import Any
 
 from greenroof_ros.base.errors import ConfigurationError, describe_choices, rename_keys
 from greenroof_ros.base.parameter import entry, make_record, parameters_of
-from greenroof_ros.forecast.archive import SUFFIXES
-from greenroof_ros.forecast.issue import SERVICE_DELAY_H
+from greenroof_ros.forecast.issue import SERVICE_DELAY_H, SUFFIXES
 from greenroof_ros.forecast.skill import REAL, SKILLS
 from greenroof_ros.site.horizon import MAX_MEMBERS
 
@@ -52,11 +51,9 @@ class ForecastChoice:
     )
     members: int = entry("number of members of an ensemble", 1, MAX_MEMBERS, default=10)
     delay: float | None = entry(
-        "for errors, ensemble and files: time from the nominal time of a forecast until the "
-        f"forecast is available; by default {SERVICE_DELAY_H:g} h for errors and ensemble, and "
-        "the usual delay of the file format (0 for this project's format, which states when each "
-        "forecast became available)", 0.0, 48.0, unit="h",
-        default=None,
+        "for errors, ensemble and files: time from the nominal time of a forecast until it is "
+        f"available; by default {SERVICE_DELAY_H:g} h, but for a file in this project's format the "
+        "time that the file states, or 0", 0.0, 48.0, unit="h", default=None,
     )
 
     def __str__(self) -> str:
@@ -99,12 +96,6 @@ def choose(text: str, options: Mapping[str, Any] | None = None) -> ForecastChoic
         checked = make_record(ForecastChoice, options)
         for name, value in options.items():
             if name not in _OPTIONS_OF[model]:
-                owners = [
-                    "a file" if owner == FILE else owner
-                    for owner, names in _OPTIONS_OF.items() if name in names
-                ]
-                raise ConfigurationError(
-                    f"is an option of {' and '.join(owners)}, but the forecast is {text}", key=name,
-                    value=value,
-                )
+                owners = " and ".join(each for each, names in _OPTIONS_OF.items() if name in names)
+                raise ConfigurationError(f"is an option of {owners}", key=name, value=value)
     return replace(checked, model=model, file=Path(text) if model == FILE else None)

@@ -1,54 +1,93 @@
-"""Issued forecasts, and archives of issued forecasts."""
+"""Issued forecasts, and the files and archives from which they are read.
+
+Files of **this project's own form** contain issues with all their members; see
+:func:`read_forecasts`. Files of **previous runs** of Open-Meteo (JSON, or CSV whose first column is
+``time`` or ``datetime``, in UTC) contain ``precipitation_previous_day1`` to 7: for every hour, the
+latest forecast that was at least N x 24 h old (Open-Meteo, Previous Runs API: "fixed lead-time
+offsets"). They contain neither single runs nor forecasts newer than 24 h. The forecast of an hour
+that was known at a given time is therefore the value with the smallest N that is old enough.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import itertools
+import math
+import re
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import datetime, timedelta
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.times import to_minutes
+from greenroof_ros.base.files import read_lines
+from greenroof_ros.base.ranges import Range
+from greenroof_ros.base.times import hours_since_1970, parse_time, to_minutes
 from greenroof_ros.site.horizon import MAX_MEMBERS
-from greenroof_ros.weather.records import HOUR, Records, bridge_gaps
+from greenroof_ros.site.site import Place
+from greenroof_ros.weather import quantities
+from greenroof_ros.weather.description import END, TIME, Description
+from greenroof_ros.weather.open_meteo import read_answer
+from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
+from greenroof_ros.weather.read import read_file
+from greenroof_ros.weather.records import HOUR, Records, bridge_gaps, join_records
+from greenroof_ros.weather.table import Row, Table, read_table
 
-# Longest gap of temperature and evapotranspiration in a forecast that is bridged (h).
-_MAX_BRIDGE_H = 6
-# Global models run every six or twelve hours; some runs of a day may be missed.
-_MAX_UNCHANGED = timedelta(days=1)
+Array = NDArray[np.float64]
+
+SUFFIXES = (".csv", ".json")
+"""suffixes of forecast files"""
 ISSUE_HOURS = 6
 """interval between the runs of a global model (h), at 00, 06, 12 and 18 UTC"""
 SERVICE_DELAY_H = 6.0
 """Delay between a run's nominal time and its availability (h). Open-Meteo, Single Runs API:
 "typically 4-6 hours for global models"."""
+# Longest gap of temperature and evapotranspiration in a forecast that is bridged (h).
+_MAX_BRIDGE_H = 6
+# The longest forecasts, those of ensembles, cover 36 days (h).
+_MAX_HOURS = 36 * 24
+_DAY_H = 24
+# Ranges and columns of the values, by quantity; all columns in their order; the optional columns.
+_RANGES = {
+    name: Range(each.low, each.high, each.unit) for name, each in quantities.QUANTITIES.items()
+    if name in (PRECIPITATION, EVAPOTRANSPIRATION, TEMPERATURE)
+}
+_COLUMNS = {name: f"{name} [{limits.unit}]" for name, limits in _RANGES.items()}
+_NAMES = ["issued", "available", "time", "member", *_COLUMNS.values()]
+_OPTIONAL = {"available", "member", _COLUMNS[EVAPOTRANSPIRATION], _COLUMNS[TEMPERATURE]}
+_MEMBERS = Range(0.0, MAX_MEMBERS - 1.0, "(whole)")
+_PREVIOUS = re.compile(r"precipitation_previous_day([1-7])")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, order=True)
 class IssuedForecast:
-    """A forecast that was read from a file.
+    """A forecast of consecutive hours; forecasts are sorted by time of issue, then of arrival.
 
     Attributes:
         issued: nominal time of issue, at which the first hour starts.
+        available: time of arrival, from which on the forecast is known.
         file: file that contains the forecast.
         line: number of the forecast's first line in the file; None if unknown.
-        rain: rain rate (mm/h), shape (members, hours).
-        evapotranspiration: rate (mm/day), shape (hours,); None if the file does not contain it.
-        temperature: air temperature (degC), shape (hours,); None if the file does not contain it.
-        available: time of arrival; None if it follows from the archive's delay.
+        values: precipitation (mm/h), shape (members, hours), and, if the file contains them,
+            evapotranspiration (mm/day) and temperature (degC), shape (hours,), by quantity.
         notes: sentences about data that could not be used unchanged.
     """
 
     issued: datetime
+    available: datetime
     file: Path
     line: int | None
-    rain: NDArray[np.float64]
-    evapotranspiration: NDArray[np.float64] | None = None
-    temperature: NDArray[np.float64] | None = None
-    available: datetime | None = None
+    values: dict[str, Array]
     notes: tuple[str, ...] = ()
+
+    @property
+    def rain(self) -> Array:
+        """Rain (mm/h), shape (members, hours)."""
+        return self.values[PRECIPITATION]
 
     @property
     def hours(self) -> int:
@@ -56,61 +95,70 @@ class IssuedForecast:
         return len(self.rain[0])
 
     @property
-    def order(self) -> tuple[datetime, datetime]:
-        """Key for sorting issues: the nominal time, then the time of arrival."""
-        return self.issued, self.available or self.issued
+    def end(self) -> datetime:
+        """End of the last hour."""
+        return self.issued + self.hours * HOUR
 
-    def evapotranspiration_at(self, ahead: NDArray[np.intp]) -> NDArray[np.float64] | None:
-        """Return the evapotranspiration (mm/day) for every hour ahead; None if the file has none.
+    def ahead(self, lead: int, hours: int, late: int = 0) -> tuple[Array, Array | None]:
+        """Return the values from a lead on, which continue after the end of the issue.
 
-        Beyond the end of the issue, the values of its last day are repeated, or the value of its
-        last hour if the issue is shorter than a day.
+        After the end, there is no rain. The evapotranspiration of the last day is repeated, or that
+        of the last hour if the issue is shorter than a day.
+
+        Args:
+            lead: first lead time to return (h).
+            hours: number of hours to return.
+            late: delay of the rain (h).
+
+        Returns:
+            Rain (mm/h), shape (members, hours), and evapotranspiration (mm/day), shape (hours,), or
+            None if the issue does not contain it.
         """
-        if self.evapotranspiration is None:
-            return None
-        last = self.hours - 1
-        index = ahead - 24 * np.maximum(-((last - ahead) // 24), 0)
-        return self.evapotranspiration[np.where(index < 0, last, index)]
+        rain = np.zeros((len(self.rain), hours))
+        known = self.rain[:, lead - late : lead - late + hours]
+        rain[:, : known.shape[1]] = known
+        if EVAPOTRANSPIRATION not in self.values:
+            return rain, None
+        last, leads = self.hours - 1, np.arange(lead, lead + hours)
+        index = leads - 24 * np.maximum(-((last - leads) // 24), 0)
+        return rain, self.values[EVAPOTRANSPIRATION][np.where(index < 0, last, index)]
 
+    def align(self, hours_from: datetime) -> IssuedForecast:
+        """Return the forecast in hours that begin at the same minute as those of some records.
 
-def join_members(numbered: Iterable[tuple[float, IssuedForecast]]) -> IssuedForecast:
-    """Return one issue with all members, from pairs (number, issue with only this member).
+        If the UTC offset of a location includes half an hour, the hours of its records begin
+        between the hours of UTC. The forecast then begins at the next hour of the records, and each
+        of its new hours is the weighted mean of the two original hours that it overlaps. The last
+        of them is assumed to continue.
 
-    Members that end early are missing (NaN) in the remaining hours.
+        Args:
+            hours_from: start of an hour of the records.
+        """
+        late = (hours_from - self.issued) % HOUR
+        if not late:
+            return self
+        share = late / HOUR
+        return replace(self, issued=self.issued + late, values={
+            name: (1 - share) * series + share * series[..., [*range(1, self.hours), -1]]
+            for name, series in self.values.items()
+        })
 
-    Raises:
-        ConfigurationError: if the numbers are not 0, 1, 2 and so on, or if there are too many
-            members.
-    """
-    ordered = sorted(numbered, key=lambda member: member[0])
-    numbers, issues = [number for number, _ in ordered], [issue for _, issue in ordered]
-    first, wrong = issues[0], ""
-    if numbers != list(range(len(numbers))):
-        wrong = (
-            f"has the members {', '.join(f'{number:g}' for number in numbers)}, but the members "
-            "must be numbered 0, 1, 2 and so on, without gaps or repetitions"
+    def repeats(self, earlier: IssuedForecast) -> bool:
+        """Return whether the forecast only repeats the remaining hours of an earlier forecast."""
+        late = (self.issued - earlier.issued) // HOUR
+        return self.values.keys() == earlier.values.keys() and all(
+            np.array_equal(earlier.values[name][..., late:], series, equal_nan=True)
+            for name, series in self.values.items()
         )
-    elif len(numbers) > MAX_MEMBERS:
-        wrong = f"has {len(numbers)} members, but at most {MAX_MEMBERS} are allowed"
-    if wrong:
-        raise ConfigurationError(
-            f"the issue of {to_minutes(first.issued)} {wrong}", file=first.file, line=first.line
-        )
-    rain = np.full((len(issues), max(issue.hours for issue in issues)), np.nan)
-    for row, issue in zip(rain, issues, strict=True):
-        row[: issue.hours] = issue.rain[0]
-    notes = tuple(note for issue in issues for note in issue.notes)
-    return replace(first, rain=rain, notes=notes)
 
 
 def mend_forecast(issue: IssuedForecast) -> IssuedForecast:
-    """Return an issue without missing values, and with notes on the changes.
+    """Return an issue without missing rain and evapotranspiration, and with notes on the changes.
 
     A missing hour of rain is replaced by the mean of the adjacent hours. Gaps of up to six hours in
     temperature and evapotranspiration are filled by interpolation. A member that then covers less
-    than half of the hours of the longest member is left out; so is the temperature if it covers
-    less than half of the hours of the other quantities. The issue ends with the shortest of the
-    remaining series.
+    than half of the hours of the longest member is left out. The issue ends with the shortest of
+    the remaining members, or with its evapotranspiration; a temperature can remain unknown (NaN).
 
     Raises:
         ConfigurationError: if the issue has no usable rain, or no usable evapotranspiration.
@@ -118,178 +166,283 @@ def mend_forecast(issue: IssuedForecast) -> IssuedForecast:
     rain = np.array([bridge_gaps(series, 1) for series in issue.rain])
     if issue.hours > 1:  # the first hour has one neighbour
         rain[:, 0] = np.where(np.isnan(rain[:, 0]), rain[:, 1], rain[:, 0])
-    lengths = [_count_complete_hours(series) for series in rain]
-    used = [number for number, hours in enumerate(lengths) if hours and 2 * hours >= max(lengths)]
-    if not used:
+    lengths = _count_known(rain)
+    used = 2 * lengths >= lengths.max()
+    values = {PRECIPITATION: rain[used]} | {
+        name: bridge_gaps(series, _MAX_BRIDGE_H)
+        for name, series in issue.values.items() if name != PRECIPITATION
+    }
+    hours = min(_count_known(values[name]).min() for name in values if name != TEMPERATURE)
+    if not hours:
         raise ConfigurationError(
-            "contains no precipitation after the time of its run, "
-            f"{to_minutes(issue.issued)}", file=issue.file,
-            line=issue.line,
+            f"lacks a value for the hour of its issue, {to_minutes(issue.issued)}",
+            file=issue.file, line=issue.line,
         )
     notes = [
-        f"member {number} is left out: it has {hours} hours, but the longest member has "
-        f"{max(lengths)}"
-        for number, hours in enumerate(lengths) if number not in used
+        f"member {number} is left out: it has {lengths[number]} hours, but the longest member has "
+        f"{lengths.max()}" for number in np.flatnonzero(~used)
     ]
-    hours = min(lengths[number] for number in used)
-    evapotranspiration, temperature = (
-        series if series is None else bridge_gaps(series, _MAX_BRIDGE_H)
-        for series in (issue.evapotranspiration, issue.temperature)
-    )
-    if evapotranspiration is not None:
-        hours = min(hours, _count_complete_hours(evapotranspiration))
-        if not hours:
-            raise ConfigurationError(
-                f"contains no evapotranspiration at {to_minutes(issue.issued)}", file=issue.file,
-                line=issue.line,
-            )
-    if temperature is not None:
-        known = _count_complete_hours(temperature)
-        if 2 * known < hours:
-            notes.append(
-                f"temperature is left out: it covers {known} hours, but the other quantities cover "
-                f"{hours}",
-            )
-            temperature = None
-        else:
-            hours = min(hours, known)
-    if hours < max(lengths):
-        notes.append(f"is used only for {hours} of {max(lengths)} hours, because later values are "
-        "missing")
-    count = int(np.isnan(issue.rain[used, :hours]).sum())
-    if count:
-        notes.append(f"{count} missing hours of precipitation were filled with the mean of the "
-            "adjacent hours")
+    if count := int(np.isnan(issue.rain[used, :hours]).sum()):
+        notes.append(f"{count} missing hours of precipitation were filled from adjacent hours")
     return replace(
-        issue, rain=rain[used, :hours],
+        issue, values={name: series[..., :hours] for name, series in values.items()},
         notes=(*issue.notes, *(
             f"{issue.file.name}, issue of {to_minutes(issue.issued)}: {note}" for note in notes
         )),
-        evapotranspiration=None if evapotranspiration is None else evapotranspiration[:hours],
-        temperature=None if temperature is None else temperature[:hours],
     )
 
 
-def _count_complete_hours(series: NDArray[np.float64]) -> int:
-    """Return the number of values before the first missing value."""
-    return int(np.append(np.isnan(series), True).argmax())
+def _count_known(series: Array) -> NDArray[np.intp]:
+    """Return the number of values before the first missing value, along the last axis."""
+    known = np.minimum.accumulate(~np.isnan(series), axis=-1)
+    return np.asarray(known.sum(axis=-1))
 
 
-class Repetition:
-    """Detector of forecasts that only repeat the previous one, as when a model has stopped."""
-
-    def __init__(self) -> None:
-        """Start without a forecast."""
-        self._newest: IssuedForecast | None = None
-        self._since: datetime | None = None
-
-    def follow(self, issue: IssuedForecast) -> str:
-        """Process a forecast; return a note if forecasts have not changed for a day, otherwise "".
-
-        Only rain and temperature in the hours that both forecasts cover are compared.
-        """
-        before, self._newest = self._newest, issue
-        if self._since is None or before is None or not _agree(before, issue):
-            self._since = issue.order[1]
-        if issue.order[1] - self._since < _MAX_UNCHANGED:
-            return ""
-        return (
-            f"the forecasts have not changed since {to_minutes(self._since)}: all of them "
-            "contain the model run of that time"
-        )
+# --- archives -------------------------------------------------------------------------------------
 
 
-def _agree(before: IssuedForecast, issue: IssuedForecast) -> bool:
-    """Return True if two forecasts are equal in the hours that both cover."""
-    late = (issue.issued - before.issued) // timedelta(hours=1)
-    hours = min(before.hours - late, issue.hours)
-    return late >= 0 and hours > 0 and all(
-        first is second is None or (
-            first is not None and second is not None
-            and np.array_equal(first[..., late : late + hours], second[..., :hours])
-        )
-        for first, second in (
-            (before.rain, issue.rain), (before.temperature, issue.temperature),
-        )
-    )
+def read_archive(source: Path, site: Place, delay: float | None = None) -> list[IssuedForecast]:
+    """Return the issues of an archive, in chronological order, with equal numbers of members.
 
+    An issue is known as soon as it is available, hours after its nominal time, because the model
+    run has to be computed and distributed. The nominal time is the time of the run's observations,
+    at which the first hour begins.
 
-def check_same_form(earlier: IssuedForecast, later: IssuedForecast) -> None:
-    """Reject an issue that has the same time as the previous issue, or different quantities.
+    Args:
+        source: file, or directory with files in a single form.
+        site: site that must be near the archive's position, if the archive states a position.
+        delay: time from the nominal time of an issue until the issue is known (h); by default, the
+            usual delay for the kind of archive.
 
     Raises:
-        ConfigurationError: if the issue has the same time or different quantities.
+        ConfigurationError: if a file does not conform to its form, or if the files have different
+            forms.
     """
-    wrong, when = "", to_minutes(later.issued)
-    if earlier.order == later.order:
-        wrong = f"contains the issue of {when}, which is already in {earlier.file.name}"
-    elif (earlier.evapotranspiration is None) != (later.evapotranspiration is None):
-        wrong = f"must contain evapotranspiration if and only if {earlier.file.name} does"
-    if wrong:
-        raise ConfigurationError(wrong, file=later.file, line=later.line)
+    files, own = _list_files(source)
+    issues = _join_own(files) if own else _make_issues(files, site)
+    if delay is None:
+        return issues
+    return [replace(issue, available=issue.issued + delay * HOUR) for issue in issues]
 
 
-@dataclass(frozen=True)
-class Archive:
-    """An archive of issued forecasts.
+def read_verified(source: Path, site: Place) -> tuple[list[IssuedForecast], int]:
+    """Return the issues of an archive for verification, and the finest resolution of leads (h).
 
-    Attributes:
-        source: file or directory of the archive.
-        kind: description of the kind of archive.
-        issues: at least one issue, in chronological order, all with the same number of members.
-        delay: time from the nominal time of an issue until the issue is known (h).
-        verified: issues to verify, usually equal to ``issues``; their rain can be NaN.
-        finest_lead: finest resolution of lead time for verification (h).
-        notes: sentences about data that could not be used unchanged.
+    Previous runs are returned as one issue per day, at 00 UTC, whose hours from 24 (N - 1) to 24 N
+    contain the values of N. Every value is then in exactly one issue, on the day to which it
+    belongs; missing values are NaN. See :func:`read_archive`.
     """
-
-    source: Path
-    kind: str
-    issues: Sequence[IssuedForecast]
-    delay: float
-    verified: Sequence[IssuedForecast]
-    finest_lead: int = 1
-    notes: tuple[str, ...] = ()
-
-    @property
-    def members(self) -> int:
-        """Number of members in every issue."""
-        return len(self.issues[0].rain)
+    files, own = _list_files(source)
+    if own:
+        return _join_own(files), 1
+    return _make_issues(files, site, daily=True), _DAY_H
 
 
-def align_to_hours(issues: Sequence[IssuedForecast], weather: Records) -> list[IssuedForecast]:
-    """Shift forecasts to hours that begin at the same minute as those of the records.
+def _list_files(source: Path) -> tuple[list[Path], bool]:
+    """Return the files of an archive, and whether they are in this project's own form."""
+    files = [source]
+    if source.is_dir():
+        files = sorted(file for file in source.iterdir() if file.suffix in SUFFIXES)
+    if not files:
+        raise ConfigurationError("must contain forecast files, .csv or .json", file=source)
+    return files, files[0].suffix != ".json" and read_table(files[0]).header[0] == "issued"
 
-    If the UTC offset of a location includes half an hour, the hours of its records begin between
-    the hours of UTC. A forecast is then shifted to the next hour of the records, and each of its
-    new hours is the weighted mean of the two original hours that it overlaps. A forecast of only
-    one hour is left out.
+
+def _join_own(files: Sequence[Path]) -> list[IssuedForecast]:
+    """Return the issues of files in this project's own form, with equal numbers of members.
+
+    If an issue has fewer members than others, the other issues are reduced to the same number. Of
+    issues with the same times of issue and arrival, the last one counts.
+    """
+    every = (issue for file in files for issue in read_forecasts(file))
+    issues = sorted({(issue.issued, issue.available): issue for issue in every}.values())
+    members = min(len(issue.rain) for issue in issues)
+    return [
+        replace(issue, values={**issue.values, PRECIPITATION: issue.rain[:members]}, notes=(
+            *issue.notes, f"{members} members are used from every issue, as in the smallest issue"
+        ))
+        if len(issue.rain) > members else issue for issue in issues
+    ]
+
+
+# --- own form ------------------------------------------------------------------------------------
+
+
+def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForecast]:
+    """Read a file of forecasts with one or more issues, and return them in chronological order.
+
+    Lines that start with ``#`` are comments. The first other line is the header. The columns are
+    ``issued``, ``available`` (the time of arrival; not before the time of issue), ``time``,
+    ``member``, ``precipitation [mm/h]``, ``evapotranspiration [mm/day]`` and ``temperature
+    [degC]``. All but ``issued``, ``time`` and ``precipitation`` are optional; of evapotranspiration
+    and temperature, only the values of member 0 are used. Every other line contains the forecast
+    issued at ``issued`` for the hour that starts at ``time`` (both in ISO 8601 format with a UTC
+    offset). The hours of every issue and member are consecutive, and the first hour starts at the
+    time of issue. All issues have the members 0, 1, 2 and so on. An empty cell is missing; see
+    :func:`mend_forecast`.
+
+    Args:
+        path: path of the file.
+        now: if given, only the file's latest issue at this time and later issues are read; a live
+            site needs no older issues.
 
     Raises:
-        ConfigurationError: if no forecast is left.
+        ConfigurationError: if the file breaks any of these rules; the message names the line and
+            the value.
     """
-    resampled = []
-    for issue in issues:
-        late = (weather.first - issue.issued) % HOUR
-        if late and issue.hours > 1:
-            share = late / HOUR
-            rain, evapotranspiration, temperature = (
-                series if series is None
-                else (1 - share) * series[..., :-1] + share * series[..., 1:]
-                for series in (issue.rain, issue.evapotranspiration, issue.temperature)
+    table = read_table(path, None if now is None else _select_latest(path, now))
+    columns = [name for name in _NAMES if name not in _OPTIONAL or name in table.header]
+    table.require_header(columns, f"; the columns are {', '.join(map(repr, _NAMES))}")
+    grouped = itertools.groupby(table.rows, lambda row: row.cells[: columns.index("time")])
+    return sorted(_read_issue(table, rows) for _, rows in grouped)
+
+
+def _select_latest(path: Path, now: datetime) -> list[tuple[int, str]]:
+    """Return the header, and the numbered lines from the latest issue at a given time onwards."""
+    selected, before = list[tuple[int, str]](), ""
+    for number, line in enumerate(read_lines(path), start=1):
+        issued = line.partition(",")[0]
+        if issued != before:
+            if line.lstrip()[:1] in ("", "#"):
+                continue
+            with suppress(TypeError, ValueError):  # the header; the table rejects other texts
+                if parse_time(issued.strip(' "')) <= now:
+                    del selected[1:]
+            before = issued
+        selected.append((number, line))
+    return selected
+
+
+def _read_issue(table: Table, rows: Iterator[Row]) -> IssuedForecast:
+    """Return the issue in rows that have the same times of issue and arrival."""
+    first = next(rows)
+    issued = available = table.read_time(first, "issued")
+    if "available" in table.header:  # no forecast can be used before its first hour
+        available = max(issued, table.read_time(first, "available"))
+    columns = {name: column for name, column in _COLUMNS.items() if column in table.header}
+    members = defaultdict[float, list[list[float]]](list)
+    for row in itertools.chain([first], rows):
+        member = table.read_number(row, "member", _MEMBERS) if "member" in table.header else 0.0
+        expected = issued + len(members[member]) * HOUR
+        time = table.read_time(row, "time")
+        if time != expected or len(members[member]) == _MAX_HOURS:
+            raise table.refuse(
+                f"must be {to_minutes(expected.astimezone(time.tzinfo))}: every forecast must have "
+                f"up to {_MAX_HOURS} consecutive hours, from its time of issue on", "time", row,
             )
-            assert rain is not None
-            resampled.append(replace(
-                issue, issued=issue.issued + late, rain=rain,
-                evapotranspiration=evapotranspiration, temperature=temperature,
-            ))
-        elif not late:
-            resampled.append(issue)
-    if not resampled:
-        raise ConfigurationError(
-            "must contain more than one hour, or begin a whole number of hours before or after "
-            f"{to_minutes(weather.first)}, when {weather.source} begins",
-            file=issues[0].file, line=issues[0].line, key="issued",
-            value=to_minutes(issues[0].issued),
+        members[member].append([
+            table.read_number(row, column, _RANGES[name]) if table.cell(row, column) else math.nan
+            for name, column in columns.items()
+        ])
+    if sorted(members) != [*range(len(members))]:
+        raise table.refuse(
+            "every issue must have the members 0, 1, 2 and so on, without gaps", "member", first
         )
-    return resampled
+    # Members that end early are missing (NaN) in the remaining hours.
+    cells = np.full((len(members), max(map(len, members.values())), len(columns)), np.nan)
+    for member, of_member in members.items():
+        cells[int(member), : len(of_member)] = of_member
+    values = {name: cells[0, :, number] for number, name in enumerate(columns)}
+    values[PRECIPITATION] = cells[:, :, 0]
+    return mend_forecast(IssuedForecast(issued, available, table.file, first.line, values))
+
+
+def write_forecasts(issues: Sequence[IssuedForecast]) -> str:
+    """Return forecasts as the text of a file, which :func:`read_forecasts` reads back bit for bit.
+
+    Args:
+        issues: issues of an archive in chronological order; a quantity that one of them lacks is
+            left out.
+    """
+    names = [name for name in _COLUMNS if all(name in issue.values for issue in issues)]
+    columns = ["issued", "available", "time", "member", *(_COLUMNS[name] for name in names)]
+    lines = [",".join(columns)]
+    for issue in issues:
+        times = [(issue.issued + hour * HOUR).isoformat() for hour in range(issue.hours)]
+        further = [issue.values[name].tolist() for name in names[1:]]
+        lines += [
+            ",".join([
+                times[0], issue.available.isoformat(), time, str(member),
+                *("" if math.isnan(value) else repr(value) for value in values),
+            ])
+            for member, rain in enumerate(issue.rain.tolist())
+            for time, *values in zip(times, rain, *further, strict=True)
+        ]
+    return "\n".join([*lines, ""])
+
+
+# --- previous runs --------------------------------------------------------------------------------
+
+
+def _read_previous_runs(file: Path, site: Place) -> Records:
+    """Return the precipitation by variable; values are for the hour after their time stamps."""
+    if file.suffix == ".json":
+        answer = read_answer(
+            file, site, lambda name: PRECIPITATION if _PREVIOUS.fullmatch(name) else None
+        )
+        if not answer.values:
+            raise ConfigurationError(
+                "must contain precipitation_previous_day1 and so on", file=file, key="hourly"
+            )
+        return replace(answer, first=answer.first - HOUR)
+    table = read_table(file)
+    time, names = table.header[0], list(filter(_PREVIOUS.fullmatch, table.header))
+    if time not in ("time", "datetime") or not names:
+        raise table.refuse(
+            "must begin with issued, or with time and precipitation_previous_day1 and so on", time
+        )
+    parts = {
+        name: read_file(file, site, Description(
+            columns={TIME: (time,), PRECIPITATION: (name,)}, units={PRECIPITATION: "mm"},
+            utc_offset=0.0, rows=END, step=3600.0,
+        ))
+        for name in names
+    }
+    return replace(parts[names[0]], values={
+        name: part.values[PRECIPITATION] for name, part in parts.items()
+    })
+
+
+def _make_issues(
+    files: Sequence[Path], site: Place, *, daily: bool = False
+) -> list[IssuedForecast]:
+    """Return the forecasts that were known at 00, 06, 12 and 18 UTC, from previous runs.
+
+    With l as the lead time (h) from the issue to the end of an hour, the forecast for this hour is
+    the value with the smallest N for which 24 N >= l and the value is not missing. An issue ends
+    before the first hour without a known value.
+
+    Args:
+        files: files of previous runs.
+        site: site that must be near the position in the files.
+        daily: True for one issue per day; see :func:`read_verified`.
+
+    Raises:
+        ConfigurationError: if no issue has a known first hour.
+    """
+    previous = join_records([_read_previous_runs(file, site) for file in files])
+    days = {int(name[-1]): series for name, series in previous.values.items()}
+    span = _DAY_H * max(days)
+    padded = np.full((max(days), previous.hours + 2 * span), np.nan)
+    for day, series in days.items():
+        padded[day - 1, span:-span] = series
+    leads, ages = np.arange(span), np.arange(max(days))[:, None]
+    allowed = ages == leads // _DAY_H if daily else ages >= leads // _DAY_H
+    issues, since_1970 = [], hours_since_1970(previous.first)
+    for start in range(-span, previous.hours):
+        if (since_1970 + start) % (_DAY_H if daily else ISSUE_HOURS) == 0:
+            by_days = np.where(allowed, padded[:, span + start : 2 * span + start], np.nan)
+            rain = by_days[(~np.isnan(by_days)).argmax(axis=0), leads]
+            if not daily:
+                rain = rain[: _count_known(rain)]
+            if len(rain):
+                issued = previous.first + start * HOUR
+                issues.append(IssuedForecast(
+                    issued, issued + SERVICE_DELAY_H * HOUR, files[0], None,
+                    {PRECIPITATION: rain[None]},
+                ))
+    if not issues:
+        raise ConfigurationError(
+            "must contain a value for an hour that starts at 00, 06, 12 or 18 UTC", file=files[0]
+        )
+    return issues

@@ -9,13 +9,11 @@ from pathlib import Path
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import duration, to_people
-from greenroof_ros.forecast.archive import read_forecasts
-from greenroof_ros.forecast.issue import IssuedForecast, Repetition
-from greenroof_ros.forecast.models import continue_issue
+from greenroof_ros.forecast.issue import IssuedForecast, read_forecasts
 from greenroof_ros.forecast.steps import HourForecast, Outlook
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION
+from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, TEMPERATURE
 from greenroof_ros.weather.records import HOUR
 
 _HOUR_S = 3600.0
@@ -38,38 +36,35 @@ class ForecastFile:
         """Set the path, without reading the file yet.
 
         Args:
-            path: path of the file; see :func:`greenroof_ros.forecast.archive.read_forecasts`. The
+            path: path of the file; see :func:`greenroof_ros.forecast.issue.read_forecasts`. The
                 file must have an evapotranspiration column.
         """
         self.issues: list[IssuedForecast] = []
         self.problem = ""
         self._path = path
-        self._file_status: tuple[int, ...] | None = None
+        self._file_status: tuple[int, ...] = ()
 
-    def update(self) -> bool:
-        """Read the file if it has changed, and return whether a new file was read."""
+    def update(self) -> None:
+        """Read the file if it has changed."""
         try:
             status = self._path.stat()
-            file_status = (status.st_dev, status.st_ino, status.st_mtime_ns, status.st_size)
-            if file_status == self._file_status:
-                return False
-            self._file_status = file_status
+            before = self._file_status
+            self._file_status = status.st_dev, status.st_ino, status.st_mtime_ns, status.st_size
+            if self._file_status == before:
+                return
             issues = read_forecasts(self._path, datetime.now(timezone.utc))
-            if issues[0].evapotranspiration is None:
+            if EVAPOTRANSPIRATION not in issues[0].values:
                 raise ConfigurationError(
                     f"must have a column '{EVAPOTRANSPIRATION} [mm/day]', because a live site has "
-                    "no other source of evapotranspiration",
-                    file=self._path,
+                    "no other source of evapotranspiration", file=self._path,
                 )
         except OSError as error:
-            self._file_status = None
+            self._file_status = ()
             self.problem = f"{self._path} cannot be read: {error.strerror}"
-            return False
         except ConfigurationError as error:
             self.problem = str(error)
-            return False
-        self.issues, self.problem = issues, ""
-        return True
+        else:
+            self.issues, self.problem = issues, ""
 
 
 class LiveForecast:
@@ -96,7 +91,6 @@ class LiveForecast:
         self._ends = look_ahead_ends(site, horizon)
         self._limit = timedelta(seconds=limit)
         self._all_members = all_members
-        self._repetition = Repetition()
 
     def at(self, now: datetime, observed_rain: float | None = None) -> Outlook:
         """Return the current weather and the forecast at a given time.
@@ -116,22 +110,15 @@ class LiveForecast:
         present = (now - issue.issued) // HOUR
         since = (now - issue.issued).total_seconds() % _HOUR_S
         hours = math.ceil((since + self._ends[-1]) / _HOUR_S)
-        rain, evapotranspiration = continue_issue(issue, present, hours)
+        rain, evapotranspiration = issue.ahead(present, hours)
         assert evapotranspiration is not None  # an issue without it is rejected
+        temperature = issue.values.get(TEMPERATURE)
         measured = () if observed_rain is None else (observed_rain,)
         forecast = HourForecast(
             issue.issued, rain, evapotranspiration, self._site, self._ends, bool(measured),
-            math.nan if issue.temperature is None else float(issue.temperature[present]),
+            math.nan if temperature is None else float(temperature[present]),
         )
         return forecast.at(since, self._all_members, measured)
-
-    def repetition(self, now: datetime) -> str:
-        """Return a note if the forecasts have not changed for a day; otherwise an empty string.
-
-        Raises:
-            NoForecastError: if there is no forecast.
-        """
-        return self._repetition.follow(self._newest(now))
 
     def shortage(self, now: datetime) -> str:
         """Return a note, with a remedy, if the latest forecast is too short; else an empty string.
@@ -139,19 +126,14 @@ class LiveForecast:
         Raises:
             NoForecastError: if there is no forecast.
         """
-        issue = self._newest(now)
-        end, due = issue.issued + issue.hours * HOUR, timedelta(seconds=float(self._ends[-1]))
-        if now + due <= end:
+        issue, due = self._newest(now), timedelta(seconds=float(self._ends[-1]))
+        if now + due <= issue.end:
             return ""
-        needed = math.ceil((due + self._limit) / HOUR)
-        # How far an issue reaches when it becomes too old.
-        always = issue.hours - math.ceil(self._limit / HOUR)
-        shorter = f"; or set a horizon of up to {always} h" if always >= 1 and due >= HOUR else ""
         return (
-            f"the forecast issued at {to_people(issue.issued)} ends at {to_people(end)}, before "
-            f"the look-ahead of {duration(due.total_seconds())} does; the hours after the forecast "
-            "are treated as dry. To cover the look-ahead for as long as it is in use, a "
-            f"forecast must be {needed} h long, not {issue.hours} h{shorter}"
+            f"the forecast issued at {to_people(issue.issued)} ends at {to_people(issue.end)}, "
+            f"before the look-ahead of {duration(due.total_seconds())} does; the hours after the "
+            "forecast are treated as dry. To cover the look-ahead for as long as it is in use, a "
+            f"forecast must be {math.ceil((due + self._limit) / HOUR)} h long, not {issue.hours} h"
         )
 
     def _newest(self, now: datetime) -> IssuedForecast:
@@ -161,24 +143,16 @@ class LiveForecast:
             NoForecastError: if the latest forecast is too old or has ended, or if there is no
                 forecast.
         """
-        issues = self.issues
-        if not issues:
-            raise NoForecastError("there is no forecast")
-        number = bisect.bisect_right([issue.issued for issue in issues], now)
+        number = bisect.bisect_right([issue.issued for issue in self.issues], now)
         if not number:
-            raise NoForecastError(
-                f"the time of the first forecast, {to_people(issues[0].issued)}, is in the future"
-            )
-        issue = issues[number - 1]
+            raise NoForecastError("there is no forecast" + ", only later ones" * bool(self.issues))
+        issue, wrong = self.issues[number - 1], ""
         if now - issue.issued > self._limit:
+            wrong = f"is older than {duration(self._limit.total_seconds())}"
+        elif now >= issue.end:
+            wrong = f"ended at {to_people(issue.end)}, after {issue.hours} h"
+        if wrong:
             raise NoForecastError(
-                f"the latest forecast, issued at {to_people(issue.issued)}, is older than "
-                f"{duration(self._limit.total_seconds())}"
-            )
-        end = issue.issued + issue.hours * HOUR
-        if now >= end:
-            raise NoForecastError(
-                f"the latest forecast, issued at {to_people(issue.issued)}, ended at "
-                f"{to_people(end)}, after {issue.hours} h"
+                f"the latest forecast, issued at {to_people(issue.issued)}, {wrong}"
             )
         return issue

@@ -22,12 +22,11 @@ service.
 from __future__ import annotations
 
 import bisect
+import itertools
 import math
-from abc import ABC, abstractmethod
-from dataclasses import replace
-from datetime import datetime, timedelta
+from collections.abc import Sequence
+from datetime import datetime
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -35,15 +34,8 @@ from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import from_epoch_ns, hours_since_1970, to_minutes
-from greenroof_ros.forecast.archive import read_archive
 from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
-from greenroof_ros.forecast.issue import (
-    ISSUE_HOURS,
-    SERVICE_DELAY_H,
-    Archive,
-    IssuedForecast,
-    align_to_hours,
-)
+from greenroof_ros.forecast.issue import ISSUE_HOURS, SERVICE_DELAY_H, IssuedForecast, read_archive
 from greenroof_ros.forecast.memo import Memo
 from greenroof_ros.forecast.skill import Climate, Skill, read_skill
 from greenroof_ros.site.site import Site
@@ -82,11 +74,12 @@ _PART = 8
 _RECORDS = 6158359
 
 
-class ForecastModel(ABC):
-    """Hourly forecasts: the information available in an hour about the hours that follow."""
+class ForecastModel:
+    """Hourly forecasts: the information available in an hour about the hours that follow.
 
-    max_issue_h: int | None = None
-    """length of the longest issue (h); None if forecasts have no end"""
+    This class provides perfect forecasts, which are the records themselves.
+    """
+
     notes: tuple[str, ...] = ()
     """what could not be used as it was in a file's forecasts"""
 
@@ -94,7 +87,6 @@ class ForecastModel(ABC):
         """Set the records; missing records are rejected only when a forecast needs them."""
         self._weather = weather
 
-    @abstractmethod
     def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the latest forecast in a given hour of the records.
 
@@ -109,6 +101,11 @@ class ForecastModel(ABC):
             ConfigurationError: if there is no forecast, or the forecast needs a record that is
                 missing.
         """
+        rain, evapotranspiration = (
+            select_records(self._weather, quantity, np.arange(hour, hour + hours))
+            for quantity in (PRECIPITATION, EVAPOTRANSPIRATION)
+        )
+        return rain[None, :], evapotranspiration
 
     def check(self, hours: range) -> None:
         """Check that there are forecasts from the first hour on, with all the records they need.
@@ -119,94 +116,50 @@ class ForecastModel(ABC):
         Raises:
             ConfigurationError: as for :meth:`forecast`.
         """
-        for quantity in (PRECIPITATION, EVAPOTRANSPIRATION):
-            select_records(self._weather, quantity, np.array(hours))
+        ForecastModel.forecast(self, hours.start, len(hours))
 
     def issued(self, hour: int) -> datetime | None:
         """Return the nominal time of an hour's latest forecast; None if the model has none."""
         return None
 
-    def repeats_from(self, hour: int, hours: int) -> datetime | None:
-        """Return the time from which a forecast's values are assumed; None if all are known.
-
-        The time is the end of the records if the hours extend past this end.
-        """
-        past = hour + hours > len(self._weather.precipitation)
-        return self._weather.end if past else None
-
-
-class PerfectModel(ForecastModel):
-    """Perfect forecasts, which are the records themselves."""
-
-    def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
-        """Return the records; see :class:`ForecastModel`."""
-        index = np.arange(hour, hour + hours)
-        rain = select_records(self._weather, PRECIPITATION, index)
-        return rain[None, :], select_records(self._weather, EVAPOTRANSPIRATION, index)
-
-
-def continue_issue(
-    issue: IssuedForecast, lead: int, hours: int, late: int = 0
-) -> tuple[Array, Array | None]:
-    """Return an issue's values from a lead on: those of its hours, then those after its end.
-
-    Args:
-        issue: the issue.
-        lead: first lead time to return (h).
-        hours: number of hours to return.
-        late: delay of the rain (h).
-
-    Returns:
-        Rain (mm/h), shape (members, hours), and evapotranspiration (mm/day), shape (hours,), or
-        None if the issue does not contain it.
-    """
-    rain = np.zeros((len(issue.rain), hours))
-    known = issue.rain[:, lead - late : lead - late + hours]
-    rain[:, : known.shape[1]] = known
-    return rain, issue.evapotranspiration_at(np.arange(lead, lead + hours))
+    def end(self, hour: int) -> datetime:
+        """Return the time from which the values of an hour's latest forecast are assumed."""
+        return self._weather.end
 
 
 class FileModel(ForecastModel):
-    """Forecasts from an archive; see :func:`greenroof_ros.forecast.archive.read_archive`.
+    """Forecasts from an archive; see :func:`greenroof_ros.forecast.issue.read_archive`.
 
     The latest forecast in an hour is the last forecast that was available at the start of the hour.
-    After the end of a forecast, no rain is assumed. The evapotranspiration of the forecast's last
-    day is then repeated, or that of its last hour if the forecast is shorter than a day. Without an
-    evapotranspiration column, the recorded values are assumed to be known in advance. If the rain
-    in the records is late (``rain_late``), forecasts of rain are equally late.
+    After the end of a forecast, its values continue as :meth:`.IssuedForecast.ahead` describes.
+    Without an evapotranspiration column, the recorded values are assumed to be known in advance. If
+    the rain in the records is late (``rain_late``), forecasts of rain are equally late: otherwise
+    the controller would expect rain that in fact fell an hour ago.
     """
 
-    def __init__(self, archive: Archive, weather: Weather, all_members: bool) -> None:
+    def __init__(
+        self, issues: Sequence[IssuedForecast], weather: Weather, all_members: bool
+    ) -> None:
         """Set the forecasts.
 
         Args:
-            archive: archive of forecasts.
+            issues: at least one issue, in chronological order, all with equally many members.
             weather: the records of the run.
             all_members: whether to use all members of each forecast, or only member 0.
         """
         super().__init__(weather)
-        self.notes = archive.notes
-        self._archive = archive = replace(archive, issues=align_to_hours(archive.issues, weather))
-        self.max_issue_h = max(issue.hours for issue in archive.issues)
+        self.notes = tuple(dict.fromkeys(note for issue in issues for note in issue.notes))
+        self._issues = [issue.align(weather.first) for issue in issues]
+        self.members = len(issues[0].rain) if all_members else 1
         self._late = weather.rain_late
-        # The hour of the records at whose start each issue becomes known. If their rain is late,
-        # forecasts must be equally late: otherwise the controller would expect rain that in fact
-        # fell an hour ago.
-        delay = timedelta(hours=archive.delay + self._late)
-        late = self._late * HOUR
-        available_from = [
-            -((weather.first - (
-                issue.issued + delay if issue.available is None else issue.available + late
-            )) // HOUR)
-            for issue in archive.issues
-        ]
         # An issue that arrives after a later one is of no use: only the latest counts.
-        self._available_from = np.minimum.accumulate(available_from[::-1])[::-1].tolist()
-        self.members = archive.members if all_members else 1
+        arrivals = [issue.available for issue in reversed(issues)]
+        self._available = [*itertools.accumulate(arrivals, min)][::-1]
 
     def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the forecast; see :class:`ForecastModel`."""
-        rain, evapotranspiration = continue_issue(*self._newest(hour), hours, self._late)
+        issue, lead = self._newest(hour)
+        rain, evapotranspiration = issue.ahead(lead, hours, self._late)
         if evapotranspiration is None:
             evapotranspiration = select_records(
                 self._weather, EVAPOTRANSPIRATION, np.arange(hour, hour + hours)
@@ -215,34 +168,31 @@ class FileModel(ForecastModel):
 
     def check(self, hours: range) -> None:
         """Check the first forecast, and the records if needed; see :class:`ForecastModel`."""
-        if self._newest(hours[0])[0].evapotranspiration is None:
-            select_records(self._weather, EVAPOTRANSPIRATION, np.array(hours))
+        self.forecast(hours.start, len(hours))
 
     def issued(self, hour: int) -> datetime:
         """Return the nominal time of the latest forecast; see :class:`ForecastModel`."""
         return self._newest(hour)[0].issued
 
-    def repeats_from(self, hour: int, hours: int) -> datetime | None:
-        """Return the end of the forecast or of its records, if the hours extend past this end."""
-        issue, lead = self._newest(hour)
-        needed = issue.evapotranspiration is None
-        end = issue.hours + self._late * needed  # evapotranspiration is not late
-        if lead + hours > end:
-            return issue.issued + end * HOUR
-        return super().repeats_from(hour, hours) if needed else None
+    def end(self, hour: int) -> datetime:
+        """Return the end of the forecast, or of the records if they are needed and end earlier."""
+        issue, _ = self._newest(hour)
+        if EVAPOTRANSPIRATION in issue.values:  # which is not late
+            return issue.end
+        return min(issue.end + self._late * HOUR, self._weather.end)
 
     def _newest(self, hour: int) -> tuple[IssuedForecast, int]:
         """Return the latest forecast in a given hour, and its age (h)."""
-        number = bisect.bisect_right(self._available_from, hour) - 1
+        now = self._weather.first + hour * HOUR
+        number = bisect.bisect_right(self._available, now - self._late * HOUR) - 1
         if number < 0:
-            known = self._weather.first + self._available_from[0] * HOUR
+            first = to_minutes(self._available[0] + self._late * HOUR)
             raise ConfigurationError(
-                f"has no forecast that is available before {to_minutes(known)}, but the run needs "
-                f"one at {to_minutes(self._weather.first + hour * HOUR)}",
-                file=self._archive.source,
+                f"has no forecast that is available before {first}, but the run needs one at "
+                f"{to_minutes(now)}", file=self._issues[0].file,
             )
-        issue = self._archive.issues[number]
-        return issue, hour - (issue.issued - self._weather.first) // HOUR
+        issue = self._issues[number]
+        return issue, (now - issue.issued) // HOUR
 
 
 def _find_normal(climate: Climate, rain: Array, first: int, hours: NDArray[np.intp]) -> Array:
@@ -362,19 +312,12 @@ class ErrorModel(ForecastModel):
 
     def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the forecast; see :class:`ForecastModel`."""
+        _, evapotranspiration = super().forecast(hour, hours)  # rejects missing records
         issue = self._find_newest(hour)
-        records = np.arange(hour, hour + hours)
-        select_records(self._weather, PRECIPITATION, records)  # rejects missing records
-        evapotranspiration = select_records(self._weather, EVAPOTRANSPIRATION, records)
         rain, factor = self._newest(issue, ISSUE_HOURS - 1 + self._delay + hours)
-        lead = self._first + hour - issue
-        return (
-            rain[:, lead : lead + hours].copy(),
-            np.minimum(
-                evapotranspiration * factor[lead : lead + hours],
-                QUANTITIES[EVAPOTRANSPIRATION].high,
-            ),
-        )
+        leads = slice(self._first + hour - issue, self._first + hour - issue + hours)
+        dried = np.minimum(evapotranspiration * factor[leads], QUANTITIES[EVAPOTRANSPIRATION].high)
+        return rain[:, leads].copy(), dried
 
     def issued(self, hour: int) -> datetime:
         """Return the nominal time of the latest forecast; see :class:`ForecastModel`."""
@@ -397,20 +340,18 @@ class ErrorModel(ForecastModel):
             Rain (mm/h), shape (members, leads), and the factor of evapotranspiration (1), shape
             (leads,).
         """
-        filters = _make_filters(self._skill, self._reach, math.ceil(leads / _LEADS))
+        skill, blocks = self._skill, math.ceil(leads / _LEADS)
+        signal, of_all, of_one, errors = _make_filters(skill, self._reach, blocks)
         hours = issue - self._first + np.arange(-self._reach, leads + self._reach)
         (common, *own), dry = self._noise(issue, len(hours))
-        skill, unknown = self._skill, filters.unknown[:leads]
+        unknown = errors[:leads]
         normal = _find_normal(skill.climate, self._weather.precipitation, self._first, hours)
-        known = _apply_filters(filters.signal, normal) + _apply_filters(filters.common, common)
-        members = np.stack([known + _apply_filters(filters.own, noise) for noise in own])
+        known = _apply_filters(signal, normal) + _apply_filters(of_all, common)
+        members = np.stack([known + _apply_filters(of_one, noise) for noise in own])
         rain = skill.climate.rain(members + skill.wetness * unknown)
         rain *= 1 + (skill.amount - 1) * unknown
         spread = skill.evapotranspiration * unknown
-        return (
-            np.minimum(rain, MUCH_RAIN),
-            np.exp(spread * dry - spread**2 / 2),
-        )
+        return np.minimum(rain, MUCH_RAIN), np.exp(spread * dry - spread**2 / 2)
 
     def _noise(self, issue: int, hours: int) -> tuple[Array, float]:
         """Return the noise of a forecast, which is correlated with that of the previous forecast.
@@ -446,30 +387,23 @@ class ErrorModel(ForecastModel):
         return np.stack([chance.standard_normal(hours) for chance in chances]), dry
 
 
-class _Filters(NamedTuple):
-    """Filters for each lead (h, from 0 on), over ``reach`` hours before and after the lead."""
-
-    signal: Array
-    """weights of z, shape (leads, 2 reach + 1)"""
-    common: Array
-    """weights of the errors that all members share, same shape"""
-    own: Array
-    """weights of each member's own errors, same shape"""
-    unknown: Array
-    """standard deviation of the unknown part of z (1), shape (leads,)"""
-
-
 @lru_cache(maxsize=8)
-def _make_filters(skill: Skill, reach: int, blocks: int) -> _Filters:
+def _make_filters(skill: Skill, reach: int, blocks: int) -> list[Array]:
     """Return the filters for a number of blocks of leads, cached for the other seeds of a study.
 
     Each block has the same size, because rounding in a matrix sum may depend on the number of rows.
+
+    Returns:
+        For each lead (h, from 0 on), over ``reach`` hours before and after the lead: the weights of
+        z, of the errors that all members share, and of each member's own errors, each of shape
+        (leads, 2 reach + 1); and the standard deviation of the unknown part of z (1), shape
+        (leads,).
     """
     filters = [_make_block(skill, reach, _LEADS * n + np.arange(_LEADS)) for n in range(blocks)]
-    return _Filters(*map(np.concatenate, zip(*filters, strict=True)))
+    return [np.concatenate(parts) for parts in zip(*filters, strict=True)]
 
 
-def _make_block(skill: Skill, reach: int, leads: NDArray[np.intp]) -> _Filters:
+def _make_block(skill: Skill, reach: int, leads: NDArray[np.intp]) -> tuple[Array, ...]:
     def weights(response: Array) -> Array:
         circle = np.fft.irfft(response, hours, axis=1)
         return np.concatenate((circle[:, -reach:], circle[:, : reach + 1]), axis=1)
@@ -488,9 +422,7 @@ def _make_block(skill: Skill, reach: int, leads: NDArray[np.intp]) -> _Filters:
     # The variance beyond the filters' reach is added within it.
     within = (common**2).sum(axis=1) + (own**2).sum(axis=1)
     scale = np.sqrt(np.divide(unknown, within, out=np.zeros(len(leads)), where=within > 0))
-    return _Filters(
-        weights(coherence), common * scale[:, None], own * scale[:, None], np.sqrt(unknown)
-    )
+    return weights(coherence), common * scale[:, None], own * scale[:, None], np.sqrt(unknown)
 
 
 def _apply_filters(weights: Array, values: Array) -> Array:
@@ -504,8 +436,7 @@ def _apply_filters(weights: Array, values: Array) -> Array:
         values: value of every hour, shape (leads + width - 1,).
     """
     windows = sliding_window_view(values, weights.shape[1])
-    filtered: Array = (weights[: len(windows)] * windows).sum(axis=1)
-    return filtered
+    return np.asarray((weights[: len(windows)] * windows).sum(axis=1))
 
 
 def make_model(
@@ -523,10 +454,9 @@ def make_model(
         ConfigurationError: if the forecast file is invalid.
     """
     if choice.file is not None:
-        archive = read_archive(choice.file, site, choice.delay)
-        return FileModel(archive, weather, all_members)
-    members = choice.members if all_members and choice.model == "ensemble" else 1
+        return FileModel(read_archive(choice.file, site, choice.delay), weather, all_members)
     if choice.model == PERFECT:
-        return PerfectModel(weather)
+        return ForecastModel(weather)
+    members = choice.members if all_members and choice.model == "ensemble" else 1
     delay = SERVICE_DELAY_H if choice.delay is None else choice.delay
     return ErrorModel(weather, choice.seed, read_skill(choice.skill), members, delay)

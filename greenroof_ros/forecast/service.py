@@ -2,8 +2,7 @@
 
 The service has two interfaces for the same variables: *forecast*, with one series for each
 variable, and *ensemble*, with one series for each member (``precipitation``,
-``precipitation_member01``, ...). The responses are read like files from the service
-(:mod:`greenroof_ros.forecast.archive`). A response does not state which model run it comes from.
+``precipitation_member01``, ...). A response does not state which model run it comes from.
 A forecast is assumed to be issued in the hour of its arrival, and to be available from its arrival
 on, so that no information is used too early. Open-Meteo's data are licensed under CC BY 4.0.
 
@@ -19,37 +18,23 @@ import re
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from datetime import datetime, timedelta, timezone
-from email.utils import parsedate_to_datetime
+from email.utils import mktime_tz, parsedate_tz
 from pathlib import Path
 
 import numpy as np
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import replace_text
-from greenroof_ros.base.http import (
-    ServiceError,
-    check_url,
-    name_url,
-    read_reason,
-    request,
-)
+from greenroof_ros.base.http import ServiceError, check_url, name_url, read_reason, request
 from greenroof_ros.base.processes import IN_MEMORY, scratch_directory
 from greenroof_ros.base.times import to_people
-from greenroof_ros.forecast.archive import read_run, write_forecasts
-from greenroof_ros.forecast.issue import IssuedForecast, mend_forecast
+from greenroof_ros.forecast.issue import IssuedForecast, mend_forecast, write_forecasts
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.evapotranspiration import repeat_monthly
-from greenroof_ros.weather.open_meteo import make_parameters, read_records
-from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, TEMPERATURE
-from greenroof_ros.weather.read import (
-    MAX_GAP_H,
-    compute_evapotranspiration,
-    drop_empty,
-    fill_long_gaps,
-)
-from greenroof_ros.weather.records import HOUR, bridge_gaps
+from greenroof_ros.weather.open_meteo import make_parameters, read_answer, read_records
+from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
+from greenroof_ros.weather.read import complete_records, drop_empty, fill_long_gaps
+from greenroof_ros.weather.records import HOUR
 
 OPEN_METEO = "open-meteo"
 """name of the service, given in place of a file of forecasts"""
@@ -64,6 +49,8 @@ _ENSEMBLE_URL = "https://ensemble-api.open-meteo.com/v1/ensemble"
 _CLOCKS_S = 600.0
 # First and longest wait after a failure (s), unless the service asks for a longer one.
 _FIRST_WAIT_S, _LAST_WAIT_S = 60.0, 3600.0
+
+_MEMBER = re.compile(r"precipitation(_member\d\d)?")
 
 # The names of kept forecasts, and how much of them is kept (bytes): half a year of hourly ensembles
 # of 50 members, or 20 years of single forecasts.
@@ -93,9 +80,8 @@ class Service:
         self._site = site
         more = {"models": model} if model else {}
         self._parameters = make_parameters(site, forecast_days=days, **more)
-        self._url = check_url(
-            url or (_ENSEMBLE_URL if ensemble else _FORECAST_URL), self._parameters
-        )
+        default = _ENSEMBLE_URL if ensemble else _FORECAST_URL
+        self._url = check_url(url or default, self._parameters)
 
     def fetch(self, now: datetime) -> IssuedForecast:
         """Return the latest forecast, issued in the current hour, with evapotranspiration.
@@ -113,17 +99,16 @@ class Service:
         arrived = now + timedelta(seconds=time.monotonic() - began)
         _check_clock(date, now)
         try:
-            return replace(_read_issue(body, self._site, hour), available=arrived)
+            return _read_issue(body, self._site, hour, arrived)
         except ConfigurationError as error:
             raise ServiceError(f"{name_url(self._url)}: its response {error.wrong}") from error
 
 
-def _read_issue(answer: bytes, site: Site, hour: datetime) -> IssuedForecast:
-    """Convert a response to a forecast that was issued in a given hour.
+def _read_issue(answer: bytes, site: Site, hour: datetime, arrived: datetime) -> IssuedForecast:
+    """Convert a response to a forecast that was issued in the hour in which it arrived.
 
     If evapotranspiration cannot be computed for an hour, it is set to the mean for that time of day
-    over the surrounding days, or else to the site's monthly mean. The forecast ends before the
-    first hour that lacks a value.
+    over the surrounding days. The forecast ends before the first hour that lacks a value.
 
     Raises:
         ConfigurationError: if the response is not a forecast for the hour and the site.
@@ -133,26 +118,21 @@ def _read_issue(answer: bytes, site: Site, hour: datetime) -> IssuedForecast:
     with scratch_directory(IN_MEMORY) as directory:  # a full disk must not cost a forecast
         file = directory / "answer.json"
         file.write_bytes(answer)
-        issue = read_run(file, site, hour)
-        records = drop_empty(read_records(file, site))
-    records = replace(records, values={
-        quantity: bridge_gaps(series, MAX_GAP_H.get(quantity, 0))
-        for quantity, series in records.values.items()
-    })
-    series, _, notes = compute_evapotranspiration(records, site)
-    evaporated = fill_long_gaps({EVAPOTRANSPIRATION: series})[EVAPOTRANSPIRATION]
-    means = repeat_monthly(records, site)
-    if means is not None and np.isnan(evaporated).all():
-        evaporated = means
-        notes.append("evapotranspiration is taken from the site's monthly means, because the "
-            "forecast contains no complete day")
+        members = read_answer(
+            file, site, lambda name: PRECIPITATION if _MEMBER.fullmatch(name) else None
+        ).values
+        records = complete_records(drop_empty(read_records(file, site)), site)
     start = (hour - records.first) // HOUR
-    temperature = records.values.get(TEMPERATURE)
-    return mend_forecast(replace(
-        issue, evapotranspiration=evaporated[start:],
-        temperature=None if temperature is None else temperature[start:],
-        notes=tuple(dict.fromkeys([*issue.notes, *records.left_out, *notes])),
-    ))
+    if not 0 <= start < records.hours:
+        raise ConfigurationError(f"must contain the hour from {to_people(hour)} on", file=file)
+    values = {
+        name: records.values[name][start:]
+        for name in (EVAPOTRANSPIRATION, TEMPERATURE) if name in records.values
+    }
+    values[EVAPOTRANSPIRATION] = fill_long_gaps(records.values)[EVAPOTRANSPIRATION][start:]
+    # The series without a number is the control run, member 0.
+    values[PRECIPITATION] = np.array([members[name][start:] for name in sorted(members)])
+    return mend_forecast(IssuedForecast(hour, arrived, file, None, values, records.left_out))
 
 
 def _check_clock(date: str, now: datetime) -> None:
@@ -161,14 +141,11 @@ def _check_clock(date: str, now: datetime) -> None:
     Raises:
         ServiceError: if the clocks differ by more than ten minutes.
     """
-    try:
-        theirs = parsedate_to_datetime(date)
-    except ValueError:
-        return  # no date
-    if theirs.tzinfo is None:  # its zone is written "-0000": UTC
-        theirs = theirs.replace(tzinfo=timezone.utc)
-    apart = abs((theirs - now).total_seconds())
-    if apart > _CLOCKS_S:
+    parsed = parsedate_tz(date)
+    if parsed is None:
+        return
+    theirs = datetime.fromtimestamp(mktime_tz(parsed), timezone.utc)
+    if abs((theirs - now).total_seconds()) > _CLOCKS_S:
         raise ServiceError(
             f"the time is {to_people(theirs)} at the service but {to_people(now)} on this machine; "
             "check the clock of this machine"
@@ -199,8 +176,8 @@ class ForecastFiles:
         about = "".join(f"# {line}\n" for line in (ATTRIBUTION, *issue.notes))
         text = f"{about}{write_forecasts([issue])}"
         replace_text(self._newest, text, parents=True)
-        if self._archive is not None and not _repeats(self._stored, issue):
-            kept = self._archive / f"{issue.order[1]:%Y%m%d%H%M%S}.csv"
+        if self._archive is not None and not (self._stored and issue.repeats(self._stored)):
+            kept = self._archive / f"{issue.available:%Y%m%d%H%M%S}.csv"
             replace_text(kept, text, parents=True)
             self._stored = issue
             _remove_oldest(self._archive)
@@ -229,7 +206,6 @@ class Fetcher:
         self.newest: IssuedForecast | None = None
         self._service, self._write, self._every = service, write, every
         self._wait = _FIRST_WAIT_S
-        self._ended = threading.Event()
 
     def fetch(self) -> float:
         """Fetch and write a forecast; return the time until the next attempt (s)."""
@@ -249,12 +225,8 @@ class Fetcher:
         threading.Thread(target=self._run, name="forecast service", daemon=True).start()
 
     def _run(self) -> None:
-        while not self._ended.wait(self.fetch()):
-            pass
-
-    def stop(self) -> None:
-        """Stop fetching."""
-        self._ended.set()
+        while True:
+            time.sleep(self.fetch())
 
 
 def _remove_oldest(archive: Path) -> None:
@@ -265,16 +237,3 @@ def _remove_oldest(archive: Path) -> None:
         size += file.stat().st_size
         if size > _MAX_STORED:
             file.unlink()
-
-
-def _repeats(before: IssuedForecast | None, issue: IssuedForecast) -> bool:
-    """Return whether a forecast only repeats the remaining hours of an earlier forecast."""
-    if before is None:
-        return False
-    then, now = (
-        np.vstack([
-            series for series in (known.rain, known.evapotranspiration, known.temperature)
-            if series is not None
-        ]) for known in (before, issue)
-    )
-    return np.array_equal(then[:, (issue.issued - before.issued) // HOUR :], now)

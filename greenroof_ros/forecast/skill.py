@@ -66,13 +66,11 @@ class Climate:
     def rain(self, normal: Array) -> Array:
         """Return the hourly rain (mm) for values of z (1), in an array of any shape."""
         above = np.maximum(normal - self.threshold, 0.0)
-        rain: Array = self.scale * np.expm1(self.growth * above)
-        return rain
+        return np.asarray(self.scale * np.expm1(self.growth * above))
 
     def normal(self, rain: Array) -> Array:
         """Return z (1) of hours from their rain (mm), in any shape; c for a dry hour."""
-        normal: Array = self.threshold + np.log1p(rain / self.scale) / self.growth
-        return normal
+        return np.asarray(self.threshold + np.log1p(rain / self.scale) / self.growth)
 
     def spectrum(self, hours: int) -> Array:
         """Return the power of z at every frequency of a periodic series of ``hours`` hours.
@@ -81,8 +79,7 @@ class Climate:
         of z.
         """
         apart = np.minimum(np.arange(hours), hours - np.arange(hours))
-        power: Array = np.fft.rfft(np.exp(-apart / self.memory)).real
-        return power
+        return np.asarray(np.fft.rfft(np.exp(-apart / self.memory)).real)
 
 
 @dataclass(frozen=True)
@@ -125,8 +122,8 @@ class Skill:
         """
         large = np.exp(-((leads / self.reach) ** self.fading))
         timing = self.timing * (leads / 24) ** self.timing_growth
-        small: Array = np.exp(-((2 * math.pi * np.outer(timing, frequencies)) ** 2) / 2)
-        return large[:, None] * small
+        small = np.exp(-((2 * math.pi * np.outer(timing, frequencies)) ** 2) / 2)
+        return np.asarray(large[:, None] * small)
 
 
 @cache

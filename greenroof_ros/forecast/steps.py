@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.base.times import to_minutes
-from greenroof_ros.forecast.choice import ForecastChoice
-from greenroof_ros.forecast.memo import Memo
-from greenroof_ros.forecast.models import ForecastModel, PerfectModel, make_model
+from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
+from greenroof_ros.forecast.models import ForecastModel, make_model
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
+from greenroof_ros.weather.records import HOUR
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
 Array = NDArray[np.float64]
@@ -149,32 +149,18 @@ class PerfectForecast:
         """Set the run's weather and the look-ahead M (ticks)."""
         self._series = series
         self._look_ahead = look_ahead
-        self._ticks = range(0)  # ticks for which the current window is valid
-        self._rain = self._evapotranspiration = array("d")
         self.notes = _note_end(series.repeats_from)
 
     def precipitation(self, tick: int) -> array[float]:
         """Return the rain in the next M ticks (m/s), shape (M,)."""
-        self._update_window(tick)
-        return self._rain[:]
+        return self._series.precipitation[tick : tick + self._look_ahead]
 
     def evapotranspiration(self, tick: int) -> array[float]:
         """Return the evapotranspiration of the bed in the next M ticks (m3/s), shape (M,)."""
-        self._update_window(tick)
-        return self._evapotranspiration[:]
+        return self._series.evapotranspiration[tick : tick + self._look_ahead]
 
     def issued(self, tick: int) -> None:
         """Return None, because perfect knowledge has no time of issue."""
-
-    def _update_window(self, tick: int) -> None:
-        """Update the window that starts at a tick, if it differs from the previous window."""
-        if tick in self._ticks:
-            return
-        window = slice(tick, tick + self._look_ahead)
-        self._rain = self._series.precipitation[window]
-        self._evapotranspiration = self._series.evapotranspiration[window]
-        last = self._series.at(tick).until - self._look_ahead
-        self._ticks = range(tick, max(tick, last) + 1)
 
 
 class SteppedForecast:
@@ -211,15 +197,11 @@ class SteppedForecast:
         self._at = Memo(self._outlook)
         hours = range(int(self._offset // _HOUR_S), int(self._until // _HOUR_S) + 1)
         model.check(range(hours[0], hours[-1] + self._hours(hours[-1])))
-        assumed = (model.repeats_from(hour, self._hours(hour)) for hour in hours)
-        repeats_from = min((time for time in assumed if time is not None), default=None)
-        self.notes = [*model.notes, *_note_end(repeats_from)]
-        horizon = float(ends[-1]) / _HOUR_S
-        if model.max_issue_h is not None and model.max_issue_h < horizon:
-            self.notes.append(
-                f"the longest forecast has {model.max_issue_h} h, but the look-ahead is "
-                f"{horizon:g} h: no rain is assumed after the end of a forecast"
-            )
+        first_end = min((
+            model.end(hour) for hour in hours
+            if model.end(hour) < weather.first + (hour + self._hours(hour)) * HOUR
+        ), default=None)
+        self.notes = [*model.notes, *_note_end(first_end)]
 
     def precipitation(self, tick: int) -> Rain:
         """Return the mean rain (m/s), shape (steps,), or (members, steps) for all members."""
@@ -290,8 +272,8 @@ def make_forecast(
         ConfigurationError: if a forecast file is invalid, or if there is no forecast for a part
             of the run.
     """
-    model = make_model(choice, weather, site, all_members)
-    if not horizon and not all_members and isinstance(model, PerfectModel):
+    if choice.model == PERFECT and not horizon and not all_members:
         return PerfectForecast(series, site.M)
+    model = make_model(choice, weather, site, all_members)
     ends = look_ahead_ends(site, horizon, outlet_horizon)
     return SteppedForecast(model, weather, series, site, start, ends, all_members)

@@ -186,11 +186,6 @@ class LiveWeatherNode(LiveNode):
         """Return the source of the forecast, which its licence requires to be shown."""
         return {} if self._fetcher is None else {"forecast_by": ATTRIBUTION}
 
-    def on_stop(self) -> None:
-        """End the fetching."""
-        if self._fetcher is not None:
-            self._fetcher.stop()
-
     def _outlook(
         self, forecast: LiveForecast, now: datetime, rain: float | None
     ) -> Outlook | None:
@@ -218,13 +213,10 @@ class LiveWeatherNode(LiveNode):
             return None
         assert outlook.issued is not None
         issued, wrong = to_people(outlook.issued), Diagnosis.if_any("forecast_short", short)
-        repeated = forecast.repetition(now)
         if problem:
             wrong = Diagnosis.of("forecast_unreadable", issued=issued, why=problem)
         self.reports.diagnose(
-            "forecast", wrong, "; ".join(
-                filter(None, (f"the latest forecast was issued at {issued}", repeated))
-            ), WARN,
+            "forecast", wrong, f"the latest forecast was issued at {issued}", WARN
         )
         return outlook
 

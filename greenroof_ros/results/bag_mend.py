@@ -19,7 +19,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Schema
 from mcap.stream_reader import MAGIC_SIZE, StreamReader, breakup_chunk
 
-from greenroof_ros.results.bag_write import DAMAGED, seek_summary
+from greenroof_ros.results.bag_write import seek_summary
 
 _HEAD = struct.Struct("<BQ")  # a record's opcode and length
 _DATA_END_SIZE = _HEAD.size + 4
@@ -64,7 +64,7 @@ def _read_in_order(stream: BinaryIO, size: int) -> Iterator[tuple[int, list[Mcap
 
 def _read_summary(stream: BinaryIO) -> list[McapRecord]:
     """Return the records of a file's summary; an empty list if it is missing or damaged."""
-    with suppress(OSError, *DAMAGED):
+    with suppress(Exception):
         if (footer := seek_summary(stream)) is not None:
             summary = stream.read()
             if footer.summary_crc in (0, zlib.crc32(summary[: -MAGIC_SIZE - 4])):
@@ -83,7 +83,7 @@ def _read_head(stream: BinaryIO, at: int) -> tuple[int, int]:
 
 def _read_chunk(stream: BinaryIO, at: int) -> list[McapRecord]:
     """Return the records of a chunk; none if its checksum is wrong or it cannot be read."""
-    with suppress(OSError, *DAMAGED):
+    with suppress(Exception):
         stream.seek(at + _HEAD.size)
         return breakup_chunk(Chunk.read(ReadDataStream(stream)), validate_crc=True)
     return []

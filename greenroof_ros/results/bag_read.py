@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+import math
+from collections import defaultdict
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from datetime import tzinfo
 from pathlib import Path
@@ -31,9 +33,6 @@ _NEEDED = ("/roof/level", "/cistern/level", "/pump/command", "/pump/flow")
 _TYPE = "std_msgs/msg/Float64"
 _CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 
-# A live graph publishes NaN for an unknown value, as defined in the interface.
-_MAY_BE_UNKNOWN = ("/weather/frost",)
-
 # A smaller share of wrong values in a topic counts as outliers of a sensor; a larger one is a
 # mistake.
 _MAX_OUTLIERS = 0.01
@@ -46,8 +45,6 @@ _GAP_S, _GAP_SPACINGS = 600, 10
 
 # If there are no messages for longer than this (ns), a clock is wrong.
 _MAX_GAP_NS = 366 * 86400e9
-
-_MAX_NAMED = 10
 
 
 def count_ticks(bag: Path) -> int | None:
@@ -105,29 +102,36 @@ def load_bag(
     recorded, notes = _keep_one_time(_read_series(bag, repair), zone)
     if silent := [topic for topic in _NEEDED if topic not in recorded]:
         raise ConfigurationError(
-            "; ".join([f"contains no messages on {', '.join(silent)}", *notes]), file=bag
+            "; ".join([f"contains no messages ({_TYPE}) on {', '.join(silent)}", *notes]), file=bag
         )
     of_site = {column.topic: column.attribute for column in recorded_columns(site)}
     notes += [
         f"{topic} is not in the bag; its value is assumed to be 0"
         for topic in of_site if topic not in recorded
     ]
-    interface, highest = read_topics(), _compute_maxima(site)
-    # What the plant itself published are the results of the run.
-    by_plant = {
-        name for name, topic in interface.items()
-        if "plant" not in topic.subscribers or (name == "/pump/flow" and not external_pump)
-    }
+    interface, highest = read_topics(), {} if own else _compute_maxima(site)
     series = {}
-    for topic, of_topic in recorded.items():
-        note: list[str] = []
-        if not own:
-            of_topic, note = _drop_wrong(bag, interface[topic], highest.get(topic), of_topic)
-        elif topic not in by_plant:
-            of_topic, note = _replace_refused(interface[topic], of_topic)
-        notes += note
+    for name, of_topic in recorded.items():
+        topic = replace(
+            interface[name], high=min(interface[name].high, highest.get(name, math.inf))
+        )
+        # What the plant itself published are the results of the run.
+        by_plant = "plant" not in topic.subscribers or (name == "/pump/flow" and not external_pump)
+        fine = (of_topic.values >= topic.low) & (of_topic.values <= topic.high)  # a NaN is neither
+        if own and not by_plant and not fine.all():
+            of_topic = of_topic._replace(values=np.where(fine, of_topic.values, 0.0))
+            notes.append(
+                f"{np.count_nonzero(~fine)} of {len(fine)} values of {name} were rejected in the "
+                f"run and replaced by 0, because a value {topic.range.expected()}"
+            )
+        elif not own and not fine.all():
+            of_topic = _drop_wrong(bag, topic, of_topic, fine)
+            notes.append(
+                f"{np.count_nonzero(~fine)} of {len(fine)} values of {name} are left out because "
+                "they are not finite or are out of range"
+            )
         if len(of_topic.times):  # otherwise it was never known
-            series[topic] = of_topic
+            series[name] = of_topic
     stamps = np.unique(np.concatenate([of_topic.times for of_topic in series.values()]))
     samples = stamps[stamps >= max(series[topic].times[0] for topic in _NEEDED)]
     if len(samples) < 2:
@@ -139,56 +143,55 @@ def load_bag(
     longest = max(_GAP_S * 1e9, _GAP_SPACINGS * float(np.median(spacings)))
     gaps = np.flatnonzero(spacings > longest)  # the last sample before each gap
     columns: dict[str, Values] = {}
-    for topic, name in of_site.items():
+    for topic_name, name in of_site.items():
         columns[name] = np.zeros(len(samples))
-        if topic in series:
+        if topic_name in series:
+            times, values = series[topic_name]
             # If several messages have the same time, the last one counts.
-            index = np.searchsorted(series[topic].times, samples, side="right") - 1
-            columns[name] = np.where(index >= 0, series[topic].values[np.maximum(index, 0)], 0.0)
+            columns[name] = np.append(0.0, values)[np.searchsorted(times, samples, side="right")]
         if name not in ("roof", "cistern"):
             columns[name][gaps] = 0.0
     columns["roof"] = columns["roof"] * site.a2
     columns["cistern"] = columns["cistern"] * site.a1
     if len(gaps):
         notes.append(_describe_gaps(samples, gaps, zone))
-    time = (samples - samples[0]) / 1e9
-    start = from_epoch_ns(int(samples[0])).astimezone(zone)
     return RecordedTrajectory(
-        Trajectory(start=start, time=time, **columns), tuple(notes),
-        frozenset(name for topic, name in of_site.items() if topic not in series),
+        Trajectory(
+            start=from_epoch_ns(int(samples[0])).astimezone(zone),
+            time=(samples - samples[0]) / 1e9, **columns,
+        ),
+        tuple(notes), frozenset(name for topic, name in of_site.items() if topic not in series),
     )
 
 
 def _keep_one_time(
-    recorded: Mapping[str, _Series], zone: tzinfo
+    recorded: dict[str, _Series], zone: tzinfo
 ) -> tuple[dict[str, _Series], list[str]]:
     """Remove messages that are more than a year away from most others, and return the rest.
 
     A clock that is not set yet stamps messages with 0, or with its year of manufacture; no site
     has a gap of a year in a bag.
     """
-    stamped = [series.times for series in recorded.values()]
-    stamps = np.sort(np.concatenate([*stamped, np.empty(0, dtype=np.int64)]))
+    every = [series.times for series in recorded.values()]
+    stamps = np.sort(np.concatenate([*every, np.empty(0, dtype=np.int64)]))
     far = np.flatnonzero(np.diff(stamps.astype(np.float64)) > _MAX_GAP_NS) + 1
     if not far.size:
-        return dict(recorded), []
-    edges = np.concatenate(([0], far, [len(stamps)]))
-    most = int(np.argmax(np.diff(edges)))
-    first, last = stamps[edges[most]], stamps[edges[most + 1] - 1]
+        return recorded, []
+    most = max(np.split(stamps, far), key=len)
     kept = {}
     for topic, (times, values) in recorded.items():
-        there = (times >= first) & (times <= last)
+        there = (times >= most[0]) & (times <= most[-1])
         if there.any():
             kept[topic] = _Series(times[there], values[there])
-    low, high = (
-        from_epoch_ns(int(stamp)).astimezone(zone).isoformat(timespec="seconds")
-        for stamp in (first, last)
-    )
     return kept, [
-        f"{len(stamps) - int(np.diff(edges)[most])} of {len(stamps)} messages are more than a "
-        f"year before or after the other messages, {low} to {high}, and were left out: was a "
-        "clock not set?"
+        f"{len(stamps) - len(most)} of {len(stamps)} messages are more than a year before or after "
+        f"the other messages, {_name_time(most[0], zone)} to {_name_time(most[-1], zone)}, and "
+        "were left out: was a clock not set?"
     ]
+
+
+def _name_time(stamp: np.int64, zone: tzinfo) -> str:
+    return from_epoch_ns(int(stamp)).astimezone(zone).isoformat(timespec="seconds")
 
 
 def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
@@ -205,35 +208,24 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
         from rosbags import typesys
         from rosbags.highlevel import AnyReader
     typestore = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
-    times: dict[str, list[int]] = {}
-    values: dict[str, list[float]] = {}  # for the clock in ns
+    times, values = defaultdict[str, list[int]](list), defaultdict[str, list[float]](list)
+    clock = set[int]()  # the simulated times (ns)
     try:
         with AnyReader([bag], default_typestore=typestore) as reader:
-            types = {each.topic: each.msgtype for each in reader.connections}
-            namespace = find_namespace(types, list(_NEEDED), bag)
-            names = {f"{namespace}{topic}": topic for topic in _ATTRIBUTES}
-            if missing := [topic for topic in _NEEDED if namespace + topic not in types]:
-                raise ConfigurationError(
-                    f"lacks {', '.join(missing)}, which the report needs; the topics in the bag "
-                    f"are: {', '.join(sorted(types)) or 'none'}", file=bag,
-                )
-            for name in names:
-                if types.get(name, _TYPE) != _TYPE:
-                    raise ConfigurationError(
-                        f"must be of type {_TYPE}, not {types[name]}", file=bag, key=name
-                    )
-            clock = f"{namespace}{_CLOCK}"
-            if types.get(clock) == _CLOCK_TYPE:
-                names[clock] = _CLOCK
-            wanted = [each for each in reader.connections if each.topic in names]
+            known = {each.topic for each in reader.connections if each.msgtype == _TYPE}
+            namespace = find_namespace(known, _NEEDED, bag)
+            names = {f"{namespace}{topic}": topic for topic in (*_ATTRIBUTES, _CLOCK)}
+            wanted = [
+                each for each in reader.connections
+                if each.topic in names and each.msgtype in (_TYPE, _CLOCK_TYPE)
+            ]
             for connection, stamp, raw in reader.messages(connections=wanted):
                 message: Any = reader.deserialize(raw, connection.msgtype)
-                topic = names[connection.topic]
-                times.setdefault(topic, []).append(stamp)
-                values.setdefault(topic, []).append(
-                    message.clock.sec * 10**9 + message.clock.nanosec if topic == _CLOCK
-                    else message.data
-                )
+                times[names[connection.topic]].append(stamp)
+                if connection.msgtype == _CLOCK_TYPE:
+                    clock.add(message.clock.sec * 10**9 + message.clock.nanosec)
+                else:
+                    values[names[connection.topic]].append(message.data)
     except ConfigurationError:
         raise
     except Exception as error:  # the readers pass on any error of storages and codecs
@@ -244,93 +236,67 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
             file=bag,
         ) from error
     # A recorder with simulated time stamps every message with a value of the clock.
-    if _CLOCK in times and not set(times.pop(_CLOCK)) & set(values.pop(_CLOCK)):
+    if clock and not clock.intersection(times[_CLOCK]):
         raise ConfigurationError(
             "contains the times of arrival of a simulation's messages, not simulated times: "
             "record with 'ros2 bag record --use-sim-time', or use the bag in the run's directory",
             file=bag,
         )
-    return {topic: _Series(np.array(times[topic]), np.array(values[topic])) for topic in times}
+    return {topic: _Series(np.array(times[topic]), np.array(values[topic])) for topic in values}
 
 
-def _compute_maxima(site: Site) -> dict[str, tuple[float, str]]:
-    """Return the maximum plausible values of topics at a site, each with an explanation."""
-    full = maximum_pump_flow(site, site.a1 * site.z_o)
+def _compute_maxima(site: Site) -> dict[str, float]:
+    """Return the maximum plausible values of topics at a site.
+
+    They are twice the depth of the soil, three times the overflow level and the maximum flow of the
+    pumps, and the most rain and evapotranspiration that a weather file may contain.
+    """
     rain, evaporation = (QUANTITIES[name].high for name in (PRECIPITATION, EVAPOTRANSPIRATION))
-    # The crop coefficient scales the evapotranspiration of grass.
-    evaporation *= max(1.0, site.crop_coefficient)
-    return {
-        "/roof/level": (site.max_roof_level, f"twice the soil depth of {site.z_soil:g} m"),
-        "/cistern/level": (
-            site.max_cistern_level, f"three times the overflow level of {site.z_o:g} m"
-        ),
-        "/pump/flow": (3 * full, "three times the maximum flow of the pumps"),
-        "/weather/precipitation": (rain / 3.6e6, f"{rain:g} mm/h"),
-        "/weather/evapotranspiration": (
-            evaporation / 8.64e7 * site.a2, f"{evaporation:g} mm/day on the area a2"
-        ),
+    maxima = {
+        "/roof/level": site.max_roof_level,
+        "/cistern/level": site.max_cistern_level,
+        "/pump/flow": 3 * maximum_pump_flow(site, site.a1 * site.z_o),
+        "/weather/precipitation": rain / 3.6e6,
+        # The crop coefficient scales the evapotranspiration of grass.
+        "/weather/evapotranspiration":
+            evaporation * max(1.0, site.crop_coefficient) / 8.64e7 * site.a2,
     }
+    return {topic: high * _ROUNDING for topic, high in maxima.items()}
 
 
 def _drop_wrong(
-    bag: Path, topic: Topic, of_site: tuple[float, str] | None, series: _Series
-) -> tuple[_Series, list[str]]:
-    """Remove implausible values of a topic, and return the others with a note.
+    bag: Path, topic: Topic, series: _Series, fine: NDArray[np.bool_]
+) -> _Series:
+    """Remove implausible values of a topic, and return the others.
 
     Raises:
         ConfigurationError: if the implausible values are too many to be outliers, or if at least
             half of the non-zero values are too large. The second condition detects a wrong unit of
             rain, or of a pump that is active for less than a hundredth of the time.
     """
-    high, why = topic.high, ""
-    if of_site is not None and of_site[0] * _ROUNDING < high:
-        high, why = of_site[0] * _ROUNDING, f" ({of_site[1]})"
     times, values = series
-    fine = (values >= topic.low) & (values <= high)  # a NaN is neither
-    if fine.all():
-        return series, []
-    unknown = np.isnan(values) & (topic.name in _MAY_BE_UNKNOWN)
+    unknown = np.isnan(values) & topic.may_be_unknown  # a NaN of a live graph
     wrong = np.flatnonzero(~fine & ~unknown)
-    large = np.count_nonzero(values > high)
+    large = np.count_nonzero(values > topic.high)
     if len(wrong) and (
         len(wrong) >= _MAX_OUTLIERS * len(values) or 2 * large >= np.count_nonzero(values)
     ):
         raise ConfigurationError(
-            f"{replace(topic.range, high=high).expected()}{why}, but is {values[wrong[0]]:g} "
-            f"{topic.unit} at {from_epoch_ns(int(times[wrong[0]])).isoformat()}; is a unit wrong?",
+            f"{topic.range.expected()}, but is {values[wrong[0]]:g} {topic.unit} at "
+            f"{from_epoch_ns(int(times[wrong[0]])).isoformat()}; is a unit wrong?",
             file=bag, key=topic.name,
         )
-    return _Series(times[fine], values[fine]), [
-        f"{np.count_nonzero(~fine)} of {len(fine)} values of {topic.name} are left out because "
-        "they are not finite or are out of range"
-    ]
-
-
-def _replace_refused(topic: Topic, series: _Series) -> tuple[_Series, list[str]]:
-    """Return the values of a topic that the run's plant used, with 0 for rejected values."""
-    fine = (series.values >= topic.low) & (series.values <= topic.high)  # a NaN is neither
-    if fine.all():
-        return series, []
-    return series._replace(values=np.where(fine, series.values, 0.0)), [
-        f"{np.count_nonzero(~fine)} of {len(fine)} values of {topic.name} were rejected in the "
-        f"run and replaced by 0, because a value {topic.range.expected()}"
-    ]
+    return _Series(times[fine], values[fine])
 
 
 def _describe_gaps(samples: Stamps, gaps: NDArray[np.intp], zone: tzinfo) -> str:
     hours = (samples[gaps + 1] - samples[gaps]) / 3.6e12
-    named = [
-        " to ".join(
-            from_epoch_ns(int(samples[place])).astimezone(zone).isoformat(timespec="seconds")
-            for place in (gap, gap + 1)
-        ) + f" ({length:.3g} h)"
-        for gap, length in zip(gaps[:_MAX_NAMED], hours, strict=False)
-    ]
-    if len(gaps) > _MAX_NAMED:
-        named.append(f"and {len(gaps) - _MAX_NAMED} more gaps, {hours.sum():.3g} h in total")
+    longest = gaps[hours.argmax()]
     return (
-        f"there are no messages from {', '.join(named)}: in these gaps, the command, the weather "
-        "and the flows are unknown and are treated as 0, and the levels keep their last values"
+        f"there are no messages in {len(gaps)} gaps, {hours.sum():.3g} h in total, the longest "
+        f"from {_name_time(samples[longest], zone)} to {_name_time(samples[longest + 1], zone)} "
+        f"({hours.max():.3g} h): in gaps, the command, the weather and the flows are unknown and "
+        "are treated as 0, and the levels keep their last values"
     )
 
 

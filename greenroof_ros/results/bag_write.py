@@ -7,34 +7,24 @@ depend on the wall clock or on the bag's location: two identical runs produce id
 from __future__ import annotations
 
 import functools
-import json
 import math
 import os
-import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 import yaml
-import zstandard
-from mcap.exceptions import McapError
 from mcap.reader import FOOTER_SIZE
 from mcap.records import Channel, Footer, Schema, Statistics
 from mcap.stream_reader import MAGIC_SIZE, StreamReader
 
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.files import parse_yaml, read_yaml, replace_text, shared_directory
+from greenroof_ros.base.files import read_yaml, replace_text, shared_directory
 from greenroof_ros.interface.topics import Qos, Topic
 from greenroof_ros.results.mcap import McapWriter
 
 METADATA = "metadata.yaml"
-
-# Errors that reading a truncated or damaged file can raise.
-DAMAGED = (
-    McapError, EOFError, MemoryError, OverflowError, RuntimeError, ValueError, struct.error,
-    zstandard.ZstdError,
-)
 
 # Ticks passed to the operating system together. A kill -9 loses no more than the ticks by which the
 # plant is ahead of them: 32.
@@ -78,7 +68,7 @@ class LiveBag:
     def __init__(
         self, directory: Path, topics: Sequence[Topic], *, file_bytes: int, total_bytes: int
     ) -> None:
-        """Read the indices of an existing bag, and write nothing before the first message.
+        """Set the bag, and write nothing before the first message.
 
         Args:
             directory: directory of the bag, which may exist.
@@ -96,9 +86,7 @@ class LiveBag:
         self._index = {topic.name: index for index, topic in enumerate(self._topics)}
         self._file_bytes = file_bytes
         self._total_bytes = total_bytes
-        # All files, the oldest first, with their indices; None if a file was not closed.
-        self._files = {path: read_index(path) for path in find_files(directory)}
-        self._file: BagFile | None = None  # the file being written, the last of these
+        self._file: BagFile | None = None  # the file being written
         self._day = 0  # day on which it was begun (days since 1970)
         self._before = 0  # messages recorded before it
         self._flushed = -math.inf
@@ -118,14 +106,10 @@ class LiveBag:
             return
         day = time_ns // _DAY_NS
         try:
-            if self._file is not None and (
-                self._file.size >= self._file_bytes or day != self._day
-            ):
-                self._close(self._file)
-            if self._file is None:
-                self._file = self._open()
-                self._flushed, self._day = now, day
-            self._file.write(time_ns, [(self._index[topic], message)])
+            file = self._file
+            if file is None or file.size >= self._file_bytes or day != self._day:
+                file = self._begin(now, day)
+            file.write(time_ns, [(self._index[topic], message)])
         except OSError as error:
             self.lost += 1
             self._fail(error, now)
@@ -149,25 +133,25 @@ class LiveBag:
     def close(self) -> None:
         """Close the current file; if closing fails, :attr:`problem` contains the reason."""
         try:
-            if self._file is not None:
-                self._close(self._file)
+            self._close()
         except OSError as error:
             self._fail(error, -math.inf)
 
-    def _open(self) -> BagFile:
+    def _begin(self, now: float, day: int) -> BagFile:
+        """Close the current file, if any, and begin the next one."""
+        self._close()
         self.directory.mkdir(parents=True, exist_ok=True)
-        path = name_next_file(list(self._files), self.directory)
-        self._files[path] = None
-        self._before = self.recorded
-        return BagFile(path, self._topics)
+        self._file = file = BagFile(name_next_file(self.directory), self._topics)
+        self._flushed, self._day, self._before = now, day, self.recorded
+        return file
 
-    def _close(self, file: BagFile) -> None:
-        file.close()
-        self._file = None
-        self._count_flushed(file)
-        self._files[file.path] = read_index(file.path)
-        self._remove_oldest()
-        write_metadata(self.directory, self._files.values())
+    def _close(self) -> None:
+        if self._file is not None:
+            self._file.close()
+            self._count_flushed(self._file)
+            self._file = None
+            self._remove_oldest()
+            write_metadata(self.directory, find_files(self.directory))
 
     def _count_flushed(self, file: BagFile) -> None:
         """Update the number of recorded messages after a flush, and clear the problem."""
@@ -185,22 +169,20 @@ class LiveBag:
 
     def _remove_oldest(self) -> None:
         """Remove the oldest files while the bag exceeds its limit, but never the newest file."""
-        sizes = {path: path.stat().st_size for path in self._files if path.exists()}
-        self._files = {path: self._files[path] for path in sizes}
-        while len(sizes) > 1 and sum(sizes.values()) > self._total_bytes:
-            oldest = next(iter(sizes))
-            del sizes[oldest], self._files[oldest]
+        files = find_files(self.directory)
+        while len(files) > 1 and sum(file.stat().st_size for file in files) > self._total_bytes:
+            oldest = files.pop(0)
             try:
                 # Before the removal: metadata must never list a missing file.
-                write_metadata(self.directory, self._files.values())
+                write_metadata(self.directory, files)
                 oldest.unlink()
             except OSError:  # the disk may be too full for it, until the file is removed
                 (self.directory / METADATA).unlink(missing_ok=True)
                 oldest.unlink(missing_ok=True)
-                write_metadata(self.directory, self._files.values())
+                write_metadata(self.directory, files)
 
 
-class BagFile:
+class BagFile(McapWriter):
     """An mcap file that is being written, and that must be truncated after a write error.
 
     Otherwise the file would contain a part of the failed write, and the number of recoverable
@@ -223,12 +205,10 @@ class BagFile:
             FileExistsError: if the file exists.
             OSError: if the file cannot be written.
         """
+        super().__init__(path.open("xb"))
         self.path = path
         self.written = self.safe = 0
         self._safe_bytes = 0
-        self._stream: BinaryIO = path.open("xb")
-        self._writer = McapWriter(self._stream)
-        self._add = self._writer.add_message
         types = _read_types()
         kinds: list[str] = []
         for number, topic in enumerate(topics, start=1):
@@ -236,12 +216,10 @@ class BagFile:
             if kind not in kinds:
                 kinds.append(kind)
                 definition = read_definition(kind).encode()
-                self._writer.add_schema(Schema(len(kinds), definition, "ros2msg", kind))
+                self.add_schema(Schema(len(kinds), definition, "ros2msg", kind))
             about = {_PROFILES: _write_yaml([_describe_qos(topic.qos)]), _HASH: types[kind]["hash"]}
-            self._writer.add_channel(
-                Channel(number, topic.name, "cdr", about, kinds.index(kind) + 1)
-            )
-        self._counts = [0] * len(topics)
+            self.add_channel(Channel(number, topic.name, "cdr", about, kinds.index(kind) + 1))
+        self._sequences = [0] * len(topics)
 
     @property
     def size(self) -> int:
@@ -259,8 +237,8 @@ class BagFile:
             OSError: if writing fails, for instance because the disk is full.
         """
         for index, message in messages:
-            self._add(index + 1, time_ns, message, time_ns, self._counts[index])
-            self._counts[index] += 1
+            self.add_message(index + 1, time_ns, message, time_ns, self._sequences[index])
+            self._sequences[index] += 1
         self.written += 1
 
     def flush(self, *, to_disk: bool = False) -> None:
@@ -272,7 +250,7 @@ class BagFile:
         Raises:
             OSError: if writing fails, for instance because the disk is full.
         """
-        self._writer.flush()
+        super().flush()
         if to_disk:
             os.fsync(self._stream.fileno())
         self.safe, self._safe_bytes = self.written, self._stream.tell()
@@ -283,7 +261,7 @@ class BagFile:
         Raises:
             OSError: if writing fails, for instance because the disk is full.
         """
-        self._writer.finish()
+        self.finish()
         self.flush()
         self._stream.close()
 
@@ -317,7 +295,7 @@ class BagWriter(BagFile):
         """
         self.directory = directory
         directory.mkdir(parents=True)
-        super().__init__(name_next_file([], directory), topics)
+        super().__init__(name_next_file(directory), topics)
 
     def write_tick(self, time_ns: int, messages: Sequence[bytes]) -> None:
         """Write the messages of a tick.
@@ -341,7 +319,7 @@ class BagWriter(BagFile):
                 then restores the safe ticks.
         """
         super().close()
-        write_metadata(self.directory, [read_index(self.path)])
+        write_metadata(self.directory, [self.path])
 
 
 def find_files(bag: Path) -> list[Path]:
@@ -350,39 +328,20 @@ def find_files(bag: Path) -> list[Path]:
     return sorted(numbered, key=lambda path: int(_read_number(path)))
 
 
-def name_next_file(files: Sequence[Path], bag: Path) -> Path:
-    """Return the path of the file that follows the given files, which are sorted, oldest first."""
+def name_next_file(bag: Path) -> Path:
+    """Return the path of the file that follows the files of a bag."""
+    files = find_files(bag)
     number = int(_read_number(files[-1])) + 1 if files else 0
     return bag / f"{bag.name}_{number}.mcap"
 
 
 def name_recovered_bag(bag: Path) -> Path:
     """Return the default path of the recovered copy of a damaged bag, next to the bag."""
-    place = bag.resolve()
-    return place.parent / f"{place.name}-recovered"
+    return bag.resolve().with_name(f"{bag.resolve().name}-recovered")
 
 
 def _read_number(file: Path) -> str:
     return file.stem.rpartition("_")[2]
-
-
-class FileIndex(NamedTuple):
-    """The index of a closed file of a bag.
-
-    Attributes:
-        name: name of the file.
-        size: size of the file (bytes).
-        types: message types, keyed by schema number.
-        channels: channels, one for each topic.
-        statistics: number of messages, and the times of the first and the last message (ns since
-            1970).
-    """
-
-    name: str
-    size: int
-    types: dict[int, str]
-    channels: list[Channel]
-    statistics: Statistics
 
 
 def seek_summary(stream: BinaryIO) -> Footer | None:
@@ -395,11 +354,16 @@ def seek_summary(stream: BinaryIO) -> Footer | None:
     return footer
 
 
-def read_index(path: Path) -> FileIndex | None:
-    """Return the index of a file; None if the file was not closed or cannot be read."""
+def _read_index(path: Path) -> tuple[dict[int, str], list[Channel], Statistics] | None:
+    """Return the index of a file; None if the file was not closed or cannot be read.
+
+    Returns:
+        Message types by the numbers of their schemas, the channels of all topics, and the number
+        of messages with the times of the first and the last message (ns since 1970).
+    """
     types: dict[int, str] = {}
     channels: list[Channel] = []
-    with suppress(OSError, *DAMAGED), path.open("rb") as stream:
+    with suppress(Exception), path.open("rb") as stream:  # the library raises any error
         if seek_summary(stream) is None:
             return None
         # Do not read to the end: a day has thousands of chunks, each with an index.
@@ -409,58 +373,61 @@ def read_index(path: Path) -> FileIndex | None:
             elif isinstance(record, Channel):
                 channels.append(record)
             elif isinstance(record, Statistics):
-                return FileIndex(path.name, path.stat().st_size, types, channels, record)
+                return types, channels, record
     return None
 
 
-def write_metadata(bag: Path, indices: Iterable[FileIndex | None]) -> None:
+def write_metadata(bag: Path, files: Sequence[Path]) -> None:
     """Replace ``metadata.yaml`` atomically, so that readers find either the old or the new text.
 
     Args:
         bag: directory of the bag.
-        indices: indices of the bag's files, oldest first; None for a file that was not closed
-            and is therefore not listed. If no file was closed, ``metadata.yaml`` is removed.
+        files: the bag's files, oldest first. A file that was not closed is not listed; if no file
+            was closed, ``metadata.yaml`` is removed.
 
     Raises:
         OSError: if ``metadata.yaml`` cannot be written; the old file is then unchanged.
     """
-    files = [index for index in indices if index is not None]
-    if not files:
+    indices = {file: index for file in files if (index := _read_index(file)) is not None}
+    if not indices:
         (bag / METADATA).unlink(missing_ok=True)
         return
     topics: dict[str, dict[str, Any]] = {}
-    for file in files:
-        for channel in file.channels:
+    for types, channels, statistics in indices.values():
+        for channel in channels:
             topic = topics.setdefault(channel.topic, {
                 "topic_metadata": {
                     "name": channel.topic,
-                    "type": file.types.get(channel.schema_id, ""),
+                    "type": types.get(channel.schema_id, ""),
                     "serialization_format": channel.message_encoding,
                     "offered_qos_profiles": _read_profiles(channel.metadata.get(_PROFILES, "")),
                     "type_description_hash": channel.metadata.get(_HASH, ""),
                 },
                 "message_count": 0,
             })
-            topic["message_count"] += file.statistics.channel_message_counts.get(channel.id, 0)
+            topic["message_count"] += statistics.channel_message_counts.get(channel.id, 0)
+    messages = {file: statistics for file, (*_, statistics) in indices.items()}
     replace_text(bag / METADATA, _write_yaml({"rosbag2_bagfile_information": {
         "version": _METADATA_VERSION,
         "storage_identifier": "mcap",
-        **_describe_messages(files),
+        **_describe_messages(messages.values()),
         "topics_with_message_count": list(topics.values()),
         # Refers to whole files; the chunks are compressed, as the mcap files themselves state.
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [file.name for file in files],
-        "files": [{"path": file.name, **_describe_messages([file])} for file in files],
+        "relative_file_paths": [file.name for file in indices],
+        "files": [
+            {"path": file.name, **_describe_messages([of_file])}
+            for file, of_file in messages.items()
+        ],
         # Shows how much is lost if a file is cut later.
-        "custom_data": {f"bytes of {file.name}": str(file.size) for file in files},
+        "custom_data": {f"bytes of {file.name}": str(file.stat().st_size) for file in indices},
         "ros_distro": "jazzy",
     }}))
 
 
-def _describe_messages(files: Sequence[FileIndex]) -> dict[str, Any]:
+def _describe_messages(statistics: Collection[Statistics]) -> dict[str, Any]:
     """Return the period and the number of the messages in files, as in ``metadata.yaml``."""
-    statistics = [file.statistics for file in files]
     start = min(of_file.message_start_time for of_file in statistics)
     end = max(of_file.message_end_time for of_file in statistics)
     return {
@@ -477,12 +444,10 @@ def read_recorded(bag: Path) -> dict[str, tuple[int, int]]:
     """
     with suppress(ConfigurationError, AttributeError, KeyError, TypeError, ValueError):
         about = read_yaml(bag / METADATA)["rosbag2_bagfile_information"]
+        counts = {str(file["path"]): int(file["message_count"]) for file in about["files"]}
         sizes = about.get("custom_data") or {}
         return {
-            str(file["path"]): (
-                int(file["message_count"]), int(sizes.get(f"bytes of {file['path']}", 0))
-            )
-            for file in about["files"]
+            name: (count, int(sizes.get(f"bytes of {name}", 0))) for name, count in counts.items()
         }
     return {}
 
@@ -526,7 +491,6 @@ def _write_yaml(content: object) -> str:
 
 def _read_profiles(profiles: str) -> list[Any]:
     """Return the QoS profiles in a channel's metadata; an empty list if the YAML is invalid."""
-    read = None
-    with suppress(ConfigurationError):
-        read = json.loads(json.dumps(parse_yaml(profiles, Path(METADATA))))  # plain mappings
-    return read or []
+    with suppress(yaml.YAMLError, RecursionError, ValueError):
+        return yaml.safe_load(profiles) or []
+    return []

@@ -20,7 +20,7 @@ from greenroof_ros.controllers.anticipating import AfterForecast
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
 from greenroof_ros.controllers.regret_budget import RegretBudget
 from greenroof_ros.controllers.roof_observer import RoofObserver
-from greenroof_ros.forecast.models import PerfectModel
+from greenroof_ros.forecast.models import ForecastModel
 from greenroof_ros.forecast.steps import SteppedForecast
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.simulation.loop import Simulation
@@ -138,7 +138,7 @@ def test_a_longer_forecast_does_no_harm_on_a_field_capacity_soil(tmp_path: Path)
         )
         run = rain_scaled(run, 2)
         perfect = SteppedForecast(
-            PerfectModel(run.weather), run.weather, run.series, run.site, run.start,
+            ForecastModel(run.weather), run.weather, run.series, run.site, run.start,
             growing_steps(float(horizon)), run.controller.ensemble,
         )
         totals.append(metrics_of(replace(run, forecast=perfect))["total_deviation_m3"])

@@ -10,7 +10,6 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from archives import write_runs
 from graphs import bring_up, messages_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -18,9 +17,13 @@ from numpy.typing import NDArray
 from paper import MIDNIGHT, PAPER_SITE, paper_run, site_with, weather_of
 from refusals import refusal
 
-from greenroof_ros.forecast.archive import read_archive, read_forecasts, write_forecasts
 from greenroof_ros.forecast.choice import ForecastChoice, choose
-from greenroof_ros.forecast.issue import Archive, IssuedForecast
+from greenroof_ros.forecast.issue import (
+    IssuedForecast,
+    read_archive,
+    read_forecasts,
+    write_forecasts,
+)
 from greenroof_ros.forecast.models import (
     ErrorModel,
     FileModel,
@@ -50,9 +53,14 @@ def both(forecast: Forecast, tick: int) -> list[bytes]:
 # --- means over steps --------------------------------------------------------------------------
 
 
-def archive_of(*issues: IssuedForecast) -> Archive:
-    """Return an archive whose issues are known at once."""
-    return Archive(Path("archive.csv"), "own form", issues, 0.0, issues)
+def issue_of(
+    issued: datetime, rain: Array, evapotranspiration: Array | None = None, delay: float = 0.0
+) -> IssuedForecast:
+    """Return an issue that is known some hours after its nominal time."""
+    values = {"precipitation": rain}
+    if evapotranspiration is not None:
+        values["evapotranspiration"] = evapotranspiration
+    return IssuedForecast(issued, issued + delay * HOUR, Path("archive.csv"), None, values)
 
 
 @settings(max_examples=40)
@@ -74,12 +82,9 @@ def test_means_count_every_second(
     weather = weather_of(chance.uniform(0, 20, 6), chance.uniform(0, 9, 6))
     rain = chance.uniform(0, 20, (7, 2, 12)) * (chance.random((7, 2, 12)) < 0.5)
     evaporated = chance.uniform(0, 9, (7, 12))
-    hourly = archive_of(*(
-        IssuedForecast(
-            MIDNIGHT + hour * HOUR, Path("archive.csv"), None, rain[hour], evaporated[hour]
-        )
-        for hour in range(7)
-    ))
+    hourly = [
+        issue_of(MIDNIGHT + hour * HOUR, rain[hour], evaporated[hour]) for hour in range(7)
+    ]
     site = site_with(tau=float(tau))
     start = MIDNIGHT + timedelta(seconds=offset)
     edges = growing_steps(horizon) if horizon else tau * np.arange(site.M + 1.0)
@@ -160,10 +165,7 @@ BY_MINUTE = np.zeros((24, 60))
 BY_MINUTE[12, 45:] = BY_MINUTE[13] = 30.0
 DAY = replace(weather_of(BY_MINUTE.mean(axis=1)), minutes=BY_MINUTE)
 ISSUES = [
-    IssuedForecast(
-        MIDNIGHT + hour * HOUR, Path("archive.csv"), None, np.outer((1.0, 10.0), rain),
-        np.full(len(rain), 4.0),
-    )
+    issue_of(MIDNIGHT + hour * HOUR, np.outer((1.0, 10.0), rain), np.full(len(rain), 4.0))
     for hour, rain in ((6, [0.1] * 6 + [0.4, 0.8, 1.2] + [0.1] * 9), (13, [2.0, 3.0] + [0.1] * 9))
 ]
 
@@ -209,7 +211,7 @@ def test_the_rest_of_the_hour_is_forecast(name: str, records: str) -> None:
         start = moment - timedelta(seconds=tau * tick)
         series = WeatherSeries(weather, site, start, tick + 1)
         forecast = SteppedForecast(
-            FileModel(archive_of(*ISSUES), weather, True), weather, series, site, start,
+            FileModel(ISSUES, weather, True), weather, series, site, start,
             growing_steps(horizon) if horizon else tau * np.arange(site.M + 1.0), True,
         )
         rain = np.asarray(forecast.precipitation(tick))
@@ -386,14 +388,12 @@ def test_archives_by_definition(delay: float, late: int, evaporates: bool) -> No
     """
     chance, begins = np.random.default_rng(7), (0, 6, 14)
     rain, dried = chance.uniform(0, 9, (3, 2, 30)), chance.uniform(0, 9, (3, 30))
-    own = archive_of(*(
-        IssuedForecast(
-            MIDNIGHT + begin * HOUR, Path(), None, rain[n], dried[n] if evaporates else None
-        )
+    own = [
+        issue_of(MIDNIGHT + begin * HOUR, rain[n], dried[n] if evaporates else None, delay)
         for n, begin in enumerate(begins)
-    ))
+    ]
     weather = replace(weather_of(np.zeros(48), chance.uniform(0, 9, 48)), rain_late=late)
-    model = FileModel(replace(own, delay=delay), weather, True)
+    model = FileModel(own, weather, True)
     for hour in range(6, 40):
         newest = [n for n, begin in enumerate(begins) if begin + delay + late <= hour][-1]
         age = hour - begins[newest]
@@ -406,43 +406,29 @@ def test_archives_by_definition(delay: float, late: int, evaporates: bool) -> No
             if evaporates:
                 expected = dried[newest, lead if lead < 30 else 6 + (lead - 6) % 24]
             assert got_evapotranspiration[lead - age] == expected
-        end = 30 if evaporates else 30 + late
-        assert model.repeats_from(hour, end - age) is None
-        assert model.repeats_from(hour, end - age + 1) == MIDNIGHT + (hour - age + end) * HOUR
-    # Without evapotranspiration it needs the records, which end before the issue here.
-    short = replace(weather, values={name: hours[:40] for name, hours in weather.values.items()})
-    needs = FileModel(replace(own, delay=delay), short, True)
-    assert needs.repeats_from(39, 2) == (None if evaporates else short.end)
+        ends = hour - age + 30 if evaporates else min(hour - age + 30 + late, 48)
+        assert model.end(hour) == MIDNIGHT + ends * HOUR
 
 
-def test_hours_of_records_and_issues(tmp_path: Path) -> None:
+def test_hours_of_records_and_issues() -> None:
     """They start together, in any time zone; before the first issue is known there is none."""
     def model(first: str, delay: float) -> FileModel:
-        archive = read_archive(tmp_path / "runs", PAPER_SITE, delay)
         dry = weather_of(np.zeros(48), first=datetime.fromisoformat(first))
-        return FileModel(archive, dry, False)
+        return FileModel([
+            issue_of(
+                MIDNIGHT + 6 * number * HOUR, np.arange(48.0)[None] / 100 + number, delay=delay
+            ) for number in range(-1, 7)
+        ], dry, False)
 
-    write_runs(tmp_path / "runs")
     # 06:00 UTC
-    assert model("2021-07-07T11:30+05:30", 0.0).forecast(0, 2)[0][0].tolist() == [2.0, 2.01]
-    # 05:30 UTC, in the middle of the hours 5 and 6 of the run of 00 UTC.
+    assert model("2021-07-07T11:30+05:30", 0.0).forecast(0, 2)[0][0].tolist() == [1.0, 1.01]
+    # 05:30 UTC, in the middle of the hours 5 and 6 of the issue of 00 UTC.
     between = model("2021-07-07T11:00+05:30", 0.0).forecast(0, 2)[0][0]
-    assert between.tolist() == pytest.approx([1.055, 1.065])
+    assert between.tolist() == pytest.approx([0.055, 0.065])
     late = model("2021-07-06T00:00+00:00", 6.0)
     needed = "available before 2021-07-07T00:00.00:00, but the run needs one at 2021-07-06T23:00"
     refusal(late.forecast, 23, 1, match=needed)
     assert late.forecast(24, 1)[0].shape == (1, 1)
-
-
-def test_evapotranspiration_in_a_part(tmp_path: Path) -> None:
-    """The error names a file of an archive that differs from the others in this column."""
-    for day, evapotranspiration in ((7, None), (8, np.ones(1))):
-        file = tmp_path / f"{day}.csv"
-        midnight = MIDNIGHT.replace(day=day)
-        issue = IssuedForecast(midnight, file, None, np.zeros((1, 1)), evapotranspiration)
-        file.write_text(write_forecasts([issue]))
-    wrong = r"8.csv, line 2: must contain evapotranspiration if and only if 7.csv does"
-    refusal(read_archive, tmp_path, PAPER_SITE, match=wrong)
 
 
 def test_end_of_the_records() -> None:
@@ -475,15 +461,16 @@ def test_the_graph_is_given_the_same(domain: int, tmp_path: Path) -> None:
     carries its directory of forecasts, and the graph reads the copy.
     """
     pytest.importorskip("rclpy", reason="the graph needs ROS 2")
-    write_runs(tmp_path / "runs")
+    (tmp_path / "runs").mkdir()
+    for number in range(2):
+        issue = issue_of(MIDNIGHT + 6 * number * HOUR, np.arange(48.0)[None] / 100 + number)
+        (tmp_path / "runs" / f"run_{number}.csv").write_text(write_forecasts([issue]))
     options = ["--controller", "mpc", "--start", "2021-07-07T01:55", "--hours", "0.1"]
     options += ["--forecast-delay", "0.5", "--forecast"]
     summary = bring_up(domain, tmp_path, *options, "runs")
     assert summary["forecast"] == {"model": "file", "file": "runs", "delay": 0.5}
     kept = tmp_path / "run" / "configuration" / "forecast" / "runs"
-    assert (kept / "run_2021070700.json").read_bytes() == (
-        tmp_path / "runs" / "run_2021070700.json"
-    ).read_bytes()
+    assert (kept / "run_0.csv").read_bytes() == (tmp_path / "runs" / "run_0.csv").read_bytes()
     run, bag = paper_run(*options, str(tmp_path / "runs")), messages_of(tmp_path / "run")
     for topic, forecast in (
         ("/forecast/precipitation", run.forecast.precipitation),

@@ -11,7 +11,7 @@ from graphs import environment
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.commands.simulate import main
-from greenroof_ros.forecast.archive import read_forecasts
+from greenroof_ros.forecast.issue import read_forecasts
 
 HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day]"
 MEMBERS = "issued,time,member,precipitation [mm/h]"
@@ -44,11 +44,10 @@ FORECASTS = [
     (["issued,time", f"{H0},{H0}"], 1, "'precipitation [mm/h]'"),
     ([f"{HEADER},snow [cm]", f"{H0},{H0},0,2,1"], 1, "an extra column"),
     ([HEADER, f"{H0},{H0},0,2", f"{H0},{H2},0,2"], 3, f"must be {H1}"),
-    ([HEADER, f"{H1},{H1},0,2", f"{H0},{H0},0,2"], 3, "must be in chronological order"),
     ([MEMBERS, f"{H0},{H0},-1,0"], 2, "member = '-1': must be a number from 0 to 99 (whole)"),
     ([MEMBERS, f"{H0},{H0},{'9' * 5000},0"], 2, "member = '99"),
     ([MEMBERS, f"{H0},{H0},0,0", f"{H0},{H0},2,0"], 2,
-     "members 0, 2, but the members must be numbered 0, 1, 2 and"),
+     "must have the members 0, 1, 2 and so on, without gaps"),
 ]
 
 

@@ -23,8 +23,8 @@ from greenroof_ros.base.files import (
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.controllers.outlet import find_horizon
 from greenroof_ros.controllers.registry import BUILT_IN, ControllerChoice, find_controller
-from greenroof_ros.forecast.archive import read_archive, write_forecasts
 from greenroof_ros.forecast.choice import MODELS, OPTIONS, PERFECT, ForecastChoice
+from greenroof_ros.forecast.issue import read_archive, write_forecasts
 from greenroof_ros.physics.sensor_and_pump import PARAMETERS, SensorAndPump
 from greenroof_ros.physics.start import INITIAL_STATES
 from greenroof_ros.results.table import format_exactly
@@ -356,10 +356,7 @@ class _Grid:
         if path is None:
             return choice, None
         if path.is_dir():
-            archive = read_archive(path, site, choice.delay)
-            if all(issue.available is None for issue in archive.issues):
-                choice = replace(choice, delay=archive.delay)
-            text = write_forecasts(archive.issues)
+            text = write_forecasts(read_archive(path, site))
             file = self._input(path.with_name(f"{path.name}.csv"), text.encode())
         else:
             file = self._input(path)

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.analysis.verification.scores import Tally
 from greenroof_ros.base.times import to_people
-from greenroof_ros.forecast.archive import read_archive
-from greenroof_ros.forecast.issue import align_to_hours
+from greenroof_ros.forecast.issue import read_verified
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.records import HOUR
 from greenroof_ros.weather.series import Weather
@@ -71,21 +70,22 @@ def read_issued_forecasts(
     Raises:
         ConfigurationError: if the archive is invalid.
     """
-    archive = read_archive(file, site)
-    verified = align_to_hours(archive.verified, weather)
+    issues, finest_lead = read_verified(file, site)
+    verified = [issue.align(weather.first) for issue in issues]
     first = weather.rain_from
     end = first + len(weather.precipitation) * HOUR
     within = [
         issue for issue in verified
-        if issue.issued < end and issue.issued + issue.hours * HOUR > first
+        if issue.issued < end and issue.end > first
     ]
     begins = min(issue.issued for issue in verified)
-    ends = max(issue.issued + issue.hours * HOUR for issue in verified)
+    ends = max(issue.end for issue in verified)
     return IssuedForecasts(
-        f"{archive.source} ({archive.kind})", archive.members,
-        min(horizon, max((issue.hours for issue in within), default=horizon)), archive.finest_lead,
+        str(file), len(issues[0].rain),
+        min(horizon, max((issue.hours for issue in within), default=horizon)), finest_lead,
         f"{to_people(begins)} to {to_people(ends)}",
-        [((issue.issued - first) // HOUR, issue.rain) for issue in within], archive.notes,
+        [((issue.issued - first) // HOUR, issue.rain) for issue in within],
+        tuple(dict.fromkeys(note for issue in issues for note in issue.notes)),
     )
 
 

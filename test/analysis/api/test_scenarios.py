@@ -15,7 +15,7 @@ from refusals import refusal
 
 import greenroof_ros as gr
 from greenroof_ros.analysis.api.scenarios import read_references
-from greenroof_ros.forecast.archive import read_archive
+from greenroof_ros.forecast.issue import read_archive
 from greenroof_ros.simulation.bound import bound_discharge
 from greenroof_ros.simulation.loop import simulate
 
@@ -201,7 +201,7 @@ def test_the_forecasts_of_a_week_before_are_the_same_a_week_later(tmp_path):
     late = tmp_path / "late.csv"
     delay_by_a_week(archive, late)
     site = gr.scenarios["season-forecasts"].inputs["site"]
-    ours, theirs = (read_archive(file, site).issues for file in (archive, late))
+    ours, theirs = (read_archive(file, site) for file in (archive, late))
     assert len(ours) == len(theirs) > 700
     for issue, later in zip(ours[::50], theirs[::50], strict=True):
         assert (later.issued - issue.issued).days == 7

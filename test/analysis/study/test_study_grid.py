@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,7 @@ from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.analysis.workers.input_files import write_inputs
 from greenroof_ros.base.parameter import parameters_of
 from greenroof_ros.commands.study import show
-from greenroof_ros.forecast.archive import read_archive
+from greenroof_ros.forecast.issue import read_archive
 from greenroof_ros.physics.sensor_and_pump import PARAMETERS
 from greenroof_ros.simulation.inputs import RunInputs
 from greenroof_ros.site.file import format_site, read_site
@@ -284,11 +283,10 @@ def test_a_directory_of_forecasts_with_two_delays(tmp_path: Path) -> None:
     known = {}
     for case in cases:
         inputs = case.find_inputs(tmp_path / "inputs")
-        archive = read_archive(inputs.forecast.file, inputs.build().site, inputs.forecast.delay)
-        known[case.inputs.forecast] = archive.issues[0].available, archive.delay
-    assert [*known.values()] == [
-        (None, 1.0), (datetime.fromisoformat("2021-07-07T01:30-05:00"), 0.0)
-    ]
+        choice = inputs.forecast
+        (issue,) = read_archive(choice.file, inputs.build().site, choice.delay)
+        known[case.inputs.forecast] = f"{issue.available:%H:%M}"
+    assert [*known.values()] == ["01:00", "01:30"]
 
 
 def test_each_input_makes_another_case(tmp_path: Path) -> None:

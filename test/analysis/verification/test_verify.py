@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import run_command
+from numpy.typing import NDArray
 from places import DATA
 from scipy import stats
 
-from greenroof_ros.forecast.archive import write_forecasts
-from greenroof_ros.forecast.issue import IssuedForecast
+from greenroof_ros.forecast.issue import IssuedForecast, write_forecasts
 
 GEM = DATA / "gem_global_previous_runs_2024-03.csv"
 JULY = DATA / "en_climate_hourly_07-2021.csv"
@@ -41,6 +41,11 @@ def write_previous_runs(file: Path, days: dict[int, Sequence[object]]) -> None:
         *(f"{FIRST + hour * HOUR:%Y-%m-%d %H:%M:%S},{','.join(map(str, row))}"
           for hour, row in rows), "",
     ]))
+
+
+def issue_of(issued: datetime, rain: NDArray[np.float64]) -> IssuedForecast:
+    """Return an issue that is known at once."""
+    return IssuedForecast(issued, issued, Path(), None, {"precipitation": rain})
 
 
 def run(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -113,7 +118,7 @@ def test_previous_runs_by_their_definition(tmp_path: Path) -> None:
 def test_runs_by_lead(tmp_path: Path) -> None:
     """An ensemble of two runs: each hour's lead counts from its run, with all its members."""
     (tmp_path / "runs.csv").write_text(write_forecasts([
-        IssuedForecast(FIRST + hour * HOUR, tmp_path, None, np.repeat([members], 12, axis=0).T)
+        issue_of(FIRST + hour * HOUR, np.repeat([members], 12, axis=0).T)
         for hour, members in ((0, (0.0, 2.0)), (6, (4.0, 1.0)))
     ]))
     write_gauge(tmp_path / "own.csv", [0.0] * 6 + [1.0] * 6 + [3.0] * 6 + [0.0] * 6)
@@ -143,7 +148,7 @@ def test_rain_that_is_an_hour_late(tmp_path: Path) -> None:
     rain = rain_of_july()[1:]  # the first row's hour was before the records
     first = datetime.fromisoformat("2021-07-01T00:00-05:00")
     (tmp_path / "right.csv").write_text(write_forecasts([
-        IssuedForecast(first + hour * HOUR, tmp_path, None, np.array([rain[hour:hour + 24]]))
+        issue_of(first + hour * HOUR, np.array([rain[hour:hour + 24]]))
         for hour in range(0, len(rain), 24)
     ]))
     (hourly,) = scores(
@@ -205,7 +210,7 @@ def test_notes_of_what_was_left_out(tmp_path: Path) -> None:
     """Of the archive, on standard error."""
     write_gauge(tmp_path / "gauge.csv", [0.1] * 72)
     issues = [
-        IssuedForecast(FIRST + day * 24 * HOUR, tmp_path, None, np.full((3, 24), 0.2))
+        issue_of(FIRST + day * 24 * HOUR, np.full((3, 24), 0.2))
         for day in range(3)
     ]
     lines = write_forecasts(issues).splitlines()

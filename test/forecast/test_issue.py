@@ -1,4 +1,4 @@
-"""Archives of forecasts: own form, and previous runs and runs of Open-Meteo."""
+"""Issued forecasts and their files: own form, and previous runs of Open-Meteo."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import json
 import math
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 import pytest
 from archives import answer
 from places import CONFIG, DATA
 from refusals import refusal
 
 from greenroof_ros.base.times import parse_time
-from greenroof_ros.forecast.archive import read_archive, read_forecasts, write_forecasts
+from greenroof_ros.forecast.issue import read_archive, read_forecasts, write_forecasts
 from greenroof_ros.site.file import read_site
 
 TORONTO = read_site(CONFIG / "site.yaml")
@@ -42,9 +42,9 @@ def test_issues_of_previous_runs(file: Path) -> None:
     older one was known, too; an issue ends where none was known.
     """
     rows = saved(file)
-    archive = read_archive(file, TORONTO)
-    assert (archive.kind, archive.delay) == ("Open-Meteo, previous runs", 6.0)
-    by_time = {issue.issued: issue for issue in archive.issues}
+    issues = read_archive(file, TORONTO)
+    assert {issue.available - issue.issued for issue in issues} == {6 * HOUR}
+    by_time = {issue.issued: issue for issue in issues}
     for start in rows:
         if start.hour % 6:
             assert start not in by_time
@@ -80,37 +80,12 @@ def test_the_same_in_all_forms(tmp_path: Path) -> None:
         },
     )))
     whole, *others = (
-        [(issue.issued, issue.rain.tolist()) for issue in read_archive(source, TORONTO).issues]
+        [(issue.issued, issue.rain.tolist()) for issue in read_archive(source, TORONTO)]
         for source in (
             KNMI, tmp_path / "aware.csv", tmp_path / "parts", tmp_path / "answer.json",
         )
     )
     assert others == [whole, whole, whole]
-
-
-def test_runs(tmp_path: Path) -> None:
-    """Each begins at the run in its file's name, and ends at the model's horizon.
-
-    The rain at that time fell before it, and is left out; so are earlier hours, which an answer has
-    on request. Control and members are in the order of their numbers.
-    """
-    for name, factor in (("gem_2024060112", 1.0), ("gem-2024-06-01T18", 2.0)):
-        (tmp_path / f"{name}.json").write_text(json.dumps(answer(
-            "2024-06-01T00:00", 24,
-            precipitation_member02=[2 * factor] * 23 + [None],
-            precipitation=[0.0] * 22 + [0.5, None], precipitation_member01=[factor] * 23 + [None],
-        )))
-    archive = read_archive(tmp_path, TORONTO)
-    assert (archive.kind, archive.delay, archive.members) == ("Open-Meteo, runs", 6.0, 3)
-    first, second = archive.issues
-    assert first.issued.isoformat() == "2024-06-01T12:00:00+00:00"
-    assert second.issued - first.issued == 6 * HOUR
-    assert first.rain.tolist() == [[0.0] * 9 + [0.5], [1.0] * 10, [2.0] * 10]
-    assert second.rain.tolist() == [[0.0] * 3 + [0.5], [2.0] * 4, [4.0] * 4]
-    file = tmp_path / "without_control_2024060112.json"
-    members = {f"precipitation_member0{number}": [number] * 6 for number in (2, 1)}
-    file.write_text(json.dumps(answer("2024-06-01T12:00", 6, **members)))
-    assert read_archive(file, TORONTO).issues[0].rain[:, 0].tolist() == [1.0, 2.0]
 
 
 def test_own_forecasts(tmp_path: Path) -> None:
@@ -138,12 +113,6 @@ def test_own_forecasts(tmp_path: Path) -> None:
 # --- what is refused ------------------------------------------------------------------------------
 
 
-def run_of(day: int = 1, **columns: list[Any]) -> str:
-    """Return the JSON of a run on a day of June."""
-    rain = {"precipitation": [0.0] * 6, **columns}
-    return json.dumps(answer(f"2024-06-{day:02}T12:00", 6, **rain))
-
-
 HEAD = KNMI.read_text().splitlines()[0]
 ROWS = ["2024-03-01 00:00:00,0.0,0.1,0.2,0.3,0.4", "2024-03-01 01:00:00,0.0,0.1,0.2,0.3,0.4"]
 OWN = "issued,time,precipitation [mm/h]\n2024-06-01T00:00Z,2024-06-01T00:00Z,0\n"
@@ -157,21 +126,23 @@ WRONG = {
     "days.json": ('{"daily": {"time": ["2021-07-07"]}}', ": must be an answer of Open-Meteo"),
     "temperature.csv": (
         "\n".join([HEAD.replace("precipitation", "temperature_2m"), *ROWS, ""]),
-        ", line 1: 'datetime': must begin with 'issued'",
+        ", line 1: 'datetime': must begin with issued, or",
     ),
     "half.csv": (
-        "\n".join([HEAD, *ROWS, "2024-03-01 01:30:00,0,0,0,0,0"]), ", line 4: datetime = ",
+        "\n".join([HEAD, *ROWS, "2024-03-01 01:30:00,0,0,0,0,0"]),
+        ", line 4: time: this row is 30 min after the previous",
     ),
     "word.csv": ("\n".join([HEAD, ROWS[0].replace("0.1", "rain")]),
                  ", line 2: precipitation_previous_day2 = 'rain'"),
-    "unnamed.json": (run_of(), ": the file name must end with the time of the run"),
-    "other_2024060118.json": (run_of(), ": must contain the hour after its run, 2024-06-01T18:00"),
     "hours.csv": (
         "\n".join([HEAD, *(f"2024-03-01 {hour:02}:00:00,0,0,0,0,0" for hour in range(2, 7))]),
         ": must contain a value for an hour that starts at 00, 06, 12 or 18 UTC",
     ),
     "gap.csv": (OWN + "2024-06-01T00:00Z,2024-06-01T02:00Z,0\n", ", line 3: time = "),
-    "early.csv": (OWN + "2024-05-31T00:00Z,2024-05-31T00:00Z,0\n", ", line 3: issued = "),
+    "member.csv": (
+        OWN.replace("time,", "time,member,").replace("Z,0", "Z,1,0"), ", line 2: member = '1'",
+    ),
+    "empty.csv": (OWN.replace(",0\n", ",\n"), ", line 2: lacks a value for the hour"),
     "negative.csv": (OWN.replace(",0\n", ",-1\n"), ", line 2: precipitation [mm/h] = '-1'"),
 }
 
@@ -186,20 +157,38 @@ def test_wrong_files(tmp_path: Path, name: str) -> None:
 
 
 def test_wrong_directories(tmp_path: Path) -> None:
-    """An archive has one form, one kind, and each issue once."""
+    """An archive has one form and one kind; an issue that occurs twice counts once."""
     refusal(read_archive, tmp_path, TORONTO, match="must contain forecast files")
-    (tmp_path / "a_2024060112.json").write_text(run_of(1))
+    (tmp_path / "a.csv").write_text(OWN)
     for name, text, wrong in (
-        ("README.md", "# Forecasts", r"README.md: must have the suffix .csv or .json, like "),
-        (
-            "b_2024060112.json", run_of(1, precipitation=[1.0] * 6),
-            r"contains the issue of 2024-06-01T12:00.00:00, which is already in a_2024060112.json",
-        ),
-        ("b.csv", GEM.read_text(), r"a_2024060112.json: must contain previous runs, like b.csv"),
-        ("b.csv", OWN, r"b.csv: must have the form of a_2024060112.json, like"),
+        ("b.csv", GEM.read_text(), r"b.csv, line 1: 'datetime': the column must be 'issued'"),
+        ("a.csv", GEM.read_text(), "b.csv, line 1: 'issued': must begin with issued, or"),
     ):
+        (tmp_path / "b.csv").write_text(OWN)
         (tmp_path / name).write_text(text)
         refusal(read_archive, tmp_path, TORONTO, match=wrong)
-        (tmp_path / name).unlink()
-    (tmp_path / "b_2024060212.json").write_text(run_of(2))
-    assert len(read_archive(tmp_path, TORONTO).issues) == 2
+    (tmp_path / "a.csv").write_text(OWN.replace(",0\n", ",1\n"))
+    (tmp_path / "b.csv").write_text(OWN)
+    (tmp_path / "README.md").write_text("# Forecasts")
+    (issue,) = read_archive(tmp_path, TORONTO)
+    assert issue.rain.tolist() == [[0.0]]
+
+
+def test_issues_with_fewer_members(tmp_path: Path) -> None:
+    """A member with less than half of the hours is left out, and so is it in all other issues."""
+    file, hours = tmp_path / "a.csv", ("2024-06-01T00:00Z", "2024-06-01T01:00Z")
+    file.write_text(
+        "issued,time,member,precipitation [mm/h],temperature [degC]\n" + "".join(
+            f"{hours[0]},{time},{member},{'' if member == 2 else member},\n"
+            for member in range(3) for time in hours
+        ) + "".join(f"{hours[1]},{hours[1]},{member},{member},\n" for member in range(3))
+    )
+    first, second = read_archive(file, TORONTO, 2.0)
+    assert first.rain.tolist() == [[0.0] * 2, [1.0] * 2] and second.rain.tolist() == [[0.0], [1.0]]
+    assert "member 2 is left out: it has 0 hours, but the longest" in first.notes[0]
+    assert "2 members are used from every issue" in second.notes[0]
+    assert np.isnan(first.values["temperature"]).all()
+    assert first.available - first.issued == second.available - second.issued == 2 * HOUR
+    (tmp_path / "again.csv").write_text(write_forecasts([first]))
+    (again,) = read_forecasts(tmp_path / "again.csv")
+    assert again.available == first.available and again.repeats(first)
