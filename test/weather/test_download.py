@@ -256,7 +256,7 @@ def test_a_full_disk_is_named_and_a_larger_one_goes_on(service, tmp_path):
     (["--years", "2020", "--output", "old.csv"], "exists; choose another file name"),
     (["--years", "2020", "--output", "a.json"], "ends in .csv"),
     (["--years", "2020", "--output", "none/a.csv"], "an existing, writable directory"),
-    (["--years", "2020", "--site", "nowhere.yaml"], "latitude: must be in the site file"),
+    (["--years", "2020", "--site", "nowhere.yaml"], "longitude: must be in the site"),
     (["--years", "2020", "--site", "nowhere.yaml", "--eccc", "1"], "utc_offset: must be in the"),
     (["--years", "2020", "--site", "far.yaml"], "must be within 0.5 degrees of the site's"),
     (["--years", "2020", "--site", "high.yaml"], "must be within 300 m of the site's"),
