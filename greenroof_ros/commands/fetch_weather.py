@@ -177,7 +177,7 @@ def main() -> int:
             away = f", {km:.0f} km from the site"
         print(f"  at {format_place(*place)}{away}")
     for name, series in records.values.items():
-        spans = name_hours(records.first, np.flatnonzero(np.isnan(series)))
+        spans = name_hours(records.first, np.isnan(series))
         if spans:
             more = f", and {len(spans) - _MAX_NAMED} more" if len(spans) > _MAX_NAMED else ""
             print(f"  {name} is missing: {', '.join(spans[:_MAX_NAMED])}{more}")

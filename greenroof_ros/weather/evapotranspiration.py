@@ -224,18 +224,18 @@ def explain_missing(records: Records, hours: NDArray[np.int64]) -> str:
         records: the records passed to :func:`compute_fao56` or :func:`compute_hargreaves`.
         hours: indices of the run's hours in which the result is NaN.
     """
-    near = slice(max(0, int(hours.min()) - 24), int(hours.max()) + 25)
+    begin = max(0, int(hours.min()) - 24)
     missing = {
-        name: near.start + np.flatnonzero(np.isnan(records.values[name][near]))
+        name: np.isnan(records.values[name][begin : hours.max() + 25])
         for name in (*FOR_EVAPOTRANSPIRATION, RADIATION) if name in records.values
     }
     reasons = [
-        f"{name} at {', '.join(name_hours(records.first, of_name))}"
-        for name, of_name in missing.items() if of_name.size
+        f"the file lacks {name} at {', '.join(name_hours(records.first + begin * HOUR, marks))}"
+        for name, marks in missing.items() if marks.any()
     ]
-    if not reasons:
-        return "the file does not cover the whole day (0 to 24 h of local standard time)"
-    return "the file lacks " + "; ".join(reasons)
+    return "; ".join(reasons) or (
+        "the file does not cover the whole day (0 to 24 h of local standard time)"
+    )
 
 
 def hargreaves(latitude: float, days: Days, minimum: Values, maximum: Values) -> Values:

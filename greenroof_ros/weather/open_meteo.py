@@ -119,7 +119,7 @@ def read_answer(file: Path, site: Place, quantity_of: Callable[[str], str | None
         )
     times = hourly.get(TIME) or []
     for name, series in {TIME: times, **hourly}.items():
-        if not isinstance(series, list) or len(series) != len(times):
+        if not isinstance(series, list) or not series or len(series) != len(times):
             raise ConfigurationError(
                 "must be a list with one value for each time", file=file, key=f"hourly.{name}"
             )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -167,26 +167,23 @@ def find_gaps(missing: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(low), int(high)) for low, high in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def name_hours(first: datetime, hours: Iterable[int]) -> list[str]:
-    """Return descriptions of the periods formed by consecutive hours.
+def name_hours(first: datetime, marks: NDArray[np.bool_]) -> list[str]:
+    """Return descriptions of the periods formed by marked hours.
 
     Args:
         first: start of hour 0.
-        hours: indices of the hours.
+        marks: mask of the hours.
 
     Returns:
         One text for every period: ``2021-07-20T13:00-05:00`` for a single hour, otherwise the first
         and the last hour and the number of hours.
     """
-    indices = np.sort(np.array(list(hours), dtype=np.intp))
-    spans = []
-    for span in np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1):
-        times = [to_minutes(first + int(hour) * HOUR) for hour in span]
-        if len(times) > 1:
-            spans.append(f"{times[0]} to {times[-1]} ({len(times)} hours)")
-        else:
-            spans += times
-    return spans
+    spans = [(first + low * HOUR, high - low) for low, high in find_gaps(marks)]
+    return [
+        to_minutes(begin) if hours == 1 else
+        f"{to_minutes(begin)} to {to_minutes(begin + (hours - 1) * HOUR)} ({hours} hours)"
+        for begin, hours in spans
+    ]
 
 
 def join_records(parts: Sequence[Records]) -> Records:

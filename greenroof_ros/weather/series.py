@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from functools import cached_property
-from typing import Any, NamedTuple, overload
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,13 +126,7 @@ class PerTick(Sequence[float]):
         """Return the number of ticks."""
         return len(self.ticks)
 
-    @overload
-    def __getitem__(self, key: int) -> float: ...
-
-    @overload
-    def __getitem__(self, key: slice) -> array[float]: ...
-
-    def __getitem__(self, key: int | slice) -> float | array[float]:
+    def __getitem__(self, key: Any) -> Any:
         """Return the value of a tick, or the values of a range of ticks."""
         ticks = self.ticks[key]
         if isinstance(ticks, int):
@@ -223,7 +217,7 @@ class WeatherSeries:
         days = slice(max(0, run.start - 24), run.stop + 24)
         filled = {quantity: marks[days] for quantity, marks in weather.filled.items()}
         self.filled = {
-            quantity: name_hours(weather.first, days.start + np.flatnonzero(marks))
+            quantity: name_hours(weather.first + days.start * HOUR, marks)
             for quantity, marks in filled.items() if marks.any()
         }
         self.filled_counts = {quantity: int(marks.sum()) for quantity, marks in filled.items()}
@@ -296,11 +290,12 @@ def _refuse_missing(
     weather: Weather, quantity: str, hours: NDArray[np.int64], way_out: str
 ) -> None:
     """Reject records that lack a quantity for some hours; the message ends with ``way_out``."""
-    missing = np.unique(hours[np.isnan(weather.values[quantity][hours])])
-    if missing.size:
+    missing = np.zeros(weather.hours, np.bool_)
+    missing[hours] = np.isnan(weather.values[quantity][hours])
+    if missing.any():
         why = ", ".join(name_hours(weather.first, missing))
         if quantity == EVAPOTRANSPIRATION and weather.method in COMPUTED:
-            why += f" ({weather.method}): {explain_missing(weather, missing)}"
+            why += f" ({weather.method}): {explain_missing(weather, np.flatnonzero(missing))}"
         raise ConfigurationError(
             f"{quantity} is missing at {why}; {way_out}", file=weather.source
         )
