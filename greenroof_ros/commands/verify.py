@@ -30,6 +30,7 @@ from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.times import to_people
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.read import find_files, read_weather
+from greenroof_ros.weather.summary import as_lines, summarize
 
 _DESCRIPTION = """\
 Score rain forecasts against records, by lead time and by the number of hours over which the rain is
@@ -135,7 +136,10 @@ def main() -> None:
     console.print(_make_table(
         f"{forecasts.name}: {count} forecasts, compared with {weather.source}", tallies
     ))
-    notes = [*filter(None, [weather.rain_note]), *weather.notes, *forecasts.notes]
+    notes = [
+        *as_lines(summarize(weather, site)), *filter(None, [weather.rain_note]), *weather.notes,
+        *forecasts.notes,
+    ]
     if len(notes) > _MAX_NOTES:
         notes[_MAX_NOTES:] = [f"and {len(notes) - _MAX_NOTES} more notes"]
     for note in notes:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise, starmap
 from typing import Any, NamedTuple
@@ -266,8 +267,12 @@ class _Season:
         # Plain Python is faster with lists.
         self._as_taken: Callable[[Any], Any] = lambda array: array if compiles else array.tolist()
         self._errors = read_errors(run.sensor_and_pump, run.steps + 1)
+        weather = run.weather
+        if not cases[0].with_forecast:  # unknown hours can only be after the run
+            known = {name: np.nan_to_num(series) for name, series in weather.values.items()}
+            weather = replace(weather, values=known)
         self._forecast: Any = None if cases[0].parameters.get("outlet") != PLAN else make_forecast(
-            run.weather, run.series, run.site, run.start, 0.0, run.forecast_choice,
+            weather, run.series, run.site, run.start, 0.0, run.forecast_choice,
             all_members=True, outlet_horizon=HORIZON_H,
         )
         # At the bed of the run, evapotranspiration stays the same to the last bit.

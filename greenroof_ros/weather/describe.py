@@ -37,14 +37,11 @@ from greenroof_ros.weather.table import parse_text, split, split_unit
 
 _LINES = 2000
 _HIGHEST = 1e4  # of any quantity in our unit
+_DATES = "%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y", "%d/%m/%y", "%m/%d/%y", "%Y/%m/%d"
+_CLOCKS = "%H:%M", "%H:%M:%S", "%I:%M %p", "%I:%M:%S %p", "%I:%M%p"
 _FORMS = (
-    "", "%d.%m.%Y %H:%M", "%d.%m.%Y %H:%M:%S", "%d.%m.%y %H:%M", "%d/%m/%Y %H:%M",
-    "%d/%m/%Y %H:%M:%S", "%m/%d/%Y %H:%M", "%m/%d/%Y %H:%M:%S", "%d/%m/%y %H:%M", "%m/%d/%y %H:%M",
-    "%m/%d/%y %I:%M:%S %p", "%d/%m/%y %I:%M:%S %p", "%m/%d/%Y %I:%M %p", "%m/%d/%y %I:%M %p",
-    "%m/%d/%Y %I:%M:%S %p", "%Y/%m/%d %H:%M", "%Y/%m/%d %H:%M:%S", "%d-%m-%Y %H:%M",
-    "%d-%m-%Y %H:%M:%S", "%d-%b-%Y %H:%M", "%d-%b-%Y %H:%M:%S", "%Y%m%d%H%M", "%Y%m%d%H",
-    "%Y%m%d %H%M", "%Y%m%d %H:%M", "%Y%m%d %H", "%Y %m %d %H", "%Y %m %d %H %M", "%m/%d/%y %I:%M%p",
-    "%d/%m/%y %I:%M%p",
+    "", *map(" ".join, itertools.product((*_DATES, "%d-%m-%Y", "%d-%b-%Y"), _CLOCKS)), "%Y%m%d%H%M",
+    "%Y%m%d%H", "%Y%m%d %H%M", "%Y%m%d %H:%M", "%Y%m%d %H", "%Y %m %d %H", "%Y %m %d %H %M",
 )
 # Words in the names of columns, in lower case, and words of columns that are something else.
 _WORDS = {

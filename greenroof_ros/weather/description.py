@@ -45,7 +45,7 @@ IN_COMMENTS = (
     "rows", "step", "time_zone", "utc_offset", *PLACE, "wind_height", "rain_late", "rain_kind",
 )
 """keys that the comments at the head of a file can contain, as in ``# rows: end``"""
-_LISTS = "na_values", "zero_values", "flag_values", "header"
+_LISTS = "columns", "na_values", "zero_values", "flag_values", "header"
 _COMMENT = re.compile(rf"#\s*((?:{'|'.join(IN_COMMENTS)}|stamped)\s*:.*)")
 
 
@@ -118,21 +118,18 @@ def make_description(values: Mapping[str, Any], given: Description | None = None
 
 def _shape(key: str, value: Any) -> Any:
     """Return a value with lists of texts, as the key has it, where a file may be shorter."""
-    if key in ("columns", "units", "flags") and isinstance(value, Mapping):
-        listed = key == "columns"
-        return {
-            usual_name(name): _as_texts(each) if listed else _as_text(each)
-            for name, each in value.items()
-        }
-    if key == "skiprows":
-        return [*range(value)] if isinstance(value, int) else value
-    if key == "sep" and value == "\t":
-        return "tab"
-    return _as_texts(value) if key in _LISTS else value
-
-
-def _as_texts(value: Any) -> list[Any]:
-    return [_as_text(each) for each in (value if isinstance(value, (list, tuple)) else [value])]
+    top, _, name = key.partition(".")
+    if value == "?":
+        raise ConfigurationError(
+            "must be decided, because the file does not say it", key=key, value=value
+        )
+    if isinstance(value, Mapping):
+        return {usual_name(each): _shape(f"{key}.{each}", value[each]) for each in value}
+    if key == "skiprows" and isinstance(value, int):
+        return [*range(value)]
+    if top in _LISTS:
+        return [_as_text(each) for each in (value if isinstance(value, (list, tuple)) else [value])]
+    return "tab" if (key, value) == ("sep", "\t") else _as_text(value) if name else value
 
 
 def _as_text(value: Any) -> Any:
@@ -186,57 +183,45 @@ def read_description(path: Path) -> Description:
     Raises:
         ConfigurationError: if the file is not a description; the message names the line and key.
     """
-    described = _place_errors(path, read_yaml(path))
+    described = _make_placed(path, read_yaml(path))
     return described if described.name != OWN else replace(described, name=path.name)
 
 
-def _place_errors(path: Path, content: YamlMapping, first: int = 0) -> Description:
-    """Return the description in a mapping; an error names the file and the line of the key."""
-    undecided = next((key for key, value in content.items() if _is_open(value)), None)
-    try:
-        if undecided is not None:
-            raise ConfigurationError(
-                "must be decided, because the file does not say it", key=undecided, value="?"
-            )
-        return make_description(content)
-    except ConfigurationError as error:
-        line = find(content, error.key or "")[0] or min(content.lines.values(), default=1)
-        raise ConfigurationError(
-            error.expected, file=path, line=first + line, key=error.key, value=error.value
-        ) from None
+def read_comments(
+    path: Path, comments: Iterable[tuple[int, str]], given: Description
+) -> Description:
+    """Return the description in comments at the head of a file, such as ``# rows: end``.
 
-
-def _is_open(value: Any) -> bool:
-    if isinstance(value, Mapping):
-        return any(map(_is_open, value.values()))
-    return bool(value == "?")
-
-
-def read_comment(path: Path, number: int, text: str) -> dict[str, Any]:
-    """Return the keys that a comment at the head of a file states, such as ``# rows: end``.
-
-    Other comments are prose, and state nothing.
+    Comments that do not begin with a key are prose, and state nothing.
 
     Args:
         path: the file, for messages.
-        number: number of the line.
-        text: the line.
+        comments: number and text of each line.
+        given: description whose keys come first.
 
     Raises:
-        ConfigurationError: if the comment begins with a key, but has no value for it.
+        ConfigurationError: if a comment that begins with a key does not consist of keys and values,
+            or two comments state the same key.
     """
-    match = _COMMENT.fullmatch(text.strip().strip(',;"'))
-    if match is None:
-        return {}
+    stated = {
+        number: match[1] for number, text in comments
+        if (match := _COMMENT.fullmatch(text.strip().strip(',;"')))
+    }
+    lines = [f"{stated[n]}," if n in stated else "" for n in range(1, max(stated, default=0) + 1)]
+    return _make_placed(path, parse_yaml("{" + "\n".join(lines) + "}", path), given)
+
+
+def _make_placed(
+    path: Path, content: YamlMapping, given: Description | None = None
+) -> Description:
+    """Return the description in a mapping; an error names the file and the line of the key."""
     try:
-        stated = parse_yaml(f"{{{match[1]}}}", path)
+        return make_description(content, given)
     except ConfigurationError as error:
+        line = find(content, error.key or "")[0] or min(content.lines.values(), default=1)
         raise ConfigurationError(
-            "must be a key and its value alone, as in '# rows: end'", file=path, line=number,
-            value=match[1],
-        ) from error
-    _place_errors(path, stated, number - 1)
-    return dict(stated)
+            error.expected, file=path, line=line, key=error.key, value=error.value
+        ) from None
 
 
 @functools.cache

@@ -34,7 +34,7 @@ from greenroof_ros.weather.quantities import (
     RADIATION,
     TEMPERATURE,
 )
-from greenroof_ros.weather.records import HOUR, Records, bridge_gaps, join_records
+from greenroof_ros.weather.records import Records, bridge_gaps, join_records
 from greenroof_ros.weather.series import FILL, REFUSE, Weather
 
 Array = NDArray[np.float64]
@@ -204,24 +204,15 @@ def compute_evapotranspiration(
         ConfigurationError: if the records or the site lack data that the method requires.
     """
     lacking = [name for name in FOR_EVAPOTRANSPIRATION if name not in records.values]
-    means = repeat_monthly(records, site)
-    chosen = method
-    if chosen is None:
-        chosen = HARGREAVES if lacking else FAO56
-        if TEMPERATURE in lacking:
-            chosen, lacking = MONTHLY, [TEMPERATURE]
-        elif means is not None and is_polar(site):
-            chosen, lacking = MONTHLY, ["sunrise each day"]
-    if chosen == HARGREAVES:
-        series = compute_hargreaves(records, site)
-        if method is None and means is not None and np.isnan(series).all():
-            chosen, lacking = MONTHLY, ["a day with 18 hours of temperature"]
+    means, chosen = repeat_monthly(records, site), method or (HARGREAVES if lacking else FAO56)
+    if method is None and TEMPERATURE in lacking:
+        chosen, lacking = MONTHLY, [TEMPERATURE]
+    elif method is None and means is not None and is_polar(site):
+        chosen, lacking = MONTHLY, ["sunrise each day"]
+    series = compute_hargreaves(records, site) if chosen == HARGREAVES else None
+    if series is not None and method is None and means is not None and np.isnan(series).all():
+        chosen, lacking = MONTHLY, ["a day with 18 hours of temperature"]
     for_want = f", for lack of {', '.join(lacking)}" if lacking else ""
-    if chosen == HARGREAVES:
-        return series, chosen, [
-            "evapotranspiration is computed from each day's minimum and maximum temperature "
-            f"(hargreaves, FAO-56 Eq. 52){for_want}"
-        ]
     if chosen == MONTHLY:
         if means is None:
             raise ConfigurationError(
@@ -232,14 +223,17 @@ def compute_evapotranspiration(
             )
         note = f"evapotranspiration is taken from the site's monthly means{for_want}"
         return means, chosen, [note]
+    if series is not None:
+        return series, chosen, [
+            "evapotranspiration is computed from each day's minimum and maximum temperature "
+            f"(hargreaves, FAO-56 Eq. 52){for_want}"
+        ]
     series = compute_fao56(records, site)
     computed = np.isnan(records.values.get(RADIATION, series)) & ~np.isnan(series)
-    if not computed.any():
-        return series, chosen, []
     return series, chosen, [
         f"solar radiation is missing for {np.count_nonzero(computed)} hours, for which it is "
         "computed from the day's temperatures (FAO-56 Eq. 50)"
-    ]
+    ] * bool(computed.any())
 
 
 def _drop_partial_hours(records: Records) -> Records:
@@ -255,14 +249,7 @@ def _drop_partial_hours(records: Records) -> Records:
     if moved.any():
         partial |= ~known[~moved, 0].any() & ~moved.all(), ~known[moved, 1].any()
     begin, end = int(partial[0]), records.hours - int(partial[1])
-    if end - begin in (0, records.hours):
-        return records
-    return replace(
-        records,
-        first=records.first + begin * HOUR,
-        values={quantity: series[begin:end] for quantity, series in records.values.items()},
-        minutes=None if records.minutes is None else records.minutes[begin:end],
-    )
+    return records.cut(begin, end) if end > begin else records
 
 
 def write_plain(files: Sequence[Path], site: Place) -> str | None:
@@ -288,22 +275,21 @@ def find_files(names: Iterable[str], key: str) -> list[Path]:
     Raises:
         ConfigurationError: if a pattern matches no file, or if no names are given.
     """
-    files: list[Path] = []
+    files = dict[Path, None]()
     for name in names:
-        path = Path(name)
-        matches = [path]
+        matches = [path := Path(name)]
         if path.is_dir():
             matches = sorted(
                 file for file in path.iterdir() if file.suffix in (".csv", ".txt", ".json")
             )
-        if not path.exists() and glob.has_magic(name):
-            matches = [Path(match) for match in sorted(glob.glob(str(path)))]  # noqa: PTH207
+        elif not path.exists() and glob.has_magic(name):
+            matches = sorted(map(Path, glob.glob(name)))  # noqa: PTH207
             if not matches:
                 raise ConfigurationError("matches no file", key=key, value=name)
-        files += [match for match in matches if match not in files]
+        files |= dict.fromkeys(matches)
     if not files:
         raise ConfigurationError("must name at least one file", key=key)
-    return files
+    return [*files]
 
 
 def fill_long_gaps(values: Mapping[str, Array]) -> dict[str, Array]:

@@ -131,6 +131,7 @@ def _describe_rain(series: Values, first: datetime) -> dict[str, Any]:
     local = np.datetime64(first.replace(tzinfo=None), "h") + np.arange(len(rain))
     days, of_day = np.unique(local.astype("datetime64[D]"), return_inverse=True)
     by_day = np.bincount(of_day, rain)
+    dry = (by_day < _DRY_DAY) & (np.bincount(of_day, ~np.isnan(series)) > 0)
     months, of_month = np.unique(local.astype("datetime64[M]"), return_inverse=True)
     names = [f"{_MONTHS[int(month.astype(int)) % 12]}" for month in months]
     if len(months) > _MAX_MONTHS:
@@ -141,8 +142,7 @@ def _describe_rain(series: Values, first: datetime) -> dict[str, Any]:
         "total": float(rain.sum()), "wet_hours": int(np.count_nonzero(rain > 0)),
         "wettest_hour": float(rain[hour]), "wettest_hour_at": to_people(first + hour * HOUR),
         "wettest_day": float(by_day[day]), "wettest_day_at": str(days[day]),
-        "longest_dry_days": max((end - start for start, end in find_gaps(by_day < _DRY_DAY)),
-                                default=0),
+        "longest_dry_days": max((end - start for start, end in find_gaps(dry)), default=0),
         "parts": dict(zip(names, np.bincount(of_month, rain).tolist(), strict=True)),
     }
 

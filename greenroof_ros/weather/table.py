@@ -35,9 +35,8 @@ from greenroof_ros.weather.description import (
     TIME,
     Description,
     find_service,
-    make_description,
     quantity_of,
-    read_comment,
+    read_comments,
     service_descriptions,
     usual_name,
 )
@@ -334,25 +333,19 @@ def _open(file: Path, described: Description | None) -> tuple[Table, Description
         skipped = {*given.skiprows}
         kept = (line for line in lines if line[0] - 1 not in skipped)
         return _read_as(file, _without_last(kept, given.skipfooter), given), given
-    head, stated = [(0, "")], dict[str, object]()
+    head = [(0, "")]
     for number, text in lines:
         if text.strip():
             head.append((number, text))
             if not text.lstrip().startswith("#"):
                 break
-            for key, value in read_comment(file, number, text).items():
-                if stated.setdefault(key, value) != value:
-                    raise ConfigurationError(
-                        "differs from an earlier comment", file=file, line=number, key=key,
-                        value=value,
-                    )
     for place, (number, text) in enumerate(head[-2:], len(head) - 2):  # it can be a comment
         service = find_service(text)
         if service is not None:
             header = number, text.replace("#", " ", 1)
             later = itertools.chain([header], head[place + 1 :], lines)
             return _read_as(file, later, service), service
-    made = make_description(stated, given)
+    made = read_comments(file, head[:-1], given)
     table = _read_as(file, itertools.chain(head[-1:], lines), made)
     if table.header[0] != TIME:
         known = sorted({described.name for described in service_descriptions()})

@@ -110,6 +110,14 @@ def test_heavy_rain_in_minutes_is_noted() -> None:
         assert is_noted == any(note.startswith("heaviest rain: 540 mm/h") for note in notes)
 
 
+def test_missing_days_are_not_dry() -> None:
+    """A record of 80 days, of which 75 are missing."""
+    rain = np.zeros(80 * 24)
+    rain[48:77 * 24] = np.nan
+    records = Records((Path("gauge.csv"),), season().first, {"precipitation": rain})
+    assert summarize(records, SITE)["rain"]["longest_dry_days"] == 3
+
+
 def test_a_fraction_for_per_cent_is_noted() -> None:
     """Its dew point is that of 1 % of the humidity."""
     records = season()

@@ -211,7 +211,7 @@ def test_times_that_do_not_fit(
         ("date,rain [mm]\n2024-06-01T00:00,1\n", "greenroof weather FILE --describe"),
         ("# rows: sometimes\ntime,rain [mm]\n", "line 1: rows = 'sometimes'"),
         ("# stamped: end\ntime,rain [mm]\n", "line 1: stamped = 'end': is not a valid key"),
-        ("# rows: end\n# rows: start\ntime,rain [mm]\n", "line 2: rows = 'start': differs"),
+        ("# rows: end\n# rows: start\ntime,rain [mm]\n", "line 2: is not valid YAML: the key rows appears twice, first on line 1"),
         ("# latitude: north\ntime,rain [mm]\n", "line 1: latitude = 'north': must be a number"),
         ("time,rain [mm]\n", "has a header but no rows"), ("# nothing\n", "must contain a header"),
         ("time,rain [mm]\n01.06.2024 00:00,1\n", "line 2: time = '01.06.2024 00:00': must be a"),

@@ -28,6 +28,7 @@ from greenroof_ros.results.table import (
 from greenroof_ros.results.trajectory import Trajectory, read_trajectory
 from greenroof_ros.simulation import summary
 from greenroof_ros.site.site import Site
+from greenroof_ros.weather.summary import as_lines
 
 Row = dict[str, Any]
 """a run's row of results: the columns of a study's ``results.csv``"""
@@ -177,7 +178,7 @@ def _understood(content: Mapping[str, Any], run: Path) -> About:
         external_pump=plant.get("pump") == "external",
         without_rain=float(plant.get(WITHOUT_RAIN.name, math.inf)),
         ending="" if status == summary.DONE else _ending(content),
-        notes=tuple(_changes(content)),
+        notes=(*_changes(content), *_weather(content)),
         events=list(map(check_event, content["events"])) if "events" in content else None,
     )
 
@@ -200,6 +201,15 @@ def _changes(content: Mapping[str, Any]) -> list[str]:
         *(f"{change['parameter']} was changed from {change['before']} to {change['value']} at tick "
           f"{change['tick']}" for change in changes),
     ]
+
+
+def _weather(content: Mapping[str, Any]) -> list[str]:
+    """Return the lines that show what the weather of the run contains; a live site has none."""
+    contained = content.get("weather_summary")
+    if contained is None:
+        return []
+    # Notes on it are among the run's notes on the weather.
+    return [f"weather: {line}" for line in as_lines({**contained, "notes": []})]
 
 
 def _ending(content: Mapping[str, Any]) -> str:

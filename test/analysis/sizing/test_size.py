@@ -306,3 +306,18 @@ def test_wrong_options(tmp_path: Path, options: list[str], message: str) -> None
     result = size(tmp_path, *WEEK, *options)
     assert result.returncode == 2
     assert message in result.stderr and "Traceback" not in result.stderr
+
+
+def test_a_directory_of_weather_files_and_its_gaps(tmp_path: Path) -> None:
+    """The same sizes as from the files in it; hours after a season are not needed."""
+    for file in JULIES:
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    options = OPTIONS | {"volumes": [5], "targets": [26], "outlets": ["plan"]}
+    found, expected = (
+        gr.size(**options | {"weather": weather}) for weather in ([tmp_path], JULIES)
+    )
+    for name, series in expected.values.items():
+        np.testing.assert_array_equal(found.values[name], series)
+    # The next record, of 2022, has no temperature in some hours; after July 2021 nothing is known.
+    refusing = gr.size(**options | {"gaps": "refuse", "season": "07-02/07-30"})
+    assert refusing.seasons == ["2021"] and "is missing at" in refusing.incomplete["2022"]
