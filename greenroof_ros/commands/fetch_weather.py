@@ -31,9 +31,8 @@ from greenroof_ros.weather.download import (
     join_blocks,
     open_meteo_archive,
 )
-from greenroof_ros.weather.hours import write_records
 from greenroof_ros.weather.quantities import PRECIPITATION
-from greenroof_ros.weather.records import HOUR, name_hours
+from greenroof_ros.weather.records import HOUR, name_hours, write_records
 
 _DESCRIPTION = """\
 Fetch several years of hourly weather, with all the data needed to compute evapotranspiration, into

@@ -11,8 +11,7 @@ from zoneinfo import ZoneInfo
 
 from greenroof_ros.site.site import Place
 from greenroof_ros.weather.description import TIME, Description
-from greenroof_ros.weather.hours import WEATHER, make_hours
-from greenroof_ros.weather.records import Records
+from greenroof_ros.weather.records import WEATHER, Records, make_hours
 from greenroof_ros.weather.table import Row, Rows, Table, arrange
 
 _NAME = Path("the data frame")
