@@ -1,4 +1,4 @@
-"""Hourly records of weather: from the rows of files, joined, with short gaps filled, and written."""
+"""Hourly records of weather: made from the rows of files, joined, and written again."""
 
 from __future__ import annotations
 
@@ -92,6 +92,14 @@ class Records:
             return np.zeros(self.hours, dtype=bool)
         known = ~np.isnan(self.minutes)
         return np.asarray(known.any(axis=1) & ~known.all(axis=1))
+
+    @property
+    def finest_rain(self) -> Array:
+        """Rain (mm/h) in every minute, shape (hours, 60), or else in hours, shape (hours, 1)."""
+        rain = self.values[PRECIPITATION][:, None]
+        return rain if self.minutes is None else np.where(
+            np.isnan(self.minutes), rain, self.minutes
+        )
 
     @property
     def arrays(self) -> dict[str, Array]:
@@ -244,16 +252,16 @@ def join_records(parts: Sequence[Records]) -> Records:
         np.copyto(values[PRECIPITATION], means, where=~np.isnan(means))
         minutes[np.isnan(means) & ~np.isnan(values[PRECIPITATION])] = np.nan
     parts = sorted(parts, key=lambda part: part.first)
+    files, shifted, left_out, applied = (
+        tuple(dict.fromkeys(each for part in parts for each in getattr(part, name)))
+        for name in ("files", "shifted", "left_out", "applied")
+    )
     return Records(
-        tuple(file for part in parts for file in part.files), first.first, values,
-        max(part.method for part in parts),
-        tuple(dict.fromkeys(name for part in parts for name in part.shifted)),
-        max(part.rain_late for part in parts),
-        left_out=tuple(note for part in parts for note in part.left_out),
+        files, first.first, values, max(part.method for part in parts), shifted,
+        max(part.rain_late for part in parts), left_out=left_out, applied=applied, minutes=minutes,
+        rain_kind=max(part.rain_kind for part in parts),
         places={file: place for part in parts for file, place in part.places.items()},
         wind_height=min(parts, key=lambda part: WIND not in part.values).wind_height,
-        minutes=minutes, rain_kind=max(part.rain_kind for part in parts),
-        applied=tuple(dict.fromkeys(text for part in parts for text in part.applied)),
     )
 
 
@@ -274,16 +282,16 @@ def _refuse_overlap(
 
 
 def _check_same_kind(first: Records, part: Records) -> None:
-    for aspect, expected, present in (
-        ("quantities", sorted(first.values), sorted(part.values)),
-        ("method of evapotranspiration", [first.method], [part.method]),
-        ("quantities for the hour before the time stamp", first.shifted, part.shifted),
-        ("delay of the rain in hours", [str(first.rain_late)], [str(part.rain_late)]),
-    ):
-        if expected != present:
+    expected, present = ({
+        "quantities": ", ".join(sorted(each.values)),
+        "method of evapotranspiration": each.method or "none",
+        "quantities for the hour before the time stamp": ", ".join(each.shifted) or "none",
+        "delay of the rain": f"{each.rain_late} h",
+    } for each in (first, part))
+    for aspect, text in expected.items():
+        if text != present[aspect]:
             raise ConfigurationError(
-                f"must have the same {aspect} as {first.source}, {', '.join(expected) or 'none'}; "
-                f"it has {', '.join(present) or 'none'}",
+                f"must have the same {aspect} as {first.source}, {text}; it has {present[aspect]}",
                 file=part.source,
             )
 
@@ -293,10 +301,11 @@ def _shift_to_hours_of(first: Records, part: Records) -> Records:
     late = (part.first - first.first) % HOUR
     if not late:
         return part
-    share, late_min, values, minutes = late / HOUR, late // _MINUTE, {}, part.minutes
-    for name, series in part.values.items():
-        padded = np.pad(series, 1, constant_values=np.nan)
-        values[name] = share * padded[:-1] + (1 - share) * padded[1:]
+    share, late_min, minutes = late / HOUR, late // _MINUTE, part.minutes
+    values = {
+        name: share * np.append(np.nan, series) + (1 - share) * np.append(series, np.nan)
+        for name, series in part.values.items()
+    }
     if minutes is not None:
         edge = late_min, 60 - late_min
         minutes = np.pad(minutes.ravel(), edge, constant_values=np.nan).reshape(-1, 60)
@@ -377,12 +386,10 @@ def _spread_over_minutes(rain: Array, begins: Array, step_s: float, hours: int) 
     known = ~np.isnan(rain)
     edges = np.stack((begins, begins + step_s), axis=1)[known].ravel()
     edges = np.maximum.accumulate(edges)
-    minutes = 60 * np.arange(60 * hours + 1)
-    amounts, seconds = np.zeros((2, len(edges)))
-    amounts[1::2], seconds[1::2] = rain[known] * np.diff(edges)[::2], np.diff(edges)[::2]
-    fallen, there = (
-        np.diff(np.interp(minutes, edges, np.cumsum(each))) for each in (amounts, seconds)
-    )
+    seconds, minutes = np.diff(edges)[::2], 60 * np.arange(60 * hours + 1)
+    sums = np.zeros((2, len(edges)))
+    sums[:, 1::2] = rain[known] * seconds, seconds
+    fallen, there = (np.diff(np.interp(minutes, edges, each)) for each in sums.cumsum(axis=1))
     rates = np.divide(fallen, there, out=np.full(len(there), math.nan), where=there > 1e-6)
     # Sums of binary numbers are rounded.
     return np.asarray(np.round(rates, 9).reshape(hours, 60))
@@ -403,12 +410,6 @@ def _average_hours(series: Array, hours: NDArray[np.intp], count: int) -> Array:
     return np.asarray(np.where(rows > 1, np.round(means, 9), means))
 
 
-def _find_longest_step(minutes: Array) -> int:
-    """Return the longest time step (min) that preserves the rain of all minutes."""
-    changes = np.diff(np.nan_to_num(minutes, nan=-1.0), axis=1).any(axis=0)
-    return math.gcd(minutes.shape[1], *(1 + np.flatnonzero(changes)).tolist())
-
-
 def write_records(records: Records, about: str) -> str:
     """Return records as the text of a file, which :func:`.read.read_file` reads back bit for bit.
 
@@ -419,32 +420,28 @@ def write_records(records: Records, about: str) -> str:
         records: hourly records for one location; gaps are written as empty cells.
         about: text of the first comment, of one or more lines.
     """
-    places, values, rows = {*records.places.values()}, dict(records.values), 1
-    if records.minutes is not None:
-        rain = np.where(
-            np.isnan(records.minutes), values[PRECIPITATION][:, None], records.minutes
-        )
-        rows = 60 // _find_longest_step(rain)
-        for name, series in values.items():
-            values[name] = np.full((records.hours, rows), math.nan)
-            values[name][:, 0] = series
-        values[PRECIPITATION] = rain[:, :: 60 // rows]
+    places, rain, names = {*records.places.values()}, records.finest_rain, [*records.values]
+    changes = np.diff(np.nan_to_num(rain, nan=-1.0), axis=1).any(axis=0)
+    step = math.gcd(rain.shape[1], *(1 + np.flatnonzero(changes)).tolist())
+    rows = rain.shape[1] // step
+    table = np.full((len(names), records.hours, rows), math.nan)
+    table[:, :, 0] = [*records.values.values()]
+    table[names.index(PRECIPITATION)] = rain[:, ::step]
     stated: dict[str, object] = {
         "wind_height": records.wind_height, "rain_late": records.rain_late,
         "rain_kind": records.rain_kind, "step": 3600 // rows,
     }
     if len(places) == 1:
         stated |= zip(PLACE, map(str, *places), strict=True)
-    names = {
-        name: f"{records.method} {name}" if name == EVAPOTRANSPIRATION else name for name in values
-    }
+    titles = (f"{records.method} {name}" if name == EVAPOTRANSPIRATION else name for name in names)
     lines = [
         *(f"# {line}" for line in (*about.splitlines(), *filter(None, [records.rain_note]))),
         *(f"# {key}: {value}" for key, value in stated.items() if value),
-        ",".join(["time", *(f"{text} [{QUANTITIES[name].unit}]" for name, text in names.items())]),
+        ",".join(["time", *(
+            f"{title} [{QUANTITIES[name].unit}]" for name, title in zip(names, titles, strict=True)
+        )]),
     ]
-    table = np.array([*values.values()]).reshape(len(values), -1)
-    for row, numbers in enumerate(table.T.tolist()):
+    for row, numbers in enumerate(table.reshape(len(names), -1).T.tolist()):
         cells = ("" if math.isnan(number) else repr(number) for number in numbers)
         lines.append(",".join([(records.first + row * HOUR / rows).isoformat(), *cells]))
     return "\n".join([*lines, ""])

@@ -55,15 +55,6 @@ class Weather(Records):
         return self.values[PRECIPITATION]
 
     @property
-    def finest_rain(self) -> tuple[NDArray[np.float64], int]:
-        """Rain in every minute or, without such values, every hour (m/s), and this time (ns)."""
-        rain, step_ns = self.precipitation, _HOUR_NS
-        if self.minutes is not None:
-            known = ~np.isnan(self.minutes)
-            rain, step_ns = np.where(known, self.minutes, rain[:, None]).ravel(), _MINUTE_NS
-        return rain / 1000 / 3600, step_ns
-
-    @property
     def evapotranspiration(self) -> NDArray[np.float64]:
         """Evapotranspiration of the vegetation (mm/day), shape (hours,); NaN if missing."""
         return self.values[EVAPOTRANSPIRATION]
@@ -86,15 +77,14 @@ class Weather(Records):
 
     def warnings(self, site: Place) -> Iterator[str]:
         """Yield sentences that a reader should see before any result at a site."""
-        if site.latitude is not None and site.longitude is not None:
-            own = site.latitude, site.longitude
-            for file, place in self.places.items():
-                away = measure_distance(place, own)
-                if away > _FAR_KM:
-                    yield (
-                        f"{file} is from {format_place(*place)}, {away:.0f} km from the site at "
-                        f"{format_place(*own)}; check that this weather applies to the site"
-                    )
+        own: Any = site.latitude, site.longitude
+        for file, place in self.places.items() if None not in own else ():
+            away = measure_distance(place, own)
+            if away > _FAR_KM:
+                yield (
+                    f"{file} is from {format_place(*place)}, {away:.0f} km from the site at "
+                    f"{format_place(*own)}; check that this weather applies to the site"
+                )
         yield from filter(None, [self.rain_note])
 
 
@@ -207,12 +197,10 @@ class WeatherSeries:
         run = range(first, self.frost.step(steps - 1) + 1)
         begins = self.frost.first_tick(np.array(run))
         frozen = frost[run.start : run.stop] * np.diff([0, *begins[1:], steps])
-        self.frost_hours: float | None = None
-        if weather.frost is not None:
-            self.frost_hours = float(frozen.sum()) * site.tau / 3600
-        self.precipitation_in_frost = float(
-            (frozen * weather.precipitation[run.start : run.stop]).sum() * site.tau / 3600
-        )
+        frozen_hours = float(frozen.sum()) * site.tau / 3600
+        self.frost_hours = None if weather.frost is None else frozen_hours
+        rain = weather.precipitation[run.start : run.stop]
+        self.precipitation_in_frost = float((frozen * rain).sum() * site.tau / 3600)
         self._summarized = weather, site, run
         days = slice(max(0, run.start - 24), run.stop + 24)
         filled = {quantity: marks[days] for quantity, marks in weather.filled.items()}
@@ -261,7 +249,8 @@ def rain_per_tick(weather: Weather, offset_ns: int, tick_ns: int, ticks: range) 
         tick_ns: duration of a tick (ns).
         ticks: the ticks.
     """
-    rain, step_ns = weather.finest_rain
+    step_ns = _HOUR_NS // weather.finest_rain.shape[1]
+    rain = weather.finest_rain.ravel() / 1000 / 3600
     if weather.minutes is None or _MINUTE_NS % tick_ns == 0 == offset_ns % tick_ns:
         return PerTick(rain, offset_ns, tick_ns, ticks, step_ns)
     edges = (offset_ns + tick_ns * np.arange(len(ticks) + 1)) / _MINUTE_NS
