@@ -77,15 +77,6 @@ def parse_local_time(text: str, zone: tzinfo) -> datetime:
     return parse_time(f"{date.replace('/', '-')}T{hour.zfill(2)}{minutes}", zone)
 
 
-def parse_unix_time(text: str) -> datetime:
-    """Read whole seconds since 1970 as a time in UTC.
-
-    Raises:
-        ValueError: if the time is outside the supported years.
-    """
-    return _within_years(_EPOCH + timedelta(seconds=float(text)))
-
-
 def _within_years(time: datetime) -> datetime:
     if not FIRST_YEAR <= time.year <= LAST_YEAR:
         raise ValueError

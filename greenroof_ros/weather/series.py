@@ -23,7 +23,7 @@ from greenroof_ros.base.times import duration, to_minutes
 from greenroof_ros.site.site import Place, Site, format_place, measure_distance
 from greenroof_ros.weather.evapotranspiration import COMPUTED, explain_missing
 from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
-from greenroof_ros.weather.records import HOUR, Records, name_hours
+from greenroof_ros.weather.records import HOUR, Array, Records, name_hours
 from greenroof_ros.weather.summary import summarize
 
 _HOUR_NS = 3_600_000_000_000
@@ -50,12 +50,12 @@ class Weather(Records):
     gaps: str = REFUSE
 
     @property
-    def precipitation(self) -> NDArray[np.float64]:
+    def precipitation(self) -> Array:
         """Rain in every hour (mm/h), shape (hours,); NaN if missing."""
         return self.values[PRECIPITATION]
 
     @property
-    def evapotranspiration(self) -> NDArray[np.float64]:
+    def evapotranspiration(self) -> Array:
         """Evapotranspiration of the vegetation (mm/day), shape (hours,); NaN if missing."""
         return self.values[EVAPOTRANSPIRATION]
 
@@ -92,7 +92,7 @@ class Weather(Records):
 class PerTick(Sequence[float]):
     """A value for every tick, looked up in hourly or other values; a slice yields an array."""
 
-    values: NDArray[np.float64]
+    values: Array
     """values of consecutive steps, such as hours; the last also holds for all later ticks"""
     offset_ns: int
     """time of tick 0 relative to step 0 (ns)"""
@@ -182,11 +182,11 @@ class WeatherSeries:
                 f"but the run starts at {to_minutes(start)} and lasts {duration(steps * site.tau)}",
                 file=weather.source,
             )
-        ticks, last = range(steps + site.M), weather.hours - 1
+        ticks = range(steps + site.M)
         offset_ns = round((start - weather.first) / timedelta(microseconds=1)) * 1000
-        past = offset_ns + ticks[-1] * tick_ns >= (last + 1) * _HOUR_NS
+        past = offset_ns + ticks[-1] * tick_ns >= weather.hours * _HOUR_NS
         self.repeats_from = weather.end if past else None
-        frost = np.zeros(last + 1) if weather.frost is None else weather.frost.astype(float)
+        frost = np.zeros(weather.hours) if weather.frost is None else weather.frost.astype(float)
         self.frost = PerTick(frost, offset_ns, tick_ns, ticks)
         first = self.frost.step(0)
         _check_hours(weather, np.arange(first, self.frost.step(ticks[-1]) + 1))
@@ -275,24 +275,18 @@ def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:
             _refuse_missing(weather, quantity, hours, way_out)
 
 
-def _refuse_missing(
-    weather: Weather, quantity: str, hours: NDArray[np.int64], way_out: str
-) -> None:
-    """Reject records that lack a quantity for some hours; the message ends with ``way_out``."""
+def _refuse_missing(weather: Weather, quantity: str, hours: NDArray[np.intp], more: str) -> None:
+    """Reject records that lack a quantity for some hours; the message ends with ``more``."""
     missing = np.zeros(weather.hours, np.bool_)
     missing[hours] = np.isnan(weather.values[quantity][hours])
     if missing.any():
         why = ", ".join(name_hours(weather.first, missing))
         if quantity == EVAPOTRANSPIRATION and weather.method in COMPUTED:
             why += f" ({weather.method}): {explain_missing(weather, np.flatnonzero(missing))}"
-        raise ConfigurationError(
-            f"{quantity} is missing at {why}; {way_out}", file=weather.source
-        )
+        raise ConfigurationError(f"{quantity} is missing at {why}; {more}", file=weather.source)
 
 
-def select_records(
-    weather: Weather, quantity: str, hours: NDArray[np.intp]
-) -> NDArray[np.float64]:
+def select_records(weather: Weather, quantity: str, hours: NDArray[np.intp]) -> Array:
     """Return values of records; before and after them, the first or last value is repeated.
 
     Raises:
