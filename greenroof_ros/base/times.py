@@ -43,15 +43,6 @@ def parse_time(text: str, zone: tzinfo | None = None) -> datetime:
     return _within_years(time if time.tzinfo else time.replace(tzinfo=zone))
 
 
-def parse_unix_time(text: str) -> datetime:
-    """Read whole seconds since 1970 as a time in UTC.
-
-    Raises:
-        ValueError: if the time is outside the supported years.
-    """
-    return _within_years(_EPOCH + timedelta(seconds=float(text)))
-
-
 def _within_years(time: datetime) -> datetime:
     if not FIRST_YEAR <= time.year <= LAST_YEAR:
         raise ValueError

@@ -32,9 +32,8 @@ from greenroof_ros.weather.download import (
     join_blocks,
     open_meteo_archive,
 )
-from greenroof_ros.weather.hours import write_records
 from greenroof_ros.weather.quantities import PRECIPITATION
-from greenroof_ros.weather.records import HOUR, name_hours
+from greenroof_ros.weather.records import HOUR, name_hours, write_records
 
 _DESCRIPTION = """\
 Fetch several years of hourly weather, with all the data needed to compute evapotranspiration, into
@@ -179,7 +178,7 @@ def main() -> int:
             away = f", {km:.0f} km from the site"
         print(f"  at {format_place(*place)}{away}")
     for name, series in records.values.items():
-        spans = name_hours(records.first, np.flatnonzero(np.isnan(series)))
+        spans = name_hours(records.first, np.isnan(series))
         if spans:
             more = f", and {len(spans) - _MAX_NAMED} more" if len(spans) > _MAX_NAMED else ""
             print(f"  {name} is missing: {', '.join(spans[:_MAX_NAMED])}{more}")

@@ -24,9 +24,8 @@ from greenroof_ros.site.site import Site, format_place, measure_distance
 from greenroof_ros.weather.describe import describe
 from greenroof_ros.weather.description import TIME, Description, make_description
 from greenroof_ros.weather.evapotranspiration import FAO56, HARGREAVES
-from greenroof_ros.weather.hours import write_records
 from greenroof_ros.weather.read import complete_records, find_files, read_measured
-from greenroof_ros.weather.records import HOUR, Records
+from greenroof_ros.weather.records import HOUR, Records, write_records
 from greenroof_ros.weather.series import Weather
 from greenroof_ros.weather.summary import as_lines, summarize
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.base.times import to_minutes
 from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
+from greenroof_ros.forecast.memo import Memo
 from greenroof_ros.forecast.models import ForecastModel, make_model
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site

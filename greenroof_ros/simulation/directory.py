@@ -18,7 +18,7 @@ from greenroof_ros.physics.storm_water import WITHOUT_RAIN
 from greenroof_ros.simulation.inputs import find_needs
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.site.file import format_site
-from greenroof_ros.weather.hours import write_records
+from greenroof_ros.weather.records import write_records
 
 # Parent of the runs' directories, unless a user chooses one.
 _RUNS = Path("runs")

@@ -124,11 +124,11 @@ class Run:
         Before its first tick, a run is dry unless the record shows rain. Missing values are
         skipped: they are neither rain nor time without rain.
         """
-        rain, step_ns = self.weather.finest_rain
-        seconds, without_rain = step_ns / 1e9, math.inf
+        rain, without_rain = self.weather.finest_rain / 1000 / HOUR_S, math.inf  # m/s
+        seconds = HOUR_S / rain.shape[1]
         before = (self.start - self.weather.first).total_seconds() / seconds
         first = max(0, math.floor(before - _BEFORE_H * HOUR_S / seconds))
-        for step, rate in enumerate(rain[first : math.ceil(before)].tolist(), first):
+        for step, rate in enumerate(rain.ravel()[first : math.ceil(before)].tolist(), first):
             if math.isfinite(rate):
                 part = min(1.0, before - step) * seconds
                 without_rain = time_without_rain(without_rain, rate, part)

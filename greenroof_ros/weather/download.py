@@ -18,15 +18,14 @@ contains a digest of the request, so that no block of a different request is use
 
 from __future__ import annotations
 
-import calendar
 import hashlib
-import itertools
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import date, datetime, timedelta, timezone
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,56 +51,48 @@ _WAIT_PAUSES, _ATTEMPTS = 5, 8
 _MAX_WAIT_S = 3700.0
 # Waits for which Open-Meteo asks when it turns a request down (s), by its words.
 _ASKED_S = {"in one minute": 60.0, "in the next hour": 3600.0, "tomorrow": 86_400.0}
-# Columns whose values can show that a response is for a different place than the site's.
-_PLACE = ("latitude", "longitude", "elevation")
 
 
-@dataclass(frozen=True)
-class Block:
-    """The part of the period that a single request returns.
-
-    Attributes:
-        first: first day of the block.
-        last: last day of the block.
-        parameters: parameters of the request, in addition to those of the source.
-        is_over: whether all hours have been observed; False in the present month.
-    """
+class Block(NamedTuple):
+    """The part of the period that a single request returns."""
 
     first: date
+    """first day of the block"""
     last: date
-    parameters: Mapping[str, str | float]
+    """last day of the block"""
+    parameters: dict[str, str | float]
+    """parameters of the request"""
     is_over: bool = True
+    """whether all hours have been observed; False in the present month"""
 
     def __str__(self) -> str:
         """Return the days of the block."""
         return f"{self.first} to {self.last}"
 
 
-@dataclass(frozen=True)
-class Source:
-    """A weather service, and the requests sent to it.
-
-    Attributes:
-        about: description and licence of the data, as lines for the head of a file.
-        url: URL of the API; its query string may contain a key.
-        parameters: parameters of every request.
-        blocks: blocks to request, in chronological order.
-        pause_s: pause between a response and the next request (s).
-        quantities: quantities that every block contains; a station may have none.
-    """
+class Source(NamedTuple):
+    """A weather service, and the requests sent to it."""
 
     about: str
+    """description and licence of the data, as lines for the head of a file"""
     url: str
-    parameters: Mapping[str, str | float]
+    """URL of the API; its query string may contain a key"""
     blocks: Sequence[Block]
+    """blocks to request, in chronological order"""
     pause_s: float
+    """pause between a response and the next request (s)"""
     quantities: Collection[str] = ()
+    """quantities that every block contains; a station may have none"""
 
     def files(self, directory: Path) -> list[Path]:
         """Return the files of all blocks in a directory."""
-        asked = f"{self.url} {self.parameters}".encode()  # it may contain a key
-        end = f"{hashlib.sha256(asked).hexdigest()[:12]}.{'json' if self.quantities else 'csv'}"
-        return [directory / f"{block.first}_{block.last}_{end}" for block in self.blocks]
+        suffix = "json" if self.quantities else "csv"
+        asked = (f"{self.url} {block.parameters}".encode() for block in self.blocks)
+        digests = (hashlib.sha256(text).hexdigest()[:12] for text in asked)  # it may contain a key
+        return [
+            directory / f"{block.first}_{block.last}_{digest}.{suffix}"
+            for block, digest in zip(self.blocks, digests, strict=True)
+        ]
 
 
 def open_meteo_archive(site: Site, years: range, today: date, url: str = "") -> Source:
@@ -120,27 +111,25 @@ def open_meteo_archive(site: Site, years: range, today: date, url: str = "") -> 
         ConfigurationError: if the location is missing from the site file, if the years extend into
             the future, or if the URL is not a web address.
     """
-    parameters = make_parameters(site)
-    newest = today - _DELAY
-    if newest.year < years[-1]:
+    newest, last = today - _DELAY, years[-1]
+    if newest.year < last:
         raise ConfigurationError(
             f"must end with {newest.year} or earlier, because the archive ends {_DELAY.days} "
-            "days before today",
-            key="years", value=years[-1],
+            "days before today", key="years", value=last,
         )
-    starts = [max(date(years[0], 1, 1) - timedelta(days=1), date(FIRST_YEAR, 1, 1))]
-    starts += [date(year, 1, 1) for year in years[1:]]
-    ends = [start - timedelta(days=1) for start in starts[1:]]
-    ends.append(min(date(years[-1] + 1, 1, 1), newest))
+    starts = [date(year, 1, 1) for year in (*years, last + 1)]
+    starts[0] = max(starts[0] - timedelta(days=1), date(FIRST_YEAR, 1, 1))
+    ends = [start - timedelta(days=1) for start in starts[1:-1]]
+    ends.append(min(starts[-1], newest))
+    blocks = [
+        Block(start, end, make_parameters(site, start_date=f"{start}", end_date=f"{end}"))
+        for start, end in zip(starts, ends, strict=False)
+    ]
     return Source(
         "Reanalysis weather from Open-Meteo.com, Historical Weather API (ERA5, ECMWF IFS): "
         "https://open-meteo.com\n"
         "Licence: CC BY 4.0 (credit the source). The service is free for non-commercial use.",
-        check_url(url or _OPEN_METEO_URL, [*parameters, "start_date", "end_date"]), parameters, [
-            Block(first, last, {"start_date": f"{first}", "end_date": f"{last}"})
-            for first, last in zip(starts, ends, strict=True)
-        ],
-        3.0, tuple(VARIABLES),
+        check_url(url or _OPEN_METEO_URL, blocks[0].parameters), blocks, 3.0, tuple(VARIABLES),
     )
 
 
@@ -167,20 +156,19 @@ def eccc_station(
         )
     if today.year < years[-1]:
         raise ConfigurationError("is in the future", key="years", value=years[-1])
-    parameters: dict[str, str | float] = {
-        "format": "csv", "stationID": station, "Day": 14, "timeframe": 1,
-    }
     blocks = []
-    for year, month in itertools.product(years, range(1, 13)):
-        first = date(year, month, 1)
-        last = min(first.replace(day=calendar.monthrange(year, month)[1]), today)
+    for first in (date(year, month, 1) for year in years for month in range(1, 13)):
+        last = min((first + timedelta(days=31)).replace(day=1) - timedelta(days=1), today)
         if first <= today:
-            blocks.append(Block(first, last, {"Year": year, "Month": month}, last < today))
+            blocks.append(Block(first, last, {
+                "format": "csv", "stationID": station, "Day": 14, "timeframe": 1,
+                "Year": first.year, "Month": first.month,
+            }, last < today))
     return Source(
         "Observations from Environment and Climate Change Canada, Historical Data, hourly bulk "
         f"files of stationID {station}: https://climate.weather.gc.ca\n"
         "Licence: Open Government Licence - Canada (credit the source).",
-        check_url(url or _ECCC_URL, [*parameters, "Year", "Month"]), parameters, blocks, 1.0,
+        check_url(url or _ECCC_URL, blocks[0].parameters), blocks, 1.0,
     )
 
 
@@ -213,7 +201,7 @@ def fetch(
             progress.show(f"{block}", number / len(files))
             time.sleep(wait)
             try:
-                body, _ = request(source.url, {**source.parameters, **block.parameters})
+                body, _ = request(source.url, block.parameters)
                 answer = file.with_name(f"answer{file.suffix}")
                 answer.write_bytes(body)
                 _check(answer, source, block, site)
@@ -241,7 +229,7 @@ def _check(file: Path, source: Source, block: Block, site: Site) -> None:
     try:
         records = read_file(file, site)
     except ConfigurationError as error:
-        if any(name in (error.key or "").lower() for name in _PLACE):
+        if error.key in ("latitude", "longitude", "elevation"):
             raise
         raise ServiceError(f"{url}: {error}") from error
     first, end = records.first, records.first + records.hours * HOUR
@@ -262,8 +250,7 @@ def _check(file: Path, source: Source, block: Block, site: Site) -> None:
 
 def _find_wait(error: ServiceError) -> float:
     """Return the waiting time requested by a service (s); 0 if it requests none."""
-    asked = [seconds for words, seconds in _ASKED_S.items() if words in str(error)]
-    return max([error.wait, *asked])
+    return max([error.wait, *(wait for words, wait in _ASKED_S.items() if words in str(error))])
 
 
 def _is_empty(file: Path) -> bool:
@@ -296,7 +283,4 @@ def join_blocks(files: Sequence[Path], site: Site, years: range) -> Records:
         min(max((datetime(year, 1, 1, tzinfo=clock) - first) // HOUR, 0), records.hours)
         for year in (years[0], years[-1] + 1)
     )
-    return replace(
-        records, first=first + begin * HOUR,
-        values={name: series[begin:end] for name, series in records.values.items()},
-    )
+    return replace(records, first=first).cut(begin, end)

@@ -46,14 +46,12 @@ _DAY_S, _PART_S = 86400, 300
 _ENOUGH_H, _MAX_GAP_DAYS = 18, 3
 
 
-def saturation_vapour_pressure(temperature: NDArray[np.float64]) -> NDArray[np.float64]:
+def saturation_vapour_pressure(temperature: Values) -> Values:
     """Return e0 (kPa) at a temperature (degC), Eq. 11; at the dew point, the vapour pressure."""
     return 0.6108 * np.exp(17.27 * temperature / (temperature + 237.3))
 
 
-def compute_hourly(
-    site: Place, first: datetime, values: dict[str, NDArray[np.float64]]
-) -> NDArray[np.float64]:
+def compute_hourly(site: Place, first: datetime, values: dict[str, Values]) -> Values:
     """Return the reference evapotranspiration of consecutive hours, Eq. 53 (mm/h), shape (hours,).
 
     Net radiation is computed with Eqs. 37-40 from solar radiation. If solar radiation was not
@@ -97,11 +95,10 @@ def compute_hourly(
     clear = float(day["R_so"].sum())
     night_ratio = float(day["R_s"].sum()) / clear if clear > 0 else 1.0
     # The package's default would round to 0.01 mm, and drop values that it considers too large.
-    result: NDArray[np.float64] = model(len(hour), night_ratio).eto_fao(max_ETo=None, decimals=None)
-    return result
+    return np.asarray(model(len(hour), night_ratio).eto_fao(max_ETo=None, decimals=None))
 
 
-def compute_fao56(records: Records, site: Place) -> NDArray[np.float64]:
+def compute_fao56(records: Records, site: Place) -> Values:
     """Return the evapotranspiration of the vegetation in every hour (mm/day), shape (hours,).
 
     The result is the site's crop coefficient times the reference evapotranspiration; it is NaN for
@@ -114,24 +111,20 @@ def compute_fao56(records: Records, site: Place) -> NDArray[np.float64]:
             location, or if the site is beyond a polar circle.
     """
     site = _prepare(site, records, FAO56)
-    if records.wind_height is not None:
-        site = replace(site, wind_height=records.wind_height)
+    site = replace(site, wind_height=records.wind_height or site.wind_height)
     values = {name: records.values[name] for name in FOR_EVAPOTRANSPIRATION}
-    result = np.full(records.hours, np.nan)
+    seconds = _find_local_seconds(records.first, records.hours, site)
+    _, day = np.unique(seconds // _DAY_S, return_inverse=True)
+    minimum, maximum = find_extremes(day, values[TEMPERATURE], values[TEMPERATURE], 24)[:, day]
+    result = _compute_stretches(site, records, {**values, "Tmin": minimum, "Tmax": maximum})
     if RADIATION in records.values:
-        result = _compute_stretches(site, records, {**values, RADIATION: records.values[RADIATION]})
-    if np.isnan(result).any():
-        seconds = _find_local_seconds(records.first, records.hours, site)
-        _, day = np.unique(seconds // _DAY_S, return_inverse=True)
-        minimum, maximum = find_extremes(day, values[TEMPERATURE], values[TEMPERATURE], 24)[:, day]
-        computed = _compute_stretches(site, records, {**values, "Tmin": minimum, "Tmax": maximum})
-        result = np.where(np.isnan(result), computed, result)
+        values[RADIATION] = records.values[RADIATION]
+        measured = _compute_stretches(site, records, values)
+        result = np.where(np.isnan(measured), result, measured)
     return result * 24 * site.crop_coefficient
 
 
-def _compute_stretches(
-    site: Place, records: Records, values: dict[str, NDArray[np.float64]]
-) -> NDArray[np.float64]:
+def _compute_stretches(site: Place, records: Records, values: dict[str, Values]) -> Values:
     """Apply :func:`compute_hourly` to every period without gaps; the result is NaN in gaps.
 
     Each period is computed separately, because the cloudiness at night is that of the previous
@@ -189,7 +182,7 @@ def is_polar(site: Place) -> bool:
     return (site.latitude or 0.0) not in _LATITUDES
 
 
-def repeat_monthly(records: Records, site: Place) -> NDArray[np.float64] | None:
+def repeat_monthly(records: Records, site: Place) -> Values | None:
     """Return the site's monthly mean evapotranspiration (mm/day) for every hour, if known."""
     if site.monthly_evapotranspiration is None:
         return None
@@ -224,18 +217,18 @@ def explain_missing(records: Records, hours: NDArray[np.int64]) -> str:
         records: the records passed to :func:`compute_fao56` or :func:`compute_hargreaves`.
         hours: indices of the run's hours in which the result is NaN.
     """
-    near = slice(max(0, int(hours.min()) - 24), int(hours.max()) + 25)
+    begin = max(0, int(hours.min()) - 24)
     missing = {
-        name: near.start + np.flatnonzero(np.isnan(records.values[name][near]))
+        name: np.isnan(records.values[name][begin : hours.max() + 25])
         for name in (*FOR_EVAPOTRANSPIRATION, RADIATION) if name in records.values
     }
     reasons = [
-        f"{name} at {', '.join(name_hours(records.first, of_name))}"
-        for name, of_name in missing.items() if of_name.size
+        f"the file lacks {name} at {', '.join(name_hours(records.first + begin * HOUR, marks))}"
+        for name, marks in missing.items() if marks.any()
     ]
-    if not reasons:
-        return "the file does not cover the whole day (0 to 24 h of local standard time)"
-    return "the file lacks " + "; ".join(reasons)
+    return "; ".join(reasons) or (
+        "the file does not cover the whole day (0 to 24 h of local standard time)"
+    )
 
 
 def hargreaves(latitude: float, days: Days, minimum: Values, maximum: Values) -> Values:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping, Sequence
 from datetime import datetime, tzinfo
 from pathlib import Path
 from typing import Any
@@ -10,18 +11,15 @@ from zoneinfo import ZoneInfo
 
 from greenroof_ros.site.site import Place
 from greenroof_ros.weather.description import TIME, Description
-from greenroof_ros.weather.hours import WEATHER, make_hours
-from greenroof_ros.weather.records import Records
-from greenroof_ros.weather.table import Row, Table, arrange
+from greenroof_ros.weather.records import WEATHER, Records, make_hours
+from greenroof_ros.weather.table import Row, Rows, Table, arrange
 
 _NAME = Path("the data frame")
 
 
 def is_frame(value: Any) -> bool:
     """Return whether a value is a polars or pandas data frame."""
-    return hasattr(value, "columns") and (
-        hasattr(value, "write_csv") or hasattr(value, "to_csv")
-    )
+    return hasattr(value, "columns") and hasattr(value, "to_numpy")
 
 
 def read_frame(frame: Any, site: Place) -> Records:
@@ -37,9 +35,15 @@ def read_frame(frame: Any, site: Place) -> Records:
     """
     series = {str(name): [*frame[name]] for name in frame.columns}
     series.setdefault(TIME, _list_times(frame))
-    rows = map(Row, itertools.count(), zip(*series.values(), strict=True))
-    table = Table(_NAME, [*series], None, rows)
-    return make_hours(_NAME, arrange(table, Description(name="data frame"), site, WEATHER))
+    return make_hours(_NAME, read_columns(_NAME, series, Description(name="data frame"), site))
+
+
+def read_columns(
+    source: Path, columns: Mapping[str, Sequence[Any]], described: Description, site: Place
+) -> Rows:
+    """Return the rows of a table that is given by its columns; see :func:`.table.arrange`."""
+    rows = map(Row, itertools.count(), zip(*columns.values(), strict=True))
+    return arrange(Table(source, [*columns], None, rows), described, site, WEATHER)
 
 
 def find_zone(frame: Any) -> tzinfo | None:

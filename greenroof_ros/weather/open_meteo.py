@@ -12,20 +12,16 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import datetime, timedelta, timezone
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import read_text
 from greenroof_ros.base.ranges import Range
-from greenroof_ros.base.times import parse_time, parse_unix_time
 from greenroof_ros.site.site import Place, Site
-from greenroof_ros.weather.description import PLACE, REANALYSIS
+from greenroof_ros.weather.description import PLACE, REANALYSIS, TIME, Description
+from greenroof_ros.weather.frame import read_columns
 from greenroof_ros.weather.quantities import (
     DEW_POINT,
     HUMIDITY,
@@ -35,7 +31,6 @@ from greenroof_ros.weather.quantities import (
     RADIATION,
     TEMPERATURE,
     WIND,
-    find_unit,
 )
 from greenroof_ros.weather.records import HOUR, Records, add_dew_point
 
@@ -44,15 +39,15 @@ VARIABLES = {
     WIND: "wind_speed_10m", PRESSURE: "surface_pressure", RADIATION: "shortwave_radiation",
 }
 """The service's variable for each of our quantities; every request names all of them."""
-_QUANTITIES = {variable: quantity for quantity, variable in VARIABLES.items()} | {
-    "relative_humidity_2m": HUMIDITY,
+_QUANTITIES = {"relative_humidity_2m": HUMIDITY} | {name: of for of, name in VARIABLES.items()}
+# What an answer states of its place and clock, and how far it may be from the site's: the coarsest
+# model's cell is half a degree wide; air is 2 degC colder 300 m further up.
+_STATED = {
+    "latitude": (Range(-90.0, 90.0, "degrees"), 0.5),
+    "longitude": (Range(-180.0, 180.0, "degrees"), 0.5),
+    "elevation": (Range(-1000.0, 9000.0, "m"), 300.0),
+    "utc_offset_seconds": (Range(-43200.0, 50400.0, "s"), np.inf),
 }
-_UNITS = {"mp/h": "mph"}
-_WIND_HEIGHT_M = 10.0
-# Largest distance of the answer's place from the site: the coarsest model's cell is half a degree
-# wide; air is 2 degC colder 300 m further up.
-_FAR = {"latitude": (0.5, "degrees"), "longitude": (0.5, "degrees"), "elevation": (300.0, "m")}
-_RANGES = dict(zip(PLACE, (Range(-90.0, 90.0), Range(-180.0, 180.0)), strict=True))
 
 
 def make_parameters(site: Site, **more: str | float) -> dict[str, str | float]:
@@ -65,13 +60,10 @@ def make_parameters(site: Site, **more: str | float) -> dict[str, str | float]:
     Raises:
         ConfigurationError: if the site file lacks the location.
     """
-    for name in ("latitude", "longitude"):
-        if getattr(site, name) is None:
-            raise ConfigurationError(
-                "must be in the site file, because Open-Meteo's data are for a location", key=name
-            )
+    if site.latitude is None or site.longitude is None:
+        raise ConfigurationError("must be in the site file", key="latitude and longitude")
     return {
-        "latitude": float(site.latitude or 0), "longitude": float(site.longitude or 0),
+        "latitude": site.latitude, "longitude": site.longitude,
         "hourly": ",".join(VARIABLES.values()), "timezone": "GMT", **more,
     }
 
@@ -90,10 +82,9 @@ def read_records(file: Path, site: Place) -> Records:
     shifted = tuple(quantity for quantity in (PRECIPITATION, RADIATION) if quantity in values)
     # One more hour: the hour before the first time has only rain and radiation, the last has
     # neither.
-    nothing = np.array([np.nan])
     return replace(
         answer, first=answer.first - HOUR, rain_kind=REANALYSIS, shifted=shifted, values={
-            name: np.concatenate((series, nothing) if name in shifted else (nothing, series))
+            name: np.append(series, np.nan) if name in shifted else np.append(np.nan, series)
             for name, series in values.items()
         },
     )
@@ -109,105 +100,57 @@ def read_answer(file: Path, site: Place, quantity_of: Callable[[str], str | None
             not needed.
 
     Raises:
-        ConfigurationError: if the file is not such an answer, if a time is not a whole number of
-            hours after the previous one, or if a value is outside the range of its quantity.
+        ConfigurationError: if the file is not such an answer, or is for another place than the
+            site's; if a time is not a whole number of hours after the previous one, or a value is
+            outside the range of its quantity.
     """
-    refuse = partial(ConfigurationError, file=file)
     try:
         content = json.loads(read_text(file))
     except (ValueError, RecursionError) as error:
-        raise refuse(f"is not valid JSON, or is nested too deeply: {error}") from error
-    if not isinstance(content, dict) or not isinstance(content.get("hourly"), dict):
-        reason = content.get("reason") if isinstance(content, dict) else None
-        raise refuse(
-            f"is an error message from the service: {reason}" if isinstance(reason, str) else
-            "must be an answer of Open-Meteo for a single location, with hourly values"
+        wrong = f"is not valid JSON, or is nested too deeply: {error}"
+        raise ConfigurationError(wrong, file=file) from error
+    answer = content if isinstance(content, dict) else {}
+    hourly, units = answer.get("hourly"), answer.get("hourly_units")
+    if not isinstance(hourly, dict) or not isinstance(units, dict):
+        raise ConfigurationError(
+            f"is an error message from the service: {answer['reason']}" if "reason" in answer else
+            "must be an answer of Open-Meteo for a single location, with hourly values and units",
+            file=file,
         )
-    hourly, units = content["hourly"], content.get("hourly_units") or {}
-    times = hourly.get("time")
-    count = len(times) if isinstance(times, list) else 0
-    for name, series in hourly.items():
-        if not isinstance(series, list) or len(series) != count or not count:
-            raise refuse("must be a list with one value for each time", key=f"hourly.{name}")
-    place = _read_place(content, site, refuse)
-    first, hours = _read_times(content, refuse)
-    values = dict[str, NDArray[np.float64]]()
-    for name, series in hourly.items():
-        quantity = None if name == "time" else quantity_of(name)
-        if quantity is not None:
-            values[name] = np.full(hours[-1] + 1, np.nan)
-            values[name][hours] = _convert(name, quantity, series, units.get(name), refuse)
-    return Records(
-        (file,), first, values, wind_height=_WIND_HEIGHT_M,
-        places={file: place} if place else {},
-    )
-
-
-def _read_place(
-    content: dict[str, Any], site: Place, refuse: Callable[..., ConfigurationError]
-) -> tuple[float, float] | None:
-    if not all(name in content for name in PLACE):
-        return None
-    latitude, longitude = (
-        limits.read(content[name], key=name) for name, limits in _RANGES.items()
-    )
-    for name, (far, unit) in _FAR.items():
-        own: float | None = getattr(site, name)
-        value = content.get(name)
-        if own is None or not isinstance(value, (int, float)):
-            continue
-        away = abs((value - own + 180) % 360 - 180) if unit == "degrees" else abs(value - own)
-        if away > far:
-            raise refuse(
-                f"must be within {far:g} {unit} of the site's {name}, {own:g}", key=name,
-                value=value,
+    times = hourly.get(TIME) or []
+    for name, series in {TIME: times, **hourly}.items():
+        if not isinstance(series, list) or not series or len(series) != len(times):
+            raise ConfigurationError(
+                "must be a list with one value for each time", file=file, key=f"hourly.{name}"
             )
-    return latitude, longitude
+    stated = dict[str, float]()
+    for name, (limits, far) in _STATED.items():
+        if answer.get(name) is not None:
+            stated[name] = limits.read(answer[name], key=name, file=file)
+            own = getattr(site, name, None)
+            if own is not None and abs(stated[name] - own) > far:
+                raise ConfigurationError(
+                    f"must be within {far:g} {limits.unit} of the site's {name}, {own:g}",
+                    file=file, key=name, value=stated[name],
+                )
+    wanted = {name: quantity for name in hourly if (quantity := quantity_of(name)) is not None}
+    # Members of an ensemble are of one quantity, so each is a table of its own.
+    one_table = len({*wanted.values()}) == len(wanted)
+    values = {}
+    for names in [[*wanted]] if one_table else [[name] for name in wanted]:
+        columns = {TIME: [*map(str, times)], **{name: hourly[name] for name in names}}
+        rows = read_columns(file, columns, Description(
+            columns={TIME: (TIME,), **{wanted[name]: (name,) for name in names}},
+            units={wanted[name]: _find_unit(units.get(name), wanted[name]) for name in names},
+            utc_offset=stated.get("utc_offset_seconds", 0.0) / 3600, step=3600.0,
+        ), site)
+        for name in names:
+            values[name] = np.full(rows.steps[-1] + 1, np.nan)
+            values[name][rows.steps] = rows.values[wanted[name]]
+    place = {file: (stated["latitude"], stated["longitude"])} if {*PLACE} <= {*stated} else {}
+    return Records((file,), rows.first, values, places=place, wind_height=10.0)
 
 
-def _read_times(
-    content: dict[str, Any], refuse: Callable[..., ConfigurationError]
-) -> tuple[datetime, NDArray[np.int64]]:
-    """Return the first time, and the hours of all times since then."""
-    zone = timezone(timedelta(seconds=content.get("utc_offset_seconds") or 0))
-    times = list[datetime]()
-    for text in content["hourly"]["time"]:
-        try:
-            time = parse_unix_time(str(text)).astimezone(zone) if isinstance(text, int) else (
-                parse_time(str(text), zone)
-            )
-        except ValueError:
-            raise refuse("must be a time", key="hourly.time", value=text) from None
-        if times and (time <= times[-1] or (time - times[0]) % HOUR):
-            raise refuse(
-                "must be a whole number of hours after the previous time", key="hourly.time",
-                value=text,
-            )
-        times.append(time)
-    return times[0], np.array([(time - times[0]) // HOUR for time in times])
-
-
-def _convert(
-    name: str, quantity: str, series: list[Any], unit_name: Any,
-    refuse: Callable[..., ConfigurationError],
-) -> NDArray[np.float64]:
-    """Return a variable's values in this project's unit."""
-    known = [value for value in series if value is not None]
-    if not known:
-        return np.full(len(series), np.nan)
-    try:
-        unit = find_unit(quantity, _UNITS.get(str(unit_name), str(unit_name)), 1.0, np.nan)
-    except ValueError:
-        raise refuse(
-            f"is not a unit of {quantity}", key=f"hourly_units.{name}", value=unit_name
-        ) from None
-    low, high = (
-        end * unit.per_ours + unit.zero
-        for end in (QUANTITIES[quantity].low, QUANTITIES[quantity].high)
-    )
-    limits = Range(low, high, unit.name)
-    for value in known:
-        if value not in limits:
-            raise refuse(limits.expected(), key=f"hourly.{name}", value=value)
-    numbers = np.array([np.nan if value is None else value for value in series], dtype=float)
-    return np.asarray((numbers - unit.zero) / unit.per_ours)
+def _find_unit(name: object, quantity: str) -> str:
+    """Return the usual name of a unit; without any value, the service does not define it."""
+    return {"mp/h": "mph", "undefined": QUANTITIES[quantity].unit}.get(str(name), str(name))

@@ -25,7 +25,6 @@ from greenroof_ros.weather.evapotranspiration import (
     is_polar,
     repeat_monthly,
 )
-from greenroof_ros.weather.hours import read_hours, write_records
 from greenroof_ros.weather.quantities import (
     EVAPOTRANSPIRATION,
     FOR_EVAPOTRANSPIRATION,
@@ -34,8 +33,16 @@ from greenroof_ros.weather.quantities import (
     RADIATION,
     TEMPERATURE,
 )
-from greenroof_ros.weather.records import Records, bridge_gaps, join_records
+from greenroof_ros.weather.records import (
+    WEATHER,
+    Records,
+    bridge_gaps,
+    join_records,
+    make_hours,
+    write_records,
+)
 from greenroof_ros.weather.series import FILL, REFUSE, Weather
+from greenroof_ros.weather.table import read_rows
 
 Array = NDArray[np.float64]
 
@@ -63,7 +70,7 @@ def default_weather() -> Path:
 
 
 def read_file(file: Path, site: Place, described: Description | None = None) -> Records:
-    """Return the records of a weather file; see :func:`.hours.read_hours`.
+    """Return the records of a weather file; see :func:`.table.read_rows`.
 
     JSON is read as an answer of Open-Meteo.
 
@@ -72,7 +79,7 @@ def read_file(file: Path, site: Place, described: Description | None = None) -> 
     """
     if file.suffix == ".json" and described is None:
         return open_meteo.read_records(file, site)
-    return read_hours(file, site, described)
+    return make_hours(file, read_rows(file, site, WEATHER, described))
 
 
 def read_measured(

@@ -1,25 +1,39 @@
-"""Hourly records of weather, and functions that fill gaps and join the records of files."""
+"""Hourly records of weather: made from the rows of files, joined, and written again."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.times import to_minutes
-from greenroof_ros.weather.quantities import DEW_POINT, HUMIDITY, PRECIPITATION, TEMPERATURE, WIND
+from greenroof_ros.base.times import duration, to_minutes
+from greenroof_ros.weather.description import PLACE
+from greenroof_ros.weather.quantities import (
+    DEW_POINT,
+    EVAPOTRANSPIRATION,
+    HUMIDITY,
+    PRECIPITATION,
+    QUANTITIES,
+    ROOF,
+    TEMPERATURE,
+    WIND,
+)
+from greenroof_ros.weather.table import Rows
 
 Array = NDArray[np.float64]
 HOUR = timedelta(hours=1)
-ENOUGH = 0.75
-"""Minimum share of an hour for which rain must be known; other quantities need only one value."""
+# Minimum share of an hour for which rain must be known; other quantities need only one value.
+_ENOUGH = 0.75
 _MINUTE, _MINUTES = timedelta(minutes=1), "minutes"
+WEATHER = [name for name in QUANTITIES if name not in ROOF]
+"""the quantities of weather"""
 
 
 @dataclass(frozen=True)
@@ -80,6 +94,14 @@ class Records:
         return np.asarray(known.any(axis=1) & ~known.all(axis=1))
 
     @property
+    def finest_rain(self) -> Array:
+        """Rain (mm/h) in every minute, shape (hours, 60), or else in hours, shape (hours, 1)."""
+        rain = self.values[PRECIPITATION][:, None]
+        return rain if self.minutes is None else np.where(
+            np.isnan(self.minutes), rain, self.minutes
+        )
+
+    @property
     def arrays(self) -> dict[str, Array]:
         """The values of every quantity and, if known, the rain of minutes, under ``minutes``."""
         return self.values if self.minutes is None else {**self.values, _MINUTES: self.minutes}
@@ -122,7 +144,7 @@ def average_minutes(minutes: Array) -> Array:
     count = np.count_nonzero(~np.isnan(minutes), axis=1)
     # Tenths of a millimetre do not add up exactly in binary numbers.
     means = np.round(np.nansum(minutes, axis=1) / np.maximum(count, 1), 9)
-    return np.where(count >= ENOUGH * minutes.shape[1], means, np.nan)
+    return np.where(count >= _ENOUGH * minutes.shape[1], means, np.nan)
 
 
 def add_dew_point(values: Mapping[str, Array]) -> dict[str, Array]:
@@ -167,26 +189,23 @@ def find_gaps(missing: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(low), int(high)) for low, high in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def name_hours(first: datetime, hours: Iterable[int]) -> list[str]:
-    """Return descriptions of the periods formed by consecutive hours.
+def name_hours(first: datetime, marks: NDArray[np.bool_]) -> list[str]:
+    """Return descriptions of the periods formed by marked hours.
 
     Args:
         first: start of hour 0.
-        hours: indices of the hours.
+        marks: mask of the hours.
 
     Returns:
         One text for every period: ``2021-07-20T13:00-05:00`` for a single hour, otherwise the first
         and the last hour and the number of hours.
     """
-    indices = np.sort(np.array(list(hours), dtype=np.intp))
-    spans = []
-    for span in np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1):
-        times = [to_minutes(first + int(hour) * HOUR) for hour in span]
-        if len(times) > 1:
-            spans.append(f"{times[0]} to {times[-1]} ({len(times)} hours)")
-        else:
-            spans += times
-    return spans
+    spans = [(first + low * HOUR, high - low) for low, high in find_gaps(marks)]
+    return [
+        to_minutes(begin) if hours == 1 else
+        f"{to_minutes(begin)} to {to_minutes(begin + (hours - 1) * HOUR)} ({hours} hours)"
+        for begin, hours in spans
+    ]
 
 
 def join_records(parts: Sequence[Records]) -> Records:
@@ -233,16 +252,16 @@ def join_records(parts: Sequence[Records]) -> Records:
         np.copyto(values[PRECIPITATION], means, where=~np.isnan(means))
         minutes[np.isnan(means) & ~np.isnan(values[PRECIPITATION])] = np.nan
     parts = sorted(parts, key=lambda part: part.first)
+    files, shifted, left_out, applied = (
+        tuple(dict.fromkeys(each for part in parts for each in getattr(part, name)))
+        for name in ("files", "shifted", "left_out", "applied")
+    )
     return Records(
-        tuple(file for part in parts for file in part.files), first.first, values,
-        max(part.method for part in parts),
-        tuple(dict.fromkeys(name for part in parts for name in part.shifted)),
-        max(part.rain_late for part in parts),
-        left_out=tuple(note for part in parts for note in part.left_out),
+        files, first.first, values, max(part.method for part in parts), shifted,
+        max(part.rain_late for part in parts), left_out=left_out, applied=applied, minutes=minutes,
+        rain_kind=max(part.rain_kind for part in parts),
         places={file: place for part in parts for file, place in part.places.items()},
         wind_height=min(parts, key=lambda part: WIND not in part.values).wind_height,
-        minutes=minutes, rain_kind=max(part.rain_kind for part in parts),
-        applied=tuple(dict.fromkeys(text for part in parts for text in part.applied)),
     )
 
 
@@ -263,16 +282,16 @@ def _refuse_overlap(
 
 
 def _check_same_kind(first: Records, part: Records) -> None:
-    for aspect, expected, present in (
-        ("quantities", sorted(first.values), sorted(part.values)),
-        ("method of evapotranspiration", [first.method], [part.method]),
-        ("quantities for the hour before the time stamp", first.shifted, part.shifted),
-        ("delay of the rain in hours", [str(first.rain_late)], [str(part.rain_late)]),
-    ):
-        if expected != present:
+    expected, present = ({
+        "quantities": ", ".join(sorted(each.values)),
+        "method of evapotranspiration": each.method or "none",
+        "quantities for the hour before the time stamp": ", ".join(each.shifted) or "none",
+        "delay of the rain": f"{each.rain_late} h",
+    } for each in (first, part))
+    for aspect, text in expected.items():
+        if text != present[aspect]:
             raise ConfigurationError(
-                f"must have the same {aspect} as {first.source}, {', '.join(expected) or 'none'}; "
-                f"it has {', '.join(present) or 'none'}",
+                f"must have the same {aspect} as {first.source}, {text}; it has {present[aspect]}",
                 file=part.source,
             )
 
@@ -282,10 +301,11 @@ def _shift_to_hours_of(first: Records, part: Records) -> Records:
     late = (part.first - first.first) % HOUR
     if not late:
         return part
-    share, late_min, values, minutes = late / HOUR, late // _MINUTE, {}, part.minutes
-    for name, series in part.values.items():
-        padded = np.pad(series, 1, constant_values=np.nan)
-        values[name] = share * padded[:-1] + (1 - share) * padded[1:]
+    share, late_min, minutes = late / HOUR, late // _MINUTE, part.minutes
+    values = {
+        name: share * np.append(np.nan, series) + (1 - share) * np.append(series, np.nan)
+        for name, series in part.values.items()
+    }
     if minutes is not None:
         edge = late_min, 60 - late_min
         minutes = np.pad(minutes.ravel(), edge, constant_values=np.nan).reshape(-1, 60)
@@ -300,3 +320,128 @@ def _shift_to_hours_of(first: Records, part: Records) -> Records:
     # Of its first and last hour, a part may know nothing.
     known = np.count_nonzero(~np.isnan(np.column_stack([*shifted.arrays.values()])), axis=1)
     return shifted.cut(int(known[0] == 0), shifted.hours - int(known[-1] == 0))
+
+
+# --- rows ----------------------------------------------------------------------------------------
+
+
+def make_hours(file: Path, rows: Rows) -> Records:
+    """Return hourly records from rows.
+
+    The values of each hour are for the hour that starts at its time stamp. If rows are less than
+    one hour apart, rain is stored in minutes, and the rain of an hour is the mean of its minutes;
+    the rain of an hour is missing if less than 0.75 of the minutes are known. Other quantities are
+    averaged over the clock hours in which the rows begin.
+
+    Raises:
+        ConfigurationError: if the rows are more than one hour apart, or no column is weather.
+    """
+    if not rows.values:
+        raise rows.table.refuse("must have a column of weather, such as 'rain [mm]'")
+    if rows.step_s > 3600:
+        raise rows.table.refuse(
+            f"rows must be at most one hour apart, not {duration(rows.step_s)}"
+        )
+    first, begins, minutes = rows.first, rows.step_s * rows.steps.astype(np.float64), None
+    if rows.step_s < 3600:
+        first = first.replace(minute=0, second=0, microsecond=0)
+        begins += (rows.first - first).total_seconds()
+    of_rows, count = (begins // 3600).astype(np.intp), math.ceil((begins[-1] + rows.step_s) / 3600)
+    values = {name: _average_hours(series, of_rows, count) for name, series in rows.values.items()}
+    if rows.step_s < 3600 and PRECIPITATION in values:
+        minutes = _spread_over_minutes(rows.values[PRECIPITATION], begins, rows.step_s, count)
+        values[PRECIPITATION] = average_minutes(minutes)
+    about = rows.described
+    place: Any = about.latitude, about.longitude
+    return Records(
+        (file,), first, add_dew_point(values), rows.method,
+        rain_late=about.rain_late, applied=(describe_rows(rows),),
+        places={} if None in place else {file: place},
+        wind_height=about.wind_height, minutes=minutes,
+        rain_kind=about.rain_kind if PRECIPITATION in values else "",
+    )
+
+
+def describe_rows(rows: Rows) -> str:
+    """Return what was applied to the rows of a file."""
+    units = ", ".join(
+        f"{name} in {unit}" for name, (_, unit) in rows.columns.items() if name in rows.values
+    )
+    ignored = f"; not read: {', '.join(rows.ignored)}" if rows.ignored else ""
+    return (
+        f"{rows.described.name}, {units}, rows of {duration(rows.step_s)} whose time "
+        f"is their {rows.described.rows}, at {rows.first:%Z}{ignored}"
+    )
+
+
+def _spread_over_minutes(rain: Array, begins: Array, step_s: float, hours: int) -> Array:
+    """Return the mean rain in every minute, shape (hours, 60); NaN in minutes without a row.
+
+    Args:
+        rain: rain in the rows (mm/h), NaN if missing.
+        begins: starts of the rows relative to the first hour (s).
+        step_s: interval of a row (s).
+        hours: number of hours.
+    """
+    known = ~np.isnan(rain)
+    edges = np.stack((begins, begins + step_s), axis=1)[known].ravel()
+    edges = np.maximum.accumulate(edges)
+    seconds, minutes = np.diff(edges)[::2], 60 * np.arange(60 * hours + 1)
+    sums = np.zeros((2, len(edges)))
+    sums[:, 1::2] = rain[known] * seconds, seconds
+    fallen, there = (np.diff(np.interp(minutes, edges, each)) for each in sums.cumsum(axis=1))
+    rates = np.divide(fallen, there, out=np.full(len(there), math.nan), where=there > 1e-6)
+    # Sums of binary numbers are rounded.
+    return np.asarray(np.round(rates, 9).reshape(hours, 60))
+
+
+def _average_hours(series: Array, hours: NDArray[np.intp], count: int) -> Array:
+    """Return the mean of the rows in every hour, shape (count,); NaN in hours without rows.
+
+    Args:
+        series: values of the rows, NaN if missing.
+        hours: indices of the hours in which the rows begin.
+        count: number of hours.
+    """
+    rows = np.bincount(hours, ~np.isnan(series), count)
+    total = np.bincount(hours, np.nan_to_num(series), count)
+    means = np.divide(total, rows, out=np.full(count, math.nan), where=rows > 0)
+    # Tenths do not add up exactly in binary numbers.
+    return np.asarray(np.where(rows > 1, np.round(means, 9), means))
+
+
+def write_records(records: Records, about: str) -> str:
+    """Return records as the text of a file, which :func:`.read.read_file` reads back bit for bit.
+
+    If the rain is known for every minute, the time step of the rows is the longest that preserves
+    it; other values are in the first row of their hour.
+
+    Args:
+        records: hourly records for one location; gaps are written as empty cells.
+        about: text of the first comment, of one or more lines.
+    """
+    places, rain, names = {*records.places.values()}, records.finest_rain, [*records.values]
+    changes = np.diff(np.nan_to_num(rain, nan=-1.0), axis=1).any(axis=0)
+    step = math.gcd(rain.shape[1], *(1 + np.flatnonzero(changes)).tolist())
+    rows = rain.shape[1] // step
+    table = np.full((len(names), records.hours, rows), math.nan)
+    table[:, :, 0] = [*records.values.values()]
+    table[names.index(PRECIPITATION)] = rain[:, ::step]
+    stated: dict[str, object] = {
+        "wind_height": records.wind_height, "rain_late": records.rain_late,
+        "rain_kind": records.rain_kind, "step": 3600 // rows,
+    }
+    if len(places) == 1:
+        stated |= zip(PLACE, map(str, *places), strict=True)
+    titles = (f"{records.method} {name}" if name == EVAPOTRANSPIRATION else name for name in names)
+    lines = [
+        *(f"# {line}" for line in (*about.splitlines(), *filter(None, [records.rain_note]))),
+        *(f"# {key}: {value}" for key, value in stated.items() if value),
+        ",".join(["time", *(
+            f"{title} [{QUANTITIES[name].unit}]" for name, title in zip(names, titles, strict=True)
+        )]),
+    ]
+    for row, numbers in enumerate(table.reshape(len(names), -1).T.tolist()):
+        cells = ("" if math.isnan(number) else repr(number) for number in numbers)
+        lines.append(",".join([(records.first + row * HOUR / rows).isoformat(), *cells]))
+    return "\n".join([*lines, ""])

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from functools import cached_property
-from typing import Any, NamedTuple, overload
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from greenroof_ros.base.times import duration, to_minutes
 from greenroof_ros.site.site import Place, Site, format_place, measure_distance
 from greenroof_ros.weather.evapotranspiration import COMPUTED, explain_missing
 from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
-from greenroof_ros.weather.records import HOUR, Records, name_hours
+from greenroof_ros.weather.records import HOUR, Array, Records, name_hours
 from greenroof_ros.weather.summary import summarize
 
 _HOUR_NS = 3_600_000_000_000
@@ -50,21 +50,12 @@ class Weather(Records):
     gaps: str = REFUSE
 
     @property
-    def precipitation(self) -> NDArray[np.float64]:
+    def precipitation(self) -> Array:
         """Rain in every hour (mm/h), shape (hours,); NaN if missing."""
         return self.values[PRECIPITATION]
 
     @property
-    def finest_rain(self) -> tuple[NDArray[np.float64], int]:
-        """Rain in every minute or, without such values, every hour (m/s), and this time (ns)."""
-        rain, step_ns = self.precipitation, _HOUR_NS
-        if self.minutes is not None:
-            known = ~np.isnan(self.minutes)
-            rain, step_ns = np.where(known, self.minutes, rain[:, None]).ravel(), _MINUTE_NS
-        return rain / 1000 / 3600, step_ns
-
-    @property
-    def evapotranspiration(self) -> NDArray[np.float64]:
+    def evapotranspiration(self) -> Array:
         """Evapotranspiration of the vegetation (mm/day), shape (hours,); NaN if missing."""
         return self.values[EVAPOTRANSPIRATION]
 
@@ -86,15 +77,14 @@ class Weather(Records):
 
     def warnings(self, site: Place) -> Iterator[str]:
         """Yield sentences that a reader should see before any result at a site."""
-        if site.latitude is not None and site.longitude is not None:
-            own = site.latitude, site.longitude
-            for file, place in self.places.items():
-                away = measure_distance(place, own)
-                if away > _FAR_KM:
-                    yield (
-                        f"{file} is from {format_place(*place)}, {away:.0f} km from the site at "
-                        f"{format_place(*own)}; check that this weather applies to the site"
-                    )
+        own: Any = site.latitude, site.longitude
+        for file, place in self.places.items() if None not in own else ():
+            away = measure_distance(place, own)
+            if away > _FAR_KM:
+                yield (
+                    f"{file} is from {format_place(*place)}, {away:.0f} km from the site at "
+                    f"{format_place(*own)}; check that this weather applies to the site"
+                )
         yield from filter(None, [self.rain_note])
 
 
@@ -102,7 +92,7 @@ class Weather(Records):
 class PerTick(Sequence[float]):
     """A value for every tick, looked up in hourly or other values; a slice yields an array."""
 
-    values: NDArray[np.float64]
+    values: Array
     """values of consecutive steps, such as hours; the last also holds for all later ticks"""
     offset_ns: int
     """time of tick 0 relative to step 0 (ns)"""
@@ -126,13 +116,7 @@ class PerTick(Sequence[float]):
         """Return the number of ticks."""
         return len(self.ticks)
 
-    @overload
-    def __getitem__(self, key: int) -> float: ...
-
-    @overload
-    def __getitem__(self, key: slice) -> array[float]: ...
-
-    def __getitem__(self, key: int | slice) -> float | array[float]:
+    def __getitem__(self, key: Any) -> Any:
         """Return the value of a tick, or the values of a range of ticks."""
         ticks = self.ticks[key]
         if isinstance(ticks, int):
@@ -198,11 +182,11 @@ class WeatherSeries:
                 f"but the run starts at {to_minutes(start)} and lasts {duration(steps * site.tau)}",
                 file=weather.source,
             )
-        ticks, last = range(steps + site.M), weather.hours - 1
+        ticks = range(steps + site.M)
         offset_ns = round((start - weather.first) / timedelta(microseconds=1)) * 1000
-        past = offset_ns + ticks[-1] * tick_ns >= (last + 1) * _HOUR_NS
+        past = offset_ns + ticks[-1] * tick_ns >= weather.hours * _HOUR_NS
         self.repeats_from = weather.end if past else None
-        frost = np.zeros(last + 1) if weather.frost is None else weather.frost.astype(float)
+        frost = np.zeros(weather.hours) if weather.frost is None else weather.frost.astype(float)
         self.frost = PerTick(frost, offset_ns, tick_ns, ticks)
         first = self.frost.step(0)
         _check_hours(weather, np.arange(first, self.frost.step(ticks[-1]) + 1))
@@ -213,17 +197,15 @@ class WeatherSeries:
         run = range(first, self.frost.step(steps - 1) + 1)
         begins = self.frost.first_tick(np.array(run))
         frozen = frost[run.start : run.stop] * np.diff([0, *begins[1:], steps])
-        self.frost_hours: float | None = None
-        if weather.frost is not None:
-            self.frost_hours = float(frozen.sum()) * site.tau / 3600
-        self.precipitation_in_frost = float(
-            (frozen * weather.precipitation[run.start : run.stop]).sum() * site.tau / 3600
-        )
+        frozen_hours = float(frozen.sum()) * site.tau / 3600
+        self.frost_hours = None if weather.frost is None else frozen_hours
+        rain = weather.precipitation[run.start : run.stop]
+        self.precipitation_in_frost = float((frozen * rain).sum() * site.tau / 3600)
         self._summarized = weather, site, run
         days = slice(max(0, run.start - 24), run.stop + 24)
         filled = {quantity: marks[days] for quantity, marks in weather.filled.items()}
         self.filled = {
-            quantity: name_hours(weather.first, days.start + np.flatnonzero(marks))
+            quantity: name_hours(weather.first + days.start * HOUR, marks)
             for quantity, marks in filled.items() if marks.any()
         }
         self.filled_counts = {quantity: int(marks.sum()) for quantity, marks in filled.items()}
@@ -267,7 +249,8 @@ def rain_per_tick(weather: Weather, offset_ns: int, tick_ns: int, ticks: range) 
         tick_ns: duration of a tick (ns).
         ticks: the ticks.
     """
-    rain, step_ns = weather.finest_rain
+    step_ns = _HOUR_NS // weather.finest_rain.shape[1]
+    rain = weather.finest_rain.ravel() / 1000 / 3600
     if weather.minutes is None or _MINUTE_NS % tick_ns == 0 == offset_ns % tick_ns:
         return PerTick(rain, offset_ns, tick_ns, ticks, step_ns)
     edges = (offset_ns + tick_ns * np.arange(len(ticks) + 1)) / _MINUTE_NS
@@ -292,23 +275,18 @@ def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:
             _refuse_missing(weather, quantity, hours, way_out)
 
 
-def _refuse_missing(
-    weather: Weather, quantity: str, hours: NDArray[np.int64], way_out: str
-) -> None:
-    """Reject records that lack a quantity for some hours; the message ends with ``way_out``."""
-    missing = np.unique(hours[np.isnan(weather.values[quantity][hours])])
-    if missing.size:
+def _refuse_missing(weather: Weather, quantity: str, hours: NDArray[np.intp], more: str) -> None:
+    """Reject records that lack a quantity for some hours; the message ends with ``more``."""
+    missing = np.zeros(weather.hours, np.bool_)
+    missing[hours] = np.isnan(weather.values[quantity][hours])
+    if missing.any():
         why = ", ".join(name_hours(weather.first, missing))
         if quantity == EVAPOTRANSPIRATION and weather.method in COMPUTED:
-            why += f" ({weather.method}): {explain_missing(weather, missing)}"
-        raise ConfigurationError(
-            f"{quantity} is missing at {why}; {way_out}", file=weather.source
-        )
+            why += f" ({weather.method}): {explain_missing(weather, np.flatnonzero(missing))}"
+        raise ConfigurationError(f"{quantity} is missing at {why}; {more}", file=weather.source)
 
 
-def select_records(
-    weather: Weather, quantity: str, hours: NDArray[np.intp]
-) -> NDArray[np.float64]:
+def select_records(weather: Weather, quantity: str, hours: NDArray[np.intp]) -> Array:
     """Return values of records; before and after them, the first or last value is repeated.
 
     Raises:

@@ -105,7 +105,8 @@ def test_two_years_come_in_spite_of_all_that_services_send(service, tmp_path):
         assert records.values[quantity].tolist() == expected
 
 
-def test_hours_that_the_service_does_not_have_are_named_and_empty(service, tmp_path):
+def test_a_run_is_as_with_the_services_own_answer_and_says_that_peaks_are_low(service, tmp_path):
+    """Hours that the service does not have are named, and empty."""
     service.faults = ["gap"]
     done = run(service, tmp_path, "--years", "2024")
     assert done.returncode == 0
@@ -115,10 +116,6 @@ def test_hours_that_the_service_does_not_have_are_named_and_empty(service, tmp_p
     )
     assert "precipitation is missing: 2024-01-03T22:00-05:00 to" in done.stdout
     assert "\n2024-01-03T23:00:00-05:00,,,,,," in (tmp_path / "out.csv").read_text()
-
-
-def test_a_run_is_as_with_the_services_own_answer_and_says_that_peaks_are_low(service, tmp_path):
-    assert run(service, tmp_path, "--years", "2024").returncode == 0
     query = service.requests[-1]
     (tmp_path / "answer.json").write_bytes(service.answer("/v1/archive", query))
     window = ["--start", "2024-07-01T00:00-05:00", "--hours", "72"]
@@ -173,14 +170,6 @@ def test_another_month_is_not_taken_for_the_one_requested(service, tmp_path, mon
     assert "instead of 2021-01-01T00:00-05:00 to" in done.stderr
 
 
-def test_months_before_a_station_are_missing_and_a_station_without_hours_is_an_error(
-    service, tmp_path
-):
-    done = run(service, tmp_path, "--years", "1999", "--eccc", "48549")
-    assert done.returncode == 2
-    assert "the service has no hourly records for these years" in done.stderr
-
-
 @pytest.mark.parametrize("ended_by", [signal.SIGKILL, signal.SIGINT])
 def test_what_came_before_the_end_is_not_requested_again(service, tmp_path, ended_by):
     service.faults = ["", "", "slow"]
@@ -209,27 +198,16 @@ def test_what_came_before_the_end_is_not_requested_again(service, tmp_path, ende
 
 @pytest.mark.parametrize("damage", ["empty", "half", "zeros"])
 def test_a_part_that_a_power_cut_has_damaged_is_requested_again(service, tmp_path, damage):
-    service.faults = ["", "refusal"]
-    assert run(service, tmp_path, "--years", "2022-2023").returncode == 1
-    (part,) = (tmp_path / "out.csv.part").glob("20*.json")
-    whole = part.read_bytes()
+    source = archive(service, range(2022, 2024))
+    part, whole = fetch(source, SITE, tmp_path, 0.001, ProgressBar())
+    good, body = whole.read_bytes(), part.read_bytes()
     part.write_bytes(
-        {"empty": b"", "half": whole[: len(whole) // 2], "zeros": bytes(len(whole))}[damage]
+        {"empty": b"", "half": body[: len(body) // 2], "zeros": bytes(len(body))}[damage]
     )
-    done = run(service, tmp_path, "--years", "2022-2023")
-    assert done.returncode == 0, done.stderr
+    fetch(source, SITE, tmp_path, 0.001, ProgressBar())
+    assert (part.read_bytes(), whole.read_bytes()) == (body, good)
     starts = [query["start_date"][:4] for query in service.requests]
-    assert starts == ["2021", "2023", "2021", "2023"]
-
-
-def test_a_part_without_rain_is_not_kept(service, tmp_path):
-    service.faults = ["dry"]
-    done = run(service, tmp_path, "--years", "2023")
-    assert done.returncode == 1
-    assert "sent no precipitation values" in done.stderr
-    done = run(service, tmp_path, "--years", "2023")
-    assert done.returncode == 0, done.stderr
-    assert len(service.requests) == 2
+    assert starts == ["2021", "2023", "2021"]
 
 
 def test_a_full_disk_is_named_and_a_larger_one_goes_on(service, tmp_path):
@@ -256,8 +234,9 @@ def test_a_full_disk_is_named_and_a_larger_one_goes_on(service, tmp_path):
     (["--years", "2020", "--output", "old.csv"], "exists; choose another file name"),
     (["--years", "2020", "--output", "a.json"], "ends in .csv"),
     (["--years", "2020", "--output", "none/a.csv"], "an existing, writable directory"),
-    (["--years", "2020", "--site", "nowhere.yaml"], "latitude: must be in the site file"),
+    (["--years", "2020", "--site", "nowhere.yaml"], "longitude: must be in the site"),
     (["--years", "2020", "--site", "nowhere.yaml", "--eccc", "1"], "utc_offset: must be in the"),
+    (["--eccc", "48549", "--years", "1999"], "the service has no hourly records for these years"),
     (["--years", "2020", "--site", "far.yaml"], "must be within 0.5 degrees of the site's"),
     (["--years", "2020", "--site", "high.yaml"], "must be within 300 m of the site's"),
 ])
@@ -283,7 +262,8 @@ def test_what_cannot_be_is_refused_before_or_at_the_first_request(
     assert done.returncode == 2
     assert reason in " ".join(done.stderr.split())
     assert "Traceback" not in done.stderr
-    assert len(service.requests) == (options[-1] in ("far.yaml", "high.yaml"))
+    asked = {"far.yaml": 1, "high.yaml": 1, "1999": 12}
+    assert len(service.requests) == asked.get(options[-1], 0)
     assert (tmp_path / "old.csv").read_text() == "mine"
 
 
@@ -340,6 +320,7 @@ def failure(service: WeatherService, directory: Path, source: Source) -> str:
     ("400", 8, "400 Bad Request: .*Something went wrong"),
     ("missing", 1, "404 Not Found"),
     ("fewer", 1, "sent no solar radiation values"),
+    ("dry", 1, "sent no precipitation values"),
     ("tomorrow", 1, "Daily API request limit exceeded"),
     ("html", 8, "is a web page"),
     ("half", 8, "ended after"),
@@ -357,6 +338,9 @@ def test_what_does_not_pass_is_tried_once_and_what_may_pass_eight_times(
         raise ServiceError(told)
     assert told.startswith("2019-12-31 to 2021-01-01: ")
     assert len(service.requests) == requests
+    service.faults = []  # nothing of it is kept
+    assert len(fetch(archive(service), SITE, tmp_path / "part", 0.001, ProgressBar())) == 1
+    assert len(service.requests) == requests + 1
 
 
 def test_a_slow_service_is_given_up(service, tmp_path, monkeypatch):

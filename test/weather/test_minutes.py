@@ -22,9 +22,8 @@ from greenroof_ros.forecast.choice import choose
 from greenroof_ros.forecast.steps import make_forecast
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.hours import write_records
 from greenroof_ros.weather.read import complete_records, read_measured
-from greenroof_ros.weather.records import Records
+from greenroof_ros.weather.records import Records, write_records
 from greenroof_ros.weather.series import FILL, REFUSE, WeatherSeries
 
 SITE = read_site(CONFIG / "site.yaml")

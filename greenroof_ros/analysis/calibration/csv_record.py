@@ -26,7 +26,6 @@ from greenroof_ros.weather.evapotranspiration import (
     find_extremes,
     spread_hargreaves,
 )
-from greenroof_ros.weather.hours import describe_rows, make_hours
 from greenroof_ros.weather.quantities import (
     EVAPOTRANSPIRATION,
     PRECIPITATION,
@@ -34,7 +33,7 @@ from greenroof_ros.weather.quantities import (
     TEMPERATURE,
     find_unit,
 )
-from greenroof_ros.weather.records import find_gaps
+from greenroof_ros.weather.records import describe_rows, find_gaps, make_hours
 from greenroof_ros.weather.summary import as_lines, summarize
 from greenroof_ros.weather.table import Rows, read_rows
 
