@@ -11,8 +11,8 @@ import csv
 import itertools
 import math
 from array import array
-from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterable, Iterator, MutableSequence, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta, timezone, tzinfo
@@ -50,6 +50,7 @@ from greenroof_ros.weather.quantities import (
 )
 
 Values = NDArray[np.float64]
+_Refuse = Callable[[int, str], ConfigurationError]
 _HOUR_S = 3600.0
 # Rows from which the step is taken, the share of a step by which a time may be off, and the share
 # by which a step of whole minutes may be off because of the logger's clock.
@@ -105,21 +106,19 @@ class Table:
         return str(row.cells[self.place(column)])
 
     def refuse(
-        self, expected: str, column: str | None = None, row: Row | None = None
+        self, expected: str, column: str | None = None, row: Row | None = None, value: object = None
     ) -> ConfigurationError:
-        """Return an error with the place and the text of a cell in a row or in the header."""
+        """Return an error about the header, or about a value in a row, by default that of its cell.
+
+        The rows of a data frame have numbers in place of lines.
+        """
         if column is None or row is None:
             return ConfigurationError(expected, file=self.file, line=self.line, value=column)
-        return self.refuse_at(expected, row.line, column, self.cell(row, column))
-
-    def refuse_at(
-        self, expected: str, line: int, key: str, value: object = None
-    ) -> ConfigurationError:
-        """Return an error about a value in a line of the file, or in a row of a data frame."""
-        file, number = (f"{self.file}, row {line}", None) if self.line is None else (
-            str(self.file), line
-        )
-        return ConfigurationError(expected, file=file, line=number, key=key, value=value)
+        place: dict[str, Any] = {"file": self.file, "line": row.line}
+        if self.line is None:
+            place = {"file": f"{self.file}, row {row.line}"}
+        value = self.cell(row, column) if value is None else value
+        return ConfigurationError(expected, key=column, value=value, **place)
 
     def require_header(self, columns: Sequence[str], why: str) -> None:
         """Reject a header with different columns or a different order of columns."""
@@ -160,10 +159,9 @@ def split(text: str, separator: str) -> list[str]:
     Raises:
         csv.Error: if a quote is not closed, or is followed by text.
     """
-    plain = '"' not in text  # the module csv takes longer
-    cells = text.split(separator) if plain else next(
-        csv.reader([text.strip()], delimiter=separator, strict=True)
-    )
+    if '"' not in text:  # the module csv takes longer
+        return [cell.strip() for cell in text.split(separator)]
+    cells = next(csv.reader([text.strip()], delimiter=separator, strict=True))
     return [cell.strip() for cell in cells]
 
 
@@ -302,24 +300,39 @@ def arrange(table: Table, described: Description, site: Place, wanted: Collectio
             times.append(parse_text(text, form))
         except ValueError:
             expected = f"must be a time such as {form or DEFAULT_START}"
-            raise table.refuse_at(expected, row.line, clock[0], text) from None
+            raise table.refuse(expected, clock[0], row, text) from None
         for series, read in zip(numbers, readers.values(), strict=True):
             series.append(read(row))
     with suppress(TypeError):  # only some of the times have an offset
         if times[-1] < times[0]:  # the newest row is the first
-            every: list[MutableSequence[Any]] = [lines, times, *numbers]
-            for each in every:
-                each.reverse()
+            lines, times, numbers = lines[::-1], times[::-1], [each[::-1] for each in numbers]
+
+    def refuse(place: int, expected: str) -> ConfigurationError:
+        """Return an error about the time of a row."""
+        return table.refuse(expected, clock[0], Row(lines[place], ()), str(times[place]))
+
     zone = _find_zone(site, described)
-    seconds = _find_seconds(table, clock[0], zone, lines, times)
+    seconds = _find_seconds(times, zone, refuse)
     first = datetime.fromtimestamp(seconds[0], times[0].tzinfo or zone)
     offset = first.utcoffset() or timedelta()
-    step_s = described.step or _find_step(table, seconds, lines)
-    begin, steps = _number_steps(table, seconds + offset.total_seconds(), lines, step_s)
-    values = {
-        name: _convert(table, *columns[name], name, np.array(series), lines, step_s / 3600, site)
-        for name, series in zip(readers, numbers, strict=True)
-    }
+    begin, step_s, steps = _number_steps(seconds + offset.total_seconds(), described.step, refuse)
+    values = dict[str, Values]()
+    for name, series in zip(readers, numbers, strict=True):
+        column, unit_name = columns[name]
+        area = site.a2 if isinstance(site, Site) else math.nan
+        quantity, unit = QUANTITIES[name], find_unit(name, unit_name, step_s / _HOUR_S, area)
+        values[name] = (np.array(series) - unit.zero) / unit.per_ours
+        wrong = np.flatnonzero((values[name] < quantity.low) | (values[name] > quantity.high))
+        if wrong.size:
+            low, high = (
+                float(f"{end * unit.per_ours + unit.zero:.4g}")
+                for end in (quantity.low, quantity.high)
+            )
+            raise table.refuse(
+                f"{Range(low, high, unit.name).expected()}; is the unit of the column right? "
+                "A code for a missing value must be named in na_values", column,
+                Row(lines[wrong[0]], ()), series[wrong[0]],
+            )
     if described.rows == END:
         begin -= step_s
         for level in values.keys() & {*_LEVELS}:
@@ -344,7 +357,9 @@ def _open(file: Path, given: Description) -> tuple[Table, Description]:
     if given.columns:
         skipped = {*given.skiprows}
         kept = (line for line in lines if line[0] - 1 not in skipped)
-        return read_table(file, _without_last(kept, given.skipfooter), given), given
+        rows, ahead = itertools.tee(kept)  # one is ahead of the other by the foot of the file
+        ahead = itertools.islice(ahead, given.skipfooter, None)
+        return read_table(file, (row for row, _ in zip(rows, ahead, strict=False)), given), given
     head = list[tuple[int, str]]()
     for number, text in lines:
         service = find_service(text)
@@ -366,14 +381,6 @@ def _open(file: Path, given: Description) -> tuple[Table, Description]:
     return table, made
 
 
-def _without_last(lines: Iterable[tuple[int, str]], count: int) -> Iterator[tuple[int, str]]:
-    waiting = deque[tuple[int, str]]()
-    for line in lines:
-        waiting.append(line)
-        if len(waiting) > count:
-            yield waiting.popleft()
-
-
 def _find_columns(
     table: Table, described: Description
 ) -> tuple[dict[str, tuple[str, str]], str]:
@@ -388,7 +395,6 @@ def _find_columns(
             continue
         if quantity in columns:
             raise table.refuse(f"an earlier column already contains {quantity}", column)
-        table.place(column)
         unit = described.units.get(name, described.units.get(quantity, split_unit(column)[1]))
         try:
             find_unit(quantity, unit, 1.0, 1.0)
@@ -457,37 +463,10 @@ def _number_reader(
     return read
 
 
-def _convert(
-    table: Table, column: str, unit_name: str, name: str, numbers: Values, lines: Sequence[int],
-    step_h: float, site: Place,
-) -> Values:
-    """Return values in the unit of :data:`.quantities.QUANTITIES`.
-
-    Raises:
-        ConfigurationError: if a value is outside the physical range of its quantity.
-    """
-    area = site.a2 if isinstance(site, Site) else math.nan
-    quantity, unit = QUANTITIES[name], find_unit(name, unit_name, step_h, area)
-    values = (numbers - unit.zero) / unit.per_ours
-    wrong = np.flatnonzero((values < quantity.low) | (values > quantity.high))
-    if wrong.size:
-        low, high = (
-            float(f"{end * unit.per_ours + unit.zero:.4g}") for end in (quantity.low, quantity.high)
-        )
-        raise table.refuse_at(
-            f"{Range(low, high, unit.name).expected()}; is the unit of the column right? "
-            "A code for a missing value must be named in na_values",
-            lines[wrong[0]], column, float(numbers[wrong[0]]),
-        )
-    return np.asarray(values)
-
-
 # --- times ----------------------------------------------------------------------------------------
 
 
-def _find_seconds(
-    table: Table, column: str, zone: tzinfo | None, lines: Sequence[int], times: Sequence[datetime]
-) -> Values:
+def _find_seconds(times: Sequence[datetime], zone: tzinfo | None, refuse: _Refuse) -> Values:
     """Return the times of rows (s since 1970).
 
     In the hour that occurs twice when daylight saving time ends, a time that is not later than the
@@ -499,7 +478,7 @@ def _find_seconds(
             begins.
     """
     seconds, before = array("d"), -math.inf
-    for line, given in zip(lines, times, strict=True):
+    for place, given in enumerate(times):
         time, wrong = given, ""
         if given.tzinfo is None:
             time = given.replace(tzinfo=zone)
@@ -521,7 +500,7 @@ def _find_seconds(
                 "summer, state time_zone, such as Europe/Berlin"
             )
         if wrong:
-            raise table.refuse_at(wrong, line, column, str(given))
+            raise refuse(place, wrong)
         before = time.timestamp()
         seconds.append(before)
     return np.array(seconds)
@@ -559,55 +538,43 @@ def parse_text(text: str, form: str) -> datetime:
     return datetime.strptime(text, form)  # noqa: DTZ007
 
 
-def _find_step(table: Table, seconds: Values, lines: Sequence[int]) -> float:
-    """Return the interval between the first ten rows (s); a single row covers an hour.
-
-    Raises:
-        ConfigurationError: if the intervals disagree.
-    """
-    if len(seconds) < 2:
-        return _HOUR_S
-    spacing = np.diff(seconds[:_FIRST_ROWS])
-    middle = float(np.median(spacing))
-    minutes = 60.0 * round(middle / 60)
-    step_s = minutes if abs(minutes - middle) <= _CLOCK * middle else float(max(1, round(middle)))
-    wrong = np.flatnonzero(np.abs(spacing - step_s) > 2 * _OFF * step_s)
-    if wrong.size:
-        raise table.refuse_at(
-            f"this row is {duration(float(spacing[wrong[0]]))} after the previous row, but the "
-            f"first rows are {duration(step_s)} apart: state the interval in seconds, as in step: "
-            f"{step_s:g}; rows that are missing may be left out", lines[int(wrong[0]) + 1], "step",
-        )
-    return step_s
-
-
 def _number_steps(
-    table: Table, local: Values, lines: Sequence[int], step_s: float
-) -> tuple[float, NDArray[np.int64]]:
-    """Return the start of step 0 (s since 1970 on the file's clock), and the step of every row.
+    local: Values, stated: float | None, refuse: _Refuse
+) -> tuple[float, float, NDArray[np.int64]]:
+    """Return the start of step 0 (s since 1970 on the file's clock), the step (s), and every row's.
 
-    Steps that divide an hour or a day begin at multiples of the interval since midnight. Other
-    steps begin at the first row, and so do all steps if the first row is too far from a multiple.
+    Without a statement, the step is that of the first ten rows; a single row covers an hour. Steps
+    that divide an hour or a day begin at multiples of the interval since midnight. Other steps
+    begin at the first row, and so do all steps if the first row is too far from a multiple.
 
     Raises:
-        ConfigurationError: if a row is too far from the beginning of a step, or in the same step as
-            the previous row.
+        ConfigurationError: if a row is too far from the beginning of a step, in the same step as
+            the previous row, or among ten first rows with missing rows.
     """
+    step_s = stated or _HOUR_S
+    if stated is None and len(local) > 1:
+        middle = float(np.median(np.diff(local[:_FIRST_ROWS])))
+        step_s = 60.0 * round(middle / 60)
+        if abs(step_s - middle) > _CLOCK * middle:
+            step_s = float(max(1, round(middle)))
     begin = step_s * math.floor(local[0] / step_s + 0.5)
     if abs(local[0] - begin) > _OFF * step_s or (_HOUR_S % step_s and 24 * _HOUR_S % step_s):
         whole = 60.0 if step_s >= 60 else 1.0
         begin = whole * round(local[0] / whole)
     steps = np.floor((local - begin) / step_s + 0.5).astype(np.int64)
-    off = np.abs(local - begin - steps * step_s) > _OFF * step_s
-    off[1:] |= np.diff(steps) == 0
-    if off.any():
-        row = int(np.argmax(off))
-        raise table.refuse_at(
-            f"this row is {duration(float(local[row] - local[max(0, row - 1)]))} after the "
+    wrong = np.abs(local - begin - steps * step_s) > _OFF * step_s
+    wrong[1:] |= np.diff(steps) == 0
+    if stated is None:
+        wrong[1:_FIRST_ROWS] |= np.diff(steps[:_FIRST_ROWS]) != 1
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise refuse(
+            row, f"this row is {duration(float(local[row] - local[max(0, row - 1)]))} after the "
             f"previous row, but rows must be {duration(step_s)} or a multiple apart: where the "
-            "interval changes, split the file", lines[row], TIME,
+            "interval changes, split the file; if rows are missing among the first ten, state the "
+            f"interval in seconds, as in step: {step_s:g}",
         )
-    return begin, steps
+    return begin, step_s, steps
 
 
 def _move_to_next(values: Values, steps: NDArray[np.int64]) -> Values:
