@@ -20,7 +20,7 @@ from __future__ import annotations
 import functools
 import glob
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from zoneinfo import ZoneInfo
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import YamlMapping, parse_yaml, read_yaml, shared_directory
-from greenroof_ros.base.parameter import entry, find, keys, make_record
+from greenroof_ros.base.parameter import entry, find, make_record
 from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 
 TIME = "time"
@@ -40,7 +40,6 @@ REANALYSIS, FORECAST = RAIN_KINDS = ("reanalysis", "forecast")
 PLACE = "latitude", "longitude"
 SEPARATORS = {",": ",", ";": ";", "|": "|", "tab": "\t", "space": " "}
 """separators by their names"""
-OWN = "own form"
 IN_COMMENTS = (
     "rows", "step", "time_zone", "utc_offset", *PLACE, "wind_height", "rain_late", "rain_kind",
 )
@@ -53,7 +52,7 @@ _COMMENT = re.compile(rf"#\s*((?:{'|'.join(IN_COMMENTS)}|stamped)\s*:.*)")
 class Description:
     """What a weather file means."""
 
-    name: str = entry("name of the format, for messages", default=OWN)
+    name: str = entry("name of the format, for messages", default="own form")
     file: str = entry("the file, or a pattern such as gauge_*.csv, beside the description",
                       default="")
     header: tuple[str, ...] = entry("first cells of the header, by which the file of a service is "
@@ -95,30 +94,32 @@ class Description:
     rain_kind: str = entry("source of rain that no gauge measured", choices=("", *RAIN_KINDS),
                            default="")
 
-    @property
-    def separator(self) -> str:
-        """The character between cells."""
-        return SEPARATORS[self.sep]
+def make_description(values: Mapping[str, Any], path: Path | None = None) -> Description:
+    """Return the description with the given keys.
 
-
-def make_description(values: Mapping[str, Any], given: Description | None = None) -> Description:
-    """Return a description with keys, except that the keys of a given description come first.
+    Args:
+        values: values of the keys.
+        path: file that contains them; errors name the file and the line of the key.
 
     Raises:
         ConfigurationError: if a key is unknown, or a value is not valid for it.
     """
-    made = make_record(Description, {key: _shape(key, value) for key, value in values.items()})
-    _check(made)
-    default = Description()
-    return made if given is None else replace(made, **{
-        key.name: value for key in keys(Description)
-        if (value := getattr(given, key.name)) != getattr(default, key.name)
-    })
+    try:
+        made = make_record(Description, {key: _shape(key, values[key]) for key in values})
+        for key, expected in _find_mistakes(made):
+            raise ConfigurationError(expected, key=key, value=getattr(made, key, None))
+    except ConfigurationError as error:
+        if not isinstance(values, YamlMapping):
+            raise
+        line = find(values, error.key or "")[0] or min(values.lines.values(), default=1)
+        raise ConfigurationError(
+            error.expected, file=path, line=line, key=error.key, value=error.value
+        ) from None
+    return made
 
 
 def _shape(key: str, value: Any) -> Any:
     """Return a value with lists of texts, as the key has it, where a file may be shorter."""
-    top, _, name = key.partition(".")
     if value == "?":
         raise ConfigurationError(
             "must be decided, because the file does not say it", key=key, value=value
@@ -127,13 +128,35 @@ def _shape(key: str, value: Any) -> Any:
         return {usual_name(each): _shape(f"{key}.{each}", value[each]) for each in value}
     if key == "skiprows" and isinstance(value, int):
         return [*range(value)]
-    if top in _LISTS:
+    if key.partition(".")[0] in _LISTS:
         return [_as_text(each) for each in (value if isinstance(value, (list, tuple)) else [value])]
-    return "tab" if (key, value) == ("sep", "\t") else _as_text(value) if name else value
+    return "tab" if (key, value) == ("sep", "\t") else _as_text(value) if "." in key else value
 
 
 def _as_text(value: Any) -> Any:
     return str(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else value
+
+
+def _find_mistakes(made: Description) -> Iterator[tuple[str, str]]:
+    """Yield the key and the correction of every mistake."""
+    for key, others in (("columns", (TIME, *PLACE)), ("units", ()), ("flags", ())):
+        for name in getattr(made, key):
+            if quantity_of(name) not in QUANTITIES and name not in others:
+                yield f"{key}.{name}", f"must be one of {', '.join((*others, *QUANTITIES))}"
+    for name, columns in made.columns.items():
+        if len(columns) != 1 and name != TIME:
+            yield f"columns.{name}", "must be one column"
+    if made.columns and TIME not in made.columns:
+        yield f"columns.{TIME}", "must name the column of the times"
+    zone = "UTC" if made.time_zone in ("", STANDARD) else made.time_zone
+    for key, name, look_up, example in (
+        ("time_zone", zone, ZoneInfo, "a time zone, such as Europe/Berlin or UTC"),
+        ("encoding", made.encoding, "".encode, "an encoding, such as utf-8 or cp1252"),
+    ):
+        try:
+            look_up(name)
+        except (LookupError, ValueError, OSError):
+            yield key, f"must be the name of {example}"
 
 
 def usual_name(name: str) -> str:
@@ -147,44 +170,15 @@ def quantity_of(name: str) -> str:
     return EVAPOTRANSPIRATION if name.endswith(EVAPOTRANSPIRATION) else name
 
 
-def _check(made: Description) -> None:
-    for key in ("columns", "units", "flags"):
-        others = (TIME, *PLACE) if key == "columns" else ()
-        for name in getattr(made, key):
-            if quantity_of(name) not in QUANTITIES and name not in others:
-                raise ConfigurationError(
-                    f"must be one of {', '.join((*others, *QUANTITIES))}", key=f"{key}.{name}"
-                )
-    for name, columns in made.columns.items():
-        if len(columns) != 1 and name != TIME:
-            raise ConfigurationError("must be one column", key=f"columns.{name}")
-    if made.columns and TIME not in made.columns:
-        raise ConfigurationError("must name the column of the times", key=f"columns.{TIME}")
-    if made.time_zone not in ("", STANDARD):
-        try:
-            ZoneInfo(made.time_zone)
-        except (KeyError, ValueError, OSError):
-            raise ConfigurationError(
-                "must be the name of a time zone, such as Europe/Berlin or UTC", key="time_zone",
-                value=made.time_zone,
-            ) from None
-    try:
-        "".encode(made.encoding)
-    except LookupError:
-        raise ConfigurationError(
-            "must be the name of an encoding, such as utf-8 or cp1252", key="encoding",
-            value=made.encoding,
-        ) from None
-
-
 def read_description(path: Path) -> Description:
     """Read a description.
 
     Raises:
         ConfigurationError: if the file is not a description; the message names the line and key.
     """
-    described = _make_placed(path, read_yaml(path))
-    return described if described.name != OWN else replace(described, name=path.name)
+    content = read_yaml(path)
+    content.setdefault("name", path.name)
+    return make_description(content, path)
 
 
 def read_comments(
@@ -208,20 +202,11 @@ def read_comments(
         if (match := _COMMENT.fullmatch(text.strip().strip(',;"')))
     }
     lines = [f"{stated[n]}," if n in stated else "" for n in range(1, max(stated, default=0) + 1)]
-    return _make_placed(path, parse_yaml("{" + "\n".join(lines) + "}", path), given)
-
-
-def _make_placed(
-    path: Path, content: YamlMapping, given: Description | None = None
-) -> Description:
-    """Return the description in a mapping; an error names the file and the line of the key."""
-    try:
-        return make_description(content, given)
-    except ConfigurationError as error:
-        line = find(content, error.key or "")[0] or min(content.lines.values(), default=1)
-        raise ConfigurationError(
-            error.expected, file=path, line=line, key=error.key, value=error.value
-        ) from None
+    made = make_description(parse_yaml("{" + "\n".join(lines) + "}", path), path)
+    default = vars(Description())
+    return replace(
+        made, **{key: value for key, value in vars(given).items() if value != default[key]}
+    )
 
 
 @functools.cache
@@ -235,7 +220,7 @@ def service_descriptions() -> tuple[Description, ...]:
 def find_service(line: str) -> Description | None:
     """Return the description of the service whose files have this header; None if unknown."""
     for described in service_descriptions():
-        cells = [cell.strip('" ') for cell in line.strip().split(described.separator)]
+        cells = [cell.strip('" ') for cell in line.strip().split(SEPARATORS[described.sep])]
         if (*cells[: len(described.header)],) == described.header:
             return described
     return None
@@ -253,12 +238,11 @@ def expand(paths: Iterable[Path]) -> list[tuple[Path, Description | None]]:
             files.append((path, None))
             continue
         described = read_description(path)
-        pattern = str(path.parent / described.file)
-        matches = sorted(map(Path, glob.glob(pattern))) if described.file else []  # noqa: PTH207
-        if not matches:
+        matches = sorted(glob.glob(str(path.parent / described.file)))  # noqa: PTH207
+        if not described.file or not matches:
             raise ConfigurationError(
                 "must be the name of a weather file beside this description, or a pattern",
                 file=path, key="file", value=described.file,
             )
-        files += [(match, described) for match in matches]
+        files += [(Path(match), described) for match in matches]
     return files

@@ -172,7 +172,7 @@ def test_missing_rows(tmp_path: Path) -> None:
     text = "time,rain [mm]\n" + "".join(lines[:10] + lines[11:])
     assert np.isnan(rain_of(tmp_path, text)).tolist() == 10 * [False] + [True, False]
     text = "time,rain [mm]\n" + "".join(lines[:1] + lines[3:])
-    assert "line 3: step: this row is 3 h after the previous row" in refusal(read, tmp_path, text)
+    assert "line 3: time = '2024-06-01 03:00:00-05:00': this row is 3 h after the previous row" in refusal(read, tmp_path, text)
     assert np.isnan(rain_of(tmp_path, "# step: 3600\n" + text)).sum() == 2
     assert rain_of(tmp_path, f"time,rain [mm]\n{rows([1])}") == [1]  # a single row is an hour
 
