@@ -154,11 +154,13 @@ class PerfectForecast:
 
     def precipitation(self, tick: int) -> array[float]:
         """Return the rain in the next M ticks (m/s), shape (M,)."""
-        return self._series.precipitation[tick : tick + self._look_ahead]
+        ahead: array[float] = self._series.precipitation[tick : tick + self._look_ahead]
+        return ahead
 
     def evapotranspiration(self, tick: int) -> array[float]:
         """Return the evapotranspiration of the bed in the next M ticks (m3/s), shape (M,)."""
-        return self._series.evapotranspiration[tick : tick + self._look_ahead]
+        ahead: array[float] = self._series.evapotranspiration[tick : tick + self._look_ahead]
+        return ahead
 
     def issued(self, tick: int) -> None:
         """Return None, because perfect knowledge has no time of issue."""
