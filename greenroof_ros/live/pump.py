@@ -24,6 +24,7 @@ begin_node(__name__)
 
 import math
 import time
+import traceback
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -173,7 +174,7 @@ class PumpNode(LiveNode):
     def _open_service(
         self, name: str, kind: Any, act: Callable[[Any], tuple[bool, str]]
     ) -> None:
-        """Offer a service that returns success and a message; a ValueError rejects a request."""
+        """Offer a service that returns success and a message; an error rejects a request."""
 
         def answer(request: Any, response: Any) -> Any:
             self._acquire_state()
@@ -181,6 +182,9 @@ class PumpNode(LiveNode):
                 done, said = act(request)
             except ValueError as error:
                 done, said = False, str(error)
+            except Exception as error:  # no request may end the node that stops the pump
+                self.get_logger().error(traceback.format_exc())
+                done, said = False, f"the request failed: {error}"
             if kind is SetParametersAtomically:
                 response.result.successful, response.result.reason = done, said
             else:

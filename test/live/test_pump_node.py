@@ -23,6 +23,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from graphs import Process, free_ports, wait_for
 from places import CONFIG
 from pump_node_rig import PumpRig, state_in
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -418,6 +420,11 @@ def test_what_is_no_hold_is_refused(rig: PumpRig) -> None:
         assert not result.successful, request
         assert "a hold must have an owner" in result.reason or "until = " in result.reason, request
         assert [rig.tick(0.5) > 0 for _ in range(3)] == [True] * 3, request
+    unknown = ParameterMessage(name="owner", value=ParameterValue(type=42))
+    for service in ("hold", "dose"):
+        result = rig.call(SetParametersAtomically, service, parameters=[unknown]).result
+        assert not result.successful and result.reason
+        assert rig.tick(0.5) > 0
 
 
 def test_a_broken_state_needs_a_reset(rig: PumpRig) -> None:
