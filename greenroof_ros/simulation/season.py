@@ -47,6 +47,8 @@ Values = NDArray[np.float64]
 # Ticks that are read together, and number of parts into which sites are divided, whatever the
 # number of threads, so that sums over sites do not depend on it.
 _BLOCK, _PARTS = 43_200, 8
+# Plans that are made in one call: a user's interrupt waits for its end.
+_PLANS = 2_000
 
 
 def _find_bed(run: Run, site: Site) -> float:
@@ -116,10 +118,28 @@ class Ticks(NamedTuple):
     errors: Any
     """error of the roof's sensor (m), or shape (0,) without errors"""
 
-    def cut(self, first: int, last: int) -> Ticks:
-        """Return the ticks from one to another (exclusive)."""
-        own = slice(first - self.first, last - self.first)
-        return Ticks(first, *(each[own] for each in self[1:]))
+
+def cut(ticks: Any, first: int, last: int) -> Any:
+    """Return the ticks from one to another (exclusive)."""
+    low, high = first - ticks.first, last - ticks.first
+    return Ticks(
+        first, ticks.rain[low:high], ticks.potential[low:high], ticks.frost[low:high],
+        ticks.wet[low:high], ticks.quiet[low:high], ticks.new_day[low:high],
+        ticks.errors[low:high],
+    )
+
+
+class Forecasts(NamedTuple):
+    """Forecasts for which plans are made before some ticks; see :func:`.find_levels`."""
+
+    due: Any
+    """numbers of these ticks, shape (plans,)"""
+    ends: Any
+    """boundaries of the forecasts' steps (s from the tick), starting at 0"""
+    rain: Any
+    """rain (m/s), shape (plans, members, steps)"""
+    evaporated: Any
+    """evapotranspiration of a bed of 1 m2 (m3/s), shape (plans, steps)"""
 
 
 class Sites(NamedTuple):
@@ -131,6 +151,8 @@ class Sites(NamedTuple):
     """:class:`Control`"""
     groups: Any
     """rows of the hydrograph"""
+    options: Any
+    """options of the plans, see :func:`.find_levels`, shape (n, 4)"""
     levels: Any
     """volumes to which the valves drain the cisterns in dry weather (m3)"""
     state: Any
@@ -194,6 +216,32 @@ def run_ticks(sites: Any, ticks: Any, hydrograph: Any, every: int, steps: int) -
         state[0], state[1], state[2] = now.cistern, now.roof, now.layer
 
 
+def run_planned(
+    sites: Any, ticks: Any, forecasts: Any, hydrograph: Any, every: int, steps: int
+) -> None:
+    """Simulate sites in some ticks, and make their plans before the ticks of :class:`Forecasts`.
+
+    The other arguments are those of :func:`run_ticks`.
+    """
+    first, count, plans = ticks.first, len(sites.state), len(forecasts.due)
+    x1, x2 = np.empty(count), np.empty(count)
+    for n in range(plans + 1):
+        begin = forecasts.due[n - 1] if n > 0 else first
+        end = forecasts.due[n] if n < plans else first + len(ticks.rain)
+        if n > 0:
+            for row in range(count):
+                p, state = sites.parameters[row], sites.state[row]
+                roof = state[1] / p.a2
+                if len(ticks.errors) > 0:
+                    roof = max(0.0, roof + ticks.errors[begin - first])
+                x1[row], x2[row] = state[0] / p.a1 * p.a1, roof * p.a2
+            sites.levels[:] = find_levels(
+                sites.parameters, sites.options, forecasts.ends, x1, x2, forecasts.rain[n - 1],
+                forecasts.evaporated[n - 1],
+            )
+        run_ticks(sites, cut(ticks, begin, end), hydrograph, every, steps)
+
+
 def simulate_season(
     cases: Sequence[Case], *, every: int = 0,
     progress: Callable[[float], None] = lambda share: None, threads: int = 1,
@@ -236,8 +284,8 @@ def simulate_season(
         spread: Any = pool.map if threads > 1 else map
         for rows in together.values():
             season = _Season([cases[row] for row in rows], every, intervals, count)
-            for ticks, forecast in season.ticks():
-                list(spread(partial(season.run, ticks, forecast), season.parts))
+            for ticks, forecasts in season.ticks():
+                list(spread(partial(season.run, ticks, forecasts), season.parts))
                 done += len(ticks.rain) * len(rows)
                 progress(min(1.0, done / (steps + 1) / count))
             for _, groups, of_part in season.parts:
@@ -260,8 +308,8 @@ class _Season:
         self._every = max(1, every)
         compiles = pays_to_compile(run.steps * total)
         # Not in the threads, each of which would compile them.
-        functions: Any = find_wet, find_levels, run_ticks
-        self._find_wet, self._find_levels, self._run_ticks = (
+        functions: Any = find_wet, run_ticks, run_planned
+        self._find_wet, self._run_ticks, self._run_planned = (
             map(compiled, functions) if compiles else functions
         )
         # Plain Python is faster with lists.
@@ -280,14 +328,13 @@ class _Season:
         if {*beds} == {self._bed}:
             self._bed, beds = 1.0, [1.0] * count
         names = "outlet_reserve", "outlet_price", "outlet_reach"
-        self._options = np.array([
+        options = np.array([
             [*(case.parameters.get(name, 0.0) for name in names), bed]
             for case, bed in zip(cases, beds, strict=True)
         ])
         plants = [plant_parameters(case.site) for case in cases]
         self._wet_after = plants[0].wet_after_s
         self._ends = look_ahead_ends(run.site, 0.0, HORIZON_H)
-        self._areas = np.array([(p.a1, p.a2) for p in plants])
         controls = [Control(
             case.parameters["fraction"], case.parameters["level"] * case.site.z_veg,
             POLICIES.index(case.parameters.get("outlet", OPEN)), bed,
@@ -297,7 +344,7 @@ class _Season:
         kept = -(-run.steps // every) + 1 if every else 0
         self._sites = Sites._make((
             *(records(each) if compiles else each for each in (plants, controls)),
-            np.zeros(count, np.intp), self._options[:, 0].copy(),
+            np.zeros(count, np.intp), options, options[:, 0].copy(),
             *map(self._as_taken, (
                 np.array([(case.x1, case.x2, case.site.initial_layer) for case in cases]),
                 np.tile(make_switch(run.sensor_and_pump, site.tau), (count, 1)),
@@ -311,11 +358,12 @@ class _Season:
             own, self._sites.groups[rows] = np.unique(groups[rows], return_inverse=True)
             self.parts.append((rows, own, self._as_taken(np.zeros((len(own), 2, intervals)))))
 
-    def ticks(self) -> Iterator[tuple[Ticks, tuple[Values, Values] | None]]:
-        """Yield all ticks, and the forecast if plans are due before them; see :meth:`_foresee`."""
+    def ticks(self) -> Iterator[tuple[Ticks, Forecasts | None]]:
+        """Yield all ticks, and the forecasts for their plans if the valves follow plans."""
         run, site, clock = self._run, self._site, PlanClock(self._site.tau)
         new_days = find_new_days(site, run.time_ns(0) / 1e9, run.steps)
         without_rain = run.without_rain_s
+        plans = max(1, _PLANS // len(self._cases))
         for first in range(0, run.steps + 1, _BLOCK):
             last = min(first + _BLOCK, run.steps + 1)
             rain, evaporated, frost, quiet = run.read_ticks(first, last, site)
@@ -326,36 +374,37 @@ class _Season:
                 rain, evaporated / self._bed, frost, wet, quiet,
                 np.isin(np.arange(first, last), new_days), self._errors[first:last],
             )))
-            due = {
-                tick for tick, is_wet in enumerate(wet, first) if clock.is_due(is_wet)
-            } if self._forecast else set()
-            for begin, end in pairwise(sorted({first, *due, last})):
-                yield block.cut(begin, end), self._foresee(begin) if begin in due else None
+            if self._forecast is None:
+                yield block, None
+                continue
+            due = [tick for tick, is_wet in enumerate(wet, first) if clock.is_due(is_wet)]
+            begins = [first, *due[plans::plans]]
+            for n, (begin, end) in enumerate(pairwise([*begins, last])):
+                yield cut(block, begin, end), self._foresee(due[n * plans : (n + 1) * plans])
 
-    def _foresee(self, tick: int) -> tuple[Values, Values]:
-        """Return the forecast of rain (m/s), and of a bed's evapotranspiration (m3/s) per m2."""
-        rain = np.atleast_2d(np.asarray(self._forecast.precipitation(tick)))
+    def _foresee(self, due: Sequence[int]) -> Forecasts:
+        """Return the forecasts for the plans that are made before some ticks."""
+        known = slice(None) if self._cases[0].with_forecast else slice(1)
+        rain = [np.atleast_2d(self._forecast.precipitation(tick))[known] for tick in due]
+        evaporated = [self._forecast.evapotranspiration(tick) for tick in due]
+        forecasts = Forecasts(
+            np.array(due, np.intp), self._ends,
+            np.array(rain or np.empty((0, 1, 1))), np.array(evaporated or np.empty((0, 1))),
+        )
         if not self._cases[0].with_forecast:
-            rain = rain[:1].copy()
-            rain[:, 1:] = 0.0
-        return rain, np.asarray(self._forecast.evapotranspiration(tick)) / self._bed
+            forecasts.rain[:, :, 1:] = 0.0
+        return forecasts._replace(evaporated=forecasts.evaporated / self._bed)
 
     def run(
-        self, ticks: Ticks, forecast: tuple[Values, Values] | None, part: tuple[slice, Any, Any]
+        self, ticks: Ticks, forecasts: Forecasts | None, part: tuple[slice, Any, Any]
     ) -> None:
-        """Simulate a part of the sites in some ticks, after their plans if there is a forecast."""
+        """Simulate a part of the sites in some ticks, after each plan if there are forecasts."""
         rows, _, hydrograph = part
         sites = Sites(*(each[rows] for each in self._sites))
-        if forecast is not None:
-            (a1, a2), (x1, x2, _) = self._areas[rows].T, np.asarray(sites.state).T
-            roof = x2 / a2
-            if len(ticks.errors):
-                roof = np.maximum(0.0, roof + ticks.errors[0])
-            sites.levels[:] = self._find_levels(
-                sites.parameters, self._options[rows], self._ends, x1 / a1 * a1, roof * a2,
-                *forecast,
-            )
-        self._run_ticks(sites, ticks, hydrograph, self._every, self._run.steps)
+        if forecasts is None:
+            self._run_ticks(sites, ticks, hydrograph, self._every, self._run.steps)
+        else:
+            self._run_planned(sites, ticks, forecasts, hydrograph, self._every, self._run.steps)
 
     def results(self) -> Iterator[tuple[Results, Values]]:
         """Yield the results of each site after the last tick, and its kept ticks."""
