@@ -385,8 +385,10 @@ class _Season:
     def _foresee(self, due: Sequence[int]) -> Forecasts:
         """Return the forecasts for the plans that are made before some ticks."""
         known = slice(None) if self._cases[0].with_forecast else slice(1)
-        rain = [np.atleast_2d(self._forecast.precipitation(tick))[known] for tick in due]
-        evaporated = [self._forecast.evapotranspiration(tick) for tick in due]
+        rain, evaporated = list[Values](), list[Any]()
+        for tick in due:  # the forecast computes both for one tick together
+            rain.append(np.atleast_2d(self._forecast.precipitation(tick))[known])
+            evaporated.append(self._forecast.evapotranspiration(tick))
         forecasts = Forecasts(
             np.array(due, np.intp), self._ends,
             np.array(rain or np.empty((0, 1, 1))), np.array(evaporated or np.empty((0, 1))),
