@@ -39,8 +39,8 @@ def wrong_verdict(process: Process, expected: dict[str, str]) -> str:
         expected: a part of the title of each check that must fail, and a pattern for its problem.
             Checks that could not be tried do not count.
     """
-    code = process.wait(180)
-    failed = [line for line in process.stdout().splitlines() if line.startswith("  failed: ")]
+    code, lines = process.wait(180), process.stdout().splitlines()
+    failed = [line for line in lines if line.startswith("  failed: ")]
     tried = [line for line in failed if "not checked" not in line]
     right = code == bool(expected) and len(tried) == len(expected) and all(
         any(part in line and re.search(pattern, line) for line in tried)

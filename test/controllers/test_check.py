@@ -141,7 +141,7 @@ def test_the_command(tmp_path: Path) -> None:
         ("nothing:Here", tmp_path, 2, ""),
     ):
         result = run_command(
-            "check_controller", reference, cwd=directory, env={**os.environ, "COLUMNS": "250"}
+            "check_controller", reference, cwd=directory, env={**os.environ}
         )
         assert result.returncode == code, result.stderr
         assert message in result.stdout and "Traceback" not in result.stderr

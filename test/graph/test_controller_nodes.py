@@ -131,9 +131,8 @@ def wrong_verdicts(domain: int, directory: Path) -> list[str]:
 
 
 def test_good_nodes_pass_and_broken_ones_fail_for_what_is_broken(
-    domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    domain: int, tmp_path: Path
 ) -> None:
     """As the machine can stall, a failed check is repeated."""
-    monkeypatch.setenv("COLUMNS", "1000")  # one line for a row
     wrong = wrong_verdicts(domain, tmp_path / "once")
     assert not wrong or not wrong_verdicts(domain, tmp_path / "again"), wrong

@@ -138,14 +138,13 @@ def wrong_verdicts(domain: int, directory: Path) -> list[str]:
 
 
 def test_example_passes_and_broken_drivers_fail_for_what_is_broken(
-    domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    domain: int, tmp_path: Path
 ) -> None:
     """A driver is checked in real time; as the machine can stall, a failed check is repeated.
 
     The example needs nothing from this package.
     """
     assert "greenroof" not in EXAMPLE and len(EXAMPLE.splitlines()) <= 67
-    monkeypatch.setenv("COLUMNS", "400")  # one line for a row
     wrong = wrong_verdicts(domain, tmp_path / "once")
     assert not wrong or not wrong_verdicts(domain, tmp_path / "again"), wrong
 
