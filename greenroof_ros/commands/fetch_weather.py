@@ -139,7 +139,7 @@ def main() -> int:
     if arguments.eccc is None:
         source = open_meteo_archive(site, arguments.years, now.date(), arguments.url)
     else:
-        source = eccc_station(arguments.eccc, site, arguments.years, now.date(), arguments.url)
+        source = eccc_station(arguments.eccc, arguments.years, now.date(), arguments.url)
     part = output.with_name(f"{output.name}.part")
     try:
         with ProgressBar() as progress:

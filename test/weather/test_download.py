@@ -235,7 +235,7 @@ def test_a_full_disk_is_named_and_a_larger_one_goes_on(service, tmp_path):
     (["--years", "2020", "--output", "a.json"], "ends in .csv"),
     (["--years", "2020", "--output", "none/a.csv"], "an existing, writable directory"),
     (["--years", "2020", "--site", "nowhere.yaml"], "longitude: must be in the site"),
-    (["--years", "2020", "--site", "nowhere.yaml", "--eccc", "1"], "utc_offset: must be in the"),
+    (["--years", "2020", "--site", "nowhere.yaml", "--eccc", "1"], "must state its offset from"),
     (["--eccc", "48549", "--years", "1999"], "the service has no hourly records for these years"),
     (["--years", "2020", "--site", "far.yaml"], "must be within 0.5 degrees of the site's"),
     (["--years", "2020", "--site", "high.yaml"], "must be within 300 m of the site's"),
@@ -262,7 +262,7 @@ def test_what_cannot_be_is_refused_before_or_at_the_first_request(
     assert done.returncode == 2
     assert reason in " ".join(done.stderr.split())
     assert "Traceback" not in done.stderr
-    asked = {"far.yaml": 1, "high.yaml": 1, "1999": 12}
+    asked = {"far.yaml": 1, "high.yaml": 1, "1": 1, "1999": 12}
     assert len(service.requests) == asked.get(options[-1], 0)
     assert (tmp_path / "old.csv").read_text() == "mine"
 
@@ -422,6 +422,6 @@ def test_the_present_year_ends_where_the_archive_does_and_first_years_where_it_b
     ).blocks]
     assert days == [("2024-12-31", "2025-12-31"), ("2026-01-01", "2026-06-09")]
     assert archive(service, range(1971, 1972)).blocks[0].first == date(1971, 1, 1)
-    months = eccc_station(1, SITE, range(2026, 2027), TODAY).blocks
+    months = eccc_station(1, range(2026, 2027), TODAY).blocks
     assert [block.first.month for block in months] == [1, 2, 3, 4, 5, 6]
     assert (months[1].last, months[-1].last) == (date(2026, 2, 28), TODAY)
