@@ -38,6 +38,7 @@ from greenroof_ros.weather.download import (
 )
 from greenroof_ros.weather.quantities import PRECIPITATION, TEMPERATURE
 from greenroof_ros.weather.read import read_measured
+from greenroof_ros.weather.records import write_records
 
 SITE = read_site(CHECKOUT / "config" / "site.yaml")
 LOW_PEAKS = "rain is from a reanalysis"
@@ -157,17 +158,6 @@ def test_a_station_has_the_hours_of_its_bulk_files(service, tmp_path):
     assert simulate(tmp_path, "--weather", "out.csv", *window) == (
         simulate(tmp_path, "--weather", real, *window)
     )
-
-
-def test_another_month_is_not_taken_for_the_one_requested(service, tmp_path, monkeypatch):
-    original = service.answer
-    monkeypatch.setattr(
-        service, "answer",
-        lambda path, query, fault: original(path, {**query, "Month": "7"}, fault),
-    )
-    done = run(service, tmp_path, "--years", "2021", "--eccc", "48549")
-    assert (done.returncode, len(service.requests)) == (1, 8)
-    assert "instead of 2021-01-01T00:00-05:00 to" in done.stderr
 
 
 @pytest.mark.parametrize("ended_by", [signal.SIGKILL, signal.SIGINT])
@@ -368,23 +358,15 @@ def test_a_service_is_left_alone_as_long_as_it_asks(error, wait):
 
 def test_rain_that_no_gauge_measured_is_noted_also_beside_a_gauges(tmp_path):
     head, rows = "time,rain [mm]\n", "2024-06-{0}T00:00-05:00,1\n2024-06-{0}T01:00-05:00,2\n"
-    for name, comment, day in (
-        ("gauge.csv", "", "01"), ("model.csv", "# rain_kind: reanalysis\n", "02"),
-    ):
-        (tmp_path / name).write_text(comment + head + rows.format(day))
-    gauge, model = (
-        read_measured([tmp_path / name], SITE) for name in ("gauge.csv", "model.csv")
-    )
-    assert gauge.rain_note == ""
-    both = read_measured([tmp_path / "gauge.csv", tmp_path / "model.csv"], SITE)
-    assert LOW_PEAKS in both.rain_note == model.rain_note
-    # Written again by greenroof weather, it still says so; and the description does.
-    done = run_command(
-        "weather_file", "model.csv", "--output", "again.csv", cwd=tmp_path,
-        env={**os.environ, "COLUMNS": "400"},
-    )
-    assert LOW_PEAKS in done.stdout
-    assert read_measured([tmp_path / "again.csv"], SITE).rain_kind == "reanalysis"
+    gauge, model, again = (tmp_path / f"{name}.csv" for name in ("gauge", "model", "again"))
+    gauge.write_text(head + rows.format("01"))
+    model.write_text("# rain_kind: reanalysis\n" + head + rows.format("02"))
+    assert read_measured([gauge], SITE).rain_note == ""
+    both = read_measured([gauge, model], SITE)
+    assert LOW_PEAKS in both.rain_note
+    again.write_text(write_records(both, "Written again."))
+    assert LOW_PEAKS in again.read_text()
+    assert read_measured([again], SITE).rain_note == both.rain_note
 
 
 def test_parts_of_another_request_are_not_used(service, tmp_path):
