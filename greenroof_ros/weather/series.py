@@ -66,11 +66,6 @@ class Weather(Records):
         return None if temperature is None else temperature <= _FREEZING
 
     @property
-    def rain_from(self) -> datetime:
-        """Start of the hour in which the first record's rain fell."""
-        return self.first - self.rain_late * HOUR
-
-    @property
     def end(self) -> datetime:
         """End of the last hour."""
         return self.first + self.hours * HOUR

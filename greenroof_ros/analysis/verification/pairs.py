@@ -73,7 +73,7 @@ def read_issued_forecasts(
     """
     archive = read_archive(file, site)
     verified = align_to_hours(archive.verified, weather)
-    first = weather.rain_from
+    first = weather.first - weather.rain_late * HOUR
     end = first + len(weather.precipitation) * HOUR
     within = [
         issue for issue in verified
