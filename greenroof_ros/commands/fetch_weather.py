@@ -140,7 +140,7 @@ def main() -> int:
     if arguments.eccc is None:
         source = open_meteo_archive(site, arguments.years, now.date(), arguments.url)
     else:
-        source = eccc_station(arguments.eccc, site, arguments.years, now.date(), arguments.url)
+        source = eccc_station(arguments.eccc, arguments.years, now.date(), arguments.url)
     part = output.with_name(f"{output.name}.part")
     Signals(interrupt=True)  # a message says what is kept
     try:

@@ -133,27 +133,18 @@ def open_meteo_archive(site: Site, years: range, today: date, url: str = "") -> 
     )
 
 
-def eccc_station(
-    station: int, site: Site, years: range, today: date, url: str = ""
-) -> Source:
+def eccc_station(station: int, years: range, today: date, url: str = "") -> Source:
     """Return the bulk files of a station as a source, with one block per month.
 
     Args:
         station: ``stationID`` of the station, which differs from its climate identifier.
-        site: site near the station, whose UTC offset is used for the files.
         years: years of the files.
         today: today's date.
         url: URL of the API; if empty, the service's own URL.
 
     Raises:
-        ConfigurationError: if the UTC offset is missing from the site file, if a year is in the
-            future, or if the URL is not a web address.
+        ConfigurationError: if a year is in the future, or if the URL is not a web address.
     """
-    if site.utc_offset is None:
-        raise ConfigurationError(
-            "must be in the site file, as in 'utc_offset: -5.0', because ECCC's files are in local "
-            "standard time", key="utc_offset"
-        )
     if today.year < years[-1]:
         raise ConfigurationError("is in the future", key="years", value=years[-1])
     blocks = []
@@ -221,7 +212,7 @@ def _check(file: Path, source: Source, block: Block, site: Site) -> None:
 
     Raises:
         ServiceError: if the response cannot be read, or is not complete.
-        ConfigurationError: if the response is for a place that does not match the site.
+        ConfigurationError: if the site does not match the response, or lacks what its form needs.
     """
     if _is_empty(file):
         return
@@ -229,7 +220,7 @@ def _check(file: Path, source: Source, block: Block, site: Site) -> None:
     try:
         records = read_file(file, site)
     except ConfigurationError as error:
-        if error.key in ("latitude", "longitude", "elevation"):
+        if error.key in ("latitude", "longitude", "elevation", "utc_offset"):
             raise
         raise ServiceError(f"{url}: {error}") from error
     first, end = records.first, records.first + records.hours * HOUR

@@ -28,7 +28,7 @@ from greenroof_ros.weather.quantities import (
     TEMPERATURE,
     WIND,
 )
-from greenroof_ros.weather.records import HOUR, Records, find_gaps, name_hours
+from greenroof_ros.weather.records import HOUR, Records, find_gaps
 
 Values = NDArray[np.float64]
 Days = NDArray[np.datetime64]
@@ -208,27 +208,6 @@ def _number_days(seconds: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the day of the year of every time (s since 1970 on its clock), from 1."""
     days = (seconds // _DAY_S).astype("datetime64[D]")
     return np.asarray((days - days.astype("datetime64[Y]")).astype(np.int64) + 1)
-
-
-def explain_missing(records: Records, hours: NDArray[np.int64]) -> str:
-    """Return the reason why computed values are missing for some hours.
-
-    Args:
-        records: the records passed to :func:`compute_fao56` or :func:`compute_hargreaves`.
-        hours: indices of the run's hours in which the result is NaN.
-    """
-    begin = max(0, int(hours.min()) - 24)
-    missing = {
-        name: np.isnan(records.values[name][begin : hours.max() + 25])
-        for name in (*FOR_EVAPOTRANSPIRATION, RADIATION) if name in records.values
-    }
-    reasons = [
-        f"the file lacks {name} at {', '.join(name_hours(records.first + begin * HOUR, marks))}"
-        for name, marks in missing.items() if marks.any()
-    ]
-    return "; ".join(reasons) or (
-        "the file does not cover the whole day (0 to 24 h of local standard time)"
-    )
 
 
 def hargreaves(latitude: float, days: Days, minimum: Values, maximum: Values) -> Values:

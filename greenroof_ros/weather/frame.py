@@ -34,7 +34,8 @@ def read_frame(frame: Any, site: Place) -> Records:
             from 0.
     """
     series = {str(name): [*frame[name]] for name in frame.columns}
-    series.setdefault(TIME, _list_times(frame))
+    if times := _list_times(frame):
+        series[TIME] = times
     return make_hours(_NAME, read_columns(_NAME, series, Description(name="data frame"), site))
 
 
@@ -54,4 +55,4 @@ def find_zone(frame: Any) -> tzinfo | None:
 
 def _list_times(frame: Any) -> list[str | datetime]:
     times: Any = frame[TIME] if TIME in frame.columns else getattr(frame, "index", ())
-    return [*times]
+    return [time if isinstance(time, datetime) else str(time) for time in times]

@@ -97,9 +97,8 @@ class Records:
     def finest_rain(self) -> Array:
         """Rain (mm/h) in every minute, shape (hours, 60), or else in hours, shape (hours, 1)."""
         rain = self.values[PRECIPITATION][:, None]
-        return rain if self.minutes is None else np.where(
-            np.isnan(self.minutes), rain, self.minutes
-        )
+        minutes = rain if self.minutes is None else self.minutes
+        return np.where(np.isnan(minutes), rain, minutes)
 
     @property
     def arrays(self) -> dict[str, Array]:
@@ -164,9 +163,7 @@ def bridge_gaps(series: Array, max_hours: int) -> Array:
     filled = series.copy()
     for low, high in find_gaps(np.isnan(series)):
         if high - low <= max_hours and low > 0 and high < len(series):
-            filled[low:high] = np.interp(
-                np.arange(low, high), [low - 1, high], series[[low - 1, high]]
-            )
+            filled[low:high] = np.interp(range(low, high), [low - 1, high], series[[low - 1, high]])
     return filled
 
 
@@ -175,10 +172,8 @@ def name_files(files: Sequence[Path]) -> str:
 
     The name is empty if there are no files.
     """
-    if not files:
-        return ""
-    if len(files) == 1:
-        return str(files[0])
+    if len(files) < 2:
+        return "".join(map(str, files))
     return str(files[0].parent / f"{len(files)} files, {files[0].name} to {files[-1].name}")
 
 
@@ -339,9 +334,7 @@ def make_hours(file: Path, rows: Rows) -> Records:
     if not rows.values:
         raise rows.table.refuse("must have a column of weather, such as 'rain [mm]'")
     if rows.step_s > 3600:
-        raise rows.table.refuse(
-            f"rows must be at most one hour apart, not {duration(rows.step_s)}"
-        )
+        raise rows.table.refuse(f"rows must be at most one hour apart, not {duration(rows.step_s)}")
     first, begins, minutes = rows.first, rows.step_s * rows.steps.astype(np.float64), None
     if rows.step_s < 3600:
         first = first.replace(minute=0, second=0, microsecond=0)
@@ -384,8 +377,7 @@ def _spread_over_minutes(rain: Array, begins: Array, step_s: float, hours: int) 
         hours: number of hours.
     """
     known = ~np.isnan(rain)
-    edges = np.stack((begins, begins + step_s), axis=1)[known].ravel()
-    edges = np.maximum.accumulate(edges)
+    edges = np.maximum.accumulate(np.stack((begins, begins + step_s), axis=1)[known].ravel())
     seconds, minutes = np.diff(edges)[::2], 60 * np.arange(60 * hours + 1)
     sums = np.zeros((2, len(edges)))
     sums[:, 1::2] = rain[known] * seconds, seconds

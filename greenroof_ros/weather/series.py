@@ -21,8 +21,13 @@ from numpy.typing import NDArray
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import duration, to_minutes
 from greenroof_ros.site.site import Place, Site, format_place, measure_distance
-from greenroof_ros.weather.evapotranspiration import COMPUTED, explain_missing
-from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
+from greenroof_ros.weather.evapotranspiration import COMPUTED, FAO56
+from greenroof_ros.weather.quantities import (
+    EVAPOTRANSPIRATION,
+    FOR_EVAPOTRANSPIRATION,
+    PRECIPITATION,
+    TEMPERATURE,
+)
 from greenroof_ros.weather.records import HOUR, Array, Records, name_hours
 from greenroof_ros.weather.summary import summarize
 
@@ -64,11 +69,6 @@ class Weather(Records):
         """Mask of hours with frost (at most 0 degC), shape (hours,); None without temperature."""
         temperature = self.values.get(TEMPERATURE)
         return None if temperature is None else temperature <= _FREEZING
-
-    @property
-    def rain_from(self) -> datetime:
-        """Start of the hour in which the first record's rain fell."""
-        return self.first - self.rain_late * HOUR
 
     @property
     def end(self) -> datetime:
@@ -270,9 +270,13 @@ def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:
             "; or fill the gaps (gaps: fill), which sets missing rain to 0, and other missing "
             "values to the mean at the same time of day on the three days before and after"
         )
-    for quantity in (PRECIPITATION, TEMPERATURE, EVAPOTRANSPIRATION):
-        if quantity in weather.values:
-            _refuse_missing(weather, quantity, hours, way_out)
+    unknown = hours[np.isnan(weather.evapotranspiration[hours])]
+    sources = FOR_EVAPOTRANSPIRATION if weather.method == FAO56 else ()
+    for needed, quantities in (
+        (hours, (PRECIPITATION, TEMPERATURE)), (unknown, (*sources, EVAPOTRANSPIRATION)),
+    ):
+        for quantity in filter(weather.values.__contains__, quantities):
+            _refuse_missing(weather, quantity, needed, way_out)
 
 
 def _refuse_missing(weather: Weather, quantity: str, hours: NDArray[np.intp], more: str) -> None:
@@ -282,7 +286,7 @@ def _refuse_missing(weather: Weather, quantity: str, hours: NDArray[np.intp], mo
     if missing.any():
         why = ", ".join(name_hours(weather.first, missing))
         if quantity == EVAPOTRANSPIRATION and weather.method in COMPUTED:
-            why += f" ({weather.method}): {explain_missing(weather, np.flatnonzero(missing))}"
+            why += f": {weather.method} needs temperatures of the whole day in local standard time"
         raise ConfigurationError(f"{quantity} is missing at {why}; {more}", file=weather.source)
 
 

@@ -38,6 +38,7 @@ from greenroof_ros.weather.download import (
 )
 from greenroof_ros.weather.quantities import PRECIPITATION, TEMPERATURE
 from greenroof_ros.weather.read import read_measured
+from greenroof_ros.weather.records import write_records
 
 SITE = read_site(CHECKOUT / "config" / "site.yaml")
 LOW_PEAKS = "rain is from a reanalysis"
@@ -159,17 +160,6 @@ def test_a_station_has_the_hours_of_its_bulk_files(service, tmp_path):
     )
 
 
-def test_another_month_is_not_taken_for_the_one_requested(service, tmp_path, monkeypatch):
-    original = service.answer
-    monkeypatch.setattr(
-        service, "answer",
-        lambda path, query, fault: original(path, {**query, "Month": "7"}, fault),
-    )
-    done = run(service, tmp_path, "--years", "2021", "--eccc", "48549")
-    assert (done.returncode, len(service.requests)) == (1, 8)
-    assert "instead of 2021-01-01T00:00-05:00 to" in done.stderr
-
-
 @pytest.mark.parametrize("ended_by", [signal.SIGKILL, signal.SIGINT])
 def test_what_came_before_the_end_is_not_requested_again(service, tmp_path, ended_by):
     service.faults = ["", "", "slow"]
@@ -235,7 +225,7 @@ def test_a_full_disk_is_named_and_a_larger_one_goes_on(service, tmp_path):
     (["--years", "2020", "--output", "a.json"], "ends in .csv"),
     (["--years", "2020", "--output", "none/a.csv"], "an existing, writable directory"),
     (["--years", "2020", "--site", "nowhere.yaml"], "longitude: must be in the site"),
-    (["--years", "2020", "--site", "nowhere.yaml", "--eccc", "1"], "utc_offset: must be in the"),
+    (["--years", "2020", "--site", "nowhere.yaml", "--eccc", "1"], "must state its offset from"),
     (["--eccc", "48549", "--years", "1999"], "the service has no hourly records for these years"),
     (["--years", "2020", "--site", "far.yaml"], "must be within 0.5 degrees of the site's"),
     (["--years", "2020", "--site", "high.yaml"], "must be within 300 m of the site's"),
@@ -262,7 +252,7 @@ def test_what_cannot_be_is_refused_before_or_at_the_first_request(
     assert done.returncode == 2
     assert reason in " ".join(done.stderr.split())
     assert "Traceback" not in done.stderr
-    asked = {"far.yaml": 1, "high.yaml": 1, "1999": 12}
+    asked = {"far.yaml": 1, "high.yaml": 1, "1": 1, "1999": 12}
     assert len(service.requests) == asked.get(options[-1], 0)
     assert (tmp_path / "old.csv").read_text() == "mine"
 
@@ -368,23 +358,15 @@ def test_a_service_is_left_alone_as_long_as_it_asks(error, wait):
 
 def test_rain_that_no_gauge_measured_is_noted_also_beside_a_gauges(tmp_path):
     head, rows = "time,rain [mm]\n", "2024-06-{0}T00:00-05:00,1\n2024-06-{0}T01:00-05:00,2\n"
-    for name, comment, day in (
-        ("gauge.csv", "", "01"), ("model.csv", "# rain_kind: reanalysis\n", "02"),
-    ):
-        (tmp_path / name).write_text(comment + head + rows.format(day))
-    gauge, model = (
-        read_measured([tmp_path / name], SITE) for name in ("gauge.csv", "model.csv")
-    )
-    assert gauge.rain_note == ""
-    both = read_measured([tmp_path / "gauge.csv", tmp_path / "model.csv"], SITE)
-    assert LOW_PEAKS in both.rain_note == model.rain_note
-    # Written again by greenroof weather, it still says so; and the description does.
-    done = run_command(
-        "weather_file", "model.csv", "--output", "again.csv", cwd=tmp_path,
-        env={**os.environ, "COLUMNS": "400"},
-    )
-    assert LOW_PEAKS in done.stdout
-    assert read_measured([tmp_path / "again.csv"], SITE).rain_kind == "reanalysis"
+    gauge, model, again = (tmp_path / f"{name}.csv" for name in ("gauge", "model", "again"))
+    gauge.write_text(head + rows.format("01"))
+    model.write_text("# rain_kind: reanalysis\n" + head + rows.format("02"))
+    assert read_measured([gauge], SITE).rain_note == ""
+    both = read_measured([gauge, model], SITE)
+    assert LOW_PEAKS in both.rain_note
+    again.write_text(write_records(both, "Written again."))
+    assert LOW_PEAKS in again.read_text()
+    assert read_measured([again], SITE).rain_note == both.rain_note
 
 
 def test_parts_of_another_request_are_not_used(service, tmp_path):
@@ -422,6 +404,6 @@ def test_the_present_year_ends_where_the_archive_does_and_first_years_where_it_b
     ).blocks]
     assert days == [("2024-12-31", "2025-12-31"), ("2026-01-01", "2026-06-09")]
     assert archive(service, range(1971, 1972)).blocks[0].first == date(1971, 1, 1)
-    months = eccc_station(1, SITE, range(2026, 2027), TODAY).blocks
+    months = eccc_station(1, range(2026, 2027), TODAY).blocks
     assert [block.first.month for block in months] == [1, 2, 3, 4, 5, 6]
     assert (months[1].last, months[-1].last) == (date(2026, 2, 28), TODAY)

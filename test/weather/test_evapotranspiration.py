@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from paper import PAPER_SITE, weather_of
-from places import CHECKOUT, CONFIG
+from places import CONFIG
 
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
 from greenroof_ros.base.times import parse_time
@@ -24,7 +24,6 @@ from greenroof_ros.weather.evapotranspiration import (
     spread_over_day,
     sun_height,
 )
-from greenroof_ros.weather.read import read_file as read_records
 from greenroof_ros.weather.read import read_weather
 from greenroof_ros.weather.series import Weather
 
@@ -133,8 +132,10 @@ def test_site_matters() -> None:
     )
     factor = 4.87 / math.log(67.8 * 10 - 5.42)
     slower = day_of_records(**{"wind speed": np.full(24, 15.0 * factor)})
-    at_2_m = compute_fao56(slower, replace(TORONTO, wind_height=2.0))
-    assert at_2_m == pytest.approx(standard, abs=2e-3)  # the factor at 2 m is 1.0002
+    low = replace(TORONTO, wind_height=2.0)
+    assert compute_fao56(slower, low) == pytest.approx(standard, abs=2e-3)  # at 2 m it is 1.0002
+    stated = replace(day_of_records(), wind_height=10.0)  # in the file, as in ECCC's
+    np.testing.assert_array_equal(compute_fao56(stated, low), standard)
 
 
 def test_a_place_without_its_elevation_and_clock() -> None:
@@ -223,17 +224,6 @@ def test_steps_of_any_length_keep_the_sums_of_whole_days(step_s: int) -> None:
     tolerance = 1e-3 if step_s < 300 else 1e-6
     assert steps.reshape(10, -1).sum(axis=1) == pytest.approx(quarters, rel=tolerance)
     assert over(300)[1][12 * 12:15 * 12].tolist() == [0.0] * 36
-
-
-def test_the_height_of_the_wind_is_the_records() -> None:
-    """Records of Environment Canada are of 10 m; others are at the height of the site file."""
-    file = CHECKOUT / "test" / "data" / "en_climate_hourly_07-2021.csv"
-    low = replace(TORONTO, wind_height=2.0)
-    records = read_records(file, TORONTO)
-    assert records.wind_height == 10.0
-    np.testing.assert_array_equal(compute_fao56(records, low), compute_fao56(records, TORONTO))
-    own = replace(records, wind_height=None)
-    assert np.nanmean(compute_fao56(own, low)) > 1.02 * np.nanmean(compute_fao56(own, TORONTO))
 
 
 # --- hours of temperature -------------------------------------------------------------------------

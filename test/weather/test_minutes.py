@@ -270,6 +270,12 @@ def test_a_data_frame(tmp_path: Path) -> None:
     assert 60_000 * rain.sum() == pytest.approx(sum(row.rain for row in rows[:42]))
 
 
+@pytest.mark.parametrize("library", ["polars", "pandas"])
+def test_a_data_frame_without_times(library: str) -> None:
+    frame = pytest.importorskip(library).DataFrame({"rain [mm]": [0.0, 0.1]})
+    refusal(lambda: gr.simulate("onoff", weather=frame), match="^the data frame.*time.*must be")
+
+
 # --- a measured roof ------------------------------------------------------------------------------
 
 # Highest runoff measured in 15 and 60 min (mm/h) of two storms at Neubrandenburg, their hours, and

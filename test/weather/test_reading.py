@@ -88,8 +88,6 @@ def test_refused_headers(tmp_path: Path, header: str, reason: str) -> None:
 def test_a_file_without_rain_needs_another(tmp_path: Path) -> None:
     path = write(tmp_path / "air.csv", "time,temperature [degC]", "2021-07-07T03:00-05:00,20")
     refusal(read_weather, [path], PAPER_SITE, match="contains no precipitation, such as a column")
-    rain = write(tmp_path / "rain.csv", "time,rain [mm]", "2021-07-07T03:00-05:00,0.2")
-    assert read_weather([path, rain], TORONTO).values["temperature"].tolist() == [20.0]
 
 
 # --- what people have -----------------------------------------------------------------------------
@@ -167,14 +165,6 @@ def test_rows_of_a_logger_add_up_to_hours(tmp_path: Path) -> None:
     hours = read_weather([path, later], TORONTO).precipitation
     assert hours.tolist() == pytest.approx([1.2, 1.2, np.nan], nan_ok=True)
     assert any("rows of 5 min whose time is their start" in text for text in weather.applied)
-
-
-def test_rows_of_a_logger_that_cannot_be_hours(tmp_path: Path) -> None:
-    """A row for each tip of a rain gauge, and times that go back."""
-    tips = logged(tmp_path / "tips.csv", *((7 * n + n**2 % 5, "0.2,5") for n in range(40)))
-    refusal(read_weather, [tips], TORONTO, match="where the interval changes, split the file")
-    back = logged(tmp_path / "back.csv", (0, "0,5"), (5, "0,5"), (0, "0,5"))
-    refusal(read_weather, [back], TORONTO, match=r"line 5: .*later than the time of the previous r")
 
 
 # --- several files --------------------------------------------------------------------------------

@@ -72,7 +72,7 @@ def read_issued_forecasts(
     """
     issues, finest_lead = read_verified(file, site)
     verified = [issue.align(weather.first) for issue in issues]
-    first = weather.rain_from
+    first = weather.first - weather.rain_late * HOUR
     end = first + len(weather.precipitation) * HOUR
     within = [
         issue for issue in verified
