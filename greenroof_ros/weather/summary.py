@@ -6,8 +6,8 @@ climates; a record beyond a limit leads to a note that names the likely mistake.
 
 from __future__ import annotations
 
-import functools
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from datetime import datetime
 from typing import Any
@@ -58,21 +58,21 @@ def summarize(records: Records, site: Place, hours: range | None = None) -> dict
     """
     part = slice(0, records.hours) if hours is None else slice(hours.start, hours.stop)
     values = {
-        name: np.where(records.filled[name], np.nan, series)[part]
-        if name in records.filled else series[part]
+        name: np.where(records.filled.get(name, False), np.nan, series)[part]
         for name, series in records.values.items()
     }
+    known = Counter({name: np.count_nonzero(~np.isnan(series)) for name, series in values.items()})
     has_clock = site.time_zone is not None or site.utc_offset is not None
     first = (records.first + part.start * HOUR).astimezone(
         site.zone if has_clock else records.first.tzinfo
     )
-    position = next(iter(records.places.values()), (site.latitude, site.longitude))
     rain = _describe_rain(values[PRECIPITATION], first)
     rates = records.minutes if records.minutes is not None else records.values[PRECIPITATION]
+    position = next(iter(records.places.values()), (site.latitude, site.longitude))
     judged = {
         "heaviest rain": float(np.nanmax(rates[part], initial=0.0)),
-        **_judge_rain(values[PRECIPITATION], rain), **_judge_air(values),
-        **_judge_sun(values, first, *position),
+        **_judge_rain(rain, known[PRECIPITATION]), **_judge_air(values, known),
+        **_judge_sun(values, known, first, *position),
     }
     statistics = {name: value for name, value in judged.items() if math.isfinite(value)}
     return {
@@ -82,7 +82,7 @@ def summarize(records: Records, site: Place, hours: range | None = None) -> dict
             for name, series in values.items() if name in QUANTITIES
         }, "rain": rain, "course": {
             name: (first + _find_peak(values[name]) * HOUR).hour
-            for name in (RADIATION, TEMPERATURE) if _known(values.get(name)) >= _COURSE
+            for name in (RADIATION, TEMPERATURE) if known[name] >= _COURSE
         }, "statistics": statistics, "notes": [*_note(statistics)],
     }
 
@@ -110,10 +110,6 @@ def as_lines(summary: Mapping[str, Any]) -> list[str]:
         + "".join(f"; read as {text}" for text in summary["applied"]),
     ]
     return [*lines, *summary["notes"]]
-
-
-def _known(series: Values | None) -> int:
-    return 0 if series is None else int(np.count_nonzero(~np.isnan(series)))
 
 
 def _describe(series: Values) -> dict[str, Any]:
@@ -158,20 +154,12 @@ def _find_peak(series: Values) -> int:
 # --- climates -------------------------------------------------------------------------------------
 
 
-@functools.cache
-def _limits() -> list[dict[str, Any]]:
-    path = shared_directory() / "config" / "plausible.yaml"
-    rows: list[dict[str, Any]] = parse_yaml(read_text(path), path)
-    return rows
-
-
 def _note(statistics: Mapping[str, float]) -> Iterator[str]:
     """Yield one sentence about each statistic beyond its limits."""
-    for row in _limits():
-        value = statistics.get(row["statistic"])
-        if value is None:
-            continue
+    path = shared_directory() / "config" / "plausible.yaml"
+    for row in parse_yaml(read_text(path), path):
         low, high = row.get("low", -math.inf), row.get("high", math.inf)
+        value = statistics.get(row["statistic"], low)
         if not low <= value <= high:
             bound = f"less than {low:g}" if value < low else f"more than {high:g}"
             yield (
@@ -180,43 +168,40 @@ def _note(statistics: Mapping[str, float]) -> Iterator[str]:
             )
 
 
-def _judge_rain(series: Values, rain: Mapping[str, Any]) -> dict[str, float]:
-    """Return the statistics of rain; NaN if the record is too short."""
-    known = _known(series)
-    return {"wettest day": rain["wettest_day"], "wettest hour": rain["wettest_hour"]} | ({} if (
-        known < _AIR
-    ) else {
-        "rain in a year": rain["total"] * 8766 / known if known >= _YEAR else math.nan,
-        "longest dry spell": float(rain["longest_dry_days"]),
-        "wet hours": 100.0 * rain["wet_hours"] / known,
-        "mean of wet hours": rain["total"] / rain["wet_hours"] if rain["wet_hours"] else math.nan,
-    })
+def _judge_rain(rain: Mapping[str, Any], known: int) -> dict[str, float]:
+    """Return the statistics of rain that is known in so many hours, as far as they are enough."""
+    found = {"wettest day": rain["wettest_day"], "wettest hour": rain["wettest_hour"]}
+    if known >= _AIR:
+        found["longest dry spell"] = float(rain["longest_dry_days"])
+        found["wet hours"] = 100.0 * rain["wet_hours"] / known
+        found["mean of wet hours"] = rain["total"] / (rain["wet_hours"] or math.nan)
+    if known >= _YEAR:
+        found["rain in a year"] = rain["total"] * 8766 / known
+    return found
 
 
-def _judge_air(values: Mapping[str, Values]) -> dict[str, float]:
-    """Return the statistics of the air; NaN if the record is too short."""
+def _judge_air(values: Mapping[str, Values], known: Mapping[str, int]) -> dict[str, float]:
+    """Return the statistics of the air, as far as its record is long enough."""
     air = {name: values.get(name, np.full(1, np.nan)) for name in (TEMPERATURE, DEW_POINT, WIND)}
     constant = [
         end - start + 1 for series in air.values() for start, end in find_gaps(np.diff(series) == 0)
     ]
     found = {"longest constant value": float(max(constant, default=0))}
-    found |= {
-        f"mean {what}": float(np.nanmean(air[name]))
-        for name, what in ((TEMPERATURE, "temperature"), (WIND, "wind"))
-        if _known(air[name]) >= _AIR
-    }
-    above = air[DEW_POINT] - air[TEMPERATURE]
-    if _known(above) < _AIR:
-        return found
-    vapour, saturated = map(saturation_vapour_pressure, (air[DEW_POINT], air[TEMPERATURE]))
-    return found | {
-        "highest relative humidity": 100.0 * float(np.nanmax(vapour / saturated)),
-        "dew point above temperature": 100.0 * np.count_nonzero(above > 1) / _known(above),
-    }
+    for name, what in ((TEMPERATURE, "temperature"), (WIND, "wind")):
+        if known[name] >= _AIR:
+            found[f"mean {what}"] = float(np.nanmean(air[name]))
+    both = ~np.isnan(air[DEW_POINT] + air[TEMPERATURE])
+    if np.count_nonzero(both) >= _AIR:
+        dew, warmth = air[DEW_POINT][both], air[TEMPERATURE][both]
+        share = saturation_vapour_pressure(dew) / saturation_vapour_pressure(warmth)
+        found["highest relative humidity"] = 100.0 * float(np.max(share))
+        found["dew point above temperature"] = 100.0 * float(np.mean(dew - warmth > 1))
+    return found
 
 
 def _judge_sun(
-    values: Mapping[str, Values], first: datetime, latitude: float | None, longitude: float | None
+    values: Mapping[str, Values], known: Mapping[str, int], first: datetime,
+    latitude: float | None, longitude: float | None,
 ) -> dict[str, float]:
     """Return the statistics that compare the course of a day with the sun's."""
     if latitude is None or longitude is None:
@@ -225,17 +210,15 @@ def _judge_sun(
     # The sun on the clock of the meridian of Greenwich, and mean solar time relative to noon (h).
     sun = sun_height(latitude, middles, longitude)
     noon = (middles / 3600 + longitude / 15) % 24 - 12
-    found, radiation = {}, np.nan_to_num(values.get(RADIATION, np.zeros(1)))
-    if _known(values.get(RADIATION)) >= _COURSE and radiation.any():
-        high = sun > _HIGH_SUN
-        outside = _SOLAR_CONSTANT * sun[high]
-        found = {
-            "clearest hour": 100.0 * float(np.max(radiation[high] / outside, initial=0.0)),
-            "radiation at night": 100.0 * float(radiation[sun == 0].sum() / radiation.sum()),
-            "middle of the sun": float(
-                np.average(noon, weights=radiation) - np.average(noon, weights=sun)
-            ),
-        }
-    if _known(values.get(TEMPERATURE)) >= _AIR:
+    found = dict[str, float]()
+    if known[RADIATION] >= _COURSE and np.nansum(values[RADIATION]):
+        radiation, high = np.nan_to_num(values[RADIATION]), sun > _HIGH_SUN
+        clearness = radiation[high] / (_SOLAR_CONSTANT * sun[high])
+        found["clearest hour"] = 100.0 * float(np.max(clearness, initial=0.0))
+        found["radiation at night"] = 100.0 * float(radiation[sun == 0].sum() / radiation.sum())
+        found["middle of the sun"] = float(
+            np.average(noon, weights=radiation) - np.average(noon, weights=sun)
+        )
+    if known[TEMPERATURE] >= _AIR:
         found["warmest hour"] = float(np.floor(noon[_find_peak(values[TEMPERATURE])]) + 0.5)
     return found
