@@ -21,18 +21,7 @@ from greenroof_ros.base.files import read_lines
 from greenroof_ros.base.parameter import keys
 from greenroof_ros.base.ranges import read_number
 from greenroof_ros.weather.description import SEPARATORS, TIME, Description
-from greenroof_ros.weather.quantities import (
-    DEW_POINT,
-    HUMIDITY,
-    PRECIPITATION,
-    PRESSURE,
-    QUANTITIES,
-    RADIATION,
-    TEMPERATURE,
-    WIND,
-    Unit,
-    find_unit,
-)
+from greenroof_ros.weather.quantities import QUANTITIES, Unit, find_unit
 from greenroof_ros.weather.table import parse_text, split, split_unit
 
 _LINES = 2000
@@ -45,15 +34,16 @@ _FORMS = (
 )
 # Words in the names of columns, in lower case, and words of columns that are something else.
 _WORDS = {
-    PRECIPITATION: r"rain|pr[eé]cip|prectot|niederschlag|regen|pluie|lluvia|neerslag|pioggia|"
+    "precipitation": r"rain|pr[eé]cip|prectot|niederschlag|regen|pluie|lluvia|neerslag|pioggia|"
     r"nedbør|nederbörd|^rr1?$",
-    DEW_POINT: r"dew|taupunkt|ros[eé]e",
-    TEMPERATURE: r"temp|\bair_?t|\bt_?air|\bt2m$",
-    HUMIDITY: r"humid|humed|\brh|feuchte|fuktighet|\brf\b|\bhum\b",
-    WIND: r"wind[ _]?(speed|spd|velocity)|windgeschw|vitesse du vent|velocidad|middelvind|"
+    "dew point": r"dew|taupunkt|ros[eé]e",
+    "temperature": r"temp|\bair_?t|\bt_?air|\bt2m$",
+    "relative humidity": r"humid|humed|\brh|feuchte|fuktighet|\brf\b|\bhum\b",
+    "wind speed": r"wind[ _]?(speed|spd|velocity)|windgeschw|vitesse du vent|velocidad|middelvind|"
     r"\bws(?![a-z])|^wind\b",
-    PRESSURE: r"press|baro|luftdruck|\bbp|^ps$",
-    RADIATION: r"solar|radiation|strahlung|rayonnement|pyrano|\bsrad|\bslr|shortwave|allsky_sfc_sw",
+    "station pressure": r"press|baro|luftdruck|\bbp|^ps$",
+    "solar radiation": r"solar|radiation|strahlung|rayonnement|pyrano|\bsrad|\bslr|shortwave|"
+    r"allsky_sfc_sw",
 }
 _OTHER = (
     r"gust|direction|\bdir|\bmax|\bmin\b|high|low\b|soil|inside|indoor|\bin temp|batt|panel|flag|"

@@ -69,12 +69,10 @@ def summarize(records: Records, site: Place, hours: range | None = None) -> dict
     rain = _describe_rain(values[PRECIPITATION], first)
     rates = records.minutes if records.minutes is not None else records.values[PRECIPITATION]
     position = next(iter(records.places.values()), (site.latitude, site.longitude))
-    judged = {
-        "heaviest rain": float(np.nanmax(rates[part], initial=0.0)),
-        **_judge_rain(rain, known[PRECIPITATION]), **_judge_air(values, known),
-        **_judge_sun(values, known, first, *position),
-    }
-    statistics = {name: value for name, value in judged.items() if math.isfinite(value)}
+    statistics = {"heaviest rain": float(np.nanmax(rates[part], initial=0.0))}
+    for name, value in _find_statistics(values, known, rain, first, position):
+        if math.isfinite(value):
+            statistics[name] = float(value)
     return {
         "applied": list(records.applied), "from": to_people(first),
         "hours": len(values[PRECIPITATION]), "quantities": {
@@ -168,57 +166,45 @@ def _note(statistics: Mapping[str, float]) -> Iterator[str]:
             )
 
 
-def _judge_rain(rain: Mapping[str, Any], known: int) -> dict[str, float]:
-    """Return the statistics of rain that is known in so many hours, as far as they are enough."""
-    found = {"wettest day": rain["wettest_day"], "wettest hour": rain["wettest_hour"]}
-    if known >= _AIR:
-        found["longest dry spell"] = float(rain["longest_dry_days"])
-        found["wet hours"] = 100.0 * rain["wet_hours"] / known
-        found["mean of wet hours"] = rain["total"] / (rain["wet_hours"] or math.nan)
-    if known >= _YEAR:
-        found["rain in a year"] = rain["total"] * 8766 / known
-    return found
-
-
-def _judge_air(values: Mapping[str, Values], known: Mapping[str, int]) -> dict[str, float]:
-    """Return the statistics of the air, as far as its record is long enough."""
+def _find_statistics(
+    values: Mapping[str, Values], known: Mapping[str, int], rain: Mapping[str, Any],
+    first: datetime, position: tuple[float | None, float | None],
+) -> Iterator[tuple[str, float]]:
+    """Yield each statistic for which enough hours are known; it may be infinite or NaN."""
+    yield "wettest day", rain["wettest_day"]
+    yield "wettest hour", rain["wettest_hour"]
+    if known[PRECIPITATION] >= _AIR:
+        yield "longest dry spell", rain["longest_dry_days"]
+        yield "wet hours", 100 * rain["wet_hours"] / known[PRECIPITATION]
+        yield "mean of wet hours", rain["total"] / (rain["wet_hours"] or math.nan)
+    if known[PRECIPITATION] >= _YEAR:
+        yield "rain in a year", rain["total"] * 8766 / known[PRECIPITATION]
     air = {name: values.get(name, np.full(1, np.nan)) for name in (TEMPERATURE, DEW_POINT, WIND)}
-    constant = [
+    yield "longest constant value", max((
         end - start + 1 for series in air.values() for start, end in find_gaps(np.diff(series) == 0)
-    ]
-    found = {"longest constant value": float(max(constant, default=0))}
+    ), default=0)
     for name, what in ((TEMPERATURE, "temperature"), (WIND, "wind")):
         if known[name] >= _AIR:
-            found[f"mean {what}"] = float(np.nanmean(air[name]))
+            yield f"mean {what}", float(np.nanmean(air[name]))
     both = ~np.isnan(air[DEW_POINT] + air[TEMPERATURE])
     if np.count_nonzero(both) >= _AIR:
         dew, warmth = air[DEW_POINT][both], air[TEMPERATURE][both]
         share = saturation_vapour_pressure(dew) / saturation_vapour_pressure(warmth)
-        found["highest relative humidity"] = 100.0 * float(np.max(share))
-        found["dew point above temperature"] = 100.0 * float(np.mean(dew - warmth > 1))
-    return found
-
-
-def _judge_sun(
-    values: Mapping[str, Values], known: Mapping[str, int], first: datetime,
-    latitude: float | None, longitude: float | None,
-) -> dict[str, float]:
-    """Return the statistics that compare the course of a day with the sun's."""
+        yield "highest relative humidity", 100 * np.max(share)
+        yield "dew point above temperature", 100 * np.mean(dew - warmth > 1)
+    latitude, longitude = position
     if latitude is None or longitude is None:
-        return {}
+        return
     middles = round(first.timestamp()) + 1800 + 3600 * np.arange(len(values[PRECIPITATION]))
     # The sun on the clock of the meridian of Greenwich, and mean solar time relative to noon (h).
     sun = sun_height(latitude, middles, longitude)
     noon = (middles / 3600 + longitude / 15) % 24 - 12
-    found = dict[str, float]()
     if known[RADIATION] >= _COURSE and np.nansum(values[RADIATION]):
         radiation, high = np.nan_to_num(values[RADIATION]), sun > _HIGH_SUN
-        clearness = radiation[high] / (_SOLAR_CONSTANT * sun[high])
-        found["clearest hour"] = 100.0 * float(np.max(clearness, initial=0.0))
-        found["radiation at night"] = 100.0 * float(radiation[sun == 0].sum() / radiation.sum())
-        found["middle of the sun"] = float(
-            np.average(noon, weights=radiation) - np.average(noon, weights=sun)
-        )
+        outside = _SOLAR_CONSTANT * sun[high]
+        yield "clearest hour", 100 * np.max(radiation[high] / outside, initial=0.0)
+        yield "radiation at night", 100 * radiation[sun == 0].sum() / radiation.sum()
+        by_sun, by_radiation = (np.average(noon, weights=each) for each in (sun, radiation))
+        yield "middle of the sun", by_radiation - by_sun
     if known[TEMPERATURE] >= _AIR:
-        found["warmest hour"] = float(np.floor(noon[_find_peak(values[TEMPERATURE])]) + 0.5)
-    return found
+        yield "warmest hour", np.floor(noon[_find_peak(values[TEMPERATURE])]) + 0.5
