@@ -48,11 +48,6 @@ MAX_GAP_H = {
     "station pressure": 24,
 }
 
-_NO_TEMPERATURE = (
-    "the weather contains no temperature, so no frost is assumed; during frost, nothing would be "
-    "pumped"
-)
-
 # Offsets from a missing hour to the hours at the same time of day whose mean replaces it.
 _SAME_TIME_OF_DAY = 24 * np.array([-3, -2, -1, 1, 2, 3])
 
@@ -146,24 +141,26 @@ def complete_records(
         quantity: np.isnan(measured.values[quantity]) & ~np.isnan(series)
         for quantity, series in values.items()
     })
-    left_out = records.left_out
+    notes = [*records.left_out]
     if not (rain_only or TEMPERATURE in values):
-        left_out = (*left_out, _NO_TEMPERATURE)
+        notes.append(
+            "the weather contains no temperature, so no frost is assumed; during frost, nothing "
+            "would be pumped"
+        )
     if rain_only:
         values[EVAPOTRANSPIRATION], method = np.full(records.hours, np.nan), ""
     elif EVAPOTRANSPIRATION in values and method in (None, records.method):
         method = records.method
     elif method is None or method in COMPUTED:
-        series, method, notes = compute_evapotranspiration(records, site, method)
-        values[EVAPOTRANSPIRATION] = series
-        left_out = (*left_out, *notes)
+        values[EVAPOTRANSPIRATION], method, more = compute_evapotranspiration(records, site, method)
+        notes += more
     else:
         own = f", or {records.method} from the column of the file" if records.method else ""
         raise ConfigurationError(
             f"must be one of {', '.join(COMPUTED)}{own}: {records.source} contains no other "
             "evapotranspiration", key="evapotranspiration", value=method,
         )
-    return Weather(**{**vars(records), "method": method, "left_out": left_out}, gaps=gaps)
+    return Weather(**{**vars(records), "method": method, "left_out": (*notes,)}, gaps=gaps)
 
 
 def drop_empty(records: Records) -> Records:
@@ -177,13 +174,12 @@ def drop_empty(records: Records) -> Records:
         raise ConfigurationError(
             "has no precipitation: every value is missing", file=records.source
         )
+    notes = [f"{records.source} contains no values of {name}" for name in empty]
     return replace(
         records,
         values={name: series for name, series in records.values.items() if name not in empty},
         method="" if EVAPOTRANSPIRATION in empty else records.method,
-        left_out=(*records.left_out, *(
-            f"{records.source} contains no values of {name}" for name in empty
-        )),
+        left_out=(*records.left_out, *notes),
     )
 
 
@@ -204,16 +200,17 @@ def compute_evapotranspiration(
         ConfigurationError: if the records or the site lack data that the method requires.
     """
     lacking = [name for name in FOR_EVAPOTRANSPIRATION if name not in records.values]
-    means, chosen = repeat_monthly(records, site), method or (HARGREAVES if lacking else FAO56)
-    if method is None and TEMPERATURE in lacking:
-        chosen, lacking = MONTHLY, [TEMPERATURE]
-    elif method is None and means is not None and is_polar(site):
-        chosen, lacking = MONTHLY, ["sunrise each day"]
-    series = compute_hargreaves(records, site) if chosen == HARGREAVES else None
-    if series is not None and method is None and means is not None and np.isnan(series).all():
-        chosen, lacking = MONTHLY, ["a day with 18 hours of temperature"]
+    means = repeat_monthly(records, site)
+    if method is None:
+        method = HARGREAVES if lacking else FAO56
+        if TEMPERATURE in lacking:
+            method, lacking = MONTHLY, [TEMPERATURE]
+        elif means is not None and is_polar(site):
+            method, lacking = MONTHLY, ["sunrise each day"]
+        elif lacking and means is not None and np.isnan(compute_hargreaves(records, site)).all():
+            method, lacking = MONTHLY, ["a day with 18 hours of temperature"]
     for_want = f", for lack of {', '.join(lacking)}" if lacking else ""
-    if chosen == MONTHLY:
+    if method == MONTHLY:
         if means is None:
             raise ConfigurationError(
                 f"has no {TEMPERATURE}, from which evapotranspiration is computed, and no column "
@@ -222,15 +219,15 @@ def compute_evapotranspiration(
                 file=records.source,
             )
         note = f"evapotranspiration is taken from the site's monthly means{for_want}"
-        return means, chosen, [note]
-    if series is not None:
-        return series, chosen, [
+        return means, method, [note]
+    if method == HARGREAVES:
+        return compute_hargreaves(records, site), method, [
             "evapotranspiration is computed from each day's minimum and maximum temperature "
             f"(hargreaves, FAO-56 Eq. 52){for_want}"
         ]
     series = compute_fao56(records, site)
     computed = np.isnan(records.values.get(RADIATION, series)) & ~np.isnan(series)
-    return series, chosen, [
+    return series, method, [
         f"solar radiation is missing for {np.count_nonzero(computed)} hours, for which it is "
         "computed from the day's temperatures (FAO-56 Eq. 50)"
     ] * bool(computed.any())
@@ -277,15 +274,14 @@ def find_files(names: Iterable[str], key: str) -> list[Path]:
     """
     files = dict[Path, None]()
     for name in names:
-        matches = [path := Path(name)]
+        path = Path(name)
         if path.is_dir():
-            matches = sorted(
-                file for file in path.iterdir() if file.suffix in (".csv", ".txt", ".json")
-            )
-        elif not path.exists() and glob.has_magic(name):
-            matches = sorted(map(Path, glob.glob(name)))  # noqa: PTH207
-            if not matches:
-                raise ConfigurationError("matches no file", key=key, value=name)
+            ends = ".csv", ".txt", ".json"
+            matches = sorted(file for file in path.iterdir() if file.suffix in ends)
+        elif path.exists() or not glob.has_magic(name):
+            matches = [path]
+        elif not (matches := sorted(map(Path, glob.glob(name)))):  # noqa: PTH207
+            raise ConfigurationError("matches no file", key=key, value=name)
         files |= dict.fromkeys(matches)
     if not files:
         raise ConfigurationError("must name at least one file", key=key)
@@ -300,20 +296,19 @@ def fill_long_gaps(values: Mapping[str, Array]) -> dict[str, Array]:
     missing. Years with a few estimated hours are more useful than fragments of years, but rain that
     was not measured is lost, so gaps are filled only at the user's request.
     """
-    filled = {}
-    for quantity, series in values.items():
-        missing = np.isnan(series)
-        filled[quantity] = series.copy()
-        filled[quantity][missing] = (
-            0.0 if quantity == PRECIPITATION else _average_days_around(series, missing)
+    return {
+        quantity: np.where(
+            np.isnan(series),
+            0.0 if quantity == PRECIPITATION else _average_days_around(series), series,
         )
-    return filled
+        for quantity, series in values.items()
+    }
 
 
-def _average_days_around(series: Array, missing: NDArray[np.bool_]) -> Array:
-    """Return the mean of the adjacent days for every missing hour; NaN if no value is known."""
-    padded = np.pad(series, -_SAME_TIME_OF_DAY[0], constant_values=np.nan)
-    hours = np.flatnonzero(missing) - _SAME_TIME_OF_DAY[0]
-    near = padded[hours[:, None] + _SAME_TIME_OF_DAY]
-    known = np.count_nonzero(~np.isnan(near), axis=1)
-    return np.where(known > 0, np.nansum(near, axis=1) / np.maximum(known, 1), np.nan)
+def _average_days_around(series: Array) -> Array:
+    """Return the mean of the adjacent days for every hour; NaN if no value is known."""
+    edge = _SAME_TIME_OF_DAY[-1]
+    hours = np.arange(len(series)) + edge
+    near = np.pad(series, edge, constant_values=np.nan)[hours + _SAME_TIME_OF_DAY[:, None]]
+    known = np.count_nonzero(~np.isnan(near), axis=0)
+    return np.where(known > 0, np.nansum(near, axis=0) / np.maximum(known, 1), np.nan)
