@@ -13,18 +13,8 @@ from numpy.typing import NDArray
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import shared_directory
 from greenroof_ros.site.site import Place
-from greenroof_ros.weather import open_meteo
+from greenroof_ros.weather import evapotranspiration, open_meteo
 from greenroof_ros.weather.description import Description, expand
-from greenroof_ros.weather.evapotranspiration import (
-    COMPUTED,
-    FAO56,
-    HARGREAVES,
-    MONTHLY,
-    compute_fao56,
-    compute_hargreaves,
-    is_polar,
-    repeat_monthly,
-)
 from greenroof_ros.weather.hours import read_hours, write_records
 from greenroof_ros.weather.quantities import (
     EVAPOTRANSPIRATION,
@@ -151,14 +141,14 @@ def complete_records(
         values[EVAPOTRANSPIRATION], method = np.full(records.hours, np.nan), ""
     elif EVAPOTRANSPIRATION in values and method in (None, records.method):
         method = records.method
-    elif method is None or method in COMPUTED:
+    elif method is None or method in evapotranspiration.COMPUTED:
         values[EVAPOTRANSPIRATION], method, more = compute_evapotranspiration(records, site, method)
         notes += more
     else:
         own = f", or {records.method} from the column of the file" if records.method else ""
         raise ConfigurationError(
-            f"must be one of {', '.join(COMPUTED)}{own}: {records.source} contains no other "
-            "evapotranspiration", key="evapotranspiration", value=method,
+            f"must be one of {', '.join(evapotranspiration.COMPUTED)}{own}: {records.source} "
+            "contains no other evapotranspiration", key="evapotranspiration", value=method,
         )
     return Weather(**{**vars(records), "method": method, "left_out": (*notes,)}, gaps=gaps)
 
@@ -200,17 +190,19 @@ def compute_evapotranspiration(
         ConfigurationError: if the records or the site lack data that the method requires.
     """
     lacking = [name for name in FOR_EVAPOTRANSPIRATION if name not in records.values]
-    means = repeat_monthly(records, site)
+    means = evapotranspiration.repeat_monthly(records, site)
     if method is None:
-        method = HARGREAVES if lacking else FAO56
+        method = evapotranspiration.HARGREAVES if lacking else evapotranspiration.FAO56
         if TEMPERATURE in lacking:
-            method, lacking = MONTHLY, [TEMPERATURE]
-        elif means is not None and is_polar(site):
-            method, lacking = MONTHLY, ["sunrise each day"]
-        elif lacking and means is not None and np.isnan(compute_hargreaves(records, site)).all():
-            method, lacking = MONTHLY, ["a day with 18 hours of temperature"]
+            method, lacking = evapotranspiration.MONTHLY, [TEMPERATURE]
+        elif means is not None and evapotranspiration.is_polar(site):
+            method, lacking = evapotranspiration.MONTHLY, ["sunrise each day"]
+        elif lacking and means is not None and np.isnan(
+            evapotranspiration.compute_hargreaves(records, site)
+        ).all():
+            method, lacking = evapotranspiration.MONTHLY, ["a day with 18 hours of temperature"]
     for_want = f", for lack of {', '.join(lacking)}" if lacking else ""
-    if method == MONTHLY:
+    if method == evapotranspiration.MONTHLY:
         if means is None:
             raise ConfigurationError(
                 f"has no {TEMPERATURE}, from which evapotranspiration is computed, and no column "
@@ -220,12 +212,12 @@ def compute_evapotranspiration(
             )
         note = f"evapotranspiration is taken from the site's monthly means{for_want}"
         return means, method, [note]
-    if method == HARGREAVES:
-        return compute_hargreaves(records, site), method, [
+    if method == evapotranspiration.HARGREAVES:
+        return evapotranspiration.compute_hargreaves(records, site), method, [
             "evapotranspiration is computed from each day's minimum and maximum temperature "
             f"(hargreaves, FAO-56 Eq. 52){for_want}"
         ]
-    series = compute_fao56(records, site)
+    series = evapotranspiration.compute_fao56(records, site)
     computed = np.isnan(records.values.get(RADIATION, series)) & ~np.isnan(series)
     return series, method, [
         f"solar radiation is missing for {np.count_nonzero(computed)} hours, for which it is "

@@ -29,23 +29,13 @@ from greenroof_ros.base.parameter import keys
 from greenroof_ros.base.ranges import Range, read_number
 from greenroof_ros.base.times import DEFAULT_START, duration, is_skipped, parse_time
 from greenroof_ros.site.site import Place, Site
-from greenroof_ros.weather.description import (
-    END,
-    PLACE,
-    SEPARATORS,
-    STANDARD,
-    TIME,
-    Description,
-    find_service,
-    quantity_of,
-    read_comments,
-    service_descriptions,
-    usual_name,
-)
+from greenroof_ros.weather import description
+from greenroof_ros.weather.description import END, PLACE, SEPARATORS, STANDARD, TIME, Description
 from greenroof_ros.weather.quantities import (
     EVAPOTRANSPIRATION,
     PRECIPITATION,
     QUANTITIES,
+    Unit,
     find_unit,
 )
 
@@ -144,13 +134,13 @@ class Table:
         Raises:
             ConfigurationError: if the cell does not contain such a time.
         """
-        try:
+        with suppress(ValueError):
             time = parse_time(self.cell(row, column))
-        except ValueError:
-            raise self.refuse(f"must be a time such as {DEFAULT_START}", column, row) from None
-        if time.tzinfo is None:
-            raise self.refuse(f"must include a UTC offset, as in {DEFAULT_START}", column, row)
-        return time
+            if time.tzinfo is not None:
+                return time
+        raise self.refuse(
+            f"must be a time with a UTC offset, such as {DEFAULT_START}", column, row
+        )
 
 
 def split(text: str, separator: str) -> list[str]:
@@ -316,23 +306,11 @@ def arrange(table: Table, described: Description, site: Place, wanted: Collectio
     first = datetime.fromtimestamp(seconds[0], times[0].tzinfo or zone)
     offset = first.utcoffset() or timedelta()
     begin, step_s, steps = _number_steps(seconds + offset.total_seconds(), described.step, refuse)
-    values = dict[str, Values]()
+    values, area = dict[str, Values](), site.a2 if isinstance(site, Site) else math.nan
     for name, series in zip(readers, numbers, strict=True):
         column, unit_name = columns[name]
-        area = site.a2 if isinstance(site, Site) else math.nan
-        quantity, unit = QUANTITIES[name], find_unit(name, unit_name, step_s / _HOUR_S, area)
-        values[name] = (np.array(series) - unit.zero) / unit.per_ours
-        wrong = np.flatnonzero((values[name] < quantity.low) | (values[name] > quantity.high))
-        if wrong.size:
-            low, high = (
-                float(f"{end * unit.per_ours + unit.zero:.4g}")
-                for end in (quantity.low, quantity.high)
-            )
-            raise table.refuse(
-                f"{Range(low, high, unit.name).expected()}; is the unit of the column right? "
-                "A code for a missing value must be named in na_values", column,
-                Row(lines[wrong[0]], ()), series[wrong[0]],
-            )
+        unit = find_unit(name, unit_name, step_s / _HOUR_S, area)
+        values[name] = _convert(table, name, column, unit, np.array(series), lines)
     if described.rows == END:
         begin -= step_s
         for level in values.keys() & {*_LEVELS}:
@@ -362,21 +340,19 @@ def _open(file: Path, given: Description) -> tuple[Table, Description]:
         return read_table(file, (row for row, _ in zip(rows, ahead, strict=False)), given), given
     head = list[tuple[int, str]]()
     for number, text in lines:
-        service = find_service(text)
+        service = description.find_service(text)
         if service is not None:  # its header can be a comment
             header = number, text.replace("#", " ", 1)
             return read_table(file, itertools.chain([header], lines), service), service
         head.append((number, text))
         if not is_comment(text):
             break
-    made = read_comments(file, head, given)
+    made = description.read_comments(file, head, given)
     table = read_table(file, itertools.chain(head, lines), made)
     if table.header[0] != TIME:
-        known = sorted({described.name for described in service_descriptions()})
         raise table.refuse(
-            f"must be '{TIME}', or the header must be that of a service ({', '.join(known)}); for "
-            "any other file, write a description: greenroof weather FILE --describe",
-            table.header[0],
+            f"must be '{TIME}', or the header must be that of a service; for any other file, write "
+            "a description: greenroof weather FILE --describe", table.header[0],
         )
     return table, made
 
@@ -386,11 +362,11 @@ def _find_columns(
 ) -> tuple[dict[str, tuple[str, str]], str]:
     """Return the column and unit of every quantity, and the method of evapotranspiration."""
     named = [(name, column) for name, (column, *_) in described.columns.items()] or [
-        (usual_name(split_unit(column)[0]), column) for column in table.header
+        (description.usual_name(split_unit(column)[0]), column) for column in table.header
     ]
     columns, method = dict[str, tuple[str, str]](), ""
     for name, column in named:
-        quantity = quantity_of(name)
+        quantity = description.quantity_of(name)
         if quantity not in QUANTITIES:  # the time, a coordinate, or a column that is not used
             continue
         if quantity in columns:
@@ -461,6 +437,27 @@ def _number_reader(
         return meanings.get(number, number)
 
     return read
+
+
+def _convert(
+    table: Table, name: str, column: str, unit: Unit, numbers: Values, lines: Sequence[int]
+) -> Values:
+    """Return values in the unit of :data:`.quantities.QUANTITIES`.
+
+    Raises:
+        ConfigurationError: if a value is outside the physical range of its quantity.
+    """
+    ends = QUANTITIES[name].low, QUANTITIES[name].high
+    values = (numbers - unit.zero) / unit.per_ours
+    wrong = np.flatnonzero((values < ends[0]) | (values > ends[1]))
+    if wrong.size:
+        low, high = (float(f"{end * unit.per_ours + unit.zero:.4g}") for end in ends)
+        raise table.refuse(
+            f"{Range(low, high, unit.name).expected()}; is the unit of the column right? "
+            "A code for a missing value must be named in na_values", column,
+            Row(lines[wrong[0]], ()), float(numbers[wrong[0]]),
+        )
+    return np.asarray(values)
 
 
 # --- times ----------------------------------------------------------------------------------------
