@@ -13,17 +13,10 @@ from numpy.typing import NDArray
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import shared_directory
 from greenroof_ros.site.site import Place
-from greenroof_ros.weather import evapotranspiration, open_meteo
+from greenroof_ros.weather import evapotranspiration, open_meteo, quantities
 from greenroof_ros.weather.description import Description, expand
 from greenroof_ros.weather.hours import read_hours, write_records
-from greenroof_ros.weather.quantities import (
-    EVAPOTRANSPIRATION,
-    FOR_EVAPOTRANSPIRATION,
-    PRECIPITATION,
-    QUANTITIES,
-    RADIATION,
-    TEMPERATURE,
-)
+from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
 from greenroof_ros.weather.records import Records, bridge_gaps, join_records
 from greenroof_ros.weather.series import FILL, REFUSE, Weather
 
@@ -85,8 +78,7 @@ def read_measured(
 
 
 def read_weather(
-    files: Sequence[Path], site: Place, method: str | None = None, gaps: str = REFUSE, *,
-    rain_only: bool = False,
+    files: Sequence[Path], site: Place, method: str | None = None, gaps: str = REFUSE
 ) -> Weather:
     """Read weather files as :func:`read_measured` does, and add evapotranspiration.
 
@@ -99,21 +91,19 @@ def read_weather(
         site: site with its location, which evapotranspiration and some file formats require.
         method: method for evapotranspiration: one of :data:`.evapotranspiration.COMPUTED`, or the
             method of the column in the files. By default, the column in the files is used if there
-            is one, and otherwise the most accurate method that the files allow.
+            is one, and otherwise the most accurate method that the files allow. An empty text
+            leaves evapotranspiration unknown (NaN), because a rain gauge does not measure it.
         gaps: treatment of longer gaps, one of :data:`greenroof_ros.weather.series.GAPS`.
-        rain_only: whether to leave evapotranspiration unknown (NaN), because a rain gauge does not
-            measure evapotranspiration.
 
     Raises:
         ConfigurationError: if a file cannot be parsed, if two files contradict each other, or if
             the method cannot be applied to the files.
     """
-    return complete_records(read_measured(files, site), site, method, gaps, rain_only=rain_only)
+    return complete_records(read_measured(files, site), site, method, gaps)
 
 
 def complete_records(
-    measured: Records, site: Place, method: str | None = None, gaps: str = REFUSE, *,
-    rain_only: bool = False,
+    measured: Records, site: Place, method: str | None = None, gaps: str = REFUSE
 ) -> Weather:
     """Fill gaps in records and add evapotranspiration, as :func:`read_weather` does."""
     values = {
@@ -132,13 +122,13 @@ def complete_records(
         for quantity, series in values.items()
     })
     notes = [*records.left_out]
-    if not (rain_only or TEMPERATURE in values):
+    if method != "" and TEMPERATURE not in values:
         notes.append(
             "the weather contains no temperature, so no frost is assumed; during frost, nothing "
             "would be pumped"
         )
-    if rain_only:
-        values[EVAPOTRANSPIRATION], method = np.full(records.hours, np.nan), ""
+    if method == "":
+        values[EVAPOTRANSPIRATION] = np.full(records.hours, np.nan)
     elif EVAPOTRANSPIRATION in values and method in (None, records.method):
         method = records.method
     elif method is None or method in evapotranspiration.COMPUTED:
@@ -189,7 +179,7 @@ def compute_evapotranspiration(
     Raises:
         ConfigurationError: if the records or the site lack data that the method requires.
     """
-    lacking = [name for name in FOR_EVAPOTRANSPIRATION if name not in records.values]
+    lacking = [name for name in quantities.FOR_EVAPOTRANSPIRATION if name not in records.values]
     means = evapotranspiration.repeat_monthly(records, site)
     if method is None:
         method = evapotranspiration.HARGREAVES if lacking else evapotranspiration.FAO56
@@ -206,9 +196,8 @@ def compute_evapotranspiration(
         if means is None:
             raise ConfigurationError(
                 f"has no {TEMPERATURE}, from which evapotranspiration is computed, and no column "
-                f"'{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION].unit}]'; set "
-                "monthly_evapotranspiration in the site file to use monthly means",
-                file=records.source,
+                "'evapotranspiration [mm/day]'; set monthly_evapotranspiration in the site file to use "
+                "monthly means", file=records.source,
             )
         note = f"evapotranspiration is taken from the site's monthly means{for_want}"
         return means, method, [note]
@@ -218,7 +207,7 @@ def compute_evapotranspiration(
             f"(hargreaves, FAO-56 Eq. 52){for_want}"
         ]
     series = evapotranspiration.compute_fao56(records, site)
-    computed = np.isnan(records.values.get(RADIATION, series)) & ~np.isnan(series)
+    computed = np.isnan(records.values.get(quantities.RADIATION, series)) & ~np.isnan(series)
     return series, method, [
         f"solar radiation is missing for {np.count_nonzero(computed)} hours, for which it is "
         "computed from the day's temperatures (FAO-56 Eq. 50)"

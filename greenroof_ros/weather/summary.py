@@ -18,15 +18,9 @@ from numpy.typing import NDArray
 from greenroof_ros.base.files import parse_yaml, read_text, shared_directory
 from greenroof_ros.base.times import to_people
 from greenroof_ros.site.site import Place
+from greenroof_ros.weather import quantities
 from greenroof_ros.weather.evapotranspiration import saturation_vapour_pressure, sun_height
-from greenroof_ros.weather.quantities import (
-    DEW_POINT,
-    PRECIPITATION,
-    QUANTITIES,
-    RADIATION,
-    TEMPERATURE,
-    WIND,
-)
+from greenroof_ros.weather.quantities import DEW_POINT, PRECIPITATION, RADIATION, TEMPERATURE, WIND
 from greenroof_ros.weather.records import HOUR, Records, find_gaps
 
 Values = NDArray[np.float64]
@@ -76,8 +70,8 @@ def summarize(records: Records, site: Place, hours: range | None = None) -> dict
     return {
         "applied": list(records.applied), "from": to_people(first),
         "hours": len(values[PRECIPITATION]), "quantities": {
-            name: {"unit": QUANTITIES[name].unit, **_describe(series)}
-            for name, series in values.items() if name in QUANTITIES
+            name: {"unit": quantities.QUANTITIES[name].unit, **_describe(series)}
+            for name, series in values.items() if name in quantities.QUANTITIES
         }, "rain": rain, "course": {
             name: (first + _find_peak(values[name]) * HOUR).hour
             for name in (RADIATION, TEMPERATURE) if known[name] >= _COURSE
@@ -89,8 +83,8 @@ def as_lines(summary: Mapping[str, Any]) -> list[str]:
     """Return a summary in three lines, followed by one line for each note."""
     rain = summary["rain"]
     parts = ", ".join(f"{name} {amount:.4g}" for name, amount in rain["parts"].items())
-    quantities = dict(summary["quantities"])
-    missing = {name: about["missing"] for name, about in quantities.items() if about["missing"]}
+    contents = dict(summary["quantities"])
+    missing = {name: about["missing"] for name, about in contents.items() if about["missing"]}
     lines = [
         f"rain {rain['total']:.4g} mm in {summary['hours'] / 24:.3g} days from {summary['from']} "
         f"({parts}); {rain['wet_hours']} wet hours; wettest hour {rain['wettest_hour']:.3g} mm, "
@@ -101,7 +95,7 @@ def as_lines(summary: Mapping[str, Any]) -> list[str]:
             f"{about['mean']:.3g}" + (
                 f", highest at {summary['course'][name]} h" if name in summary["course"] else ""
             )
-            for name, about in quantities.items()
+            for name, about in contents.items()
             if name != PRECIPITATION and about["mean"] is not None
         ) or "no other quantity",
         "missing: " + (", ".join(f"{name} {hours} h" for name, hours in missing.items()) or "none")

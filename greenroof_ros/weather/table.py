@@ -29,15 +29,9 @@ from greenroof_ros.base.parameter import keys
 from greenroof_ros.base.ranges import Range, read_number
 from greenroof_ros.base.times import DEFAULT_START, duration, is_skipped, parse_time
 from greenroof_ros.site.site import Place, Site
-from greenroof_ros.weather import description
+from greenroof_ros.weather import description, quantities
 from greenroof_ros.weather.description import END, PLACE, SEPARATORS, STANDARD, TIME, Description
-from greenroof_ros.weather.quantities import (
-    EVAPOTRANSPIRATION,
-    PRECIPITATION,
-    QUANTITIES,
-    Unit,
-    find_unit,
-)
+from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 
 Values = NDArray[np.float64]
 _Refuse = Callable[[int, str], ConfigurationError]
@@ -309,7 +303,7 @@ def arrange(table: Table, described: Description, site: Place, wanted: Collectio
     values, area = dict[str, Values](), site.a2 if isinstance(site, Site) else math.nan
     for name, series in zip(readers, numbers, strict=True):
         column, unit_name = columns[name]
-        unit = find_unit(name, unit_name, step_s / _HOUR_S, area)
+        unit = quantities.find_unit(name, unit_name, step_s / _HOUR_S, area)
         values[name] = _convert(table, name, column, unit, np.array(series), lines)
     if described.rows == END:
         begin -= step_s
@@ -373,7 +367,7 @@ def _find_columns(
             raise table.refuse(f"an earlier column already contains {quantity}", column)
         unit = described.units.get(name, described.units.get(quantity, split_unit(column)[1]))
         try:
-            find_unit(quantity, unit, 1.0, 1.0)
+            quantities.find_unit(quantity, unit, 1.0, 1.0)
         except ValueError as error:
             raise table.refuse(str(error), column) from None
         columns[quantity] = column, unit
@@ -440,7 +434,8 @@ def _number_reader(
 
 
 def _convert(
-    table: Table, name: str, column: str, unit: Unit, numbers: Values, lines: Sequence[int]
+    table: Table, name: str, column: str, unit: quantities.Unit, numbers: Values,
+    lines: Sequence[int],
 ) -> Values:
     """Return values in the unit of :data:`.quantities.QUANTITIES`.
 
@@ -476,28 +471,24 @@ def _find_seconds(times: Sequence[datetime], zone: tzinfo | None, refuse: _Refus
     """
     seconds, before = array("d"), -math.inf
     for place, given in enumerate(times):
-        time, wrong = given, ""
-        if given.tzinfo is None:
-            time = given.replace(tzinfo=zone)
-            if time.timestamp() <= before:
-                time = time.replace(fold=1)
-            if zone is None:
-                wrong = (
-                    f"must include a UTC offset, as in {DEFAULT_START}, unless the site file, a "
-                    "description or a comment states time_zone or utc_offset"
-                )
-            elif is_skipped(time):
-                wrong = (
-                    f"is in an hour that the clocks in {zone} skip; if this clock is not changed "
-                    "in summer, state utc_offset in place of time_zone"
-                )
-        if not wrong and time.timestamp() <= before:
-            wrong = (
-                "must be later than the time of the previous row; if this clock is changed in "
-                "summer, state time_zone, such as Europe/Berlin"
+        time = given if given.tzinfo else given.replace(tzinfo=zone)
+        if time.tzinfo is None:
+            raise refuse(
+                place, f"must include a UTC offset, as in {DEFAULT_START}, unless the site file, a "
+                "description or a comment states time_zone or utc_offset"
             )
-        if wrong:
-            raise refuse(place, wrong)
+        if is_skipped(time):
+            raise refuse(
+                place, f"is in an hour that the clocks in {zone} skip; if this clock is not "
+                "changed in summer, state utc_offset in place of time_zone"
+            )
+        if time.timestamp() <= before:
+            time = time.replace(fold=1)
+        if time.timestamp() <= before:
+            raise refuse(
+                place, "must be later than the time of the previous row; if this clock is changed "
+                "in summer, state time_zone, such as Europe/Berlin"
+            )
         before = time.timestamp()
         seconds.append(before)
     return np.array(seconds)
@@ -505,17 +496,17 @@ def _find_seconds(times: Sequence[datetime], zone: tzinfo | None, refuse: _Refus
 
 def _find_zone(site: Place, described: Description) -> tzinfo | None:
     """Return the time zone of times without an offset; None if nothing states it."""
-    if described.time_zone not in ("", STANDARD):
-        return ZoneInfo(described.time_zone)
     is_standard = described.time_zone == STANDARD
-    offset = site.utc_offset if is_standard else described.utc_offset
-    if offset is not None:
-        return timezone(timedelta(hours=offset))
-    if is_standard:
+    if described.time_zone and not is_standard:
+        return ZoneInfo(described.time_zone)
+    if is_standard and site.utc_offset is None:
         raise ConfigurationError(
             f"files of {described.name} contain local standard time: the site file must state its "
             "offset from UTC, such as -5.0", key="utc_offset",
         )
+    offset = site.utc_offset if is_standard else described.utc_offset
+    if offset is not None:
+        return timezone(timedelta(hours=offset))
     return None if site.time_zone is None and site.utc_offset is None else site.zone
 
 
