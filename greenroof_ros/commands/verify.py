@@ -107,7 +107,7 @@ def main() -> None:
     if arguments.output is not None:
         refuse_unwritable(arguments.output, (".csv",), "--output")
     site = read_site(arguments.site)
-    weather = read_weather(find_files(arguments.weather, "--weather"), site, rain_only=True)
+    weather = read_weather(find_files(arguments.weather, "--weather"), site, method="")
     forecasts = read_issued_forecasts(arguments.forecasts, weather, site, arguments.horizon)
     if arguments.lead % forecasts.finest_lead:
         raise ConfigurationError(

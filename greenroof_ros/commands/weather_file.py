@@ -158,7 +158,7 @@ def _describe(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
         weather = complete_records(measured, site)
         unknown = ""
     except ConfigurationError as error:
-        weather, unknown = complete_records(measured, site, rain_only=True), str(error)
+        weather, unknown = complete_records(measured, site, method=""), str(error)
     for text in (*measured.applied, *measured.notes):
         yield "read", "", text
     yield from _describe_places(measured, site)

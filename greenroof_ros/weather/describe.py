@@ -9,30 +9,19 @@ from __future__ import annotations
 import csv
 import itertools
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import yaml
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import read_lines
+from greenroof_ros.base.parameter import keys
 from greenroof_ros.base.ranges import read_number
-from greenroof_ros.base.times import parse_time
-from greenroof_ros.weather.description import SEPARATORS, Description
-from greenroof_ros.weather.quantities import (
-    DEW_POINT,
-    HUMIDITY,
-    PRECIPITATION,
-    PRESSURE,
-    QUANTITIES,
-    RADIATION,
-    TEMPERATURE,
-    WIND,
-    find_unit,
-)
+from greenroof_ros.weather.description import SEPARATORS, TIME, Description
+from greenroof_ros.weather.quantities import QUANTITIES, Unit, find_unit
 from greenroof_ros.weather.table import parse_text, split, split_unit
 
 _LINES = 2000
@@ -45,38 +34,25 @@ _FORMS = (
 )
 # Words in the names of columns, in lower case, and words of columns that are something else.
 _WORDS = {
-    PRECIPITATION: r"rain|pr[eé]cip|prectot|niederschlag|regen|pluie|lluvia|neerslag|pioggia|"
+    "precipitation": r"rain|pr[eé]cip|prectot|niederschlag|regen|pluie|lluvia|neerslag|pioggia|"
     r"nedbør|nederbörd|^rr1?$",
-    DEW_POINT: r"dew|taupunkt|ros[eé]e",
-    TEMPERATURE: r"temp|\bair_?t|\bt_?air|\bt2m$",
-    HUMIDITY: r"humid|humed|\brh|feuchte|fuktighet|\brf\b|\bhum\b",
-    WIND: r"wind[ _]?(speed|spd|velocity)|windgeschw|vitesse du vent|velocidad|middelvind|"
+    "dew point": r"dew|taupunkt|ros[eé]e",
+    "temperature": r"temp|\bair_?t|\bt_?air|\bt2m$",
+    "relative humidity": r"humid|humed|\brh|feuchte|fuktighet|\brf\b|\bhum\b",
+    "wind speed": r"wind[ _]?(speed|spd|velocity)|windgeschw|vitesse du vent|velocidad|middelvind|"
     r"\bws(?![a-z])|^wind\b",
-    PRESSURE: r"press|baro|luftdruck|\bbp|^ps$",
-    RADIATION: r"solar|radiation|strahlung|rayonnement|pyrano|\bsrad|\bslr|shortwave|allsky_sfc_sw",
+    "station pressure": r"press|baro|luftdruck|\bbp|^ps$",
+    "solar radiation": r"solar|radiation|strahlung|rayonnement|pyrano|\bsrad|\bslr|shortwave|"
+    r"allsky_sfc_sw",
 }
 _OTHER = (
     r"gust|direction|\bdir|\bmax|\bmin\b|high|low\b|soil|inside|indoor|\bin temp|batt|panel|flag|"
     r"quali|chill|index|evt|water|logger|_std|apparent|bucket|daily|event|month|year|week|"
     r"sea ?level|relative pressure|altimeter|change|tendenc|vapo|24 h|total|racha|rate|heat|wet"
 )
+_COMMA = re.compile(r"[-+]?\d*,\d+")
 _OFFSET = re.compile(r"(?:UTC|GMT) ?([+-]\d{1,2})(?::?00)?\b")
 _UNKNOWN = "?"
-
-
-class _Found(NamedTuple):
-    """Where the rows of a file are."""
-
-    header: int
-    """index of the line with the names of columns"""
-    first: int
-    """index of the first line with values"""
-    time: tuple[int, ...]
-    """positions of the columns with the time"""
-    forms: list[str]
-    """forms of the times that fit all rows"""
-    foot: int
-    """number of lines after the rows"""
 
 
 def describe(file: Path) -> str:
@@ -88,58 +64,57 @@ def describe(file: Path) -> str:
     """
     encoding, lines = _read(file)
     separator, cells = _split_lines(lines)
-    found = _find_rows(cells)
-    if found is None:
-        raise ConfigurationError(
-            "has no rows that begin with a time in a known form: write its description by hand, or "
-            "a file in the package's own form", file=file,
+    header, first, time, forms, last = _find_rows(file, cells)
+    rows = [row for row in cells[first : last + 1] if any(row)]
+    full = names = [" ".join(name.split()) for name in cells[header]]
+    counts = Counter(names)
+    if header and any(counts[name] > 1 for name in counts if name):  # in two lines
+        full = [" ".join(parts) for parts in zip(cells[header - 1], names, strict=False)]
+    names = [str(n) if counts[name] > 1 else name for n, name in enumerate(names)]
+    comma = any(_COMMA.fullmatch(text) for row in rows for text in row)
+    columns, units, missing = {TIME: [names[n] for n in time]}, dict[str, str](), list[str]()
+    between = cells[header + 1 : first]
+    for name, title, *texts in itertools.zip_longest(names, full, *between, *rows, fillvalue=""):
+        quantity = _quantity_of(title)
+        if quantity is None or quantity in columns:
+            continue
+        words = re.split(r"[,_ ]+", re.sub(r"\(.*", "", title))
+        unit = _find_unit(quantity, [*texts[: len(between)], split_unit(title)[1], *words])
+        columns[quantity], units[quantity] = [name], unit.name
+        missing += (
+            text for text in texts[len(between) :]
+            if text and not _is_value(quantity, unit, text.replace(",", ".") if comma else text)
         )
-    names = [" ".join(name.split()) for name in cells[found.header]]
-    rows = [row for row in cells[found.first : len(cells) - found.foot] if any(row)]
-    full = names
-    if found.header and len({*names}) < len([*filter(None, names)]):  # in two lines
-        full = [" ".join(parts) for parts in zip(cells[found.header - 1], names, strict=False)]
-    columns, units = _find_quantities(full, cells[found.header + 1 : found.first])
-    decimal, missing = _read_values(
-        [(name, units[name], [row[n] for row in rows]) for name, n in columns.items()]
-    )
-    names = [str(n) if names.count(name) > 1 else name for n, name in enumerate(names)]
-    time, skipped = [names[n] for n in found.time], {*range(found.first)} - {found.header}
-    head = " ".join(itertools.chain(names, *cells[: found.header]))
-    keys = {
+    used, skipped = {*itertools.chain(*columns.values())}, {*range(first)} - {header}
+    stated = {
         "file": file.name,
-        "columns": {"time": time[0] if len(time) == 1 else time}
-        | {name: names[n] for name, n in columns.items()},
-        "time_format": found.forms[0] if len(found.forms) == 1 else _UNKNOWN,
-        **_find_zone(head, rows[0], found), "rows": _UNKNOWN, "units": units,
-        "na_values": missing, "encoding": encoding, "sep": separator, "decimal": decimal,
+        "columns": {name: each if len(each) > 1 else each[0] for name, each in columns.items()},
+        "time_format": forms[0] if len(forms) == 1 else _UNKNOWN,
+        **_find_zone(" ".join(itertools.chain(names, *cells[:header])), rows[0], time, forms[0]),
+        "rows": _UNKNOWN, "units": units, "na_values": [*dict.fromkeys(missing)][:10],
+        "encoding": encoding, "sep": separator, "decimal": "," if comma else ".",
         "skiprows": len(skipped) if skipped == {*range(len(skipped))} else sorted(skipped),
-        "skipfooter": found.foot,
+        "skipfooter": len(cells) - 1 - last,
     }
-    default = Description()
-    stated = {key: value for key, value in keys.items() if value and value != getattr(default, key)}
-    unused = [name for n, name in enumerate(names) if n not in (*found.time, *columns.values())]
-    text = yaml.safe_dump(
-        stated, sort_keys=False, allow_unicode=True, default_flow_style=None, width=1000
-    )
-    to_decide = {
-        "time_format": " or ".join(found.forms), "time_zone": "such as Europe/Berlin, UTC, or "
-        "standard for the site's utc_offset", "rows": "is the time of a row the start or the end "
-        "of its interval?", "units": "of each quantity with a question mark",
-    }
+    usual = vars(Description())
+    stated = {key: value for key, value in stated.items() if value and value != usual[key]}
     comments = [
-        *(f"{key}: {what}" for key, what in to_decide.items() if _UNKNOWN in str(stated.get(key))),
-        f"not used: {', '.join(unused)}",
+        *(f"{key.name}: {key.entry.description}" for key in keys(Description)
+          if _UNKNOWN in str(stated.get(key.name))),
+        *(f"time_format can be {form}" for form in forms if len(forms) > 1),
+        f"not used: {', '.join(name for name in names if name not in used)}",
     ]
-    return text + "".join(f"# {comment}\n" for comment in comments)
+    return yaml.safe_dump(
+        stated, sort_keys=False, allow_unicode=True, default_flow_style=None, width=1000
+    ) + "".join(f"# {comment}\n" for comment in comments)
 
 
 def _read(file: Path) -> tuple[str, list[str]]:
     for encoding in ("utf-8", "cp1252"):
         with suppress(ConfigurationError):
-            return encoding, [line.rstrip("\r\n") for line in islice(
-                read_lines(file, encoding), _LINES)]
-    return "utf-8", [*islice(read_lines(file), _LINES)]
+            lines = itertools.islice(read_lines(file, encoding), _LINES)
+            return encoding, [line.rstrip("\r\n") for line in lines]
+    return "", [*read_lines(file)]  # the error of UTF-8
 
 
 def _split_lines(lines: Sequence[str]) -> tuple[str, list[list[str]]]:
@@ -156,30 +131,41 @@ def _split_lines(lines: Sequence[str]) -> tuple[str, list[list[str]]]:
     return name, cells
 
 
-def _find_rows(cells: Sequence[Sequence[str]]) -> _Found | None:
+def _find_rows(
+    file: Path, cells: Sequence[Sequence[str]]
+) -> tuple[int, int, tuple[int, ...], list[str], int]:
+    """Return where the rows of a file are.
+
+    Returns:
+        The line of the header, the first line of the rows, the positions of the columns with the
+        time, the forms of times that fit all rows, and the last line of the rows.
+
+    Raises:
+        ConfigurationError: if no line begins with a time.
+    """
     for first, row in enumerate(cells[1:], start=1):
-        header = [n for n in range(first) if len(cells[n]) >= len(row) - 1]
-        rows = [other for other in cells[first:] if any(other)]
-        for begin, count in itertools.product(range(min(8, len(row))), (4, 2, 1)):
-            places = tuple(range(begin, begin + count))
-            forms = [form for form in _FORMS if header and _fits(form, [row], places)]
-            foot = 0 if any(_fits(form, rows[-1:], places) for form in forms) else 1
-            fits = [form for form in forms if _fits(form, rows[: len(rows) - foot], places)]
-            if fits:
-                named = [n for n in header if any(map(_quantity_of, cells[n]))]
-                return _Found((named or header[:1])[-1], first, places, fits, foot)
-    return None
+        heads = [n for n in range(first) if len(cells[n]) >= len(row) - 1]
+        rows = [first, *(n for n in range(first + 1, len(cells)) if any(cells[n]))]
+        for begin, count in itertools.product(range(min(8, len(row)) if heads else 0), (4, 2, 1)):
+            time = tuple(range(begin, begin + count))
+            forms = [form for form in _FORMS if _is_time(row, time, form)]
+            for kept in (rows, rows[:-1]):  # the last line can be a foot
+                fits = [form for form in forms if all(_is_time(cells[n], time, form) for n in kept)]
+                if kept and fits:
+                    named = [n for n in heads if any(map(_quantity_of, cells[n]))]
+                    last = len(cells) - 1 if kept is rows else kept[-1]
+                    return (named or heads[:1])[-1], first, time, fits, last
+    raise ConfigurationError(
+        "has no rows that begin with a time in a known form: write its description by hand, or a "
+        "file in the package's own form", file=file,
+    )
 
 
-def _fits(form: str, rows: Iterable[Sequence[str]], places: tuple[int, ...]) -> bool:
-    try:
-        for row in rows:
-            text = " ".join(row[place] for place in places)
-            if len(text) < 8 + 2 * (not form) or parse_text(text, form) is None:
-                return False
-    except (ValueError, IndexError):
-        return False
-    return True
+def _is_time(row: Sequence[str], places: Iterable[int], form: str) -> bool:
+    with suppress(ValueError, IndexError):
+        text = " ".join(row[place] for place in places)
+        return len(text) >= 8 + 2 * (not form) and bool(parse_text(text, form))
+    return False
 
 
 def _quantity_of(name: str) -> str | None:
@@ -189,46 +175,27 @@ def _quantity_of(name: str) -> str | None:
     return next((quantity for quantity, words in _WORDS.items() if re.search(words, plain)), None)
 
 
-def _find_quantities(
-    names: Sequence[str], between: Sequence[Sequence[str]]
-) -> tuple[dict[str, int], dict[str, str]]:
-    """Return the column of every quantity, and its unit or a question mark."""
-    columns, units = dict[str, int](), dict[str, str]()
-    for n, name in enumerate(names):
-        quantity = _quantity_of(name)
-        if quantity is None or quantity in columns:
-            continue
-        columns[quantity], units[quantity] = n, _UNKNOWN
-        texts = [split_unit(name)[1], *re.split(r"[,_ ]+", re.sub(r"\(.*", "", name))]
-        for text in [*(line[n] for line in between if n < len(line)), *texts]:
-            with suppress(ValueError):
-                units[quantity] = find_unit(quantity, text, 1.0, 1.0).name
-                break
-    return columns, units
-
-
-def _read_values(columns: Sequence[tuple[str, str, list[str]]]) -> tuple[str, list[str]]:
-    """Return the decimal mark, and texts that are no numbers or not possible for the quantity."""
-    comma = any(
-        re.fullmatch(r"[-+]?\d*,\d+", text) for _, _, texts in columns for text in texts
-    )
-    missing = dict[str, None]()
-    for name, unit_name, texts in columns:
-        unit = find_unit(name, QUANTITIES[name].unit, 1.0, 1.0)
+def _find_unit(quantity: str, names: Iterable[str]) -> Unit:
+    """Return the first of the names that is a unit of the quantity, or a question mark."""
+    for name in names:
         with suppress(ValueError):
-            unit = find_unit(name, unit_name, 1.0, 1.0)
-        for text in filter(None, texts):
-            with suppress(ValueError):
-                number = read_number(text.replace(",", ".") if comma else text)
-                if QUANTITIES[name].low <= (number - unit.zero) / unit.per_ours <= _HIGHEST:
-                    continue
-            missing[text] = None
-    return "," if comma else ".", [*missing][:10]
+            return find_unit(quantity, name, 1.0, 1.0)
+    return Unit(_UNKNOWN)
 
 
-def _find_zone(head: str, row: Sequence[str], found: _Found) -> dict[str, Any]:
+def _is_value(quantity: str, unit: Unit, text: str) -> bool:
+    """Return whether a text is a number that the quantity can have."""
+    with suppress(ValueError):
+        value = (read_number(text) - unit.zero) / unit.per_ours
+        return QUANTITIES[quantity].low <= value <= _HIGHEST
+    return False
+
+
+def _find_zone(
+    head: str, row: Sequence[str], time: Sequence[int], form: str
+) -> dict[str, float | str]:
     """Return the key of the zone, unless the times contain their offset."""
-    if not found.forms[0] and parse_time(" ".join(row[n] for n in found.time)).tzinfo is not None:
+    if parse_text(" ".join(row[n] for n in time), form).tzinfo is not None:
         return {}
     if match := _OFFSET.search(head):
         return {"utc_offset": float(match[1])}

@@ -13,26 +13,9 @@ from numpy.typing import NDArray
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import shared_directory
 from greenroof_ros.site.site import Place
-from greenroof_ros.weather import open_meteo
+from greenroof_ros.weather import evapotranspiration, open_meteo, quantities
 from greenroof_ros.weather.description import Description, expand
-from greenroof_ros.weather.evapotranspiration import (
-    COMPUTED,
-    FAO56,
-    HARGREAVES,
-    MONTHLY,
-    compute_fao56,
-    compute_hargreaves,
-    is_polar,
-    repeat_monthly,
-)
-from greenroof_ros.weather.quantities import (
-    EVAPOTRANSPIRATION,
-    FOR_EVAPOTRANSPIRATION,
-    PRECIPITATION,
-    QUANTITIES,
-    RADIATION,
-    TEMPERATURE,
-)
+from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
 from greenroof_ros.weather.records import (
     WEATHER,
     Records,
@@ -54,11 +37,6 @@ MAX_GAP_H = {
     "temperature": 6, "wind speed": 6, EVAPOTRANSPIRATION: 6, "dew point": 24,
     "station pressure": 24,
 }
-
-_NO_TEMPERATURE = (
-    "the weather contains no temperature, so no frost is assumed; during frost, nothing would be "
-    "pumped"
-)
 
 # Offsets from a missing hour to the hours at the same time of day whose mean replaces it.
 _SAME_TIME_OF_DAY = 24 * np.array([-3, -2, -1, 1, 2, 3])
@@ -107,8 +85,7 @@ def read_measured(
 
 
 def read_weather(
-    files: Sequence[Path], site: Place, method: str | None = None, gaps: str = REFUSE, *,
-    rain_only: bool = False,
+    files: Sequence[Path], site: Place, method: str | None = None, gaps: str = REFUSE
 ) -> Weather:
     """Read weather files as :func:`read_measured` does, and add evapotranspiration.
 
@@ -121,21 +98,19 @@ def read_weather(
         site: site with its location, which evapotranspiration and some file formats require.
         method: method for evapotranspiration: one of :data:`.evapotranspiration.COMPUTED`, or the
             method of the column in the files. By default, the column in the files is used if there
-            is one, and otherwise the most accurate method that the files allow.
+            is one, and otherwise the most accurate method that the files allow. An empty text
+            leaves evapotranspiration unknown (NaN), because a rain gauge does not measure it.
         gaps: treatment of longer gaps, one of :data:`greenroof_ros.weather.series.GAPS`.
-        rain_only: whether to leave evapotranspiration unknown (NaN), because a rain gauge does not
-            measure evapotranspiration.
 
     Raises:
         ConfigurationError: if a file cannot be parsed, if two files contradict each other, or if
             the method cannot be applied to the files.
     """
-    return complete_records(read_measured(files, site), site, method, gaps, rain_only=rain_only)
+    return complete_records(read_measured(files, site), site, method, gaps)
 
 
 def complete_records(
-    measured: Records, site: Place, method: str | None = None, gaps: str = REFUSE, *,
-    rain_only: bool = False,
+    measured: Records, site: Place, method: str | None = None, gaps: str = REFUSE
 ) -> Weather:
     """Fill gaps in records and add evapotranspiration, as :func:`read_weather` does."""
     values = {
@@ -153,24 +128,26 @@ def complete_records(
         quantity: np.isnan(measured.values[quantity]) & ~np.isnan(series)
         for quantity, series in values.items()
     })
-    left_out = records.left_out
-    if not (rain_only or TEMPERATURE in values):
-        left_out = (*left_out, _NO_TEMPERATURE)
-    if rain_only:
-        values[EVAPOTRANSPIRATION], method = np.full(records.hours, np.nan), ""
+    notes = [*records.left_out]
+    if method != "" and TEMPERATURE not in values:
+        notes.append(
+            "the weather contains no temperature, so no frost is assumed; during frost, nothing "
+            "would be pumped"
+        )
+    if method == "":
+        values[EVAPOTRANSPIRATION] = np.full(records.hours, np.nan)
     elif EVAPOTRANSPIRATION in values and method in (None, records.method):
         method = records.method
-    elif method is None or method in COMPUTED:
-        series, method, notes = compute_evapotranspiration(records, site, method)
-        values[EVAPOTRANSPIRATION] = series
-        left_out = (*left_out, *notes)
+    elif method is None or method in evapotranspiration.COMPUTED:
+        values[EVAPOTRANSPIRATION], method, more = compute_evapotranspiration(records, site, method)
+        notes += more
     else:
         own = f", or {records.method} from the column of the file" if records.method else ""
         raise ConfigurationError(
-            f"must be one of {', '.join(COMPUTED)}{own}: {records.source} contains no other "
-            "evapotranspiration", key="evapotranspiration", value=method,
+            f"must be one of {', '.join(evapotranspiration.COMPUTED)}{own}: {records.source} "
+            "contains no other evapotranspiration", key="evapotranspiration", value=method,
         )
-    return Weather(**{**vars(records), "method": method, "left_out": left_out}, gaps=gaps)
+    return Weather(**{**vars(records), "method": method, "left_out": (*notes,)}, gaps=gaps)
 
 
 def drop_empty(records: Records) -> Records:
@@ -184,13 +161,12 @@ def drop_empty(records: Records) -> Records:
         raise ConfigurationError(
             "has no precipitation: every value is missing", file=records.source
         )
+    notes = [f"{records.source} contains no values of {name}" for name in empty]
     return replace(
         records,
         values={name: series for name, series in records.values.items() if name not in empty},
         method="" if EVAPOTRANSPIRATION in empty else records.method,
-        left_out=(*records.left_out, *(
-            f"{records.source} contains no values of {name}" for name in empty
-        )),
+        left_out=(*records.left_out, *notes),
     )
 
 
@@ -210,34 +186,36 @@ def compute_evapotranspiration(
     Raises:
         ConfigurationError: if the records or the site lack data that the method requires.
     """
-    lacking = [name for name in FOR_EVAPOTRANSPIRATION if name not in records.values]
-    means, chosen = repeat_monthly(records, site), method or (HARGREAVES if lacking else FAO56)
-    if method is None and TEMPERATURE in lacking:
-        chosen, lacking = MONTHLY, [TEMPERATURE]
-    elif method is None and means is not None and is_polar(site):
-        chosen, lacking = MONTHLY, ["sunrise each day"]
-    series = compute_hargreaves(records, site) if chosen == HARGREAVES else None
-    if series is not None and method is None and means is not None and np.isnan(series).all():
-        chosen, lacking = MONTHLY, ["a day with 18 hours of temperature"]
+    lacking = [name for name in quantities.FOR_EVAPOTRANSPIRATION if name not in records.values]
+    means = evapotranspiration.repeat_monthly(records, site)
+    if method is None:
+        method = evapotranspiration.HARGREAVES if lacking else evapotranspiration.FAO56
+        if TEMPERATURE in lacking:
+            method, lacking = evapotranspiration.MONTHLY, [TEMPERATURE]
+        elif means is not None and evapotranspiration.is_polar(site):
+            method, lacking = evapotranspiration.MONTHLY, ["sunrise each day"]
+        elif lacking and means is not None and np.isnan(
+            evapotranspiration.compute_hargreaves(records, site)
+        ).all():
+            method, lacking = evapotranspiration.MONTHLY, ["a day with 18 hours of temperature"]
     for_want = f", for lack of {', '.join(lacking)}" if lacking else ""
-    if chosen == MONTHLY:
+    if method == evapotranspiration.MONTHLY:
         if means is None:
             raise ConfigurationError(
                 f"has no {TEMPERATURE}, from which evapotranspiration is computed, and no column "
-                f"'{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION].unit}]'; set "
-                "monthly_evapotranspiration in the site file to use monthly means",
-                file=records.source,
+                "'evapotranspiration [mm/day]'; set monthly_evapotranspiration in the site file to use "
+                "monthly means", file=records.source,
             )
         note = f"evapotranspiration is taken from the site's monthly means{for_want}"
-        return means, chosen, [note]
-    if series is not None:
-        return series, chosen, [
+        return means, method, [note]
+    if method == evapotranspiration.HARGREAVES:
+        return evapotranspiration.compute_hargreaves(records, site), method, [
             "evapotranspiration is computed from each day's minimum and maximum temperature "
             f"(hargreaves, FAO-56 Eq. 52){for_want}"
         ]
-    series = compute_fao56(records, site)
-    computed = np.isnan(records.values.get(RADIATION, series)) & ~np.isnan(series)
-    return series, chosen, [
+    series = evapotranspiration.compute_fao56(records, site)
+    computed = np.isnan(records.values.get(quantities.RADIATION, series)) & ~np.isnan(series)
+    return series, method, [
         f"solar radiation is missing for {np.count_nonzero(computed)} hours, for which it is "
         "computed from the day's temperatures (FAO-56 Eq. 50)"
     ] * bool(computed.any())
@@ -284,15 +262,14 @@ def find_files(names: Iterable[str], key: str) -> list[Path]:
     """
     files = dict[Path, None]()
     for name in names:
-        matches = [path := Path(name)]
+        path = Path(name)
         if path.is_dir():
-            matches = sorted(
-                file for file in path.iterdir() if file.suffix in (".csv", ".txt", ".json")
-            )
-        elif not path.exists() and glob.has_magic(name):
-            matches = sorted(map(Path, glob.glob(name)))  # noqa: PTH207
-            if not matches:
-                raise ConfigurationError("matches no file", key=key, value=name)
+            ends = ".csv", ".txt", ".json"
+            matches = sorted(file for file in path.iterdir() if file.suffix in ends)
+        elif path.exists() or not glob.has_magic(name):
+            matches = [path]
+        elif not (matches := sorted(map(Path, glob.glob(name)))):  # noqa: PTH207
+            raise ConfigurationError("matches no file", key=key, value=name)
         files |= dict.fromkeys(matches)
     if not files:
         raise ConfigurationError("must name at least one file", key=key)
@@ -307,20 +284,19 @@ def fill_long_gaps(values: Mapping[str, Array]) -> dict[str, Array]:
     missing. Years with a few estimated hours are more useful than fragments of years, but rain that
     was not measured is lost, so gaps are filled only at the user's request.
     """
-    filled = {}
-    for quantity, series in values.items():
-        missing = np.isnan(series)
-        filled[quantity] = series.copy()
-        filled[quantity][missing] = (
-            0.0 if quantity == PRECIPITATION else _average_days_around(series, missing)
+    return {
+        quantity: np.where(
+            np.isnan(series),
+            0.0 if quantity == PRECIPITATION else _average_days_around(series), series,
         )
-    return filled
+        for quantity, series in values.items()
+    }
 
 
-def _average_days_around(series: Array, missing: NDArray[np.bool_]) -> Array:
-    """Return the mean of the adjacent days for every missing hour; NaN if no value is known."""
-    padded = np.pad(series, -_SAME_TIME_OF_DAY[0], constant_values=np.nan)
-    hours = np.flatnonzero(missing) - _SAME_TIME_OF_DAY[0]
-    near = padded[hours[:, None] + _SAME_TIME_OF_DAY]
-    known = np.count_nonzero(~np.isnan(near), axis=1)
-    return np.where(known > 0, np.nansum(near, axis=1) / np.maximum(known, 1), np.nan)
+def _average_days_around(series: Array) -> Array:
+    """Return the mean of the adjacent days for every hour; NaN if no value is known."""
+    edge = _SAME_TIME_OF_DAY[-1]
+    hours = np.arange(len(series)) + edge
+    near = np.pad(series, edge, constant_values=np.nan)[hours + _SAME_TIME_OF_DAY[:, None]]
+    known = np.count_nonzero(~np.isnan(near), axis=0)
+    return np.where(known > 0, np.nansum(near, axis=0) / np.maximum(known, 1), np.nan)

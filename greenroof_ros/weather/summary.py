@@ -6,8 +6,8 @@ climates; a record beyond a limit leads to a note that names the likely mistake.
 
 from __future__ import annotations
 
-import functools
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from datetime import datetime
 from typing import Any
@@ -18,15 +18,9 @@ from numpy.typing import NDArray
 from greenroof_ros.base.files import parse_yaml, read_text, shared_directory
 from greenroof_ros.base.times import to_people
 from greenroof_ros.site.site import Place
+from greenroof_ros.weather import quantities
 from greenroof_ros.weather.evapotranspiration import saturation_vapour_pressure, sun_height
-from greenroof_ros.weather.quantities import (
-    DEW_POINT,
-    PRECIPITATION,
-    QUANTITIES,
-    RADIATION,
-    TEMPERATURE,
-    WIND,
-)
+from greenroof_ros.weather.quantities import DEW_POINT, PRECIPITATION, RADIATION, TEMPERATURE, WIND
 from greenroof_ros.weather.records import HOUR, Records, find_gaps
 
 Values = NDArray[np.float64]
@@ -58,31 +52,29 @@ def summarize(records: Records, site: Place, hours: range | None = None) -> dict
     """
     part = slice(0, records.hours) if hours is None else slice(hours.start, hours.stop)
     values = {
-        name: np.where(records.filled[name], np.nan, series)[part]
-        if name in records.filled else series[part]
+        name: np.where(records.filled.get(name, False), np.nan, series)[part]
         for name, series in records.values.items()
     }
+    known = Counter({name: np.count_nonzero(~np.isnan(series)) for name, series in values.items()})
     has_clock = site.time_zone is not None or site.utc_offset is not None
     first = (records.first + part.start * HOUR).astimezone(
         site.zone if has_clock else records.first.tzinfo
     )
-    position = next(iter(records.places.values()), (site.latitude, site.longitude))
     rain = _describe_rain(values[PRECIPITATION], first)
     rates = records.minutes if records.minutes is not None else records.values[PRECIPITATION]
-    judged = {
-        "heaviest rain": float(np.nanmax(rates[part], initial=0.0)),
-        **_judge_rain(values[PRECIPITATION], rain), **_judge_air(values),
-        **_judge_sun(values, first, *position),
-    }
-    statistics = {name: value for name, value in judged.items() if math.isfinite(value)}
+    position = next(iter(records.places.values()), (site.latitude, site.longitude))
+    statistics = {"heaviest rain": float(np.nanmax(rates[part], initial=0.0))}
+    for name, value in _find_statistics(values, known, rain, first, position):
+        if math.isfinite(value):
+            statistics[name] = float(value)
     return {
         "applied": list(records.applied), "from": to_people(first),
         "hours": len(values[PRECIPITATION]), "quantities": {
-            name: {"unit": QUANTITIES[name].unit, **_describe(series)}
-            for name, series in values.items() if name in QUANTITIES
+            name: {"unit": quantities.QUANTITIES[name].unit, **_describe(series)}
+            for name, series in values.items() if name in quantities.QUANTITIES
         }, "rain": rain, "course": {
             name: (first + _find_peak(values[name]) * HOUR).hour
-            for name in (RADIATION, TEMPERATURE) if _known(values.get(name)) >= _COURSE
+            for name in (RADIATION, TEMPERATURE) if known[name] >= _COURSE
         }, "statistics": statistics, "notes": [*_note(statistics)],
     }
 
@@ -91,8 +83,8 @@ def as_lines(summary: Mapping[str, Any]) -> list[str]:
     """Return a summary in three lines, followed by one line for each note."""
     rain = summary["rain"]
     parts = ", ".join(f"{name} {amount:.4g}" for name, amount in rain["parts"].items())
-    quantities = dict(summary["quantities"])
-    missing = {name: about["missing"] for name, about in quantities.items() if about["missing"]}
+    contents = dict(summary["quantities"])
+    missing = {name: about["missing"] for name, about in contents.items() if about["missing"]}
     lines = [
         f"rain {rain['total']:.4g} mm in {summary['hours'] / 24:.3g} days from {summary['from']} "
         f"({parts}); {rain['wet_hours']} wet hours; wettest hour {rain['wettest_hour']:.3g} mm, "
@@ -103,17 +95,13 @@ def as_lines(summary: Mapping[str, Any]) -> list[str]:
             f"{about['mean']:.3g}" + (
                 f", highest at {summary['course'][name]} h" if name in summary["course"] else ""
             )
-            for name, about in quantities.items()
+            for name, about in contents.items()
             if name != PRECIPITATION and about["mean"] is not None
         ) or "no other quantity",
         "missing: " + (", ".join(f"{name} {hours} h" for name, hours in missing.items()) or "none")
         + "".join(f"; read as {text}" for text in summary["applied"]),
     ]
     return [*lines, *summary["notes"]]
-
-
-def _known(series: Values | None) -> int:
-    return 0 if series is None else int(np.count_nonzero(~np.isnan(series)))
 
 
 def _describe(series: Values) -> dict[str, Any]:
@@ -158,20 +146,12 @@ def _find_peak(series: Values) -> int:
 # --- climates -------------------------------------------------------------------------------------
 
 
-@functools.cache
-def _limits() -> list[dict[str, Any]]:
-    path = shared_directory() / "config" / "plausible.yaml"
-    rows: list[dict[str, Any]] = parse_yaml(read_text(path), path)
-    return rows
-
-
 def _note(statistics: Mapping[str, float]) -> Iterator[str]:
     """Yield one sentence about each statistic beyond its limits."""
-    for row in _limits():
-        value = statistics.get(row["statistic"])
-        if value is None:
-            continue
+    path = shared_directory() / "config" / "plausible.yaml"
+    for row in parse_yaml(read_text(path), path):
         low, high = row.get("low", -math.inf), row.get("high", math.inf)
+        value = statistics.get(row["statistic"], low)
         if not low <= value <= high:
             bound = f"less than {low:g}" if value < low else f"more than {high:g}"
             yield (
@@ -180,62 +160,45 @@ def _note(statistics: Mapping[str, float]) -> Iterator[str]:
             )
 
 
-def _judge_rain(series: Values, rain: Mapping[str, Any]) -> dict[str, float]:
-    """Return the statistics of rain; NaN if the record is too short."""
-    known = _known(series)
-    return {"wettest day": rain["wettest_day"], "wettest hour": rain["wettest_hour"]} | ({} if (
-        known < _AIR
-    ) else {
-        "rain in a year": rain["total"] * 8766 / known if known >= _YEAR else math.nan,
-        "longest dry spell": float(rain["longest_dry_days"]),
-        "wet hours": 100.0 * rain["wet_hours"] / known,
-        "mean of wet hours": rain["total"] / rain["wet_hours"] if rain["wet_hours"] else math.nan,
-    })
-
-
-def _judge_air(values: Mapping[str, Values]) -> dict[str, float]:
-    """Return the statistics of the air; NaN if the record is too short."""
+def _find_statistics(
+    values: Mapping[str, Values], known: Mapping[str, int], rain: Mapping[str, Any],
+    first: datetime, position: tuple[float | None, float | None],
+) -> Iterator[tuple[str, float]]:
+    """Yield each statistic for which enough hours are known; it may be infinite or NaN."""
+    yield "wettest day", rain["wettest_day"]
+    yield "wettest hour", rain["wettest_hour"]
+    if known[PRECIPITATION] >= _AIR:
+        yield "longest dry spell", rain["longest_dry_days"]
+        yield "wet hours", 100 * rain["wet_hours"] / known[PRECIPITATION]
+        yield "mean of wet hours", rain["total"] / (rain["wet_hours"] or math.nan)
+    if known[PRECIPITATION] >= _YEAR:
+        yield "rain in a year", rain["total"] * 8766 / known[PRECIPITATION]
     air = {name: values.get(name, np.full(1, np.nan)) for name in (TEMPERATURE, DEW_POINT, WIND)}
-    constant = [
+    yield "longest constant value", max((
         end - start + 1 for series in air.values() for start, end in find_gaps(np.diff(series) == 0)
-    ]
-    found = {"longest constant value": float(max(constant, default=0))}
-    found |= {
-        f"mean {what}": float(np.nanmean(air[name]))
-        for name, what in ((TEMPERATURE, "temperature"), (WIND, "wind"))
-        if _known(air[name]) >= _AIR
-    }
-    above = air[DEW_POINT] - air[TEMPERATURE]
-    if _known(above) < _AIR:
-        return found
-    vapour, saturated = map(saturation_vapour_pressure, (air[DEW_POINT], air[TEMPERATURE]))
-    return found | {
-        "highest relative humidity": 100.0 * float(np.nanmax(vapour / saturated)),
-        "dew point above temperature": 100.0 * np.count_nonzero(above > 1) / _known(above),
-    }
-
-
-def _judge_sun(
-    values: Mapping[str, Values], first: datetime, latitude: float | None, longitude: float | None
-) -> dict[str, float]:
-    """Return the statistics that compare the course of a day with the sun's."""
+    ), default=0)
+    for name, what in ((TEMPERATURE, "temperature"), (WIND, "wind")):
+        if known[name] >= _AIR:
+            yield f"mean {what}", float(np.nanmean(air[name]))
+    both = ~np.isnan(air[DEW_POINT] + air[TEMPERATURE])
+    if np.count_nonzero(both) >= _AIR:
+        dew, warmth = air[DEW_POINT][both], air[TEMPERATURE][both]
+        share = saturation_vapour_pressure(dew) / saturation_vapour_pressure(warmth)
+        yield "highest relative humidity", 100 * np.max(share)
+        yield "dew point above temperature", 100 * np.mean(dew - warmth > 1)
+    latitude, longitude = position
     if latitude is None or longitude is None:
-        return {}
+        return
     middles = round(first.timestamp()) + 1800 + 3600 * np.arange(len(values[PRECIPITATION]))
     # The sun on the clock of the meridian of Greenwich, and mean solar time relative to noon (h).
     sun = sun_height(latitude, middles, longitude)
     noon = (middles / 3600 + longitude / 15) % 24 - 12
-    found, radiation = {}, np.nan_to_num(values.get(RADIATION, np.zeros(1)))
-    if _known(values.get(RADIATION)) >= _COURSE and radiation.any():
-        high = sun > _HIGH_SUN
+    if known[RADIATION] >= _COURSE and np.nansum(values[RADIATION]):
+        radiation, high = np.nan_to_num(values[RADIATION]), sun > _HIGH_SUN
         outside = _SOLAR_CONSTANT * sun[high]
-        found = {
-            "clearest hour": 100.0 * float(np.max(radiation[high] / outside, initial=0.0)),
-            "radiation at night": 100.0 * float(radiation[sun == 0].sum() / radiation.sum()),
-            "middle of the sun": float(
-                np.average(noon, weights=radiation) - np.average(noon, weights=sun)
-            ),
-        }
-    if _known(values.get(TEMPERATURE)) >= _AIR:
-        found["warmest hour"] = float(np.floor(noon[_find_peak(values[TEMPERATURE])]) + 0.5)
-    return found
+        yield "clearest hour", 100 * np.max(radiation[high] / outside, initial=0.0)
+        yield "radiation at night", 100 * radiation[sun == 0].sum() / radiation.sum()
+        by_sun, by_radiation = (np.average(noon, weights=each) for each in (sun, radiation))
+        yield "middle of the sun", by_radiation - by_sun
+    if known[TEMPERATURE] >= _AIR:
+        yield "warmest hour", np.floor(noon[_find_peak(values[TEMPERATURE])]) + 0.5

@@ -29,25 +29,9 @@ from greenroof_ros.base.parameter import keys
 from greenroof_ros.base.ranges import Range, read_number
 from greenroof_ros.base.times import DEFAULT_START, duration, is_skipped, parse_time
 from greenroof_ros.site.site import Place, Site
-from greenroof_ros.weather.description import (
-    END,
-    PLACE,
-    SEPARATORS,
-    STANDARD,
-    TIME,
-    Description,
-    find_service,
-    quantity_of,
-    read_comments,
-    service_descriptions,
-    usual_name,
-)
-from greenroof_ros.weather.quantities import (
-    EVAPOTRANSPIRATION,
-    PRECIPITATION,
-    QUANTITIES,
-    find_unit,
-)
+from greenroof_ros.weather import description, quantities
+from greenroof_ros.weather.description import END, PLACE, SEPARATORS, STANDARD, TIME, Description
+from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 
 Values = NDArray[np.float64]
 _Refuse = Callable[[int, str], ConfigurationError]
@@ -144,13 +128,13 @@ class Table:
         Raises:
             ConfigurationError: if the cell does not contain such a time.
         """
-        try:
+        with suppress(ValueError):
             time = parse_time(self.cell(row, column))
-        except ValueError:
-            raise self.refuse(f"must be a time such as {DEFAULT_START}", column, row) from None
-        if time.tzinfo is None:
-            raise self.refuse(f"must include a UTC offset, as in {DEFAULT_START}", column, row)
-        return time
+            if time.tzinfo is not None:
+                return time
+        raise self.refuse(
+            f"must be a time with a UTC offset, such as {DEFAULT_START}", column, row
+        )
 
 
 def split(text: str, separator: str) -> list[str]:
@@ -316,23 +300,11 @@ def arrange(table: Table, described: Description, site: Place, wanted: Collectio
     first = datetime.fromtimestamp(seconds[0], times[0].tzinfo or zone)
     offset = first.utcoffset() or timedelta()
     begin, step_s, steps = _number_steps(seconds + offset.total_seconds(), described.step, refuse)
-    values = dict[str, Values]()
+    values, area = dict[str, Values](), site.a2 if isinstance(site, Site) else math.nan
     for name, series in zip(readers, numbers, strict=True):
         column, unit_name = columns[name]
-        area = site.a2 if isinstance(site, Site) else math.nan
-        quantity, unit = QUANTITIES[name], find_unit(name, unit_name, step_s / _HOUR_S, area)
-        values[name] = (np.array(series) - unit.zero) / unit.per_ours
-        wrong = np.flatnonzero((values[name] < quantity.low) | (values[name] > quantity.high))
-        if wrong.size:
-            low, high = (
-                float(f"{end * unit.per_ours + unit.zero:.4g}")
-                for end in (quantity.low, quantity.high)
-            )
-            raise table.refuse(
-                f"{Range(low, high, unit.name).expected()}; is the unit of the column right? "
-                "A code for a missing value must be named in na_values", column,
-                Row(lines[wrong[0]], ()), series[wrong[0]],
-            )
+        unit = quantities.find_unit(name, unit_name, step_s / _HOUR_S, area)
+        values[name] = _convert(table, name, column, unit, np.array(series), lines)
     if described.rows == END:
         begin -= step_s
         for level in values.keys() & {*_LEVELS}:
@@ -362,21 +334,19 @@ def _open(file: Path, given: Description) -> tuple[Table, Description]:
         return read_table(file, (row for row, _ in zip(rows, ahead, strict=False)), given), given
     head = list[tuple[int, str]]()
     for number, text in lines:
-        service = find_service(text)
+        service = description.find_service(text)
         if service is not None:  # its header can be a comment
             header = number, text.replace("#", " ", 1)
             return read_table(file, itertools.chain([header], lines), service), service
         head.append((number, text))
         if not is_comment(text):
             break
-    made = read_comments(file, head, given)
+    made = description.read_comments(file, head, given)
     table = read_table(file, itertools.chain(head, lines), made)
     if table.header[0] != TIME:
-        known = sorted({described.name for described in service_descriptions()})
         raise table.refuse(
-            f"must be '{TIME}', or the header must be that of a service ({', '.join(known)}); for "
-            "any other file, write a description: greenroof weather FILE --describe",
-            table.header[0],
+            f"must be '{TIME}', or the header must be that of a service; for any other file, write "
+            "a description: greenroof weather FILE --describe", table.header[0],
         )
     return table, made
 
@@ -386,18 +356,18 @@ def _find_columns(
 ) -> tuple[dict[str, tuple[str, str]], str]:
     """Return the column and unit of every quantity, and the method of evapotranspiration."""
     named = [(name, column) for name, (column, *_) in described.columns.items()] or [
-        (usual_name(split_unit(column)[0]), column) for column in table.header
+        (description.usual_name(split_unit(column)[0]), column) for column in table.header
     ]
     columns, method = dict[str, tuple[str, str]](), ""
     for name, column in named:
-        quantity = quantity_of(name)
+        quantity = description.quantity_of(name)
         if quantity not in QUANTITIES:  # the time, a coordinate, or a column that is not used
             continue
         if quantity in columns:
             raise table.refuse(f"an earlier column already contains {quantity}", column)
         unit = described.units.get(name, described.units.get(quantity, split_unit(column)[1]))
         try:
-            find_unit(quantity, unit, 1.0, 1.0)
+            quantities.find_unit(quantity, unit, 1.0, 1.0)
         except ValueError as error:
             raise table.refuse(str(error), column) from None
         columns[quantity] = column, unit
@@ -463,6 +433,28 @@ def _number_reader(
     return read
 
 
+def _convert(
+    table: Table, name: str, column: str, unit: quantities.Unit, numbers: Values,
+    lines: Sequence[int],
+) -> Values:
+    """Return values in the unit of :data:`.quantities.QUANTITIES`.
+
+    Raises:
+        ConfigurationError: if a value is outside the physical range of its quantity.
+    """
+    ends = QUANTITIES[name].low, QUANTITIES[name].high
+    values = (numbers - unit.zero) / unit.per_ours
+    wrong = np.flatnonzero((values < ends[0]) | (values > ends[1]))
+    if wrong.size:
+        low, high = (float(f"{end * unit.per_ours + unit.zero:.4g}") for end in ends)
+        raise table.refuse(
+            f"{Range(low, high, unit.name).expected()}; is the unit of the column right? "
+            "A code for a missing value must be named in na_values", column,
+            Row(lines[wrong[0]], ()), float(numbers[wrong[0]]),
+        )
+    return np.asarray(values)
+
+
 # --- times ----------------------------------------------------------------------------------------
 
 
@@ -479,28 +471,24 @@ def _find_seconds(times: Sequence[datetime], zone: tzinfo | None, refuse: _Refus
     """
     seconds, before = array("d"), -math.inf
     for place, given in enumerate(times):
-        time, wrong = given, ""
-        if given.tzinfo is None:
-            time = given.replace(tzinfo=zone)
-            if time.timestamp() <= before:
-                time = time.replace(fold=1)
-            if zone is None:
-                wrong = (
-                    f"must include a UTC offset, as in {DEFAULT_START}, unless the site file, a "
-                    "description or a comment states time_zone or utc_offset"
-                )
-            elif is_skipped(time):
-                wrong = (
-                    f"is in an hour that the clocks in {zone} skip; if this clock is not changed "
-                    "in summer, state utc_offset in place of time_zone"
-                )
-        if not wrong and time.timestamp() <= before:
-            wrong = (
-                "must be later than the time of the previous row; if this clock is changed in "
-                "summer, state time_zone, such as Europe/Berlin"
+        time = given if given.tzinfo else given.replace(tzinfo=zone)
+        if time.tzinfo is None:
+            raise refuse(
+                place, f"must include a UTC offset, as in {DEFAULT_START}, unless the site file, a "
+                "description or a comment states time_zone or utc_offset"
             )
-        if wrong:
-            raise refuse(place, wrong)
+        if is_skipped(time):
+            raise refuse(
+                place, f"is in an hour that the clocks in {zone} skip; if this clock is not "
+                "changed in summer, state utc_offset in place of time_zone"
+            )
+        if time.timestamp() <= before:
+            time = time.replace(fold=1)
+        if time.timestamp() <= before:
+            raise refuse(
+                place, "must be later than the time of the previous row; if this clock is changed "
+                "in summer, state time_zone, such as Europe/Berlin"
+            )
         before = time.timestamp()
         seconds.append(before)
     return np.array(seconds)
@@ -508,17 +496,17 @@ def _find_seconds(times: Sequence[datetime], zone: tzinfo | None, refuse: _Refus
 
 def _find_zone(site: Place, described: Description) -> tzinfo | None:
     """Return the time zone of times without an offset; None if nothing states it."""
-    if described.time_zone not in ("", STANDARD):
-        return ZoneInfo(described.time_zone)
     is_standard = described.time_zone == STANDARD
-    offset = site.utc_offset if is_standard else described.utc_offset
-    if offset is not None:
-        return timezone(timedelta(hours=offset))
-    if is_standard:
+    if described.time_zone and not is_standard:
+        return ZoneInfo(described.time_zone)
+    if is_standard and site.utc_offset is None:
         raise ConfigurationError(
             f"files of {described.name} contain local standard time: the site file must state its "
             "offset from UTC, such as -5.0", key="utc_offset",
         )
+    offset = site.utc_offset if is_standard else described.utc_offset
+    if offset is not None:
+        return timezone(timedelta(hours=offset))
     return None if site.time_zone is None and site.utc_offset is None else site.zone
 
 
