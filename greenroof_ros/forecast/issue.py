@@ -215,8 +215,8 @@ def read_archive(source: Path, site: Place, delay: float | None = None) -> list[
             usual delay for the kind of archive.
 
     Raises:
-        ConfigurationError: if a file does not conform to its form, or if the files have different
-            forms.
+        ConfigurationError: if a file does not conform to its form, if the files have different
+            forms, or if an issue occurs twice.
     """
     files, own = _list_files(source)
     issues = _join_own(files) if own else _make_issues(files, site)
@@ -251,11 +251,18 @@ def _list_files(source: Path) -> tuple[list[Path], bool]:
 def _join_own(files: Sequence[Path]) -> list[IssuedForecast]:
     """Return the issues of files in this project's own form, with equal numbers of members.
 
-    If an issue has fewer members than others, the other issues are reduced to the same number. Of
-    issues with the same times of issue and arrival, the last one counts.
+    If an issue has fewer members than others, the other issues are reduced to the same number.
+
+    Raises:
+        ConfigurationError: if an issue repeats another issue.
     """
-    every = (issue for file in files for issue in read_forecasts(file))
-    issues = sorted({(issue.issued, issue.available): issue for issue in every}.values())
+    issues = sorted(issue for file in files for issue in read_forecasts(file))
+    for earlier, later in itertools.pairwise(issues):
+        if (earlier.issued, earlier.available) == (later.issued, later.available):
+            raise ConfigurationError(
+                f"contains the issue of {to_minutes(later.issued)}, which is already in "
+                f"{earlier.file.name}", file=later.file, line=later.line,
+            )
     members = min(len(issue.rain) for issue in issues)
     return [
         replace(issue, values={**issue.values, PRECIPITATION: issue.rain[:members]}, notes=(
@@ -316,9 +323,10 @@ def _select_latest(path: Path, now: datetime) -> list[tuple[int, str]]:
 def _read_issue(table: Table, rows: Iterator[Row]) -> IssuedForecast:
     """Return the issue in rows that have the same times of issue and arrival."""
     first = next(rows)
-    issued = available = table.read_time(first, "issued")
-    if "available" in table.header:  # no forecast can be used before its first hour
-        available = max(issued, table.read_time(first, "available"))
+    issued = table.read_time(first, "issued")
+    available = table.read_time(first, "available") if "available" in table.header else issued
+    if available < issued:
+        raise table.refuse("must not be before the time of issue", "available", first)
     columns = {name: column for name, column in _COLUMNS.items() if column in table.header}
     members = defaultdict[float, list[list[float]]](list)
     for row in itertools.chain([first], rows):

@@ -150,17 +150,29 @@ class PerfectForecast:
         """Set the run's weather and the look-ahead M (ticks)."""
         self._series = series
         self._look_ahead = look_ahead
+        self._ticks = range(0)  # ticks for which the current window is valid
+        self._rain = self._evapotranspiration = array("d")
         self.notes = _note_end(series.repeats_from)
 
     def precipitation(self, tick: int) -> array[float]:
         """Return the rain in the next M ticks (m/s), shape (M,)."""
-        ahead: array[float] = self._series.precipitation[tick : tick + self._look_ahead]
-        return ahead
+        self._update_window(tick)
+        return self._rain[:]
 
     def evapotranspiration(self, tick: int) -> array[float]:
         """Return the evapotranspiration of the bed in the next M ticks (m3/s), shape (M,)."""
-        ahead: array[float] = self._series.evapotranspiration[tick : tick + self._look_ahead]
-        return ahead
+        self._update_window(tick)
+        return self._evapotranspiration[:]
+
+    def _update_window(self, tick: int) -> None:
+        """Update the window that starts at a tick, if it differs from the previous window."""
+        if tick in self._ticks:
+            return
+        window = slice(tick, tick + self._look_ahead)
+        self._rain = self._series.precipitation[window]
+        self._evapotranspiration = self._series.evapotranspiration[window]
+        last = self._series.at(tick).until - self._look_ahead
+        self._ticks = range(tick, max(tick, last) + 1)
 
     def issued(self, tick: int) -> None:
         """Return None, because perfect knowledge has no time of issue."""

@@ -119,16 +119,6 @@ class Ticks(NamedTuple):
     """error of the roof's sensor (m), or shape (0,) without errors"""
 
 
-def cut(ticks: Any, first: int, last: int) -> Any:
-    """Return the ticks from one to another (exclusive)."""
-    low, high = first - ticks.first, last - ticks.first
-    return Ticks(
-        first, ticks.rain[low:high], ticks.potential[low:high], ticks.frost[low:high],
-        ticks.wet[low:high], ticks.quiet[low:high], ticks.new_day[low:high],
-        ticks.errors[low:high],
-    )
-
-
 class Forecasts(NamedTuple):
     """Forecasts for which plans are made before some ticks; see :func:`.find_levels`."""
 
@@ -167,12 +157,16 @@ class Sites(NamedTuple):
     """values of some ticks and of the last one, see :data:`KEPT`, shape (n, ticks, values)"""
 
 
-def run_ticks(sites: Any, ticks: Any, hydrograph: Any, every: int, steps: int) -> None:
+def run_ticks(
+    sites: Any, ticks: Any, begin: int, end: int, hydrograph: Any, every: int, steps: int
+) -> None:
     """Simulate sites, one after the other, in some ticks.
 
     Args:
         sites: :class:`Sites`.
         ticks: :class:`Ticks`.
+        begin: the first tick to simulate.
+        end: the tick after the last.
         hydrograph: discharge and its part through low outlets in each interval (m3), to which
             those of the sites are added, shape (groups, 2, intervals).
         every: interval between the ticks that are kept (ticks).
@@ -186,7 +180,7 @@ def run_ticks(sites: Any, ticks: Any, hydrograph: Any, every: int, steps: int) -
         discharged, low = hydrograph[sites.groups[row]]
         to_sewer = 1 - p.drainage_to_cistern
         now, level = State(state[0], state[1], state[2]), float(sites.levels[row])
-        for n in range(len(rain)):
+        for n in range(begin - first, end - first):
             k, falls, frozen, demand = first + n, rain[n], frost[n], potential[n] * c.bed
             cistern, roof = now.cistern / p.a1, now.roof / p.a2
             if len(errors) > 0:
@@ -217,29 +211,31 @@ def run_ticks(sites: Any, ticks: Any, hydrograph: Any, every: int, steps: int) -
 
 
 def run_planned(
-    sites: Any, ticks: Any, forecasts: Any, hydrograph: Any, every: int, steps: int
+    sites: Any, ticks: Any, begin: int, end: int, hydrograph: Any, every: int, steps: int,
+    forecasts: Any,
 ) -> None:
-    """Simulate sites in some ticks, and make their plans before the ticks of :class:`Forecasts`.
+    """Simulate sites as :func:`run_ticks` does, and make their plans before the ticks due.
 
-    The other arguments are those of :func:`run_ticks`.
+    The last argument is one of :class:`Forecasts`.
     """
-    first, count, plans = ticks.first, len(sites.state), len(forecasts.due)
+    due, count = forecasts.due, len(sites.state)
     x1, x2 = np.empty(count), np.empty(count)
-    for n in range(plans + 1):
-        begin = forecasts.due[n - 1] if n > 0 else first
-        end = forecasts.due[n] if n < plans else first + len(ticks.rain)
+    for n in range(len(due) + 1):
+        start = due[n - 1] if n > 0 else begin
         if n > 0:
             for row in range(count):
                 p, state = sites.parameters[row], sites.state[row]
                 roof = state[1] / p.a2
                 if len(ticks.errors) > 0:
-                    roof = max(0.0, roof + ticks.errors[begin - first])
+                    roof = max(0.0, roof + ticks.errors[start - ticks.first])
                 x1[row], x2[row] = state[0] / p.a1 * p.a1, roof * p.a2
             sites.levels[:] = find_levels(
                 sites.parameters, sites.options, forecasts.ends, x1, x2, forecasts.rain[n - 1],
                 forecasts.evaporated[n - 1],
             )
-        run_ticks(sites, cut(ticks, begin, end), hydrograph, every, steps)
+        run_ticks(
+            sites, ticks, start, due[n] if n < len(due) else end, hydrograph, every, steps
+        )
 
 
 def simulate_season(
@@ -284,9 +280,10 @@ def simulate_season(
         spread: Any = pool.map if threads > 1 else map
         for rows in together.values():
             season = _Season([cases[row] for row in rows], every, intervals, count)
-            for ticks, forecasts in season.ticks():
-                list(spread(partial(season.run, ticks, forecasts), season.parts))
-                done += len(ticks.rain) * len(rows)
+            for ticks, begin, end, *forecasts in season.ticks():
+                run = partial(season.run, ticks, begin, end, forecasts)
+                list(spread(run, season.parts))
+                done += (end - begin) * len(rows)
                 progress(min(1.0, done / (steps + 1) / count))
             for _, groups, of_part in season.parts:
                 hydrograph[groups] += of_part
@@ -308,10 +305,9 @@ class _Season:
         self._every = max(1, every)
         compiles = pays_to_compile(run.steps * total)
         # Not in the threads, each of which would compile them.
-        functions: Any = find_wet, run_ticks, run_planned
-        self._find_wet, self._run_ticks, self._run_planned = (
-            map(compiled, functions) if compiles else functions
-        )
+        plans = cases[0].parameters.get("outlet") == PLAN
+        functions: Any = find_wet, run_planned if plans else run_ticks
+        self._find_wet, self._run_ticks = map(compiled, functions) if compiles else functions
         # Plain Python is faster with lists.
         self._as_taken: Callable[[Any], Any] = lambda array: array if compiles else array.tolist()
         self._errors = read_errors(run.sensor_and_pump, run.steps + 1)
@@ -319,7 +315,7 @@ class _Season:
         if not cases[0].with_forecast:  # unknown hours can only be after the run
             known = {name: np.nan_to_num(series) for name, series in weather.values.items()}
             weather = replace(weather, values=known)
-        self._forecast: Any = None if cases[0].parameters.get("outlet") != PLAN else make_forecast(
+        self._forecast: Any = None if not plans else make_forecast(
             weather, run.series, run.site, run.start, 0.0, run.forecast_choice,
             all_members=True, outlet_horizon=HORIZON_H,
         )
@@ -358,8 +354,8 @@ class _Season:
             own, self._sites.groups[rows] = np.unique(groups[rows], return_inverse=True)
             self.parts.append((rows, own, self._as_taken(np.zeros((len(own), 2, intervals)))))
 
-    def ticks(self) -> Iterator[tuple[Ticks, Forecasts | None]]:
-        """Yield all ticks, and the forecasts for their plans if the valves follow plans."""
+    def ticks(self) -> Iterator[tuple[Any, ...]]:
+        """Yield ticks, the first and the end of those to simulate, and any forecasts for plans."""
         run, site, clock = self._run, self._site, PlanClock(self._site.tau)
         new_days = find_new_days(site, run.time_ns(0) / 1e9, run.steps)
         without_rain = run.without_rain_s
@@ -375,38 +371,35 @@ class _Season:
                 np.isin(np.arange(first, last), new_days), self._errors[first:last],
             )))
             if self._forecast is None:
-                yield block, None
+                yield block, first, last
                 continue
             due = [tick for tick, is_wet in enumerate(wet, first) if clock.is_due(is_wet)]
-            begins = [first, *due[plans::plans]]
-            for n, (begin, end) in enumerate(pairwise([*begins, last])):
-                yield cut(block, begin, end), self._foresee(due[n * plans : (n + 1) * plans])
+            for n, (begin, end) in enumerate(pairwise([first, *due[plans::plans], last])):
+                yield block, begin, end, self._foresee(due[n * plans : (n + 1) * plans])
 
     def _foresee(self, due: Sequence[int]) -> Forecasts:
         """Return the forecasts for the plans that are made before some ticks."""
-        known = slice(None) if self._cases[0].with_forecast else slice(1)
         rain, evaporated = list[Values](), list[Any]()
         for tick in due:  # the forecast computes both for one tick together
-            rain.append(np.atleast_2d(self._forecast.precipitation(tick))[known])
+            rain.append(np.atleast_2d(self._forecast.precipitation(tick)))
             evaporated.append(self._forecast.evapotranspiration(tick))
-        forecasts = Forecasts(
-            np.array(due, np.intp), self._ends,
-            np.array(rain or np.empty((0, 1, 1))), np.array(evaporated or np.empty((0, 1))),
-        )
+        rates = np.array(rain or np.empty((0, 1, 1)))
         if not self._cases[0].with_forecast:
-            forecasts.rain[:, :, 1:] = 0.0
-        return forecasts._replace(evaporated=forecasts.evaporated / self._bed)
+            rates = rates[:, :1].copy()
+            rates[:, :, 1:] = 0.0
+        demand = np.array(evaporated or np.empty((0, 1))) / self._bed
+        return Forecasts(np.array(due, np.intp), self._ends, rates, demand)
 
     def run(
-        self, ticks: Ticks, forecasts: Forecasts | None, part: tuple[slice, Any, Any]
+        self, ticks: Ticks, begin: int, end: int, forecasts: Sequence[Forecasts],
+        part: tuple[slice, Any, Any],
     ) -> None:
-        """Simulate a part of the sites in some ticks, after each plan if there are forecasts."""
+        """Simulate a part of the sites in some ticks, with their plans if there are forecasts."""
         rows, _, hydrograph = part
-        sites = Sites(*(each[rows] for each in self._sites))
-        if forecasts is None:
-            self._run_ticks(sites, ticks, hydrograph, self._every, self._run.steps)
-        else:
-            self._run_planned(sites, ticks, forecasts, hydrograph, self._every, self._run.steps)
+        self._run_ticks(
+            Sites(*(each[rows] for each in self._sites)), ticks, begin, end, hydrograph,
+            self._every, self._run.steps, *forecasts,
+        )
 
     def results(self) -> Iterator[tuple[Results, Values]]:
         """Yield the results of each site after the last tick, and its kept ticks."""

@@ -130,7 +130,7 @@ WRONG = {
     ),
     "half.csv": (
         "\n".join([HEAD, *ROWS, "2024-03-01 01:30:00,0,0,0,0,0"]),
-        ", line 4: time: this row is 30 min after the previous",
+        ", line 4: datetime = '2024-03-01 01:30:00': this row is 30 min after",
     ),
     "word.csv": ("\n".join([HEAD, ROWS[0].replace("0.1", "rain")]),
                  ", line 2: precipitation_previous_day2 = 'rain'"),
@@ -143,6 +143,11 @@ WRONG = {
         OWN.replace("time,", "time,member,").replace("Z,0", "Z,1,0"), ", line 2: member = '1'",
     ),
     "empty.csv": (OWN.replace(",0\n", ",\n"), ", line 2: lacks a value for the hour"),
+    "early.csv": (
+        OWN.replace("issued,", "issued,available,").replace(
+            "Z,2024", "Z,2024-05-31T23:00Z,2024"
+        ), ", line 2: available = '2024-05-31T23:00Z': must not be before the time of issue",
+    ),
     "negative.csv": (OWN.replace(",0\n", ",-1\n"), ", line 2: precipitation [mm/h] = '-1'"),
 }
 
@@ -157,7 +162,7 @@ def test_wrong_files(tmp_path: Path, name: str) -> None:
 
 
 def test_wrong_directories(tmp_path: Path) -> None:
-    """An archive has one form and one kind; an issue that occurs twice counts once."""
+    """An archive has one form and one kind, and no issue occurs twice."""
     refusal(read_archive, tmp_path, TORONTO, match="must contain forecast files")
     (tmp_path / "a.csv").write_text(OWN)
     for name, text, wrong in (
@@ -170,8 +175,7 @@ def test_wrong_directories(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(OWN.replace(",0\n", ",1\n"))
     (tmp_path / "b.csv").write_text(OWN)
     (tmp_path / "README.md").write_text("# Forecasts")
-    (issue,) = read_archive(tmp_path, TORONTO)
-    assert issue.rain.tolist() == [[0.0]]
+    refusal(read_archive, tmp_path, TORONTO, match="which is already in a.csv")
 
 
 def test_issues_with_fewer_members(tmp_path: Path) -> None:
