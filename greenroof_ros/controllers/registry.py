@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import ast
 import functools
-import hashlib
 import importlib.util
 import re
 import sys
 from array import array
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from importlib.metadata import packages_distributions
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -19,10 +16,10 @@ import numpy as np
 
 from greenroof_ros.base.errors import ConfigurationError, describe_choices, suggest_names
 from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.base.parameter_sections import read_sections
 from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.decide import OwnCode, find_frame
 from greenroof_ros.controllers.outlet import OutletPolicy, requested_share
-from greenroof_ros.controllers.parameter_sections import read_sections
 from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.site.horizon import MAX_HORIZON, look_ahead_ends
 from greenroof_ros.site.site import Site
@@ -179,31 +176,6 @@ class ControllerChoice:
     def outputs(self) -> dict[str, str]:
         """Additional topics that the controller's node publishes, each with its attribute."""
         return dict(getattr(self.kind, "outputs", {}))
-
-    @functools.cached_property
-    def source(self) -> str:
-        """Twelve digits that identify the code of a user's controller; empty for a built-in one.
-
-        They change with the source of its module and of all the modules that it imports, except
-        those of the standard library, of this package and of other installed packages. Data files
-        that the code reads, and modules that it imports by a computed name, are not covered.
-        """
-        if self.reference in BUILT_IN:
-            return ""
-        modules = {self.path.partition(":")[0], self.kind.__module__}
-        foreign = _find_foreign() - {name.partition(".")[0] for name in modules}
-        waiting, files = [*modules], dict[str, Path | None]()
-        while waiting:
-            name = waiting.pop()
-            if name not in files and name.partition(".")[0] not in foreign:
-                file = files[name] = _find_file(name)
-                if file is not None:
-                    waiting += [name.rpartition(".")[0], *_find_imports(name, file)]
-        digest = hashlib.sha256()
-        for name, file in sorted(files.items()):
-            if file is not None:
-                digest.update(name.encode() + b"\0" + file.read_bytes() + b"\0")
-        return digest.hexdigest()[:12]
 
     def make(self, site: Site, parameters: dict[str, Any]) -> Controller:
         """Make the controller; a valve that is always open is treated as if there were none.
@@ -388,33 +360,6 @@ def choose_class(kind: Any) -> ControllerChoice:
         if path == own:
             return ControllerChoice(name, name)
     return ControllerChoice(_node_name(kind.__name__), path, kind)
-
-
-@functools.cache
-def _find_foreign() -> frozenset[str]:
-    """Return the packages of Python, of this project and of everything that is installed."""
-    return frozenset({*sys.stdlib_module_names, *packages_distributions(), "greenroof_ros"})
-
-
-def _find_file(name: str) -> Path | None:
-    """Return the file of a module; None without one, as for a function or for a plain folder."""
-    try:
-        spec = sys.modules[name].__spec__ if name in sys.modules else importlib.util.find_spec(name)
-    except (ImportError, AttributeError, ValueError):
-        return None
-    return Path(spec.origin) if spec is not None and spec.has_location and spec.origin else None
-
-
-def _find_imports(name: str, file: Path) -> Iterator[str]:
-    """Yield what a module imports, and the imported names, which can also be modules."""
-    package = name if file.stem == "__init__" else name.rpartition(".")[0]
-    for node in ast.walk(ast.parse(file.read_bytes() if file.suffix == ".py" else b"")):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            parents = package.split(".")[: len(package.split(".")) - node.level + 1]
-            base = ".".join([*(parents if node.level else []), *filter(None, [node.module])])
-            yield from (base, *(f"{base}.{alias.name}" for alias in node.names))
 
 
 def _node_name(class_name: str) -> str:

@@ -15,7 +15,7 @@ from typing import Any
 from greenroof_ros.base.command_line import refuse
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
 from greenroof_ros.base.files import default_site_file
-from greenroof_ros.controllers.parameter_sections import read_sections
+from greenroof_ros.base.parameter_sections import read_sections
 from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
 from greenroof_ros.site.file import read_site
 

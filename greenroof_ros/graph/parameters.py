@@ -25,7 +25,7 @@ from rclpy.parameter import Parameter as RosParameter
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
 from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.parameter import Parameter
-from greenroof_ros.controllers.parameter_sections import read_sections
+from greenroof_ros.base.parameter_sections import read_sections
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import MAX_HORIZON
 from greenroof_ros.site.site import Site

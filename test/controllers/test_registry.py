@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -152,39 +151,3 @@ def test_how_far_a_controller_looks_ahead_follows_from_the_roof(name: str, tmp_p
     assert choice.complete_parameters(field_capacity, {})["horizon"] == 48.0
     (tmp_path / "mine.yaml").write_text(f"{name}: {{ros__parameters: {{horizon: 24.0}}}}")
     assert choice.read_parameters(tmp_path / "mine.yaml")["horizon"] == 24.0
-
-
-OWN = """
-import numpy
-from . import law
-from greenroof_ros.base.parameter import Parameter
-class Mine:
-    parameters = ()
-    def __init__(self, site): pass
-    def command(self, *inputs):
-        import further
-        return law.GAIN
-    def skip(self): pass
-    def statistics(self): pass
-"""
-
-
-def test_an_edit_of_code_that_a_controller_imports_makes_it_another(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """From its package, from a function or from elsewhere; other files make no difference."""
-    files = {"own/__init__.py": "", "own/law.py": "GAIN = 1.0", "own/mine.py": OWN,
-             "further.py": "import last", "last.py": "LAST = 1", "unused.py": "UNUSED = 1"}
-    for name, text in files.items():
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text(text)
-    monkeypatch.syspath_prepend(tmp_path)
-    sources = [find_controller("own.mine:Mine").source]
-    for name in files:
-        with (tmp_path / name).open("a") as file:
-            file.write("\n# edited")
-        sources.append(find_controller("own.mine:Mine").source)
-    changes = [before != after for before, after in pairwise(sources)]
-    assert changes == [name != "unused.py" for name in files]
-    assert all(len(source) == 12 for source in sources)
-    assert find_controller("lookahead").source == ""

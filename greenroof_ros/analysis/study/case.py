@@ -11,6 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.analysis.study.own_code import identify_code
 from greenroof_ros.base.parameter import parameters_of
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.forecast.choice import OPTIONS, ForecastChoice
@@ -91,7 +92,7 @@ class Case:
             "weather": " ".join(file.digest for file in self.weather),
             "forecast_file": self.forecast_file.digest if self.forecast_file else "",
             "parameters": sorted(inputs.parameters.items()),
-            "controller": [inputs.controller.reference, inputs.controller.source],
+            "controller": [inputs.controller.reference, identify_code(inputs.controller)],
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
 
