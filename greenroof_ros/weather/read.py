@@ -195,9 +195,9 @@ def compute_evapotranspiration(
     if method == evapotranspiration.MONTHLY:
         if means is None:
             raise ConfigurationError(
-                f"has no {TEMPERATURE}, from which evapotranspiration is computed, and no column "
-                "'evapotranspiration [mm/day]'; set monthly_evapotranspiration in the site file to use "
-                "monthly means", file=records.source,
+                "has no temperature, from which evapotranspiration is computed, and no column "
+                "'evapotranspiration [mm/day]'; set monthly_evapotranspiration in the site file to "
+                "use monthly means", file=records.source,
             )
         note = f"evapotranspiration is taken from the site's monthly means{for_want}"
         return means, method, [note]

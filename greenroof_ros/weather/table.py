@@ -165,36 +165,33 @@ def read_table(
             that has more or fewer cells than the header is rejected when it is read.
     """
 
+    def refuse(expected: str, line: int | None = None) -> ConfigurationError:
+        return ConfigurationError(expected, file=file, line=line)
+
     def parse() -> Iterator[Row]:
         for number, text in lines or enumerate(read_lines(file), start=1):
             if not is_comment(text):
                 try:
                     yield Row(number, split(text, SEPARATORS[described.sep]))
                 except csv.Error as error:
-                    raise ConfigurationError(
-                        f"is not a line of CSV: {error}", file=file, line=number
-                    ) from None
+                    raise refuse(f"is not a line of CSV: {error}", number) from None
 
     def fit(row: Row) -> Row:
         """Return a row with as many cells as the header."""
-        cells = [*row.cells]
+        cells = row.cells
         if len(cells) <= first:
-            cells += [""] * (count - len(cells))
-        elif not any(cells[count:]):
-            del cells[count:]
-        if len(cells) != count:
-            raise ConfigurationError(
-                f"must have {count} cells, like the header, but has {len(cells)}", file=file,
-                line=row.line,
-            )
-        return Row(row.line, cells)
+            cells = [*cells, *[""] * (count - len(cells))]
+        if len(cells) < count or any(cells[count:]):
+            expected = f"must have {count} cells, like the header, but has {len(cells)}"
+            raise refuse(expected, row.line)
+        return Row(row.line, cells[:count])
 
     rows = parse()
     head, second = next(rows, None), next(rows, None)
     if head is None or not any(head.cells):
-        raise ConfigurationError("must contain a header and rows", file=file)
+        raise refuse("must contain a header and rows")
     if second is None:
-        raise ConfigurationError("has a header but no rows", file=file)
+        raise refuse("has a header but no rows")
     header = [" ".join(name.split()) for name in head.cells]
     while not header[-1]:  # separators at the end of each line
         header.pop()
