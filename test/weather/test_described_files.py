@@ -108,7 +108,8 @@ def _values(value: object) -> list[object]:
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("file: no.csv", "a.yaml: file = 'no.csv': must be the name of a weather file"),
+        ("file: no.csv", "no.csv: cannot be read: No such file"),
+        ("file: no_*.csv", "a.yaml = "), ("rows: end", "a.yaml: file: must name a weather file"),
         ("file: a.csv\ncolumns: {time: t, snow: s}", "line 2: columns.snow: must be one of time"),
         ("file: a.csv\ncolumns: {rain: r}", "columns.time: must name the column of the times"),
         ("file: a.csv\nrows: middle", "line 2: rows = 'middle': must be one of start, end"),
