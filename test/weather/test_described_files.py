@@ -214,7 +214,6 @@ def test_hours_of_dwd(tmp_path: Path) -> None:
     assert rain_of_hours.tolist() == pytest.approx([0.0, 1.5, np.nan, 0.2], nan_ok=True)
     assert air_of_hours.tolist() == pytest.approx([np.nan, 10.0, 11.0, 12.0], nan_ok=True)
     assert both.values["dew point"][1] == pytest.approx(10.0)
-    assert "contains no precipitation" in refusal(read_measured, [air], SITE)
 
 
 def test_hours_of_environment_canada(tmp_path: Path) -> None:

@@ -70,21 +70,6 @@ def test_columns_have_any_order(tmp_path: Path) -> None:
     assert unnamed.method == "unnamed"
 
 
-@pytest.mark.parametrize(
-    ("header", "reason"),
-    [
-        ("date" + HEADER[4:], "'date': must be 'time', or the header must be that of a service"),
-        (HEADER.replace("mm/h]", "kg]"), "'precipitation [kg]': the unit of precipitation must be"),
-        (HEADER + ",b evapotranspiration [mm/day]", "'b evapotranspiration [mm/day]': an ear"),
-    ],
-)
-def test_refused_headers(tmp_path: Path, header: str, reason: str) -> None:
-    """The error has file, line and cell, and what would be right."""
-    row = ",".join([*ROW.split(","), "1"][:header.count(",") + 1])
-    path = write(tmp_path / "weather.csv", header, row)
-    assert refusal(read_weather, [path], PAPER_SITE).startswith(f"{path}, line 2: {reason}")
-
-
 def test_a_file_without_rain_needs_another(tmp_path: Path) -> None:
     path = write(tmp_path / "air.csv", "time,temperature [degC]", "2021-07-07T03:00-05:00,20")
     refusal(read_weather, [path], PAPER_SITE, match="contains no precipitation, such as a column")
@@ -170,12 +155,9 @@ def test_rows_of_a_logger_add_up_to_hours(tmp_path: Path) -> None:
 
 
 def test_rows_of_a_logger_that_cannot_be_hours(tmp_path: Path) -> None:
-    """A row for each tip of a rain gauge, and times that go back."""
+    """A row for each tip of a rain gauge."""
     tips = logged(tmp_path / "tips.csv", *((7 * n + n**2 % 5, "0.2,5") for n in range(40)))
     refusal(read_weather, [tips], TORONTO, match="where the interval changes, split the file")
-    back = logged(tmp_path / "back.csv", (0, "0,5"), (5, "0,5"), (0, "0,5"))
-    refusal(read_weather, [back], TORONTO, match=r"line 5: .*later than the time of the previous r")
-
 
 # --- several files --------------------------------------------------------------------------------
 

@@ -172,7 +172,9 @@ def test_missing_rows(tmp_path: Path) -> None:
     text = "time,rain [mm]\n" + "".join(lines[:10] + lines[11:])
     assert np.isnan(rain_of(tmp_path, text)).tolist() == 10 * [False] + [True, False]
     text = "time,rain [mm]\n" + "".join(lines[:1] + lines[3:])
-    assert "line 3: time = '2024-06-01 03:00:00-05:00': this row is 3 h after the previous row" in refusal(read, tmp_path, text)
+    assert "line 3: time = '2024-06-01 03:00:00-05:00': this row is 3 h after the previous row" in (
+        refusal(read, tmp_path, text)
+    )
     assert np.isnan(rain_of(tmp_path, "# step: 3600\n" + text)).sum() == 2
     assert rain_of(tmp_path, f"time,rain [mm]\n{rows([1])}") == [1]  # a single row is an hour
 
@@ -206,12 +208,16 @@ def test_times_that_do_not_fit(
         ("time,rain [mm]\n2024-06-01T00:00\n", "line 2: must have 2 cells, like the header"),
         ('time,rain [mm]\n2024-06-01T00:00,"1\n', "line 2: is not a line of CSV"),
         ("time,rain [mm],precipitation [mm/h]\n2024-06-01T00:00,1,1\n", "an earlier column"),
-        ("time,rain\n2024-06-01T00:00,1\n", "the unit of precipitation must be one of mm"),
+        ("time,rain\n2024-06-01T00:00,1\n", "line 1: 'rain': the unit of precipitation must be"),
         ("time,rain [l]\n2024-06-01T00:00,1\n", "the unit of precipitation must be one of mm"),
-        ("date,rain [mm]\n2024-06-01T00:00,1\n", "greenroof weather FILE --describe"),
+        ("# Nowhere\ndate,rain [mm]\n2024-06-01T00:00,1\n",
+         "gauge.csv, line 2: 'date': must be 'time', .*greenroof weather FILE --describe"),
+        ("time,a evapotranspiration [mm],b evapotranspiration [mm]\n2024-06-01T00:00,1,1\n",
+         "line 1: 'b evapotranspiration .mm.': an earlier column"),
         ("# rows: sometimes\ntime,rain [mm]\n", "line 1: rows = 'sometimes'"),
         ("# stamped: end\ntime,rain [mm]\n", "line 1: stamped = 'end': is not a valid key"),
-        ("# rows: end\n# rows: start\ntime,rain [mm]\n", "line 2: is not valid YAML: the key rows appears twice, first on line 1"),
+        ("# rows: end\n# rows: start\ntime,rain [mm]\n",
+         "line 2: is not valid YAML: the key rows appears twice, first on line 1"),
         ("# latitude: north\ntime,rain [mm]\n", "line 1: latitude = 'north': must be a number"),
         ("time,rain [mm]\n", "has a header but no rows"), ("# nothing\n", "must contain a header"),
         ("time,rain [mm]\n01.06.2024 00:00,1\n", "line 2: time = '01.06.2024 00:00': must be a"),
