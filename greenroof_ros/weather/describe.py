@@ -6,7 +6,6 @@ question mark stands where a person must decide. Reading uses none of this.
 
 from __future__ import annotations
 
-import csv
 import itertools
 import re
 from collections import Counter
@@ -124,13 +123,7 @@ def _split_lines(lines: Sequence[str]) -> tuple[str, list[list[str]]]:
     last = [line for line in lines if line.strip()][-20:]
     name = max(SEPARATORS, key=lambda name: min(line.count(SEPARATORS[name]) for line in last)
                if name != "space" else 0)
-    cells = list[list[str]]()
-    for line in lines:
-        try:
-            cells.append(split(line, SEPARATORS[name]))
-        except csv.Error:
-            cells.append([line])
-    return name, cells
+    return name, [split(line, SEPARATORS[name]) or [line] for line in lines]
 
 
 def _find_rows(

@@ -137,16 +137,14 @@ class Table:
         )
 
 
-def split(text: str, separator: str) -> list[str]:
-    """Return the cells of a line; a quoted cell must end within its line.
-
-    Raises:
-        csv.Error: if a quote is not closed, or is followed by text.
-    """
+def split(text: str, separator: str) -> list[str] | None:
+    """Return the cells of a line; None if a quote is not closed in it, or is followed by text."""
     if '"' not in text:  # the module csv takes longer
         return [cell.strip() for cell in text.split(separator)]
-    cells = next(csv.reader([text.strip()], delimiter=separator, strict=True))
-    return [cell.strip() for cell in cells]
+    with suppress(csv.Error):
+        cells = next(csv.reader([text.strip()], delimiter=separator, strict=True))
+        return [cell.strip() for cell in cells]
+    return None
 
 
 def read_table(
@@ -171,10 +169,10 @@ def read_table(
     def parse() -> Iterator[Row]:
         for number, text in lines or enumerate(read_lines(file), start=1):
             if not is_comment(text):
-                try:
-                    yield Row(number, split(text, SEPARATORS[described.sep]))
-                except csv.Error as error:
-                    raise refuse(f"is not a line of CSV: {error}", number) from None
+                cells = split(text, SEPARATORS[described.sep])
+                if cells is None:
+                    raise refuse("is not a line of CSV: a quoted cell must end in it", number)
+                yield Row(number, cells)
 
     def fit(row: Row) -> Row:
         """Return a row with as many cells as the header."""
