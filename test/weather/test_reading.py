@@ -154,11 +154,6 @@ def test_rows_of_a_logger_add_up_to_hours(tmp_path: Path) -> None:
     assert any("rows of 5 min whose time is their start" in text for text in weather.applied)
 
 
-def test_rows_of_a_logger_that_cannot_be_hours(tmp_path: Path) -> None:
-    """A row for each tip of a rain gauge."""
-    tips = logged(tmp_path / "tips.csv", *((7 * n + n**2 % 5, "0.2,5") for n in range(40)))
-    refusal(read_weather, [tips], TORONTO, match="where the interval changes, split the file")
-
 # --- several files --------------------------------------------------------------------------------
 
 
