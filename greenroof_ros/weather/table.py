@@ -287,8 +287,8 @@ def arrange(table: Table, described: Description, site: Place, wanted: Collectio
             lines, times, numbers = lines[::-1], times[::-1], [each[::-1] for each in numbers]
 
     def refuse(place: int, expected: str) -> ConfigurationError:
-        """Return an error about the time of a row."""
-        return table.refuse(expected, clock[0], Row(lines[place], ()), str(times[place]))
+        """Return an error about the time of a row, as the file has it."""
+        return table.refuse(expected, clock[0], Row(lines[place], ()), f"{times[place]:{form}}")
 
     zone = _find_zone(site, described)
     seconds = _find_seconds(times, zone, refuse)

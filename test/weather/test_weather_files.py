@@ -166,6 +166,16 @@ def test_rows_that_end_at_their_times(
     assert records.first == FIRST and "whose time is their end" in records.applied[0]
 
 
+def test_a_time_that_the_clocks_skip(tmp_path: Path) -> None:
+    """The message has the time in the form of the file."""
+    text = "t,r\n" + "".join(f"31.03.2024 0{hour}:00,1\n" for hour in (0, 1, 2))
+    keys = {"columns": {"time": "t", "rain": "r"}, "units": {"rain": "mm"},
+            "time_format": "%d.%m.%Y %H:%M", "time_zone": "Europe/Berlin"}
+    assert "line 4: t = '31.03.2024 02:00': is in an hour that the clocks in Europe/Berlin" in (
+        refusal(lambda: read(tmp_path, text, **keys))
+    )
+
+
 def test_missing_rows(tmp_path: Path) -> None:
     """A multiple of the step is missing rows; the first rows must agree, or the step be stated."""
     lines = rows(12 * [1]).splitlines(True)
