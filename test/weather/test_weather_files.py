@@ -249,20 +249,6 @@ def test_comments_and_columns_that_are_not_used(tmp_path: Path) -> None:
     assert "not read: Qualität, battery [V]" in records.applied[0]
 
 
-def test_files_do_not_overlap(tmp_path: Path) -> None:
-    """Two files with a value for the same hour are refused, even if the values are equal."""
-    first, second = tmp_path / "first.csv", tmp_path / "second.csv"
-    first.write_text(f"time,rain [mm]\n{rows([1, 2])}")
-    second.write_text("time,rain [mm]\n" + "".join(rows([0, 2, 3]).splitlines(True)[1:]))
-    assert refusal(read_measured, [first, second], SITE) == (
-        f"{second}: precipitation at 2024-06-01T01:00-05:00: is also in {first}: files must not "
-        "overlap"
-    )
-    second.write_text("time,rain [mm]\n" + "".join(rows([0, 2, 3, 4]).splitlines(True)[2:]))
-    joined = read_measured([second, first], SITE)
-    assert joined.values["precipitation"].tolist() == [1, 2, 3, 4]
-
-
 @pytest.mark.parametrize("place", ["line", "header", "columns", "comment", "quotes"])
 def test_the_time_to_refuse_a_file_is_linear_in_its_size(tmp_path: Path, place: str) -> None:
     """2 MB take no more than some seconds; 20 kB took 2.9 s."""
