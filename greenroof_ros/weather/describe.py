@@ -6,12 +6,12 @@ question mark stands where a person must decide. Reading uses none of this.
 
 from __future__ import annotations
 
-import csv
 import itertools
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from datetime import datetime
 from pathlib import Path
 
 import yaml
@@ -85,12 +85,13 @@ def describe(file: Path) -> str:
             text for text in texts[len(between) :]
             if text and not _is_value(quantity, unit, text.replace(",", ".") if comma else text)
         )
+    head = " ".join(itertools.chain(names, *cells[:header]))
     used, skipped = {*itertools.chain(*columns.values())}, {*range(first)} - {header}
     stated = {
         "file": file.name,
         "columns": {name: each if len(each) > 1 else each[0] for name, each in columns.items()},
         "time_format": forms[0] if len(forms) == 1 else _UNKNOWN,
-        **_find_zone(" ".join(itertools.chain(names, *cells[:header])), rows[0], time, forms[0]),
+        **_find_zone(head, parse_text(" ".join(rows[0][n] for n in time), forms[0])),
         "rows": _UNKNOWN, "units": units, "na_values": [*dict.fromkeys(missing)][:10],
         "encoding": encoding, "sep": separator, "decimal": "," if comma else ".",
         "skiprows": len(skipped) if skipped == {*range(len(skipped))} else sorted(skipped),
@@ -122,13 +123,7 @@ def _split_lines(lines: Sequence[str]) -> tuple[str, list[list[str]]]:
     last = [line for line in lines if line.strip()][-20:]
     name = max(SEPARATORS, key=lambda name: min(line.count(SEPARATORS[name]) for line in last)
                if name != "space" else 0)
-    cells = list[list[str]]()
-    for line in lines:
-        try:
-            cells.append(split(line, SEPARATORS[name]))
-        except csv.Error:
-            cells.append([line])
-    return name, cells
+    return name, [split(line, SEPARATORS[name]) or [line] for line in lines]
 
 
 def _find_rows(
@@ -191,11 +186,9 @@ def _is_value(quantity: str, unit: Unit, text: str) -> bool:
     return False
 
 
-def _find_zone(
-    head: str, row: Sequence[str], time: Sequence[int], form: str
-) -> dict[str, float | str]:
+def _find_zone(head: str, time: datetime) -> dict[str, float | str]:
     """Return the key of the zone, unless the times contain their offset."""
-    if parse_text(" ".join(row[n] for n in time), form).tzinfo is not None:
+    if time.tzinfo is not None:
         return {}
     if match := _OFFSET.search(head):
         return {"utc_offset": float(match[1])}

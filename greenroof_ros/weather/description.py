@@ -18,7 +18,6 @@ the keys of :data:`IN_COMMENTS`.
 from __future__ import annotations
 
 import functools
-import glob
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -224,25 +223,3 @@ def find_service(line: str) -> Description | None:
         if (*cells[: len(described.header)],) == described.header:
             return described
     return None
-
-
-def expand(paths: Iterable[Path]) -> list[tuple[Path, Description | None]]:
-    """Return the weather files among the paths, with the descriptions of those that have one.
-
-    Raises:
-        ConfigurationError: if a description names no file, or no file matches it.
-    """
-    files = list[tuple[Path, Description | None]]()
-    for path in paths:
-        if path.suffix not in (".yaml", ".yml"):
-            files.append((path, None))
-            continue
-        described = read_description(path)
-        matches = sorted(glob.glob(str(path.parent / described.file)))  # noqa: PTH207
-        if not described.file or not matches:
-            raise ConfigurationError(
-                "must be the name of a weather file beside this description, or a pattern",
-                file=path, key="file", value=described.file,
-            )
-        files += [(Path(match), described) for match in matches]
-    return files

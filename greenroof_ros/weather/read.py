@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import glob
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import shared_directory
 from greenroof_ros.site.site import Place
 from greenroof_ros.weather import evapotranspiration, open_meteo, quantities
-from greenroof_ros.weather.description import Description, expand
+from greenroof_ros.weather.description import Description, read_description
 from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
 from greenroof_ros.weather.records import (
     WEATHER,
@@ -74,7 +74,7 @@ def read_measured(
         ConfigurationError: if a file cannot be parsed, or if two files overlap.
     """
     joined = join_records([
-        read_file(file, site, own or described) for file, own in expand(files)
+        read_file(file, site, own or described) for file, own in _expand(files)
     ])
     if PRECIPITATION not in joined.values:
         raise ConfigurationError(
@@ -202,9 +202,9 @@ def compute_evapotranspiration(
     if method == evapotranspiration.MONTHLY:
         if means is None:
             raise ConfigurationError(
-                f"has no {TEMPERATURE}, from which evapotranspiration is computed, and no column "
-                "'evapotranspiration [mm/day]'; set monthly_evapotranspiration in the site file to use "
-                "monthly means", file=records.source,
+                "has no temperature, from which evapotranspiration is computed, and no column "
+                "'evapotranspiration [mm/day]'; set monthly_evapotranspiration in the site file to "
+                "use monthly means", file=records.source,
             )
         note = f"evapotranspiration is taken from the site's monthly means{for_want}"
         return means, method, [note]
@@ -242,7 +242,7 @@ def write_plain(files: Sequence[Path], site: Place) -> str | None:
 
     A copy of a weather file in another directory would no longer have its description.
     """
-    if not any(described is not None for _, described in expand(files)):
+    if not any(described is not None for _, described in _expand(files)):
         return None
     return write_records(read_measured(files, site), "Written from files with a description.")
 
@@ -274,6 +274,22 @@ def find_files(names: Iterable[str], key: str) -> list[Path]:
     if not files:
         raise ConfigurationError("must name at least one file", key=key)
     return [*files]
+
+
+def _expand(paths: Iterable[Path]) -> Iterator[tuple[Path, Description | None]]:
+    """Yield the weather files among the paths, with the descriptions of those that have one."""
+    for path in paths:
+        if path.suffix not in (".yaml", ".yml"):
+            yield path, None
+            continue
+        described = read_description(path)
+        if not described.file:
+            raise ConfigurationError(
+                "must name a weather file beside this description, or a pattern", file=path,
+                key="file",
+            )
+        for file in find_files([str(path.parent / described.file)], f"file in {path}"):
+            yield file, described
 
 
 def fill_long_gaps(values: Mapping[str, Array]) -> dict[str, Array]:

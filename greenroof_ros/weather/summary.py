@@ -106,12 +106,11 @@ def as_lines(summary: Mapping[str, Any]) -> list[str]:
 
 def _describe(series: Values) -> dict[str, Any]:
     known = series[~np.isnan(series)]
-    ends = (known.min(), known.mean(), known.max()) if known.size else (None, None, None)
-    return {
-        **{name: None if end is None else float(f"{end:.6g}")
-           for name, end in zip(("minimum", "mean", "maximum"), ends, strict=True)},
-        "missing": int(series.size - known.size),
+    about = {
+        name: float(f"{find(known):.6g}") if known.size else None
+        for name, find in (("minimum", np.min), ("mean", np.mean), ("maximum", np.max))
     }
+    return {**about, "missing": int(series.size - known.size)}
 
 
 def _describe_rain(series: Values, first: datetime) -> dict[str, Any]:
@@ -121,7 +120,7 @@ def _describe_rain(series: Values, first: datetime) -> dict[str, Any]:
     by_day = np.bincount(of_day, rain)
     dry = (by_day < _DRY_DAY) & (np.bincount(of_day, ~np.isnan(series)) > 0)
     months, of_month = np.unique(local.astype("datetime64[M]"), return_inverse=True)
-    names = [f"{_MONTHS[int(month.astype(int)) % 12]}" for month in months]
+    names = [_MONTHS[int(month.astype(int)) % 12] for month in months]
     if len(months) > _MAX_MONTHS:
         years, of_month = np.unique(local.astype("datetime64[Y]"), return_inverse=True)
         names = [*map(str, years)]

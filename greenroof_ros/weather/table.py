@@ -137,16 +137,14 @@ class Table:
         )
 
 
-def split(text: str, separator: str) -> list[str]:
-    """Return the cells of a line; a quoted cell must end within its line.
-
-    Raises:
-        csv.Error: if a quote is not closed, or is followed by text.
-    """
+def split(text: str, separator: str) -> list[str] | None:
+    """Return the cells of a line; None if a quote is not closed in it, or is followed by text."""
     if '"' not in text:  # the module csv takes longer
         return [cell.strip() for cell in text.split(separator)]
-    cells = next(csv.reader([text.strip()], delimiter=separator, strict=True))
-    return [cell.strip() for cell in cells]
+    with suppress(csv.Error):
+        cells = next(csv.reader([text.strip()], delimiter=separator, strict=True))
+        return [cell.strip() for cell in cells]
+    return None
 
 
 def read_table(
@@ -165,36 +163,33 @@ def read_table(
             that has more or fewer cells than the header is rejected when it is read.
     """
 
+    def refuse(expected: str, line: int | None = None) -> ConfigurationError:
+        return ConfigurationError(expected, file=file, line=line)
+
     def parse() -> Iterator[Row]:
         for number, text in lines or enumerate(read_lines(file), start=1):
             if not is_comment(text):
-                try:
-                    yield Row(number, split(text, SEPARATORS[described.sep]))
-                except csv.Error as error:
-                    raise ConfigurationError(
-                        f"is not a line of CSV: {error}", file=file, line=number
-                    ) from None
+                cells = split(text, SEPARATORS[described.sep])
+                if cells is None:
+                    raise refuse("is not a line of CSV: a quoted cell must end in it", number)
+                yield Row(number, cells)
 
     def fit(row: Row) -> Row:
         """Return a row with as many cells as the header."""
-        cells = [*row.cells]
+        cells = row.cells
         if len(cells) <= first:
-            cells += [""] * (count - len(cells))
-        elif not any(cells[count:]):
-            del cells[count:]
-        if len(cells) != count:
-            raise ConfigurationError(
-                f"must have {count} cells, like the header, but has {len(cells)}", file=file,
-                line=row.line,
-            )
-        return Row(row.line, cells)
+            cells = [*cells, *[""] * (count - len(cells))]
+        if len(cells) < count or any(cells[count:]):
+            expected = f"must have {count} cells, like the header, but has {len(cells)}"
+            raise refuse(expected, row.line)
+        return Row(row.line, cells[:count])
 
     rows = parse()
     head, second = next(rows, None), next(rows, None)
     if head is None or not any(head.cells):
-        raise ConfigurationError("must contain a header and rows", file=file)
+        raise refuse("must contain a header and rows")
     if second is None:
-        raise ConfigurationError("has a header but no rows", file=file)
+        raise refuse("has a header but no rows")
     header = [" ".join(name.split()) for name in head.cells]
     while not header[-1]:  # separators at the end of each line
         header.pop()
@@ -292,8 +287,8 @@ def arrange(table: Table, described: Description, site: Place, wanted: Collectio
             lines, times, numbers = lines[::-1], times[::-1], [each[::-1] for each in numbers]
 
     def refuse(place: int, expected: str) -> ConfigurationError:
-        """Return an error about the time of a row."""
-        return table.refuse(expected, clock[0], Row(lines[place], ()), str(times[place]))
+        """Return an error about the time of a row, as the file has it."""
+        return table.refuse(expected, clock[0], Row(lines[place], ()), f"{times[place]:{form}}")
 
     zone = _find_zone(site, described)
     seconds = _find_seconds(times, zone, refuse)

@@ -70,21 +70,6 @@ def test_columns_have_any_order(tmp_path: Path) -> None:
     assert unnamed.method == "unnamed"
 
 
-@pytest.mark.parametrize(
-    ("header", "reason"),
-    [
-        ("date" + HEADER[4:], "'date': must be 'time', or the header must be that of a service"),
-        (HEADER.replace("mm/h]", "kg]"), "'precipitation [kg]': the unit of precipitation must be"),
-        (HEADER + ",b evapotranspiration [mm/day]", "'b evapotranspiration [mm/day]': an ear"),
-    ],
-)
-def test_refused_headers(tmp_path: Path, header: str, reason: str) -> None:
-    """The error has file, line and cell, and what would be right."""
-    row = ",".join([*ROW.split(","), "1"][:header.count(",") + 1])
-    path = write(tmp_path / "weather.csv", header, row)
-    assert refusal(read_weather, [path], PAPER_SITE).startswith(f"{path}, line 2: {reason}")
-
-
 def test_a_file_without_rain_needs_another(tmp_path: Path) -> None:
     path = write(tmp_path / "air.csv", "time,temperature [degC]", "2021-07-07T03:00-05:00,20")
     refusal(read_weather, [path], PAPER_SITE, match="contains no precipitation, such as a column")
@@ -221,22 +206,22 @@ def test_months_far_from_each_other() -> None:
 
 
 def test_what_cannot_be_joined(tmp_path: Path) -> None:
-    """Other values or quantities, another method."""
+    """Values for the same hours, even if they are equal; other quantities, another method."""
 
-    def own_csv(first: str, method: str = "published", rain: float = 0.1) -> Path:
+    def own_csv(first: str, method: str = "published") -> Path:
         """Write two hours of a file in this project's format."""
         hours = np.datetime64(first, "m") + np.arange(2).astype("timedelta64[h]")
         return write(
-            tmp_path / f"{first[8:].replace(':', '')}-{method}-{rain}.csv",
+            tmp_path / f"{first[8:].replace(':', '')}-{method}.csv",
             f"time,precipitation [mm/h],{method} evapotranspiration [mm/day]",
-            *(f"{hour}-05:00,{rain},1.0" for hour in hours),
+            *(f"{hour}-05:00,0.1,1.0" for hour in hours),
         )
 
     early = own_csv("2021-07-01T00:00")
     for late, reason in (
         (own_csv("2021-07-01T02:00", "lysimeter"),
          f"must have the same method of evapotranspiration as {early}, published; it has lysimet"),
-        (own_csv("2021-07-01T01:00", rain=9.9),
+        (own_csv("2021-07-01T01:00"),
          f"precipitation at 2021-07-01T01:00-05:00: is also in {early}: files must not overlap"),
         (JULY, f"must have the same quantities as {early}, evapotranspiration, precipitation; it "
          "has dew point, precipitation, station pressure, temperature, wind speed"),

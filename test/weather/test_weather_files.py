@@ -166,13 +166,25 @@ def test_rows_that_end_at_their_times(
     assert records.first == FIRST and "whose time is their end" in records.applied[0]
 
 
+def test_a_time_that_the_clocks_skip(tmp_path: Path) -> None:
+    """The message has the time in the form of the file."""
+    text = "t,r\n" + "".join(f"31.03.2024 0{hour}:00,1\n" for hour in (0, 1, 2))
+    keys = {"columns": {"time": "t", "rain": "r"}, "units": {"rain": "mm"},
+            "time_format": "%d.%m.%Y %H:%M", "time_zone": "Europe/Berlin"}
+    assert "line 4: t = '31.03.2024 02:00': is in an hour that the clocks in Europe/Berlin" in (
+        refusal(lambda: read(tmp_path, text, **keys))
+    )
+
+
 def test_missing_rows(tmp_path: Path) -> None:
     """A multiple of the step is missing rows; the first rows must agree, or the step be stated."""
     lines = rows(12 * [1]).splitlines(True)
     text = "time,rain [mm]\n" + "".join(lines[:10] + lines[11:])
     assert np.isnan(rain_of(tmp_path, text)).tolist() == 10 * [False] + [True, False]
     text = "time,rain [mm]\n" + "".join(lines[:1] + lines[3:])
-    assert "line 3: time = '2024-06-01 03:00:00-05:00': this row is 3 h after the previous row" in refusal(read, tmp_path, text)
+    assert "line 3: time = '2024-06-01 03:00:00-05:00': this row is 3 h after the previous row" in (
+        refusal(read, tmp_path, text)
+    )
     assert np.isnan(rain_of(tmp_path, "# step: 3600\n" + text)).sum() == 2
     assert rain_of(tmp_path, f"time,rain [mm]\n{rows([1])}") == [1]  # a single row is an hour
 
@@ -206,9 +218,12 @@ def test_times_that_do_not_fit(
         ("time,rain [mm]\n2024-06-01T00:00\n", "line 2: must have 2 cells, like the header"),
         ('time,rain [mm]\n2024-06-01T00:00,"1\n', "line 2: is not a line of CSV"),
         ("time,rain [mm],precipitation [mm/h]\n2024-06-01T00:00,1,1\n", "an earlier column"),
-        ("time,rain\n2024-06-01T00:00,1\n", "the unit of precipitation must be one of mm"),
+        ("time,rain\n2024-06-01T00:00,1\n", "line 1: 'rain': the unit of precipitation must be"),
         ("time,rain [l]\n2024-06-01T00:00,1\n", "the unit of precipitation must be one of mm"),
-        ("date,rain [mm]\n2024-06-01T00:00,1\n", "greenroof weather FILE --describe"),
+        ("# Nowhere\ndate,rain [mm]\n2024-06-01T00:00,1\n",
+         "gauge.csv, line 2: 'date': must be 'time', .*greenroof weather FILE --describe"),
+        ("time,a evapotranspiration [mm],b evapotranspiration [mm]\n2024-06-01T00:00,1,1\n",
+         "line 1: 'b evapotranspiration .mm.': an earlier column"),
         ("# rows: sometimes\ntime,rain [mm]\n", "line 1: rows = 'sometimes'"),
         ("# stamped: end\ntime,rain [mm]\n", "line 1: stamped = 'end': is not a valid key"),
         ("# rows: end\n# rows: start\ntime,rain [mm]\n",
@@ -232,20 +247,6 @@ def test_comments_and_columns_that_are_not_used(tmp_path: Path) -> None:
     assert [*records.places.values()] == [(52.5, 13.4)] and records.wind_height == 2
     assert records.rain_kind == "forecast"
     assert "not read: Qualität, battery [V]" in records.applied[0]
-
-
-def test_files_do_not_overlap(tmp_path: Path) -> None:
-    """Two files with a value for the same hour are refused, even if the values are equal."""
-    first, second = tmp_path / "first.csv", tmp_path / "second.csv"
-    first.write_text(f"time,rain [mm]\n{rows([1, 2])}")
-    second.write_text("time,rain [mm]\n" + "".join(rows([0, 2, 3]).splitlines(True)[1:]))
-    assert refusal(read_measured, [first, second], SITE) == (
-        f"{second}: precipitation at 2024-06-01T01:00-05:00: is also in {first}: files must not "
-        "overlap"
-    )
-    second.write_text("time,rain [mm]\n" + "".join(rows([0, 2, 3, 4]).splitlines(True)[2:]))
-    joined = read_measured([second, first], SITE)
-    assert joined.values["precipitation"].tolist() == [1, 2, 3, 4]
 
 
 @pytest.mark.parametrize("place", ["line", "header", "columns", "comment", "quotes"])

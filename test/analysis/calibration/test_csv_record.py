@@ -155,8 +155,8 @@ def test_wrong_files_are_refused(name: str, file: Path) -> None:
         (2 * 1440 * np.arange(120),
          "line 1: the rows are 2 days apart; they must be no more than a day apart"),
         (np.cumsum(np.resize([5, 5, 7], 200)),
-         "line 4: time: this row is 7 min after the previous row, but rows must be 5 min or a "
-         "multiple apart"),
+         "line 4: time = '2021-06-01 00:17:00': this row is 7 min after the previous row, but rows "
+         "must be 5 min or a multiple apart"),
     ],
 )
 def test_rows_that_are_on_no_clock_are_refused(
