@@ -67,20 +67,6 @@ def test_the_climate_is_torontos(rain: dict[int, Array]) -> None:
         assert pair.cdf([-climate.threshold] * 2) == pytest.approx(both.mean(), rel=0.1)
 
 
-# --- the skill ---------------------------------------------------------------------------------
-
-
-def test_coherence() -> None:
-    """All is known at once, later less, short showers first; with the skill none, nothing."""
-    leads, frequencies = np.array([0.0, 1, 6, 24, 72, 240]), np.array([0.0, 0.02, 0.1, 0.5])
-    coherence = REAL.coherence(leads, frequencies)
-    assert (coherence[0] == 1).all()
-    assert (np.diff(coherence, axis=0) < 0).all()
-    assert (np.diff(coherence[1:], axis=1) < 0).all()
-    none = read_skill("none").coherence(leads, frequencies)
-    assert (none[0] == 1).all() and none[1:] == pytest.approx(0, abs=1e-12)
-
-
 # --- forecasts ---------------------------------------------------------------------------------
 
 
