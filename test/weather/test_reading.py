@@ -70,28 +70,6 @@ def test_columns_have_any_order(tmp_path: Path) -> None:
     assert unnamed.method == "unnamed"
 
 
-@pytest.mark.parametrize(
-    ("header", "reason"),
-    [
-        ("date" + HEADER[4:], "'date': must be 'time', or the header must be that of a service"),
-        (HEADER.replace("mm/h]", "kg]"), "'precipitation [kg]': the unit of precipitation must be"),
-        (HEADER + ",b evapotranspiration [mm/day]", "'b evapotranspiration [mm/day]': an ear"),
-    ],
-)
-def test_refused_headers(tmp_path: Path, header: str, reason: str) -> None:
-    """The error has file, line and cell, and what would be right."""
-    row = ",".join([*ROW.split(","), "1"][:header.count(",") + 1])
-    path = write(tmp_path / "weather.csv", header, row)
-    assert refusal(read_weather, [path], PAPER_SITE).startswith(f"{path}, line 2: {reason}")
-
-
-def test_a_file_without_rain_needs_another(tmp_path: Path) -> None:
-    path = write(tmp_path / "air.csv", "time,temperature [degC]", "2021-07-07T03:00-05:00,20")
-    refusal(read_weather, [path], PAPER_SITE, match="contains no precipitation, such as a column")
-    rain = write(tmp_path / "rain.csv", "time,rain [mm]", "2021-07-07T03:00-05:00,0.2")
-    assert read_weather([path, rain], TORONTO).values["temperature"].tolist() == [20.0]
-
-
 # --- what people have -----------------------------------------------------------------------------
 
 
@@ -139,42 +117,27 @@ def test_a_method_can_be_chosen(tmp_path: Path) -> None:
     assert "means, for lack of a day with 18 hours of temperature" in hour.notes[-1]
 
 
-def logged(path: Path, *rows: tuple[int, str]) -> Path:
-    """Write rows of a logger, each the minutes since 14:20 and its cells."""
-    first = np.datetime64("2021-07-07T14:20")
-    return write(path, "time,rain [mm],temperature [degC]", *(
-        f"{first + np.timedelta64(minutes, 'm')}-05:00,{cells}" for minutes, cells in rows
-    ))
-
-
 def test_rows_of_a_logger_add_up_to_hours(tmp_path: Path) -> None:
     """Rain adds up, temperature is averaged; rain needs three quarters of an hour's rows.
 
     Twelve rows of 0.1 mm are 1.2 mm. Of nine rows the mean rate counts, of eight none: such hours
     are left out at either end. Temperature may be in every third row.
     """
-    rows = [(5 * row, f"0.1,{row}") for row in range(8 + 12 + 9)]
-    rows += [(5 * row, f"0.2,{'' if row % 3 else 5}") for row in range(8 + 24, 8 + 24 + 8)]
-    path = logged(tmp_path / "logger.csv", *rows)
+    first, header = np.datetime64("2021-07-07T14:20"), "time,rain [mm],temperature [degC]"
+    rows = {row: f"0.1,{row}" for row in range(8 + 12 + 9)}
+    rows |= {row: f"0.2,{'' if row % 3 else 5}" for row in range(8 + 24 + 8) if row >= 8 + 24}
+    path = write(tmp_path / "logger.csv", header, *(
+        f"{first + np.timedelta64(5 * row, 'm')}-05:00,{cells}" for row, cells in rows.items()
+    ))
     weather = read_weather([path], TORONTO)
     assert weather.first.isoformat() == "2021-07-07T15:00:00-05:00"
     assert weather.precipitation.tolist() == [1.2, 1.2]
     assert weather.values["temperature"].tolist() == [13.5, 24.0]
-    later = write(
-        tmp_path / "later.csv", "time,rain [mm],temperature [degC]", "2021-07-07T18:00-05:00,0.2,5",
-        "2021-07-07T18:05-05:00,0.2,5",
-    )
+    begun = (f"2021-07-07T18:0{minute}-05:00,0.2,5" for minute in (0, 5))
+    later = write(tmp_path / "later.csv", header, *begun)
     hours = read_weather([path, later], TORONTO).precipitation
     assert hours.tolist() == pytest.approx([1.2, 1.2, np.nan], nan_ok=True)
     assert any("rows of 5 min whose time is their start" in text for text in weather.applied)
-
-
-def test_rows_of_a_logger_that_cannot_be_hours(tmp_path: Path) -> None:
-    """A row for each tip of a rain gauge, and times that go back."""
-    tips = logged(tmp_path / "tips.csv", *((7 * n + n**2 % 5, "0.2,5") for n in range(40)))
-    refusal(read_weather, [tips], TORONTO, match="where the interval changes, split the file")
-    back = logged(tmp_path / "back.csv", (0, "0,5"), (5, "0,5"), (0, "0,5"))
-    refusal(read_weather, [back], TORONTO, match=r"line 5: .*later than the time of the previous r")
 
 
 # --- several files --------------------------------------------------------------------------------
@@ -222,48 +185,28 @@ def test_months_far_from_each_other() -> None:
     assert np.isnan(weather.precipitation[744:-744]).all()
     assert weather.evapotranspiration[-744:].tobytes() == july.evapotranspiration.tobytes()
     site = replace(TORONTO, tau=600.0, M=1)
-    reason = refusal(WeatherSeries, weather, site, parse_time("2021-03-31T12:00-05:00"), 6 * 24)
-    assert reason.startswith(
-        f"{DATA / '2 files'}, {MARCH.name} to {JULY.name}: precipitation is missing at "
-        "2021-04-01T00:00-05:00 to 2021-04-01T12:00-05:00 (13 hours); choose another period"
-    )
-    assert "fill the gaps (gaps: fill)" in reason
+    missing = r"missing at 2021-04-01T00:00-05:00 to 2021-04-01T12:00-05:00 \(13 hours\)"
+    start = parse_time("2021-03-31T12:00-05:00")
+    refusal(WeatherSeries, weather, site, start, 6 * 24, match=missing)
 
 
 def test_what_cannot_be_joined(tmp_path: Path) -> None:
-    """Other values or quantities, another method."""
-
-    def own_csv(first: str, method: str = "published", rain: float = 0.1) -> Path:
-        """Write two hours of a file in this project's format."""
-        hours = np.datetime64(first, "m") + np.arange(2).astype("timedelta64[h]")
-        return write(
-            tmp_path / f"{first[8:].replace(':', '')}-{method}-{rain}.csv",
-            f"time,precipitation [mm/h],{method} evapotranspiration [mm/day]",
-            *(f"{hour}-05:00,{rain},1.0" for hour in hours),
-        )
-
-    early = own_csv("2021-07-01T00:00")
-    for late, reason in (
-        (own_csv("2021-07-01T02:00", "lysimeter"),
-         f"must have the same method of evapotranspiration as {early}, published; it has lysimet"),
-        (own_csv("2021-07-01T01:00", rain=9.9),
-         f"precipitation at 2021-07-01T01:00-05:00: is also in {early}: files must not overlap"),
-        (JULY, f"must have the same quantities as {early}, evapotranspiration, precipitation; it "
-         "has dew point, precipitation, station pressure, temperature, wind speed"),
-    ):
-        assert refusal(read_weather, [early, late], TORONTO).startswith(f"{late}: {reason}")
+    """Another method or other quantities."""
+    early, late = (write(
+        tmp_path / f"{method}.csv",
+        f"time,precipitation [mm/h],{method} evapotranspiration [mm/day]",
+        f"2021-07-01T0{hour}:00-05:00,0.1,1.0",
+    ) for hour, method in enumerate(("published", "lysimeter")))
+    for other, reason in ((late, "method of evapotranspiration"), (JULY, "quantities")):
+        refusal(read_weather, [early, other], TORONTO, match=f"must have the same {reason} as")
 
 
-@pytest.mark.parametrize(
-    ("minutes", "expected"),
-    # Rain of 1 to 4 mm, in hours that begin so much later: each hour of the clock has the rest of
-    # one and the start of the next.
-    [(30, [1.5, 2.5, 3.5]), (20, [5 / 3, 8 / 3, 11 / 3])],
-)
-def test_files_whose_hours_begin_at_different_minutes(
-    tmp_path: Path, minutes: int, expected: list[float]
-) -> None:
-    """As in GMT and at UTC-3:30: hours of the first file, with the means of the second's."""
+def test_files_whose_hours_begin_at_different_minutes(tmp_path: Path) -> None:
+    """Hours of the first file, with the means of the second's.
+
+    Rain of 1 to 4 mm, in hours that begin 20 min later: each hour of the clock has the rest of one
+    and the start of the next.
+    """
     first = np.datetime64("2021-07-01T00:00")
     header = "time,precipitation [mm/h],published evapotranspiration [mm/day]"
     early = write(tmp_path / "gmt.csv", header, *(
@@ -271,18 +214,17 @@ def test_files_whose_hours_begin_at_different_minutes(
     ))
     # Its first hour begins in the last of the first file, whose value goes before.
     late = write(tmp_path / "local.csv", header, *(
-        f"{first + np.timedelta64(60 * (3 + hour) + minutes, 'm')}+00:00,{hour + 1}.0,2.0"
+        f"{first + np.timedelta64(60 * (3 + hour) + 20, 'm')}+00:00,{hour + 1}.0,2.0"
         for hour in range(4)
     ))
     read = read_weather([late, early], TORONTO)
     assert read.first.isoformat() == "2021-07-01T00:00:00+00:00"
     assert read.files == (early, late)
-    assert read.values["precipitation"].tolist() == pytest.approx([0.5] * 4 + expected)
-    assert read.values["evapotranspiration"].tolist() == [1.0] * 4 + [2.0] * 3
-    assert read.notes[0] == (
-        f"{late}: hours begin {minutes} min after those of {early}; each value is the mean "
-        "of the two hours that it overlaps"
+    assert read.values["precipitation"].tolist() == pytest.approx(
+        [0.5] * 4 + [5 / 3, 8 / 3, 11 / 3]
     )
+    assert read.values["evapotranspiration"].tolist() == [1.0] * 4 + [2.0] * 3
+    assert read.notes[0].startswith(f"{late}: hours begin 20 min after those of {early}; ")
 
 
 def test_names_and_patterns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -38,7 +38,7 @@ def about(directory: Path, *arguments: str | Path) -> list[tuple[str, ...]]:
     ]
 
 
-def open_meteo(file: Path, latitude: float = 43.62) -> Path:
+def open_meteo(file: Path) -> Path:
     """Write an answer of the archive in Fahrenheit, with gaps."""
     hours = range(96)
     content = answer(
@@ -52,7 +52,7 @@ def open_meteo(file: Path, latitude: float = 43.62) -> Path:
     content["hourly"]["temperature_2m"][30] = None
     content["hourly"]["precipitation"][40] = None
     content["hourly_units"] |= {"temperature_2m": "°F", "wind_speed_10m": "m/s"}
-    content |= {"latitude": latitude, "utc_offset_seconds": -18000}
+    content["utc_offset_seconds"] = -18000
     file.write_text(json.dumps(content))
     return file
 
@@ -100,25 +100,11 @@ def test_what_the_file_of_a_service_is(tmp_path: Path) -> None:
         ("rain", "1 h late", "each time is the end of an hour; a run treats it as the start"),
     }
     assert expected <= {*said}
-    assert said[0][0] == "read" and said[0][2].startswith(
-        "Environment and Climate Change Canada, precipitation in mm, temperature in °C, "
-    )
-    rain, air, missing = (row[2] for row in said if row[0] == "summary")
+    assert said[0][0] == "read" and said[0][2].startswith("Environment and Climate Change Canada, ")
     # The sum of its column of precipitation.
-    assert rain.startswith("rain 112.3 mm in 31 days from 2021-07-01 00:00-05:00 (Jul 112.3); ")
-    assert "temperature 13.6 to 32.7 degC, mean 21.1, highest at 17 h" in air
-    assert "temperature 6 h" in missing
+    rain = "rain 112.3 mm in 31 days from 2021-07-01 00:00-05:00 (Jul 112.3); "
+    assert any(row[0] == "summary" and row[2].startswith(rain) for row in said)
     assert said[-1][:2] == ("evapotranspiration", "fao56")
-    december = next(row[2] for row in about(tmp_path, DECEMBER) if row[0] == "summary")
-    assert "wettest hour 79.2 mm, 2015-12-29 02:00-05:00" in december
-
-
-def test_what_a_file_of_elsewhere_is(tmp_path: Path) -> None:
-    """A run refuses it; here its distance is given: a degree of latitude is 111.2 km."""
-    said = about(tmp_path, open_meteo(tmp_path / "answer.json", latitude=44.63))
-    (place,) = (row[2] for row in said if row[0] == "place")
-    assert place.startswith("111 km from the site")
-    assert any("missing: temperature 1 h, precipitation 1 h" in row[2] for row in said)
 
 
 def test_a_description_is_printed_and_its_keys_are_options(tmp_path: Path) -> None:
@@ -138,9 +124,6 @@ def test_a_description_is_printed_and_its_keys_are_options(tmp_path: Path) -> No
     for arguments in (("gauge.yaml",), options):
         summary = next(row[2] for row in about(tmp_path, *arguments) if row[0] == "summary")
         assert summary.startswith("rain 4.5 mm in 0.417 days from 2024-06-30 18:00-05:00")
-    wrong = weather(tmp_path, "gauge.csv", "--rows", "middle")
-    assert (wrong.returncode, wrong.stdout) == (2, "")
-    assert wrong.stderr.startswith("error: --rows = 'middle': must be one of start, end")
 
 
 def test_monthly_means_are_those_of_a_site_file(tmp_path: Path) -> None:
