@@ -104,6 +104,7 @@ def test_means_count_every_second(
             rates = np.where(measured, weather.precipitation[present], rain[hour, member][lead])
             means = [part.mean() / 3.6e6 for part in np.split(rates, parts)]
             assert members[member] == pytest.approx(means, rel=1e-9)
+        assert (members[:, 0] == series.precipitation[tick]).all()
         assert members.min() >= 0.0  # rounding must not give less, which the nodes would refuse
         rates = np.where(measured, weather.evapotranspiration[present], evaporated[hour][lead])
         means = [part.mean() * 68.8 / 8.64e7 for part in np.split(rates, parts)]
@@ -151,68 +152,12 @@ def test_perfect_forecast_is_the_series(tau: float) -> None:
         ):
             assert ahead.tolist() == [values[tick + lead] for lead in range(site.M)]
             ahead[0] = -1.0
-    hourly = make_forecast(weather, series, site, start, 6.0, ForecastChoice())
-    assert forecast.issued(0) is hourly.issued(0) is None  # exact knowledge has no issue
+    assert forecast.issued(0) is None  # exact knowledge has no issue
 
 
-# --- what is measured now, and the forecast's own values ------------------------------------------
-
-# It has been dry since 06:00, and 30 mm/h fall from 12:45 to 14:00. At 06:00, UTC, 0.4, 0.8 and
-# 1.2 mm/h were forecast from 12:00, 13:00 and 14:00 on; at 13:00, 2.0 and 3.0 mm/h. A second member
-# has ten times as much rain. 2 mm/day evaporate; 4 mm/day were forecast.
+# It has been dry since 06:00, and 30 mm/h fall from 12:45 to 14:00.
 BY_MINUTE = np.zeros((24, 60))
 BY_MINUTE[12, 45:] = BY_MINUTE[13] = 30.0
-DAY = replace(weather_of(BY_MINUTE.mean(axis=1)), minutes=BY_MINUTE)
-ISSUES = [
-    issue_of(MIDNIGHT + hour * HOUR, np.outer((1.0, 10.0), rain), np.full(len(rain), 4.0))
-    for hour, rain in ((6, [0.1] * 6 + [0.4, 0.8, 1.2] + [0.1] * 9), (13, [2.0, 3.0] + [0.1] * 9))
-]
-
-# Of each: tick (s), horizon (h; 0 for steps of a tick), the time, the number of steps that have the
-# weather of the tick, its rain (mm/h) by minutes and by hours, and the forecast's own values. The
-# steps of an hour end after 10, 20, ... 60, 90, 120, 180, 240, 300, 600, 900, 1200, 2100, 3000 and
-# 3600 s.
-PRESENTS: dict[str, tuple[float, float, str, int, float, float, list[float]]] = {
-    "five past twelve": (1, 1, "12:05", 1, 0, 7.5, [0.4] * 15 + [0.6]),
-    "the second step is in two hours": (1, 1, "12:59:45", 1, 30, 7.5, [0.6] + [0.8] * 15),
-    "a new issue": (1, 1, "13:00", 1, 30, 30, [2.0] * 16),
-    "a tick and the next in two hours": (
-        20, 0, "12:59:28", 1, 30, 7.5, [0.4 * 12 / 20 + 0.8 * 8 / 20] + [0.8] * 8
-    ),
-    "a long tick in two hours": (600, 1, "12:55", 12, 30, 7.5, [0.8] * 5),
-    "half of an hour's tick in the next hour": (3600, 1, "12:30", 17, 22.5, 7.5, []),
-}
-
-
-@pytest.mark.parametrize("records", ["minutes", "hours"])
-@pytest.mark.parametrize("name", PRESENTS)
-def test_the_rest_of_the_hour_is_forecast(name: str, records: str) -> None:
-    """What is measured now comes first; everything else is as issued, worked out by hand.
-
-    It is the same for both members, and no matter when the run began.
-    """
-    tau, horizon, time, held, by_minutes, by_hours, own = PRESENTS[name]
-    now = by_minutes if records == "minutes" else by_hours
-    weather = DAY if records == "minutes" else replace(DAY, minutes=None)
-    site = site_with(tau=float(tau))
-    moment = datetime.fromisoformat(f"2021-07-07T{time}+00:00")
-    earlier = int((moment - ISSUES[0].issued).total_seconds() // tau)
-    for tick in (0, earlier):
-        start = moment - timedelta(seconds=tau * tick)
-        series = WeatherSeries(weather, site, start, tick + 1)
-        forecast = SteppedForecast(
-            FileModel(ISSUES, weather, True), weather, series, site, start,
-            growing_steps(horizon) if horizon else tau * np.arange(site.M + 1.0), True,
-        )
-        rain = np.asarray(forecast.precipitation(tick))
-        assert (rain[:, 0] == series.precipitation[tick]).all()
-        for member, factor in zip(3.6e6 * rain, (1, 10), strict=True):
-            expected = [now] * held + [factor * rate for rate in own]
-            assert member == pytest.approx(expected, abs=1e-9)
-        dried = forecast.evapotranspiration(tick)
-        assert dried[0] == series.evapotranspiration[tick]
-        expected = [2.0] * held + [4.0] * len(own)
-        assert np.array(dried) / 68.8 * 8.64e7 == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("delay", [None, 0.0])  # with 0 h, the hour is the one of the issue

@@ -175,22 +175,17 @@ def test_gaps(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("site", [SITE, KOLKATA])
 def test_files_that_end_within_an_hour(tmp_path: Path, site: Site) -> None:
-    """As of a card that was changed, in any order; also where hours begin at half past in UTC."""
+    """As of a card that was changed, in any order; also where hours begin at half past in UTC.
+
+    One is on the site's clock, and one in UTC: no rain is lost where they meet.
+    """
     rows = rows_of([600.0] * 60, FIRST + timedelta(minutes=30))
-    first = write(tmp_path / "a.csv", rows[:22])
+    first = write(tmp_path / "a.csv", rows[:22], time=lambda time: (
+        time.astimezone(site.zone).replace(tzinfo=None).isoformat()
+    ))
     second = write(tmp_path / "b.csv", rows[22:])
     for files in ([first, second], [second, first]):
         check_ticks(read_measured(files, site), rows, site, taus=(60.0, 300.0))
-
-
-def test_files_of_two_clocks(tmp_path: Path) -> None:
-    """Of a zone with half an hour, and of UTC: no rain is lost where they meet."""
-    rows = rows_of([600.0] * 72)
-    first = write(tmp_path / "a.csv", rows[:31], time=lambda time: (
-        time.astimezone(KOLKATA.zone).replace(tzinfo=None).isoformat()
-    ))
-    second = write(tmp_path / "b.csv", rows[31:])
-    check_ticks(read_measured([first, second], KOLKATA), rows, KOLKATA, taus=(60.0, 420.0))
 
 
 def test_rain_and_temperature_in_files_of_their_own(tmp_path: Path) -> None:
@@ -284,21 +279,13 @@ def test_forecasts_are_of_hours_and_the_present_rain_is_what_falls(tmp_path: Pat
     rows = [
         Row(FIRST + timedelta(minutes=10 * row), 600.0, 12.0 * (row == 8)) for row in range(360)
     ]
-    records = read_measured([write(tmp_path / "gauge.csv", rows)], SITE)
-    weather = complete_records(records, SITE)
+    weather = complete_records(read_measured([write(tmp_path / "gauge.csv", rows)], SITE), SITE)
     site = replace(SITE, tau=60.0)
     series = WeatherSeries(weather, site, FIRST, 60 * 10)
     forecast = make_forecast(weather, series, site, FIRST, 24.0, choose("perfect"))
     for minute, now in ((85, 72.0), (91, 0.0)):
         rain = 3.6e6 * np.array(forecast.precipitation(minute))
         assert rain[:8] == pytest.approx([*[now] * 6, 12.0, 12.0])
-    hourly = complete_records(replace(records, minutes=None), SITE)
-    plain = make_forecast(
-        hourly, WeatherSeries(hourly, site, FIRST, 60 * 10), site, FIRST, 24.0, choose("perfect")
-    )
-    for minute in (0, 85, 91, 300):
-        assert forecast.precipitation(minute)[6:] == plain.precipitation(minute)[6:]
-        assert forecast.evapotranspiration(minute) == plain.evapotranspiration(minute)
 
 
 def test_ten_years_of_minutes() -> None:

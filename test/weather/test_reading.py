@@ -184,6 +184,7 @@ def test_months_far_from_each_other() -> None:
     assert weather.precipitation[:744].tobytes() == march.precipitation.tobytes()
     assert np.isnan(weather.precipitation[744:-744]).all()
     assert weather.evapotranspiration[-744:].tobytes() == july.evapotranspiration.tobytes()
+    assert weather.wind_height == july.wind_height == 10.0  # of Environment Canada
     site = replace(TORONTO, tau=600.0, M=1)
     missing = r"missing at 2021-04-01T00:00-05:00 to 2021-04-01T12:00-05:00 \(13 hours\)"
     start = parse_time("2021-03-31T12:00-05:00")

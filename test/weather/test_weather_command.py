@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -10,7 +9,6 @@ from subprocess import CompletedProcess
 
 import numpy as np
 import pytest
-from archives import answer
 from commands import run_command
 from paper import site_file
 from places import CONFIG, DATA
@@ -38,25 +36,6 @@ def about(directory: Path, *arguments: str | Path) -> list[tuple[str, ...]]:
     ]
 
 
-def open_meteo(file: Path) -> Path:
-    """Write an answer of the archive in Fahrenheit, with gaps."""
-    hours = range(96)
-    content = answer(
-        "2021-07-07T00:00", 96,
-        temperature_2m=[60 + hour % 24 for hour in hours],
-        relative_humidity_2m=[50.5 + hour % 7 for hour in hours],
-        precipitation=[0.1 * (hour % 5) for hour in hours],
-        wind_speed_10m=[7.3] * 96, surface_pressure=[1003.7] * 96,
-        shortwave_radiation=[max(0, 33.3 * (12 - abs(hour % 24 - 12))) for hour in hours],
-    )
-    content["hourly"]["temperature_2m"][30] = None
-    content["hourly"]["precipitation"][40] = None
-    content["hourly_units"] |= {"temperature_2m": "°F", "wind_speed_10m": "m/s"}
-    content["utc_offset_seconds"] = -18000
-    file.write_text(json.dumps(content))
-    return file
-
-
 def logger(file: Path) -> Path:
     """Write two days of a rain gauge, in rows of five minutes without an offset from UTC."""
     first = datetime(2021, 7, 7, 14, 3)  # noqa: DTZ001 - on the clock of the site
@@ -66,14 +45,11 @@ def logger(file: Path) -> Path:
     return file
 
 
-@pytest.mark.parametrize("name", ["frost", "open-meteo", "packaged", "logger"])
+@pytest.mark.parametrize("name", ["frost", "packaged", "logger"])
 def test_a_run_has_the_same_numbers_with_the_csv(tmp_path: Path, name: str) -> None:
     """Every hour's values are equal in each bit, and so is what a run makes of them."""
-    file = {
-        "frost": lambda: DECEMBER, "packaged": lambda: PACKAGED,
-        "open-meteo": lambda: open_meteo(tmp_path / "answer.json"),
-        "logger": lambda: logger(tmp_path / "logger.csv"),
-    }[name]()
+    logged = logger(tmp_path / "logger.csv")
+    file = {"frost": DECEMBER, "packaged": PACKAGED, "logger": logged}[name]
     place = site_file(tmp_path, time_zone="America/Toronto", wind_height=2.0)
     done = weather(tmp_path, file, "--output", "own.csv", "--site", place)
     assert (done.returncode, done.stderr) == (0, "")
@@ -138,13 +114,9 @@ def test_monthly_means_are_those_of_a_site_file(tmp_path: Path) -> None:
     (said,) = (row[2] for row in about(tmp_path, year, "--site", site) if row[1] == "monthly")
     (tmp_path / "other.yaml").write_text(f"extends: {site.name}\n{said}\n")
     means = read_site(tmp_path / "other.yaml").monthly_evapotranspiration
-    whole = read_weather([year], read_site(CONFIG / "site.yaml"))
-    in_july = [
-        rate for hour, rate in enumerate(whole.evapotranspiration.tolist())
-        if (whole.first + timedelta(hours=hour)).month == 7
-    ]
-    assert means is not None
-    assert means[6] == pytest.approx(sum(in_july) / len(in_july), abs=0.005)
+    whole = read_weather([year], read_site(CONFIG / "site.yaml")).evapotranspiration
+    in_july = whole[hours.astype("datetime64[M]") == np.datetime64("2024-07")]
+    assert means is not None and means[6] == pytest.approx(in_july.mean(), abs=0.005)
     assert not any(row[1] == "monthly" for row in about(tmp_path, JULY))
 
 
