@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from functools import partial
 from pathlib import Path
 
@@ -18,7 +17,6 @@ from greenroof_ros.base.ranges import Range
 @pytest.mark.parametrize(("allowed", "wrong"), [
     (Range(-0.1, 2.5, "m"), "2,5"),
     (Range(), 10**400),  # which no float can hold
-    (Range(0.0, sys.float_info.max), math.inf),
     (Range(0.0, words=("max",)), "fast"),
 ])
 def test_what_no_range_contains(allowed: Range, wrong: object) -> None:

@@ -96,23 +96,17 @@ def test_what_comes_is_like_one_more_member(rain: dict[int, Array]) -> None:
 
 
 @pytest.fixture(scope="module")
-def observed(rain: dict[int, Array]) -> Array:
-    """All seasons, one after the other."""
-    return np.concatenate(list(rain.values()))
-
-
-@pytest.fixture(scope="module")
 def ahead(rain: dict[int, Array]) -> dict[int, Array]:
     """What ``real`` forecasts for these hours, by days ahead."""
     return seasons_ahead(rain, REAL, 1, (1, 2, 3, 4, 5))
 
 
-def test_as_good_as_services(observed: Array, ahead: dict[int, Array]) -> None:
+def test_as_good_as_services(rain: dict[int, Array], ahead: dict[int, Array]) -> None:
     """r, POD and FAR of sums over 1, 6, 12 and 24 h, one to five days ahead: skill ``real``.
 
     Within the spread of the services, or as far from it as doc/explanation/forecasts.md states.
     """
-    spread = services()
+    spread, observed = services(), np.concatenate(list(rain.values()))
     for day in (1, 2, 3, 5):
         scores = figures(ahead[day][0], observed)[:, :3]
         for row, hours in zip(scores, SUMS, strict=True):

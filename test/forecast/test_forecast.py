@@ -6,7 +6,7 @@ import struct
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import ClassVar
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -136,16 +136,13 @@ def test_any_order(tau: float, horizon: float, members: int) -> None:
         assert both(asked, tick) == both(new(), tick)
 
 
-@pytest.mark.parametrize("tau", [0.7, 613.0])
-def test_perfect_forecast_is_the_series(tau: float) -> None:
+def test_perfect_forecast_is_the_series() -> None:
     """M ticks from each tick on, each a separate copy: changing one changes no other."""
-    site, steps, weather = site_with(tau=tau), int(12 * 3600 / tau), drawn(30)
-    start = MIDNIGHT + timedelta(minutes=37)
-    series = WeatherSeries(weather, site, start, steps)
-    forecast = make_forecast(weather, series, site, start, 0.0, ForecastChoice())
+    site, weather = site_with(tau=613.0), drawn(30)
+    series = WeatherSeries(weather, site, MIDNIGHT, 70)
+    forecast = make_forecast(weather, series, site, MIDNIGHT, 0.0, ForecastChoice())
     assert isinstance(forecast, PerfectForecast)
-    edge = int(23 * 60 / tau)  # the first hour of the clock ends 23 minutes after the start
-    for tick in [*range(max(0, edge - 15), min(edge + 5, steps + 1)), 0, steps]:
+    for tick in (4, 5, 70, 0):
         for ahead, values in (
             (forecast.precipitation(tick), series.precipitation),
             (forecast.evapotranspiration(tick), series.evapotranspiration),
@@ -162,19 +159,13 @@ BY_MINUTE[12, 45:] = BY_MINUTE[13] = 30.0
 
 @pytest.mark.parametrize("delay", [None, 0.0])  # with 0 h, the hour is the one of the issue
 @pytest.mark.parametrize("model", ["errors", "ensemble"])
-@pytest.mark.parametrize("records", ["minutes", "hours"])
 def test_what_is_not_yet_recorded_is_not_forecast_without_skill(
-    model: str, records: str, delay: float | None
+    model: str, delay: float | None
 ) -> None:
     """Whatever falls after 12:05: the same to the last bit, if the skill is none."""
-    at_noon = []
+    at_noon, start = [], MIDNIGHT.replace(hour=12, minute=5)
     for rain in (BY_MINUTE, np.zeros((24, 60))):
-        weather = replace(weather_of(rain.mean(axis=1)), minutes=rain)
-        if records == "hours":
-            # The hour in which it is counts as measured.
-            rain = np.where(np.arange(24)[:, None] < 13, BY_MINUTE, rain)
-            weather = weather_of(rain.mean(axis=1))
-        start = MIDNIGHT.replace(hour=12, minute=5)
+        weather = weather_of(rain)
         series = WeatherSeries(weather, PAPER_SITE, start, 60)
         choice = ForecastChoice(model, skill="none", members=5, delay=delay)
         forecast = make_forecast(
@@ -186,22 +177,15 @@ def test_what_is_not_yet_recorded_is_not_forecast_without_skill(
 
 def test_each_forecast_is_made_once() -> None:
     """Nothing is forecast before the run, and one forecast is made in each of its hours."""
-
-    class Counted(ErrorModel):
-        made: ClassVar[list[int]] = []
-
-        def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
-            self.made.append(hour)
-            return super().forecast(hour, hours)
-
     site, weather = site_with(tau=600.0), drawn(60)
     series = WeatherSeries(weather, site, MIDNIGHT, 6 * 24)
-    model = Counted(weather, 1, read_skill("real"))
-    forecast = SteppedForecast(model, weather, series, site, MIDNIGHT, growing_steps(24.0))
-    assert not model.made
-    for tick in range(6 * 24):
-        both(forecast, tick)
-    assert model.made == list(range(24))
+    model = ErrorModel(weather, 1, read_skill("real"))
+    with patch.object(model, "forecast", wraps=model.forecast) as made:
+        forecast = SteppedForecast(model, weather, series, site, MIDNIGHT, growing_steps(24.0))
+        assert not made.called
+        for tick in range(6 * 24):
+            both(forecast, tick)
+    assert [call.args[0] for call in made.call_args_list] == list(range(24))
 
 
 # --- issues ------------------------------------------------------------------------------------

@@ -59,10 +59,12 @@ def utc(tick: int) -> str:
     return f"2021-07-07 07:{tick // 60:02}{seconds}+00:00"
 
 
-def write_ticks(
-    writer: BagWriter, ticks: int, size: int = 8
-) -> list[tuple[str, int, int, bytes]]:
-    """Write messages of this size, and return them: topic, time, tick, content."""
+Message = tuple[str, int, int, bytes]
+"""topic, time, tick and content"""
+
+
+def write_ticks(writer: BagWriter, ticks: int, size: int = 8) -> list[Message]:
+    """Write messages of this size, and return them."""
     random, written = Random(1), []
     for tick in range(ticks):
         time_ns = START_NS + tick * 10**9
@@ -75,9 +77,7 @@ def write_ticks(
     return written
 
 
-def write_bag(
-    directory: Path, ticks: int, size: int = 8
-) -> list[tuple[str, int, int, bytes]]:
+def write_bag(directory: Path, ticks: int, size: int = 8) -> list[Message]:
     """Write a whole bag, and return its messages."""
     writer = bag_writer(directory)
     written = write_ticks(writer, ticks, size)
@@ -85,8 +85,8 @@ def write_bag(
     return written
 
 
-def messages_of(file: Path) -> list[tuple[str, int, int, bytes]]:
-    """Return a file's messages by the format's own library: topic, time, number, content."""
+def messages_of(file: Path) -> list[Message]:
+    """Return a file's messages by the format's own library."""
     with file.open("rb") as stream:
         return [
             (channel.topic, message.log_time, message.sequence, message.data)
@@ -122,7 +122,7 @@ def chunks(bag: Path) -> list[ChunkIndex]:
     return summary.chunk_indexes
 
 
-def lost_ticks(new: Path, written: list[tuple[str, int, int, bytes]]) -> list[int]:
+def lost_ticks(new: Path, written: list[Message]) -> list[int]:
     """Return the ticks that a recovered bag lacks; two readers find the others in it, whole."""
     restored = messages_of(new / f"{new.name}_0.mcap")
     there = {tick for *_, tick, _ in restored}
@@ -288,11 +288,8 @@ def test_what_came_is_read_back_with_its_times(tmp_path: Path) -> None:
     for topic, stamp, value in sent:
         bag.write(topic, stamp, number(value), stamp / 1e9)
     bag.close()
-    assert bag.problem == ""
-    assert (bag.recorded, bag.lost) == (1000, 0)
+    assert (bag.problem, bag.recorded, bag.lost) == ("", 1000, 0)
     assert read(tmp_path / "bag") == sent
-    with AnyReader([tmp_path / "bag" / "bag_1.mcap"]) as reader:
-        assert reader.start_time >= LATE_NS + 3600 * 10**9
     about = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())
     about = about["rosbag2_bagfile_information"]
     assert about["message_count"] == 1000

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -11,12 +10,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from paper import site_with
-from summed import END, STILL, Tick, summed
+from summed import STILL, Tick, summed
 
-from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.storm_water import Event, connected_area
-from greenroof_ros.results import sums as s
-from greenroof_ros.results.metrics import end_run
 from greenroof_ros.site.site import Site
 
 # 100 m2 in all, in ticks of five minutes, which are the intervals of events.
@@ -144,27 +140,11 @@ def test_storm_water_by_hand() -> None:
     assert event.peak_reduction == pytest.approx(1 - 0.13 / (1e-3 / 600 * 100 * 1000))
 
 
-def test_no_rain_at_all() -> None:
-    """There is no share of nothing; all else is 0. The same goes for a run of no tick."""
-    for ticks in ([], [Tick()] * 100):
-        results, events = summed(SITE, ticks)
-        assert not any(math.isnan(value) for value in results.values())
-        assert "retention_share" not in results and events == []
-        assert {results[name] for name in (*PEAKS, "discharge_m3", "wet_discharge_m3")} == {0.0}
-        assert (results["overflow_m3"], results["overflow_days"]) == (0.0, 0)
-
-
-def test_unknown_discharge() -> None:
-    """Nobody recorded it: there are no metrics of it, instead of the best ones."""
-    sums = [0.0] * s.count_places(plant_parameters(SITE))
-    known = {*end_run(SITE, [*sums], np.zeros((0, 13)), END).metrics}
-    for place in (s.WET_DISCHARGE, s.PEAK_5, s.PEAK_15, s.PEAK_60, s.OVERFLOW_DAYS, s.LIMITED):
-        sums[place] = math.nan
-    assert known - {*end_run(SITE, sums, np.zeros((0, 13)), END).metrics} == {
-        "wet_discharge_m3", "overflow_days", "limited_steps",
-        *(f"peak_discharge_{minutes}min_{unit}" for minutes in (5, 15, 60)
-          for unit in ("l_s", "mm_h")),
-    }
+def test_a_run_of_no_tick() -> None:
+    """There is no share of nothing; all else is 0."""
+    results, events = summed(SITE, [])
+    assert "retention_share" not in results and events == []
+    assert {results[name] for name in (*PEAKS, "discharge_m3", "overflow_m3")} == {0.0}
 
 
 @pytest.mark.parametrize(("start", "zone", "hours", "days"), [

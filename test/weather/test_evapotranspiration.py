@@ -262,14 +262,12 @@ def test_simulations_and_fits_use_the_same_evapotranspiration(tmp_path: Path) ->
     random = np.random.default_rng(4)
     times = np.datetime64("2021-01-01T00:00") + np.arange(365 * 24).astype("timedelta64[h]")
     temperature = random.normal(12, 6, len(times)).round(1)
-    rows = [f"{time},0,{degrees}" for time, degrees in zip(times, temperature, strict=True)]
     file = tmp_path / "record.csv"
-    file.write_text("\n".join(["time,rain [mm],temperature [degC]", *rows]))
+    file.write_text("\n".join(["time,rain [mm],temperature [degC],level [m]", *(
+        f"{time},0,{degrees},0.02" for time, degrees in zip(times, temperature, strict=True)
+    )]))
     site = replace(TORONTO, time_zone="Etc/GMT+5", crop_coefficient=0.5)
     weather = read_weather([file], site)
     assert weather.method == "hargreaves"
-    file.write_text("\n".join(["time,rain [mm],temperature [degC],level [m]", *(
-        f"{row},0.02" for row in rows
-    )]))
     reference = read_csv_record(file, site).reference
     assert (reference * 24 * 0.5).tolist() == weather.evapotranspiration.tolist()
