@@ -17,9 +17,7 @@ from refusals import refusal
 from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.base.errors import ConfigurationError, describe_value
 from greenroof_ros.base.files import read_yaml
-from greenroof_ros.commands.output_file import refuse_unwritable
 from greenroof_ros.live.devices.drive_file import read_drive_file
-from greenroof_ros.live.devices.relay_file import read_relay_file
 from greenroof_ros.live.devices.sensor_file import read_sensors
 from greenroof_ros.site.file import read_site
 
@@ -46,55 +44,42 @@ def test_lines_and_anchors(tmp_path: Path) -> None:
     assert (content.lines, content["c"].lines) == ({"a": 2, "c": 3}, {"d": 4})
 
 
-def nested(levels: int, brackets: str = "[{}]", item: str = "{1}") -> str:
+def nested(levels: int) -> str:
     """Return a value with lists of ten in lists of ten, by anchors and aliases."""
-    value = "x"
-    rows = []
+    rows, value = list[str](), "x"
     for level in range(levels):
-        ten = ", ".join(item.format(number, value) for number in range(10))
-        rows.append(f"&m{level} {brackets.format(ten)}")
+        rows.append(f"&m{level} [{', '.join([value] * 10)}]")
         value = f"*m{level}"
-    return brackets.format(", ".join(item.format(*pair) for pair in enumerate(rows)))
+    return f"[{', '.join(rows)}]"
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "place"),
     [
-        ("a: 1\nb: 2\na: 3\n", ", line 3: is not valid YAML: the key a appears twice, first on "
-        "line"),
-        ("a: " + "[" * 300 + "]" * 300, ", line 1: is not valid YAML: is nested more than 200"),
-        ("a: " + "[" * 400_000, ", line 1: is not valid YAML: "),
-        ("a: 1\n---\nb: 2\n", ", line 2: is not valid YAML: expected a single document"),
-        ("a: *x\n", ", line 1: is not valid YAML: found undefined alias"),
-        ("a: 1\nb: \0\n", ", line 2: is not text in UTF-8"),
-        ("a: 1\n# m\udcb2\n", ", line 2: is not text in UTF-8"),
-        ("a:\n\tb: 1\n", ", line 2: is not valid YAML: indent with spaces, not tabs"),
-        ("a: !!int 5\n", ", line 1: is not valid YAML: values must not have tags such as"),
-        ("a: &x [*x]\n", ", line 1: is not valid YAML: is nested more than 200"),
-        (f"a: {nested(8)}\n", "is not valid YAML: its aliases (*NAME) add more than 10000"),
-        ("a: " + nested(8, "{{{}}}", "k{0}: {1}"), "is not valid YAML: its aliases (*NAME) add"),
-        (f"a: {{? {nested(8)} : 1}}\n", ", line 1: is not valid YAML: a key must be text"),
-        ("a: {!!str b: 1}\n", ", line 1: is not valid YAML: a key must be text without a tag"),
-        (f"a: {'x' * 1_000_000}\n", ": is longer than 1 MB"),
+        ("a: 1\nb: 2\na: 3\n", ", line 3"), ("a: 1\n---\nb: 2\n", ", line 2"),
+        ("a:\n\tb: 1\n", ", line 2"), ("a: 1\nb: \0\n", ", line 2"),
+        ("a: 1\n# m\udcb2\n", ", line 2"), ("a: " + "[" * 300 + "]" * 300, ", line 1"),
+        ("a: " + "[" * 400_000, ", line 1"), ("a: &x [*x]\n", ", line 1"),
+        ("a: !!int 5\n", ", line 1"), ("a: {!!str b: 1}\n", ", line 1"),
+        ("a: {? [b] : 1}\n", ", line 1"), (f"a: {nested(8)}\n", ", line 1"),
+        (f"a: {'x' * 1_000_000}\n", ""),
     ],
     ids=itertools.count(),
 )
-def test_what_is_refused(tmp_path: Path, text: str, words: str) -> None:
+def test_what_is_refused(tmp_path: Path, text: str, place: str) -> None:
     """The error has the file, and the line if there is one."""
     file = tmp_path / "a.yaml"
     file.write_text(text, encoding="utf-8", errors="surrogateescape")
-    reason = refusal(read_yaml, file)
-    assert reason.startswith(str(file)) and words in reason
+    assert refusal(read_yaml, file).startswith(f"{file}{place}: is ")
 
 
 @pytest.mark.parametrize("value", [
     nested(4), "x" * 900_000, "7" * 5000, "-" + "9" * 400, f"[{'12345, ' * 100_000}]",
-    f"{{{', '.join(f'k{number}: 1' for number in range(5000))}}}", "2021-07-07", "[[[1]]]", "~",
+    f"{{{', '.join(f'k{number}: 1' for number in range(5000))}}}",
 ], ids=itertools.count())
 @pytest.mark.parametrize(("read", "file", "key"), [
     (read_site, "site.yaml", "tau"), (read_site, "site.yaml", "extends"),
     (read_sensors, "sensors.yaml", "scale"), (read_drive_file, "drives/abb_acs880.yaml", "unit"),
-    (read_relay_file, "drives/tasmota.yaml", "switch"),
     (read_grid, "studies/seasons.yaml", "site"),
 ])
 def test_no_value_fills_a_message(
@@ -135,14 +120,3 @@ def test_no_control_character_reaches_the_terminal(tmp_path: Path, text: str) ->
 def test_a_number_that_python_does_not_print_is_described() -> None:
     assert describe_value(10**5000) == "a number with thousands of digits"
 
-
-def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
-    existing = tmp_path / "there.csv"
-    existing.touch()
-    for file, reason in (
-        (tmp_path / "a.pdf", "must be a file name that ends in .html or .csv"),
-        (tmp_path / "no" / "a.csv", "must be in an existing, writable directory"),
-        (existing, "exists; choose another file name"),
-    ):
-        message = refusal(refuse_unwritable, file, (".html", ".csv"), "--output")
-        assert message.startswith(f"--output = '{file}': {reason}")

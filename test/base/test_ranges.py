@@ -3,39 +3,24 @@
 from __future__ import annotations
 
 import math
-import re
-import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import refusal
 
-from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.ranges import Range
 
-SHARE = Range(0.0, 1.0, "1")
-LEVEL = Range(-0.1, 2.5, "m")
-POSITIVE = Range(1e-12, 1e9, "m2")
-NEGATIVE = Range(-1e9, -1e-12)
-FINITE = Range(0.0, sys.float_info.max, "m3/s")
 
-
-@pytest.mark.parametrize(
-    ("allowed", "wrong", "sentence"),
-    [
-        (SHARE, 1.5, "must be a number from 0 to 1"),
-        (LEVEL, "2,5", "must be a number from -0.1 to 2.5 m, with a decimal point"),
-        (POSITIVE, 0, "must be a number greater than 0 and at most 1e+09 m2"),
-        (NEGATIVE, 0.0, "must be a number of at least -1e+09 and less than 0"),
-        (FINITE, math.inf, "must be a finite number of at least 0 m3/s"),
-        (Range(), 10**400, "must be a number"),
-        (Range(1e-9, words=("max",)), "fast", "must be a number greater than 0, or max"),
-    ],
-)
-def test_the_sentence_about_a_wrong_value(allowed: Range, wrong: object, sentence: str) -> None:
-    assert wrong not in allowed or wrong == 10**400  # which no float can hold
-    with pytest.raises(ValueError, match=f"^{re.escape(sentence)}$"):
+@pytest.mark.parametrize(("allowed", "wrong"), [
+    (Range(-0.1, 2.5, "m"), "2,5"),
+    (Range(), 10**400),  # which no float can hold
+    (Range(0.0, words=("max",)), "fast"),
+])
+def test_what_no_range_contains(allowed: Range, wrong: object) -> None:
+    with pytest.raises(ValueError, match=r"^must be a"):
         allowed.check(wrong)
 
 
@@ -54,14 +39,11 @@ def test_what_is_accepted(value: float, low: float, width: float) -> None:
 @given(value=st.floats(-10, 10) | st.integers(-10, 10))
 def test_a_whole_number_in_a_file(value: float) -> None:
     """It may be written as 5.0, and becomes an int."""
-    place = {"file": Path("a.yaml"), "line": 7, "key": "n"}
     allowed = Range(0, 5, "ticks", whole=True)
+    read = partial(allowed.read, file=Path("a.yaml"), line=7, key="n")
     if value in range(6):
-        number = allowed.read(value, **place)  # type: ignore[arg-type]
+        number = read(value)
         assert (type(number), number) == (int, value)
-        return
-    with pytest.raises(ConfigurationError) as caught:
-        allowed.read(value, **place)  # type: ignore[arg-type]
-    assert str(caught.value) == (
-        f"a.yaml, line 7: n = {value!r}: must be a whole number from 0 to 5 ticks"
-    )
+    else:
+        reason = refusal(read, value)
+        assert reason.startswith(f"a.yaml, line 7: n = {value!r}: must be a whole number")

@@ -67,20 +67,6 @@ def test_the_climate_is_torontos(rain: dict[int, Array]) -> None:
         assert pair.cdf([-climate.threshold] * 2) == pytest.approx(both.mean(), rel=0.1)
 
 
-# --- the skill ---------------------------------------------------------------------------------
-
-
-def test_coherence() -> None:
-    """All is known at once, later less, short showers first; with the skill none, nothing."""
-    leads, frequencies = np.array([0.0, 1, 6, 24, 72, 240]), np.array([0.0, 0.02, 0.1, 0.5])
-    coherence = REAL.coherence(leads, frequencies)
-    assert (coherence[0] == 1).all()
-    assert (np.diff(coherence, axis=0) < 0).all()
-    assert (np.diff(coherence[1:], axis=1) < 0).all()
-    none = read_skill("none").coherence(leads, frequencies)
-    assert (none[0] == 1).all() and none[1:] == pytest.approx(0, abs=1e-12)
-
-
 # --- forecasts ---------------------------------------------------------------------------------
 
 
@@ -110,23 +96,17 @@ def test_what_comes_is_like_one_more_member(rain: dict[int, Array]) -> None:
 
 
 @pytest.fixture(scope="module")
-def observed(rain: dict[int, Array]) -> Array:
-    """All seasons, one after the other."""
-    return np.concatenate(list(rain.values()))
-
-
-@pytest.fixture(scope="module")
 def ahead(rain: dict[int, Array]) -> dict[int, Array]:
     """What ``real`` forecasts for these hours, by days ahead."""
     return seasons_ahead(rain, REAL, 1, (1, 2, 3, 4, 5))
 
 
-def test_as_good_as_services(observed: Array, ahead: dict[int, Array]) -> None:
+def test_as_good_as_services(rain: dict[int, Array], ahead: dict[int, Array]) -> None:
     """r, POD and FAR of sums over 1, 6, 12 and 24 h, one to five days ahead: skill ``real``.
 
     Within the spread of the services, or as far from it as doc/explanation/forecasts.md states.
     """
-    spread = services()
+    spread, observed = services(), np.concatenate(list(rain.values()))
     for day in (1, 2, 3, 5):
         scores = figures(ahead[day][0], observed)[:, :3]
         for row, hours in zip(scores, SUMS, strict=True):

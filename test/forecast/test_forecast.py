@@ -6,7 +6,7 @@ import struct
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import ClassVar
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -20,7 +20,6 @@ from refusals import refusal
 from greenroof_ros.forecast.choice import ForecastChoice, choose
 from greenroof_ros.forecast.issue import (
     IssuedForecast,
-    read_archive,
     read_forecasts,
     write_forecasts,
 )
@@ -105,6 +104,7 @@ def test_means_count_every_second(
             rates = np.where(measured, weather.precipitation[present], rain[hour, member][lead])
             means = [part.mean() / 3.6e6 for part in np.split(rates, parts)]
             assert members[member] == pytest.approx(means, rel=1e-9)
+        assert (members[:, 0] == series.precipitation[tick]).all()
         assert members.min() >= 0.0  # rounding must not give less, which the nodes would refuse
         rates = np.where(measured, weather.evapotranspiration[present], evaporated[hour][lead])
         means = [part.mean() * 68.8 / 8.64e7 for part in np.split(rates, parts)]
@@ -136,110 +136,36 @@ def test_any_order(tau: float, horizon: float, members: int) -> None:
         assert both(asked, tick) == both(new(), tick)
 
 
-@pytest.mark.parametrize("tau", [0.7, 613.0])
-def test_perfect_forecast_is_the_series(tau: float) -> None:
+def test_perfect_forecast_is_the_series() -> None:
     """M ticks from each tick on, each a separate copy: changing one changes no other."""
-    site, steps, weather = site_with(tau=tau), int(12 * 3600 / tau), drawn(30)
-    start = MIDNIGHT + timedelta(minutes=37)
-    series = WeatherSeries(weather, site, start, steps)
-    forecast = make_forecast(weather, series, site, start, 0.0, ForecastChoice())
+    site, weather = site_with(tau=613.0), drawn(30)
+    series = WeatherSeries(weather, site, MIDNIGHT, 70)
+    forecast = make_forecast(weather, series, site, MIDNIGHT, 0.0, ForecastChoice())
     assert isinstance(forecast, PerfectForecast)
-    edge = int(23 * 60 / tau)  # the first hour of the clock ends 23 minutes after the start
-    for tick in [*range(max(0, edge - 15), min(edge + 5, steps + 1)), 0, steps]:
+    for tick in (4, 5, 70, 0):
         for ahead, values in (
             (forecast.precipitation(tick), series.precipitation),
             (forecast.evapotranspiration(tick), series.evapotranspiration),
         ):
             assert ahead.tolist() == [values[tick + lead] for lead in range(site.M)]
             ahead[0] = -1.0
-    hourly = make_forecast(weather, series, site, start, 6.0, ForecastChoice())
-    assert forecast.issued(0) is hourly.issued(0) is None  # exact knowledge has no issue
+    assert forecast.issued(0) is None  # exact knowledge has no issue
 
 
-# --- what is measured now, and the forecast's own values ------------------------------------------
-
-# It has been dry since 06:00, and 30 mm/h fall from 12:45 to 14:00. At 06:00, UTC, 0.4, 0.8 and
-# 1.2 mm/h were forecast from 12:00, 13:00 and 14:00 on; at 13:00, 2.0 and 3.0 mm/h. A second member
-# has ten times as much rain. 2 mm/day evaporate; 4 mm/day were forecast.
+# It has been dry since 06:00, and 30 mm/h fall from 12:45 to 14:00.
 BY_MINUTE = np.zeros((24, 60))
 BY_MINUTE[12, 45:] = BY_MINUTE[13] = 30.0
-DAY = replace(weather_of(BY_MINUTE.mean(axis=1)), minutes=BY_MINUTE)
-ISSUES = [
-    issue_of(MIDNIGHT + hour * HOUR, np.outer((1.0, 10.0), rain), np.full(len(rain), 4.0))
-    for hour, rain in ((6, [0.1] * 6 + [0.4, 0.8, 1.2] + [0.1] * 9), (13, [2.0, 3.0] + [0.1] * 9))
-]
-
-# Of each: tick (s), horizon (h; 0 for steps of a tick), the time, the number of steps that have the
-# weather of the tick, its rain (mm/h) by minutes and by hours, and the forecast's own values. The
-# steps of an hour end after 10, 20, ... 60, 90, 120, 180, 240, 300, 600, 900, 1200, 2100, 3000 and
-# 3600 s.
-PRESENTS: dict[str, tuple[float, float, str, int, float, float, list[float]]] = {
-    "five past twelve": (1, 1, "12:05", 1, 0, 7.5, [0.4] * 15 + [0.6]),
-    "an hour's first second": (1, 1, "12:00", 1, 0, 7.5, [0.4] * 16),
-    "the storm has begun": (1, 1, "12:50", 1, 30, 7.5, [0.4] * 11 + [0.8] * 5),
-    "the first step is in two hours": (1, 1, "12:59:53", 1, 30, 7.5, [0.8] * 16),
-    "the second step is in two hours": (1, 1, "12:59:45", 1, 30, 7.5, [0.6] + [0.8] * 15),
-    "a new issue": (1, 1, "13:00", 1, 30, 30, [2.0] * 16),
-    "the rain is over": (1, 1, "14:00", 1, 0, 0, [3.0] * 16),
-    "steps of a tick": (7, 0, "12:05", 1, 0, 7.5, [0.4] * 9),
-    "a tick in two hours": (7, 0, "12:59:57", 1, 30, 7.5, [0.8] * 9),
-    "a tick and the next in two hours": (
-        20, 0, "12:59:28", 1, 30, 7.5, [0.4 * 12 / 20 + 0.8 * 8 / 20] + [0.8] * 8
-    ),
-    "a tick of a minute": (60, 1, "12:05", 6, 0, 7.5, [0.4] * 10 + [0.6]),
-    "a long tick in two hours": (600, 1, "12:55", 12, 30, 7.5, [0.8] * 5),
-    "a tick of an hour": (3600, 1, "12:00", 17, 7.5, 7.5, []),
-    "half of an hour's tick in the next hour": (3600, 1, "12:30", 17, 22.5, 7.5, []),
-    "the first hour": (1, 1, "06:00", 1, 0, 0, [0.1] * 16),
-}
-
-
-@pytest.mark.parametrize("records", ["minutes", "hours"])
-@pytest.mark.parametrize("name", PRESENTS)
-def test_the_rest_of_the_hour_is_forecast(name: str, records: str) -> None:
-    """What is measured now comes first; everything else is as issued, worked out by hand.
-
-    It is the same for both members, and no matter when the run began.
-    """
-    tau, horizon, time, held, by_minutes, by_hours, own = PRESENTS[name]
-    now = by_minutes if records == "minutes" else by_hours
-    weather = DAY if records == "minutes" else replace(DAY, minutes=None)
-    site = site_with(tau=float(tau))
-    moment = datetime.fromisoformat(f"2021-07-07T{time}+00:00")
-    earlier = int((moment - ISSUES[0].issued).total_seconds() // tau)
-    for tick in (0, earlier):
-        start = moment - timedelta(seconds=tau * tick)
-        series = WeatherSeries(weather, site, start, tick + 1)
-        forecast = SteppedForecast(
-            FileModel(ISSUES, weather, True), weather, series, site, start,
-            growing_steps(horizon) if horizon else tau * np.arange(site.M + 1.0), True,
-        )
-        rain = np.asarray(forecast.precipitation(tick))
-        assert (rain[:, 0] == series.precipitation[tick]).all()
-        for member, factor in zip(3.6e6 * rain, (1, 10), strict=True):
-            expected = [now] * held + [factor * rate for rate in own]
-            assert member == pytest.approx(expected, abs=1e-9)
-        dried = forecast.evapotranspiration(tick)
-        assert dried[0] == series.evapotranspiration[tick]
-        expected = [2.0] * held + [4.0] * len(own)
-        assert np.array(dried) / 68.8 * 8.64e7 == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("delay", [None, 0.0])  # with 0 h, the hour is the one of the issue
 @pytest.mark.parametrize("model", ["errors", "ensemble"])
-@pytest.mark.parametrize("records", ["minutes", "hours"])
 def test_what_is_not_yet_recorded_is_not_forecast_without_skill(
-    model: str, records: str, delay: float | None
+    model: str, delay: float | None
 ) -> None:
     """Whatever falls after 12:05: the same to the last bit, if the skill is none."""
-    at_noon = []
+    at_noon, start = [], MIDNIGHT.replace(hour=12, minute=5)
     for rain in (BY_MINUTE, np.zeros((24, 60))):
-        weather = replace(weather_of(rain.mean(axis=1)), minutes=rain)
-        if records == "hours":
-            # The hour in which it is counts as measured.
-            rain = np.where(np.arange(24)[:, None] < 13, BY_MINUTE, rain)
-            weather = weather_of(rain.mean(axis=1))
-        start = MIDNIGHT.replace(hour=12, minute=5)
+        weather = weather_of(rain)
         series = WeatherSeries(weather, PAPER_SITE, start, 60)
         choice = ForecastChoice(model, skill="none", members=5, delay=delay)
         forecast = make_forecast(
@@ -249,33 +175,17 @@ def test_what_is_not_yet_recorded_is_not_forecast_without_skill(
     assert at_noon[0] == at_noon[1]
 
 
-def test_a_perfect_forecast_is_the_record() -> None:
-    """At 12:05, 7.5 mm/h in the rest of the hour and 30 mm/h in the next."""
-    weather, start = replace(DAY, minutes=None), MIDNIGHT.replace(hour=12, minute=5)
-    series = WeatherSeries(weather, PAPER_SITE, start, 60)
-    forecast = make_forecast(weather, series, PAPER_SITE, start, 1.0, ForecastChoice())
-    rain = 3.6e6 * np.array(forecast.precipitation(0))
-    assert rain == pytest.approx([7.5] * 16 + [(7.5 + 30) / 2])
-
-
 def test_each_forecast_is_made_once() -> None:
     """Nothing is forecast before the run, and one forecast is made in each of its hours."""
-
-    class Counted(ErrorModel):
-        made: ClassVar[list[int]] = []
-
-        def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
-            self.made.append(hour)
-            return super().forecast(hour, hours)
-
     site, weather = site_with(tau=600.0), drawn(60)
     series = WeatherSeries(weather, site, MIDNIGHT, 6 * 24)
-    model = Counted(weather, 1, read_skill("real"))
-    forecast = SteppedForecast(model, weather, series, site, MIDNIGHT, growing_steps(24.0))
-    assert not model.made
-    for tick in range(6 * 24):
-        both(forecast, tick)
-    assert model.made == list(range(24))
+    model = ErrorModel(weather, 1, read_skill("real"))
+    with patch.object(model, "forecast", wraps=model.forecast) as made:
+        forecast = SteppedForecast(model, weather, series, site, MIDNIGHT, growing_steps(24.0))
+        assert not made.called
+        for tick in range(6 * 24):
+            both(forecast, tick)
+    assert [call.args[0] for call in made.call_args_list] == list(range(24))
 
 
 # --- issues ------------------------------------------------------------------------------------
@@ -338,43 +248,19 @@ def test_missing_rain_is_not_guessed() -> None:
 # --- files -------------------------------------------------------------------------------------
 
 
-FORECASTS = (
-    "# Nowhere",
-    "issued,time,member,precipitation [mm/h],evapotranspiration [mm/day]",
-    "2021-07-07T02:00Z,2021-07-07T02:00Z,0,0.5,1.0",
-    "2021-07-07T02:00Z,2021-07-07T02:00Z,1,1.5,9.0",
-    "2021-07-07T02:00Z,2021-07-06T22:00-05:00,0,2.5,2.0",
-    "2021-07-07T02:00Z,2021-07-06T22:00-05:00,1,3.5,9.0",
-    "# members may also come one after the other",
-    "2021-07-07T05:00Z,2021-07-07T05:00Z,1,7.0,9.0",
-    "2021-07-07T05:00Z,2021-07-07T05:00Z,0,6.0,4.0",
-)
-
-
-def test_read_back(tmp_path: Path) -> None:
-    """The numbers as written; a controller gets member 0 or all, and learns when rain ends."""
+def test_members_in_any_order(tmp_path: Path) -> None:
+    """Hour by hour, or one after the other; in any time zone."""
     file = tmp_path / "archive.csv"
-    file.write_text("\n".join(FORECASTS))
-    first, second = read_forecasts(file)
-    assert (first.issued, second.issued) == (MIDNIGHT.replace(hour=2), MIDNIGHT.replace(hour=5))
-    assert first.rain.tolist() == [[0.5, 2.5], [1.5, 3.5]]
-    assert second.rain.tolist() == [[6.0], [7.0]]
-    weather, own = weather_of([0.1] * 40), read_archive(file, PAPER_SITE)
-    model, ensemble = FileModel(own, weather, False), FileModel(own, weather, True)
-    assert (model.members, ensemble.members) == (1, 2)
-    assert ensemble.forecast(2, 2)[0].tolist() == [[0.5, 2.5], [1.5, 3.5]]
-    # An issue of less than a day ends with its last hour's evapotranspiration.
-    rain, evapotranspiration = model.forecast(2, 4)
-    assert rain.tolist() == [[0.5, 2.5, 0.0, 0.0]]
-    assert evapotranspiration.tolist() == [1.0, 2.0, 2.0, 2.0]
-
-    def run(start: datetime) -> SteppedForecast:
-        series = WeatherSeries(weather, PAPER_SITE, start, 5 * 3600)
-        return SteppedForecast(model, weather, series, PAPER_SITE, start, growing_steps(1.0))
-
-    (ends,) = run(first.issued).notes  # the earliest of all ticks
-    assert ends == "a forecast ends at 2021-07-07T04:00+00:00; later values are assumed"
-    refusal(run, MIDNIGHT, match="before 2021-07-07T02:00.*needs one at 2021-07-07T00:00")
+    file.write_text("\n".join((
+        "issued,time,member,precipitation [mm/h]",
+        "2021-07-07T02:00Z,2021-07-07T02:00Z,0,0.5",
+        "2021-07-07T02:00Z,2021-07-07T02:00Z,1,1.5",
+        "2021-07-07T02:00Z,2021-07-06T22:00-05:00,1,3.5",
+        "2021-07-07T02:00Z,2021-07-06T22:00-05:00,0,2.5",
+    )))
+    (issue,) = read_forecasts(file)
+    assert issue.issued == MIDNIGHT.replace(hour=2)
+    assert issue.rain.tolist() == [[0.5, 2.5], [1.5, 3.5]]
 
 
 @pytest.mark.parametrize("evaporates", [True, False])
@@ -393,12 +279,13 @@ def test_archives_by_definition(delay: float, late: int, evaporates: bool) -> No
         for n, begin in enumerate(begins)
     ]
     weather = replace(weather_of(np.zeros(48), chance.uniform(0, 9, 48)), rain_late=late)
-    model = FileModel(own, weather, True)
+    model, first = FileModel(own, weather, True), FileModel(own, weather, False)
     for hour in range(6, 40):
         newest = [n for n, begin in enumerate(begins) if begin + delay + late <= hour][-1]
         age = hour - begins[newest]
         rain_then, got_evapotranspiration = model.forecast(hour, 55)
         assert model.issued(hour) == MIDNIGHT + begins[newest] * HOUR
+        assert first.forecast(hour, 55)[0].tolist() == rain_then[:1].tolist()
         for lead in range(age, age + 55):
             fell = rain[newest, :, lead - late] if lead - late < 30 else np.zeros(2)
             assert rain_then[:, lead - age].tolist() == fell.tolist()
@@ -442,14 +329,25 @@ def test_end_of_the_records() -> None:
         assert run.forecast.notes == notes
 
 
+def test_the_earliest_end_of_a_forecast_is_noted() -> None:
+    start, weather = MIDNIGHT.replace(hour=2), weather_of([0.1] * 40)
+    own = [issue_of(start + n * HOUR, np.zeros((1, hours))) for n, hours in ((0, 2), (3, 1))]
+    series = WeatherSeries(weather, PAPER_SITE, start, 5 * 3600)
+    forecast = SteppedForecast(
+        FileModel(own, weather, False), weather, series, PAPER_SITE, start, growing_steps(1.0)
+    )
+    assert forecast.notes == [
+        "a forecast ends at 2021-07-07T04:00+00:00; later values are assumed"
+    ]
+
+
 def test_choices(tmp_path: Path) -> None:
     """Names and their options; files by their suffix, directories if they exist or by a slash."""
     for text in ("a.csv", "a.JSON", "b/a.json", "later/", str(tmp_path)):
         choice = choose(text)
         assert (choice.model, choice.file, choice.options()) == ("file", Path(text), {})
-    assert replace(choice, delay=3.0).options() == {"delay": 3.0}
     assert choose("ensemble").options() == {"skill": "real", "seed": 0, "members": 10}
-    assert str(choose("a/b.csv")) == "a/b.csv"
+
 
 # --- the graph ---------------------------------------------------------------------------------
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from datetime import datetime
 from typing import NamedTuple
@@ -26,7 +25,6 @@ class Tick(NamedTuple):
 
 def summed(
     site: Site, ticks: Iterable[Tick], end: State = END, start: str = "2021-07-07T00:00-05:00",
-    without_rain: float = math.inf,
 ) -> Results:
     """Add up ticks.
 
@@ -35,11 +33,10 @@ def summed(
         ticks: the ticks.
         end: state after them.
         start: time of the first tick.
-        without_rain: time without rain at the start (s).
     """
     ticks = list(ticks)
     time = datetime.fromisoformat(start).timestamp()
-    metrics = Metrics(site, len(ticks), time, without_rain)
+    metrics = Metrics(site, len(ticks), time)
     for flows, rain, command, state, potential in ticks:
         metrics.add(state, command, rain, potential, flows)
     return metrics.results(end)

@@ -59,12 +59,13 @@ def utc(tick: int) -> str:
     return f"2021-07-07 07:{tick // 60:02}{seconds}+00:00"
 
 
-def write_bag(
-    directory: Path, ticks: int, size: int = 8
-) -> list[tuple[str, int, int, bytes]]:
-    """Write a bag, and return its messages of this size: topic, time, tick, content."""
-    writer, random = bag_writer(directory), Random(1)
-    written = []
+Message = tuple[str, int, int, bytes]
+"""topic, time, tick and content"""
+
+
+def write_ticks(writer: BagWriter, ticks: int, size: int = 8) -> list[Message]:
+    """Write messages of this size, and return them."""
+    random, written = Random(1), []
     for tick in range(ticks):
         time_ns = START_NS + tick * 10**9
         messages = {"/clock": clock(time_ns)} | {
@@ -73,12 +74,19 @@ def write_bag(
         }
         writer.write_tick(time_ns, list(messages.values()))
         written += [(topic, time_ns, tick, message) for topic, message in messages.items()]
+    return written
+
+
+def write_bag(directory: Path, ticks: int, size: int = 8) -> list[Message]:
+    """Write a whole bag, and return its messages."""
+    writer = bag_writer(directory)
+    written = write_ticks(writer, ticks, size)
     writer.close()
     return written
 
 
-def messages_of(file: Path) -> list[tuple[str, int, int, bytes]]:
-    """Return a file's messages by the format's own library: topic, time, number, content."""
+def messages_of(file: Path) -> list[Message]:
+    """Return a file's messages by the format's own library."""
     with file.open("rb") as stream:
         return [
             (channel.topic, message.log_time, message.sequence, message.data)
@@ -92,68 +100,11 @@ def test_a_whole_bag_comes_out_as_it_is(tmp_path: Path) -> None:
     assert messages_of(tmp_path / "bag" / "bag_0.mcap") == written
     assert recover(tmp_path) == (tmp_path / "bag-recovered", 1200, [])
     assert messages_of(tmp_path / "bag-recovered" / "bag-recovered_0.mcap") == written
-    about, again = (
-        (bag / "metadata.yaml").read_text().replace("bag-recovered_0", "bag_0").replace(
-            f"bytes of bag_0.mcap: '{next(bag.glob('*.mcap')).stat().st_size}'", ""
-        ) for bag in (tmp_path / "bag", tmp_path / "bag-recovered")
-    )
-    assert again == about and "bytes of" not in about
 
 
-@pytest.mark.parametrize("size", [8, 150_000])
-@pytest.mark.parametrize("closed", [True, False])
-def test_a_bag_that_was_cut_keeps_its_whole_chunks(
-    tmp_path: Path, size: int, closed: bool
-) -> None:
-    """From the first on, without a gap; a chunk has 16 ticks, or a megabyte.
-
-    Lost is what follows the last whole chunk: up to the end of the closed file, which its metadata
-    still know, or up to the cut.
-    """
-    written = write_bag(tmp_path / "bag", 40 if size > 8 else 200, size)
-    ends = [part.chunk_start_offset + part.chunk_length for part in chunks(tmp_path / "bag")]
-    file = tmp_path / "bag" / "bag_0.mcap"
-    whole, last = file.stat().st_size, len(ends) * 2 // 3
-    cut = ends[last] + (ends[last + 1] - ends[last]) // 2
-    os.truncate(file, cut)
-    if not closed:
-        (tmp_path / "bag" / "metadata.yaml").unlink()
-    new, messages, losses = recover(tmp_path)
-    restored = messages_of(new / "bag-recovered_0.mcap")
-    assert restored == written[:messages] and 30 < messages < len(written)
-    assert losses == [
-        f"bag_0.mcap: {(whole if closed else cut) - ends[last]} bytes are lost between "
-        f"{utc(restored[-1][2])} and the end",
-        f"bag_0.mcap: {len(written) - messages} of its {len(written)} messages are lost",
-    ][: 1 + closed]
-    assert closed or count_ticks(tmp_path / "bag") is None
-    assert count_ticks(new) == messages // 6
-
-
-def test_hostile_files_do_no_harm(tmp_path: Path) -> None:
-    """For any content of the file: whole chunks are recovered, or there is a clear error."""
-    write_bag(tmp_path / "bag", 64)
-    written, random = (tmp_path / "bag" / "bag_0.mcap").read_bytes(), Random(1)
-    (tmp_path / "hostile").mkdir()
-    amounts = set()
-    for number in range(50):
-        length = random.choice((len(written), random.randrange(len(written))))
-        content = bytearray(written[:length])
-        for _ in range(random.choice((1, 8))):
-            at = random.randrange(len(content))
-            content[at : at + 8] = random.choice((b"x", bytes(8), b"\xff" * 8, b"\0" * 7 + b"\x7f"))
-        (tmp_path / "hostile" / "hostile_0.mcap").write_bytes(content)
-        try:
-            amounts.add(recover(tmp_path / "hostile", tmp_path / str(number)).messages)
-        except ConfigurationError:
-            amounts.add(0)
-            assert not (tmp_path / str(number)).exists()
-    assert {ticks * 6 for ticks in (0, 16, 32, 48, 64)} <= amounts
-
-
-def damaged(bag: Path, at: int, content: bytes, file: str = "bag_0.mcap") -> None:
+def damaged(bag: Path, at: int, content: bytes) -> None:
     """Overwrite a part of a bag's file, from an offset on; from its end if that is negative."""
-    with (bag / file).open("r+b") as stream:
+    with (bag / "bag_0.mcap").open("r+b") as stream:
         stream.seek(at, os.SEEK_END if at < 0 else os.SEEK_SET)
         stream.write(content)
 
@@ -171,7 +122,7 @@ def chunks(bag: Path) -> list[ChunkIndex]:
     return summary.chunk_indexes
 
 
-def lost_ticks(new: Path, written: list[tuple[str, int, int, bytes]]) -> list[int]:
+def lost_ticks(new: Path, written: list[Message]) -> list[int]:
     """Return the ticks that a recovered bag lacks; two readers find the others in it, whole."""
     restored = messages_of(new / f"{new.name}_0.mcap")
     there = {tick for *_, tick, _ in restored}
@@ -206,12 +157,9 @@ DAMAGE: dict[str, tuple[Callable[[Path, list[ChunkIndex]], object], list[int], l
             damaged(bag, parts[1].chunk_start_offset + 49, b"\xff" * 8),
         ), SECOND, SECOND + THIRD_ON,
     ),
-    "a block of 4 KiB, over some chunks": (
-        lambda bag, parts: damaged(bag, parts[2].chunk_start_offset + 50, bytes(4096)),
-        list(range(32, 64)), THIRD_ON,
-    ),
-    "the magic at both ends": (
-        lambda bag, parts: (damaged(bag, 0, b"X"), damaged(bag, -1, b"X")), [], [],
+    "a cut in a chunk": (
+        lambda bag, parts: os.truncate(bag / "bag_0.mcap", parts[20].chunk_start_offset + 50),
+        list(range(320, 361)), list(range(320, 361)),
     ),
 }
 
@@ -221,44 +169,49 @@ DAMAGE: dict[str, tuple[Callable[[Path, list[ChunkIndex]], object], list[int], l
 def test_what_is_whole_is_recovered_after_any_damage(
     tmp_path: Path, what: str, closed: bool
 ) -> None:
-    """Without the index nothing is found behind a wrong length, but that is reported."""
+    """Without the index nothing is found behind a wrong length, but that is reported.
+
+    How many messages there were is in the metadata, which a kill leaves unwritten.
+    """
     written = write_bag(tmp_path / "bag", 361)
     damage, *lost = DAMAGE[what]
     parts = chunks(tmp_path / "bag")
     damage(tmp_path / "bag", parts)
     if not closed:
         damaged(tmp_path / "bag", -30, bytes(20))
+        (tmp_path / "bag" / "metadata.yaml").unlink()
+    assert count_ticks(tmp_path / "bag") == (361 if closed else None)
     if lost[not closed] == list(range(361)):
         assert "does not contain an intact chunk" in refusal(recover, tmp_path)
         return
     new, messages, losses = recover(tmp_path)
     assert messages == 6 * (361 - len(lost[not closed]))
     assert lost_ticks(new, written) == lost[not closed]
+    assert count_ticks(new) == messages // 6
     assert bool(losses) == bool(lost[not closed])
     if lost[not closed] == SECOND:
-        [by_size, by_number] = losses
-        assert by_size == (
-            f"bag_0.mcap: {parts[1].chunk_length} bytes are lost between {utc(15)} and {utc(32)}"
-        )
-        assert by_number == "bag_0.mcap: 96 of its 2166 messages are lost"
+        assert losses == [
+            f"bag_0.mcap: {parts[1].chunk_length} bytes are lost between {utc(15)} and {utc(32)}",
+            "bag_0.mcap: 96 of its 2166 messages are lost",
+        ][: 1 + closed]
 
 
-def test_a_flipped_bit_costs_a_chunk_at_most(tmp_path: Path) -> None:
-    """Wherever it is in a closed file: nothing wrong comes out, and a loss is reported."""
-    written, random = write_bag(tmp_path / "whole", 361), Random(0)
-    content, amounts = (tmp_path / "whole" / "whole_0.mcap").read_bytes(), set()
-    for number in range(12):
-        bag = tmp_path / f"bag{number}"
-        bag.mkdir()
-        at = random.randrange(len(content))
-        (bag / "bag_0.mcap").write_bytes(
-            content[:at] + bytes([content[at] ^ 1 << random.randrange(8)]) + content[at + 1 :]
-        )
-        new, _, losses = recover(bag)
-        lost = lost_ticks(new, written)
-        amounts.add(len(lost))
-        assert bool(losses) == bool(lost)
-    assert amounts <= {0, 16, 9} and {0, 16} <= amounts
+@pytest.mark.parametrize("seed", range(30))
+def test_whatever_a_file_contains_nothing_wrong_comes_out(tmp_path: Path, seed: int) -> None:
+    """Wherever it is cut and overwritten: any loss is reported, or there is a clear error."""
+    written, random = write_bag(tmp_path / "bag", 64), Random(seed)
+    file = tmp_path / "bag" / "bag_0.mcap"
+    content = file.read_bytes()
+    file.write_bytes(content[: random.choice((len(content), random.randrange(len(content))))])
+    for _ in range(random.choice((1, 8))):
+        wrong = random.choice((b"x", bytes(8), b"\xff" * 8, b"\0" * 7 + b"\x7f"))
+        damaged(tmp_path / "bag", random.randrange(file.stat().st_size), wrong)
+    try:
+        new, _, losses = recover(tmp_path)
+    except ConfigurationError:
+        assert not (tmp_path / "bag-recovered").exists()
+    else:
+        assert bool(losses) == bool(lost_ticks(new, written))
 
 
 @pytest.mark.parametrize(
@@ -283,33 +236,17 @@ def test_a_disk_that_fails_while_it_is_read(tmp_path: Path, what: str, where: fl
     assert done.stdout == f"{6 * (361 - len(missing))} messages recovered to new\n"
     assert done.returncode == bool(missing), done.stderr
     assert bool(missing) == ("bytes are lost" in done.stderr) == (where < 1)
-    if not missing:
-        return
-    assert missing == list(range(missing[0], missing[-1] + 1))
-    assert f"lost: bag_0.mcap: {6 * len(missing)} of its 2166 messages are lost" in done.stderr
-    if what == "CUT_TO":
-        assert missing[-1] == 360 and 361 * (1 - where) - 16 < len(missing) < 361 * (1 - where) + 48
-    elif where:
-        assert len(missing) <= 48
-    else:
-        assert missing == FIRST
+    if missing:
+        assert missing == list(range(missing[0], missing[-1] + 1))
+        assert len(missing) <= (48 if what == "BAD_SECTOR" else 361 * (1 - where) + 48)
 
 
 @pytest.mark.parametrize("room", range(20_000, 24_000, 1000))
 def test_a_file_that_cannot_grow_keeps_what_was_safe(tmp_path: Path, room: int) -> None:
     """Wherever in its chunks the room ends: exactly the ticks that the writer reports as safe."""
     writer = bag_writer(tmp_path / "bag")
-    random = Random(1)
-
-    def write() -> None:
-        for tick in range(2000):
-            time_ns = START_NS + tick * 10**9
-            writer.write_tick(
-                time_ns, [clock(time_ns), *(number(random.random()) for _ in TOPICS)]
-            )
-
     with no_file_beyond(room), pytest.raises(OSError, match="File too large"):
-        write()
+        write_ticks(writer, 2000, size=16)
     writer.cut()
     assert writer.safe > 0
     assert recover(tmp_path) == (tmp_path / "bag-recovered", 6 * writer.safe, [])
@@ -351,14 +288,8 @@ def test_what_came_is_read_back_with_its_times(tmp_path: Path) -> None:
     for topic, stamp, value in sent:
         bag.write(topic, stamp, number(value), stamp / 1e9)
     bag.close()
-    assert bag.problem == ""
-    assert (bag.recorded, bag.lost) == (1000, 0)
+    assert (bag.problem, bag.recorded, bag.lost) == ("", 1000, 0)
     assert read(tmp_path / "bag") == sent
-    assert sorted(path.name for path in (tmp_path / "bag").iterdir()) == [
-        "bag_0.mcap", "bag_1.mcap", "metadata.yaml"
-    ]
-    with AnyReader([tmp_path / "bag" / "bag_1.mcap"]) as reader:
-        assert reader.start_time >= LATE_NS + 3600 * 10**9
     about = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())
     about = about["rosbag2_bagfile_information"]
     assert about["message_count"] == 1000
@@ -367,27 +298,9 @@ def test_what_came_is_read_back_with_its_times(tmp_path: Path) -> None:
     assert [file["message_count"] for file in about["files"]] == [515, 485]  # 3600 / 7 is 514.3
 
 
-def test_oldest_files_go_beyond_the_limit(tmp_path: Path) -> None:
-    """The bag stays within the limit and always readable, and has its newest messages."""
-    bag, random = live_bag(tmp_path / "bag", file_bytes=20_000, total_bytes=100_000), Random(1)
-    at, largest, directory = 0.0, 0, tmp_path / "bag"
-    for message in range(8_000):
-        at += 0.25
-        bag.write(TOPICS[0], LATE_NS + int(at * 1e9), number(random.random()), at)
-        bag.flush_if_due(at)
-        if message % 1000 == 999:
-            size = sum(path.stat().st_size for path in directory.glob("*.mcap"))
-            largest = max(largest, size)
-            if size > 60_000:
-                assert read(directory)
-    bag.close()
-    assert bag.recorded == 8_000
-    # The forty messages since the last flush can come on top.
-    assert 80_000 < largest < 102_000
-    stamps = [stamp for _, stamp, _ in read(directory)]
-    assert stamps[-1] == LATE_NS + int(at * 1e9)
-    assert {after - before for before, after in pairwise(stamps)} == {250_000_000}
-    assert not (directory / "bag_0.mcap").exists()
+def write_second(bag: LiveBag, second: int, value: float, topic: str = TOPICS[0]) -> None:
+    bag.write(topic, LATE_NS + second * 10**9, number(value), float(second))
+    bag.flush_if_due(float(second))
 
 
 def split_bag(directory: Path, namespace: str = "") -> tuple[LiveBag, list[tuple[str, int, float]]]:
@@ -396,9 +309,8 @@ def split_bag(directory: Path, namespace: str = "") -> tuple[LiveBag, list[tuple
         (namespace + TOPICS[tick % 3], LATE_NS + tick * 10**9, tick * 1.1) for tick in range(1500)
     ]
     bag = live_bag(directory, file_bytes=20_000, namespace=namespace)
-    for tick, (topic, stamp, value) in enumerate(sent):
-        bag.write(topic, stamp, number(value), float(tick))
-        bag.flush_if_due(float(tick))
+    for tick, (topic, _, value) in enumerate(sent):
+        write_second(bag, tick, value, topic)
     return bag, sent
 
 
@@ -429,99 +341,80 @@ def test_a_kill_costs_what_came_since_the_last_flush(tmp_path: Path) -> None:
     ]
 
 
-def files_messages(file: Path) -> set[tuple[str, int]]:
-    return {(topic, stamp) for topic, stamp, *_ in messages_of(file)}
-
-
-@pytest.mark.parametrize(
-    "what", ["a chunk", "a file", "half a file", "a loop"]
-)
-def test_every_file_of_a_split_bag_is_checked(tmp_path: Path, what: str) -> None:
-    """An older one, too: ``metadata.yaml`` has its number of messages."""
+@pytest.mark.parametrize("loop", [False, True])
+def test_every_file_of_a_split_bag_is_checked(tmp_path: Path, loop: bool) -> None:
+    """An older one is not there, or cannot be read: the metadata has its number of messages."""
     bag, sent = split_bag(tmp_path / "bag")
     bag.close()
     file = tmp_path / "bag" / "bag_1.mcap"
-    had = files_messages(file)
-    if what == "a chunk":
-        damaged(tmp_path / "bag", file.stat().st_size // 2, bytes(50), file.name)
-    elif what == "a file":
-        file.unlink()
-    elif what == "a loop":  # since root may read anything
-        file.unlink()
+    had = {message[:2] for message in messages_of(file)}
+    file.unlink()
+    if loop:  # since root may read anything
         file.symlink_to("bag_1.mcap")
-    else:
-        os.truncate(file, file.stat().st_size // 2)
-    new, messages, losses = recover(tmp_path)
-    restored = read(new)
-    there = {(topic, stamp) for topic, stamp, _ in restored}
-    assert restored == [message for message in sent if message[:2] in there]
-    assert messages == len(restored)
-    lost = {message[:2] for message in sent} - there
-    assert lost and lost <= had
-    assert losses[-1] == f"bag_1.mcap: {len(lost)} of its {len(had)} messages are lost"
-    assert ("bytes are lost between 2026-11-21 23:" in losses[0]) == (
-        what in ("a chunk", "half a file")
-    )
+    new, _, losses = recover(tmp_path)
+    assert read(new) == [message for message in sent if message[:2] not in had]
+    assert losses[-1] == f"bag_1.mcap: {len(had)} of its {len(had)} messages are lost"
 
 
-def test_metadata_list_no_missing_file_on_a_full_disk(tmp_path: Path) -> None:
-    """Not even if there is room for messages, but none for the metadata without the oldest file."""
-    directory, random = tmp_path / "bag", Random(1)
-    bag, about = live_bag(directory, 2000, 100_000), directory / "metadata.yaml"
+def test_oldest_files_go_beyond_the_limit(tmp_path: Path) -> None:
+    """The bag stays within the limit, and has its newest messages; its metadata list no other file.
+
+    Not even if there is room for messages, but none for the metadata without the oldest file.
+    """
+    directory, random, largest = tmp_path / "bag", Random(1), 0
+    bag, about = live_bag(directory, 5000, 100_000), directory / "metadata.yaml"
 
     def write(seconds: range) -> None:
+        nonlocal largest
         for second in seconds:
-            bag.write(TOPICS[0], LATE_NS + second * 10**9, number(random.random()), float(second))
-            bag.flush_if_due(float(second))
+            write_second(bag, second, random.random())
             if about.exists():
                 listed = re.findall(r"path: (bag_\d+.mcap)", about.read_text())
                 assert listed and all((directory / name).exists() for name in listed)
+            largest = max(largest, sum(path.stat().st_size for path in directory.glob("*.mcap")))
 
-    write(range(1500))
+    write(range(2000))
+    assert 90_000 < largest < 102_000  # the messages since the last flush can come on top
+    assert not (directory / "bag_0.mcap").exists()
     with no_file_beyond(about.stat().st_size - 500):
-        write(range(1500, 1800))
+        write(range(2000, 2300))
         assert "File too large" in bag.problem and not about.exists()
-    write(range(1800, 2000))
-    assert bag.problem == "" and about.exists()
+    write(range(2300, 3500))
+    assert bag.problem == ""
     bag.close()
+    stamps = [stamp for _, stamp, _ in read(directory)]
+    assert stamps[-1] == LATE_NS + 3499 * 10**9
+    assert {after - before for before, after in pairwise(stamps)} == {10**9}
 
 
 def test_a_simulations_bag_without_room_for_its_metadata_is_whole(tmp_path: Path) -> None:
     writer = bag_writer(tmp_path / "bag")
-    for tick in range(20):
-        time_ns = START_NS + tick * 10**9
-        writer.write_tick(time_ns, [clock(time_ns), *(number(tick) for _ in TOPICS)])
+    written = write_ticks(writer, 20)
     (tmp_path / "bag" / ".metadata.yaml.part").mkdir()
     with pytest.raises(IsADirectoryError):
         writer.close()
     writer.cut()
-    assert writer.safe == 20 and len(messages_of(writer.path)) == 20 * 6
+    assert writer.safe == 20 and messages_of(writer.path) == written
 
 
 @pytest.mark.parametrize("room", [6000, 9000, 12_000])
 def test_recording_that_fails_tries_again(tmp_path: Path, room: int) -> None:
     """Wherever the room ends: the rest is lost, counted, and reported until something is safe."""
     bag, random = live_bag(tmp_path / "bag"), Random(1)
-    values = [random.random() for _ in range(3000)]
-
-    def write(second: int) -> None:
-        bag.write(TOPICS[0], LATE_NS + second * 10**9, number(values[second]), float(second))
-        bag.flush_if_due(float(second))
-
-    second = 0
+    values, second = [random.random() for _ in range(3000)], 0
     with no_file_beyond(room):
         while not bag.problem:
-            write(second)
+            write_second(bag, second, values[second])
             second += 1
         assert bag.problem == f"{tmp_path / 'bag'}: File too large"
         assert 0 < bag.lost < second
     with no_file_beyond(50):  # it tries again in vain, and leaves nothing
         for later in range(second, second + 100):
-            write(later)
+            write_second(bag, later, values[later])
         assert bag.problem and bag.lost > 100 and len(list(bag.directory.iterdir())) == 1
         second, lost_before = second + 100, bag.lost
     for later in range(second, 3000):
-        write(later)
+        write_second(bag, later, values[later])
     assert bag.problem == ""
     assert bag.lost <= lost_before + 60  # one wait
     bag.close()
@@ -533,12 +426,6 @@ def test_recording_that_fails_tries_again(tmp_path: Path, room: int) -> None:
     }
 
 
-def test_namespace_of_a_bag() -> None:
-    """A graph's topics are found by the ends of their names; two graphs are refused."""
-    needed, bag = ["/roof/level", "/pump/flow"], Path("bag")
-    assert find_namespace({"/roof/level", "/pump/flow", "/clock"}, needed, bag) == ""
-    assert find_namespace({"/a/b/roof/level", "/a/b/pump/flow"}, needed, bag) == "/a/b"
-    # A single topic is not a graph.
-    assert find_namespace({"/roof/level", "/pump/flow", "/s/roof/level"}, needed, bag) == ""
-    two = {"/roof/level", "/pump/flow", "/s/roof/level", "/s/pump/flow"}
-    refusal(find_namespace, two, needed, bag, match=r"bag: .*/, /s")
+def test_a_single_topic_elsewhere_is_no_second_graph() -> None:
+    names = {"/roof/level", "/pump/flow", "/s/roof/level"}
+    assert find_namespace(names, ["/roof/level", "/pump/flow"], Path("bag")) == ""
