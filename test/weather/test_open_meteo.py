@@ -75,7 +75,7 @@ def test_downloads_join_without_a_gap(tmp_path: Path) -> None:
         (("hourly", "precipitation"), ["a"] * 6, "row 0: precipitation = 'a': must be a number"),
         (("hourly", "temperature_2m"), [99] * 6, "row 0: temperature_2m = 99.0: must be a number"),
         (("hourly_units", "temperature_2m"), "m", "'temperature_2m': the unit of temperature must"),
-        (("hourly", "time"), ["2021-07-07T10:00"] * 6, "row 1: time = '2021-07-07 10:00:00': must be"),
+        (("hourly", "time"), ["2021-07-07T10:00"] * 6, "row 1: time = '2021-07-07 10:00:00'"),
         (("hourly", "time"), ["noon"] * 6, "row 0: time = 'noon': must be a time"),
         (("utc_offset_seconds",), "x", "utc_offset_seconds = 'x': must be a number"),
         (("hourly",), {"time": ["2021-07-07T10:00"]}, "hourly: must contain precipitation"),
