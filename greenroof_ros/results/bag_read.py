@@ -212,9 +212,19 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
     clock = set[int]()  # the simulated times (ns)
     try:
         with AnyReader([bag], default_typestore=typestore) as reader:
-            known = {each.topic for each in reader.connections if each.msgtype == _TYPE}
-            namespace = find_namespace(known, _NEEDED, bag)
+            types = {each.topic: each.msgtype for each in reader.connections}
+            namespace = find_namespace(types, _NEEDED, bag)
             names = {f"{namespace}{topic}": topic for topic in (*_ATTRIBUTES, _CLOCK)}
+            if missing := [topic for topic in _NEEDED if namespace + topic not in types]:
+                raise ConfigurationError(
+                    f"lacks {', '.join(missing)}, which the report needs; the topics in the bag "
+                    f"are: {', '.join(sorted(types)) or 'none'}", file=bag,
+                )
+            for name, topic in names.items():
+                if topic != _CLOCK and types.get(name, _TYPE) != _TYPE:
+                    raise ConfigurationError(
+                        f"must be of type {_TYPE}, not {types[name]}", file=bag, key=name
+                    )
             wanted = [
                 each for each in reader.connections
                 if each.topic in names and each.msgtype in (_TYPE, _CLOCK_TYPE)

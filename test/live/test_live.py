@@ -686,7 +686,7 @@ def test_a_short_forecast_keeps_no_pump_off(site: Site) -> None:
     ):
         site.until(
             site.shows("/weather: forecast", WARN, "the forecast issued at ",
-                      f"before the look-ahead of {horizon:g} h does", "a horizon of up to "),
+                      f"before the look-ahead of {horizon:g} h does"),
             LATE, "what is short",
         )
         site.until(lambda: newest(frost) == 0.0, LATE, "the temperature")

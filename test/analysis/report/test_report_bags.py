@@ -415,7 +415,8 @@ def test_a_run_of_the_graph(domain: int, tmp_path: Path) -> None:
     (run,) = find_runs([tmp_path / "run"]).runs
     row = run.row
     assert (row["controller"], row["initial"], row["site"]) == ("onoff", "low-low", "site.yaml")
-    assert run.notes[0].startswith("13 of 121 values of /pump/flow were rejected")
+    rejected = "13 of 121 values of /pump/flow were rejected"
+    assert any(note.startswith(rejected) for note in run.notes)
     killed = {key: summary[key] for key in list(summary)[: list(summary).index("frost_hours")]}
     (tmp_path / "run" / "summary.json").write_text(json.dumps({**killed, "status": "running"}))
     worked_out = row_of_run(tmp_path / "run")

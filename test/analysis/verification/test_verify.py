@@ -172,14 +172,14 @@ def test_what_is_printed(tmp_path: Path) -> None:
 
 
 def test_issues_that_are_shorter_than_the_horizon(tmp_path: Path) -> None:
-    """A run reports both lengths, and that no rain is assumed in the rest."""
+    """A run reports when a forecast ends."""
     write_gauge(tmp_path / "gauge.csv", [0.0] * 240)
     write_previous_runs(tmp_path / "archive.csv", {1: [0.0] * 240, 2: [0.0] * 240})
     predicted = succeed(
         tmp_path, "simulate", "--weather", "gauge.csv", "--start", "2024-03-04T00:00",
         "--hours", "1", "--controller", "lookahead", "--horizon", "49", "--forecast", "archive.csv",
     )
-    short = "weather note the longest forecast has 48 h, but the look-ahead is 49 h: no rain is"
+    short = "weather note a forecast ends at 2024-03-05T18:00+00:00; later values are assumed"
     assert short in " ".join(predicted.replace("│", " ").split())
 
 
@@ -191,7 +191,7 @@ WRONG = {
     "GEM --lead 6 --sums 12 --events 3":
         "--sums = 12: must be a divisor of --lead (6 h), and be given only once",
     "GEM --lead 6 --sums 6 --events 2":
-        f"--lead = 6: must be a multiple of 24 h, the finest lead time of {GEM} (Open-Meteo,",
+        f"--lead = 6: must be a multiple of 24 h, the finest lead time of {GEM}",
     "GEM": f"{GEM}: FORECASTS = '{GEM}': include no complete sum in the period of the records: the",
 }
 
