@@ -93,7 +93,7 @@ class RecorderNode(SimulationNode):
             LockstepError: if the topic is further ahead of the other topics than lockstep allows,
                 or the bag is already closed.
         """
-        if self.finished:
+        if self._closed:
             raise LockstepError(
                 f"{name} has a second message in tick {self._bag.written} (after the last tick)"
             )

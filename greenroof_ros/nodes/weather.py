@@ -23,7 +23,7 @@ from greenroof_ros.graph.weather_outputs import EVAPOTRANSPIRATION, FROST, RAIN,
 from greenroof_ros.site.horizon import MAX_HORIZON
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.read import default_weather, find_files, read_weather
-from greenroof_ros.weather.series import GAPS, REFUSE, WeatherSeries
+from greenroof_ros.weather.series import GAPS, REFUSE, Hour, WeatherSeries
 
 # A parameter of a node must have a value: this one stands for the usual delay (h).
 _USUAL_DELAY = -1.0
@@ -110,12 +110,14 @@ class WeatherNode(SimulationNode):
         )
         self._start_ns, self._tick_ns = epoch_ns(start), round(site.tau * 1e9)
         self._time = self.subscribe(CLOCK)
+        self._hour: Hour | None = None
         self._weather = WeatherOutputs(self, site, values["horizon"], values["outlet_horizon"])
 
     def on_inputs(self) -> None:
         """Publish the weather of the tick, and the forecasts known at the time of the tick."""
-        tick = self._tick(self._time.value)
-        hour, forecast = self._series.at(tick), self._forecast
+        tick, hour, forecast = self._tick(self._time.value), self._hour, self._forecast
+        if hour is None or tick >= hour.until:
+            hour = self._hour = self._series.at(tick)
         # The controller's inputs come first, since it takes the longest.
         self.publish(FROST, hour.frost)
         self._weather.publish_forecasts(
