@@ -184,8 +184,8 @@ def mend_forecast(issue: IssuedForecast) -> IssuedForecast:
     ]
     if count := int(np.isnan(issue.rain[used, :hours]).sum()):
         notes.append(f"{count} missing hours of precipitation were filled from adjacent hours")
-    if hours < issue.hours:
-        notes.append(f"is used only for {hours} of {issue.hours} hours")
+    if hours < lengths.max():
+        notes.append(f"is used only for {hours} of {lengths.max()} hours")
     return replace(
         issue, values={name: series[..., :hours] for name, series in values.items()},
         notes=(*issue.notes, *(

@@ -225,10 +225,9 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
                     raise ConfigurationError(
                         f"must be of type {_TYPE}, not {types[name]}", file=bag, key=name
                     )
-            wanted = [
-                each for each in reader.connections
-                if each.topic in names and each.msgtype in (_TYPE, _CLOCK_TYPE)
-            ]
+            if types.get(clock_name := f"{namespace}{_CLOCK}") != _CLOCK_TYPE:
+                del names[clock_name]  # of another program
+            wanted = [each for each in reader.connections if each.topic in names]
             for connection, stamp, raw in reader.messages(connections=wanted):
                 message: Any = reader.deserialize(raw, connection.msgtype)
                 times[names[connection.topic]].append(stamp)

@@ -311,14 +311,16 @@ class _Season:
         # Plain Python is faster with lists.
         self._as_taken: Callable[[Any], Any] = lambda array: array if compiles else array.tolist()
         self._errors = read_errors(run.sensor_and_pump, run.steps + 1)
-        weather = run.weather
-        if not cases[0].with_forecast:  # unknown hours can only be after the run
-            known = {name: np.nan_to_num(series) for name, series in weather.values.items()}
-            weather = replace(weather, values=known)
-        self._forecast: Any = None if not plans else make_forecast(
-            weather, run.series, run.site, run.start, 0.0, run.forecast_choice,
-            all_members=True, outlet_horizon=HORIZON_H,
-        )
+        self._forecast: Any = None
+        if plans:
+            weather = run.weather
+            if not cases[0].with_forecast:  # unknown hours can only be after the run
+                known = {name: np.nan_to_num(series) for name, series in weather.values.items()}
+                weather = replace(weather, values=known)
+            self._forecast = make_forecast(
+                weather, run.series, run.site, run.start, 0.0, run.forecast_choice,
+                all_members=True, outlet_horizon=HORIZON_H,
+            )
         # At the bed of the run, evapotranspiration stays the same to the last bit.
         self._bed, *beds = (_find_bed(run, each) for each in (run.site, *(c.site for c in cases)))
         if {*beds} == {self._bed}:

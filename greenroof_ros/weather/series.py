@@ -141,7 +141,7 @@ class Hour(NamedTuple):
     frost: float
     """1 during frost, otherwise 0"""
     until: int
-    """the first tick of the next hour"""
+    """the tick until which these values hold"""
 
 
 class WeatherSeries:
