@@ -159,10 +159,10 @@ INPUTS: dict[str, Parameter] = {
         Parameter("site", None, meaning="site file"),
         Parameter(
             "weather", None, meaning="weather files, which are joined in chronological order, or a "
-            "pattern such as 'weather/2021_*.csv'. The files can be CSV in this project's format, "
-            "hourly bulk files from Environment and Climate Change Canada, or hourly CSV from "
-            "Open-Meteo's archive, in which rain and radiation are moved from the end of their "
-            "hour to its start (default: config/weather/toronto_2021-07.csv)",
+            "pattern such as 'weather/2021_*.csv'. The files can be CSV in this project's format "
+            "or in that of a service (config/formats), descriptions of other CSV files, or JSON of "
+            "Open-Meteo, in which rain and radiation are moved from the end of their hour to its "
+            "start (default: config/weather/toronto_2021-07.csv)",
         ),
         *parameters_of(RunInputs),
         Parameter(
