@@ -12,9 +12,8 @@ from __future__ import annotations
 
 import math
 from array import array
-from dataclasses import dataclass
 from datetime import datetime
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,26 +36,22 @@ _HOUR_S = 3600.0
 _ROUNDING_S = 1e-6
 
 
-@dataclass(frozen=True)
-class Outlook:
-    """The current weather and the forecast in steps, as a controller receives them.
-
-    Attributes:
-        rain: mean rain in the steps of the look-ahead (m/s), shape (steps,), or (members, steps)
-            for all members.
-        evapotranspiration: mean evapotranspiration of the whole bed (m3/s), shape (steps,).
-        rain_now: current rain (m/s).
-        evapotranspiration_now: current evapotranspiration of the whole bed (m3/s).
-        issued: nominal time of issue; None if the forecast has no time of issue.
-        temperature: current air temperature (degC); NaN if unknown.
-    """
+class Outlook(NamedTuple):
+    """The current weather and the forecast in steps, as a controller receives them."""
 
     rain: Rain
+    """mean rain in the steps of the look-ahead (m/s), shape (steps,), or (members, steps) for all
+    members"""
     evapotranspiration: array[float]
+    """mean evapotranspiration of the whole bed (m3/s), shape (steps,)"""
     rain_now: float
+    """current rain (m/s)"""
     evapotranspiration_now: float
-    issued: datetime | None
-    temperature: float
+    """current evapotranspiration of the whole bed (m3/s)"""
+    issued: datetime | None = None
+    """nominal time of issue; None if the forecast has no time of issue"""
+    temperature: float = math.nan
+    """current air temperature (degC); NaN if unknown"""
 
 
 class HourForecast:
@@ -154,28 +149,16 @@ class PerfectForecast:
         self._rain = self._evapotranspiration = array("d")
         self.notes = _note_end(series.repeats_from)
 
-    def precipitation(self, tick: int) -> array[float]:
-        """Return the rain in the next M ticks (m/s), shape (M,)."""
-        self._update_window(tick)
-        return self._rain[:]
-
-    def evapotranspiration(self, tick: int) -> array[float]:
-        """Return the evapotranspiration of the bed in the next M ticks (m3/s), shape (M,)."""
-        self._update_window(tick)
-        return self._evapotranspiration[:]
-
-    def _update_window(self, tick: int) -> None:
-        """Update the window that starts at a tick, if it differs from the previous window."""
-        if tick in self._ticks:
-            return
-        window = slice(tick, tick + self._look_ahead)
-        self._rain = self._series.precipitation[window]
-        self._evapotranspiration = self._series.evapotranspiration[window]
-        last = self._series.at(tick).until - self._look_ahead
-        self._ticks = range(tick, max(tick, last) + 1)
-
-    def issued(self, tick: int) -> None:
-        """Return None, because perfect knowledge has no time of issue."""
+    def at(self, tick: int) -> Outlook:
+        """Return the outlook at a tick, with a step for each of the next M ticks."""
+        if tick not in self._ticks:
+            window = slice(tick, tick + self._look_ahead)
+            self._rain = self._series.precipitation[window]
+            self._evapotranspiration = self._series.evapotranspiration[window]
+            last = self._series.at(tick).until - self._look_ahead
+            self._ticks = range(tick, max(tick, last) + 1)
+        rain, evapotranspiration = self._rain[:], self._evapotranspiration[:]
+        return Outlook(rain, evapotranspiration, rain[0], evapotranspiration[0])
 
 
 class SteppedForecast:
@@ -207,9 +190,7 @@ class SteppedForecast:
         self._ends, self._all_members = ends, all_members
         self._offset = (start - weather.first).total_seconds()
         self._until = self._offset + (len(series.precipitation) - site.M) * site.tau
-        # Rain and evapotranspiration of a tick are computed together.
         self._hour_forecast = Memo(self._make_hour_forecast)
-        self._at = Memo(self._outlook)
         hours = range(int(self._offset // _HOUR_S), int(self._until // _HOUR_S) + 1)
         model.check(range(hours[0], hours[-1] + self._hours(hours[-1])))
         first_end = min((
@@ -218,19 +199,8 @@ class SteppedForecast:
         ), default=None)
         self.notes = [*model.notes, *_note_end(first_end)]
 
-    def precipitation(self, tick: int) -> Rain:
-        """Return the mean rain (m/s), shape (steps,), or (members, steps) for all members."""
-        return self._at(tick).rain
-
-    def evapotranspiration(self, tick: int) -> array[float]:
-        """Return the mean evapotranspiration of the whole bed (m3/s), shape (steps,)."""
-        return self._at(tick).evapotranspiration
-
-    def issued(self, tick: int) -> datetime | None:
-        """Return the nominal time of the latest forecast; None if the model has no such time."""
-        return self._at(tick).issued
-
-    def _outlook(self, tick: int) -> Outlook:
+    def at(self, tick: int) -> Outlook:
+        """Return the outlook at a tick."""
         time = self._offset + tick * self._site.tau
         hour = int(time // _HOUR_S)
         measured = self._series.precipitation[tick], self._series.evapotranspiration[tick]

@@ -115,13 +115,14 @@ class WeatherNode(SimulationNode):
 
     def on_inputs(self) -> None:
         """Publish the weather of the tick, and the forecasts known at the time of the tick."""
-        tick, hour, forecast = self._tick(self._time.value), self._hour, self._forecast
+        tick, hour = self._tick(self._time.value), self._hour
         if hour is None or tick >= hour.until:
             hour = self._hour = self._series.at(tick)
         # The controller's inputs come first, since it takes the longest.
         self.publish(FROST, hour.frost)
+        outlook = self._forecast.at(tick)
         self._weather.publish_forecasts(
-            forecast.issued(tick), forecast.precipitation(tick), forecast.evapotranspiration(tick)
+            outlook.issued, outlook.rain, outlook.evapotranspiration
         )
         self.publish(RAIN, hour.precipitation)
         self.publish(EVAPOTRANSPIRATION, hour.evapotranspiration)

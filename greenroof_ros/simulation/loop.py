@@ -97,7 +97,7 @@ class Simulation:
             if has_quiet_hours:
                 set_optional(controller, time_ns=site.time_ns)
             cistern_level, roof_level = site.observe()
-            rain, evaporated = forecast.precipitation(k), forecast.evapotranspiration(k)
+            rain, evaporated, *_ = forecast.at(k)
             own = rain, evaporated
             if own_steps is not None:
                 own = run.controller.own_forecast(own_steps, *own)

@@ -382,9 +382,10 @@ class _Season:
     def _foresee(self, due: Sequence[int]) -> Forecasts:
         """Return the forecasts for the plans that are made before some ticks."""
         rain, evaporated = list[Values](), list[Any]()
-        for tick in due:  # the forecast computes both for one tick together
-            rain.append(np.atleast_2d(self._forecast.precipitation(tick)))
-            evaporated.append(self._forecast.evapotranspiration(tick))
+        for tick in due:
+            outlook = self._forecast.at(tick)
+            rain.append(np.atleast_2d(outlook.rain))
+            evaporated.append(outlook.evapotranspiration)
         rates = np.array(rain or np.empty((0, 1, 1)))
         if not self._cases[0].with_forecast:
             rates = rates[:, :1].copy()

@@ -39,8 +39,8 @@ def walk(weight: float, *options: str, max_command: float = math.inf) -> tuple[A
     x, w, u, cost = [], [], [], []
     for tick in Simulation(run, controller).ticks():
         x.append((tick.x1, tick.x2))
-        rain = run.forecast.precipitation(tick.k)
-        w.append(np.transpose((rain, run.forecast.evapotranspiration(tick.k))))
+        rain, evaporated, *_ = run.forecast.at(tick.k)
+        w.append(np.transpose((rain, evaporated)))
         u.append(tick.command)
         cost.append(controller.cost)
     assert controller.fallbacks == 0

@@ -45,8 +45,8 @@ Array = NDArray[np.float64]
 
 def both(forecast: Forecast, tick: int) -> list[bytes]:
     """Return the forecast rain and evapotranspiration at a tick, as bytes."""
-    ahead = (forecast.precipitation(tick), forecast.evapotranspiration(tick))
-    return [np.array(series).tobytes() for series in ahead]
+    rain, evapotranspiration, *_ = forecast.at(tick)
+    return [np.array(series).tobytes() for series in (rain, evapotranspiration)]
 
 
 # --- means over steps --------------------------------------------------------------------------
@@ -97,7 +97,8 @@ def test_means_count_every_second(
         lead, measured = (second + seconds) // 3600, seconds < max(tau, edges[1])
         present = min(hour, 5)
         parts = edges[1:-1].astype(int)
-        members = np.asarray(forecast.precipitation(tick))
+        outlook = forecast.at(tick)
+        members = np.asarray(outlook.rain)
         # As from a message: numpy's sums follow the order in memory.
         assert members.flags.c_contiguous
         for member in range(2):
@@ -108,7 +109,7 @@ def test_means_count_every_second(
         assert members.min() >= 0.0  # rounding must not give less, which the nodes would refuse
         rates = np.where(measured, weather.evapotranspiration[present], evaporated[hour][lead])
         means = [part.mean() * 68.8 / 8.64e7 for part in np.split(rates, parts)]
-        assert list(forecast.evapotranspiration(tick)) == pytest.approx(means, rel=1e-9)
+        assert list(outlook.evapotranspiration) == pytest.approx(means, rel=1e-9)
 
 
 CHANCE = np.random.default_rng(11)
@@ -143,13 +144,14 @@ def test_perfect_forecast_is_the_series() -> None:
     forecast = make_forecast(weather, series, site, MIDNIGHT, 0.0, ForecastChoice())
     assert isinstance(forecast, PerfectForecast)
     for tick in (4, 5, 70, 0):
+        outlook = forecast.at(tick)
         for ahead, values in (
-            (forecast.precipitation(tick), series.precipitation),
-            (forecast.evapotranspiration(tick), series.evapotranspiration),
+            (outlook.rain, series.precipitation),
+            (outlook.evapotranspiration, series.evapotranspiration),
         ):
             assert ahead.tolist() == [values[tick + lead] for lead in range(site.M)]
             ahead[0] = -1.0
-    assert forecast.issued(0) is None  # exact knowledge has no issue
+    assert forecast.at(0).issued is None  # exact knowledge has no issue
 
 
 # It has been dry since 06:00, and 30 mm/h fall from 12:45 to 14:00.
@@ -370,14 +372,11 @@ def test_the_graph_is_given_the_same(domain: int, tmp_path: Path) -> None:
     kept = tmp_path / "run" / "configuration" / "forecast" / "runs"
     assert (kept / "run_0.csv").read_bytes() == (tmp_path / "runs" / "run_0.csv").read_bytes()
     run, bag = paper_run(*options, str(tmp_path / "runs")), messages_of(tmp_path / "run")
-    for topic, forecast in (
-        ("/forecast/precipitation", run.forecast.precipitation),
-        ("/forecast/evapotranspiration", run.forecast.evapotranspiration),
-    ):
-        length = len(forecast(0))
+    for topic, place in (("/forecast/precipitation", 0), ("/forecast/evapotranspiration", 1)):
+        length = len(run.forecast.at(0)[place])
         expected = []
         for tick in range(run.steps + 1):
             issued = MIDNIGHT + (0 if tick < 300 else 6) * HOUR
-            numbers = (issued.timestamp(), *range(1, length + 1), *forecast(tick))
+            numbers = (issued.timestamp(), *range(1, length + 1), *run.forecast.at(tick)[place])
             expected.append(struct.pack(f"<{len(numbers)}d", *numbers))
         assert [message[-len(expected[0]) :] for message in bag[topic]] == expected, topic

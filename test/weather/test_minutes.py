@@ -271,7 +271,7 @@ def test_forecasts_are_of_hours_and_the_present_rain_is_what_falls(tmp_path: Pat
     series = WeatherSeries(weather, site, FIRST, 60 * 10)
     forecast = make_forecast(weather, series, site, FIRST, 24.0, choose("perfect"))
     for minute, now in ((85, 72.0), (91, 0.0)):
-        rain = 3.6e6 * np.array(forecast.precipitation(minute))
+        rain = 3.6e6 * np.array(forecast.at(minute).rain)
         assert rain[:8] == pytest.approx([*[now] * 6, 12.0, 12.0])
 
 

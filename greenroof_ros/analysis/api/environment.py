@@ -145,12 +145,10 @@ class Environment:
         opening = 1.0
         if self._policy is not None:
             given = None if outlet is None else _read_share(outlet)
-            forecast, tick = self._run.forecast, self._sites.tick
+            outlook = self._run.forecast.at(self._sites.tick)
             cistern, roof = map(float, self._sites.levels[0])
             # The policy is called in every tick, because it counts the time without rain.
-            opening = self._policy(
-                cistern, roof, forecast.precipitation(tick), forecast.evapotranspiration(tick)
-            )
+            opening = self._policy(cistern, roof, outlook.rain, outlook.evapotranspiration)
             opening = opening if given is None else given
         elif outlet is not None:
             raise ConfigurationError(
@@ -216,8 +214,8 @@ class Environment:
             >>> print(f"{1000 * forecast.rain @ lengths:.1f} mm of rain in 3 h")
             3.2 mm of rain in 3 h
         """
-        run, tick = self._run, self._sites.tick
-        rain, evaporated = run.forecast.precipitation(tick), run.forecast.evapotranspiration(tick)
+        run = self._run
+        rain, evaporated, *_ = run.forecast.at(self._sites.tick)
         own_steps = run.controller.count_own_steps(self.site, run.parameters)
         rain, evaporated = run.controller.own_forecast(own_steps, rain, evaporated)
         return ForecastSteps(np.asarray(rain), np.asarray(evaporated), self._ends)
