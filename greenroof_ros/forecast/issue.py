@@ -30,10 +30,9 @@ from greenroof_ros.base.times import hours_since_1970, parse_time, to_minutes
 from greenroof_ros.site.horizon import MAX_MEMBERS
 from greenroof_ros.site.site import Place
 from greenroof_ros.weather import quantities
-from greenroof_ros.weather.description import END, TIME, Description
-from greenroof_ros.weather.open_meteo import read_answer
+from greenroof_ros.weather.description import TIME, Description
+from greenroof_ros.weather.open_meteo import read_answer, read_rain
 from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
-from greenroof_ros.weather.read import read_file
 from greenroof_ros.weather.records import HOUR, Records, bridge_gaps, join_records
 from greenroof_ros.weather.table import Row, Table, read_table
 
@@ -387,30 +386,17 @@ def write_forecasts(issues: Sequence[IssuedForecast]) -> str:
 def _read_previous_runs(file: Path, site: Place) -> Records:
     """Return the precipitation by variable; values are for the hour after their time stamps."""
     if file.suffix == ".json":
-        answer = read_answer(
-            file, site, lambda name: PRECIPITATION if _PREVIOUS.fullmatch(name) else None
-        )
-        if not answer.values:
-            raise ConfigurationError(
-                "must contain precipitation_previous_day1 and so on", file=file, key="hourly"
-            )
-        return replace(answer, first=answer.first - HOUR)
-    table = read_table(file)
-    time, names = table.header[0], list(filter(_PREVIOUS.fullmatch, table.header))
-    if time not in ("time", "datetime") or not names:
+        table, described = read_answer(file, site)
+    else:
+        table = read_table(file)
+        units = dict.fromkeys(table.header, "mm")
+        described = Description(units=units, utc_offset=0.0, step=3600.0)
+    first = table.header[0]
+    if first not in (TIME, "datetime") or not any(map(_PREVIOUS.fullmatch, table.header)):
         raise table.refuse(
-            "must begin with issued, or with time and precipitation_previous_day1 and so on", time
+            "must begin with issued, or with time and precipitation_previous_day1 and so on", first
         )
-    parts = {
-        name: read_file(file, site, Description(
-            columns={TIME: (time,), PRECIPITATION: (name,)}, units={PRECIPITATION: "mm"},
-            utc_offset=0.0, rows=END, step=3600.0,
-        ))
-        for name in names
-    }
-    return replace(parts[names[0]], values={
-        name: part.values[PRECIPITATION] for name, part in parts.items()
-    })
+    return read_rain(table, described, _PREVIOUS, site)
 
 
 def _make_issues(

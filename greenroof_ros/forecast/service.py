@@ -27,11 +27,10 @@ import numpy as np
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import replace_text
 from greenroof_ros.base.http import ServiceError, check_url, name_url, read_reason, request
-from greenroof_ros.base.processes import IN_MEMORY, scratch_directory
 from greenroof_ros.base.times import to_people
 from greenroof_ros.forecast.issue import IssuedForecast, mend_forecast, write_forecasts
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.open_meteo import make_parameters, read_answer, read_records
+from greenroof_ros.weather.open_meteo import make_parameters, read_answer, read_rain, read_records
 from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
 from greenroof_ros.weather.read import complete_records, drop_empty, fill_long_gaps
 from greenroof_ros.weather.records import HOUR
@@ -91,7 +90,6 @@ class Service:
 
         Raises:
             ServiceError: if there is no usable forecast.
-            OSError: if the disk is full and the response cannot be read in memory.
         """
         hour = now.astimezone(timezone.utc).replace(minute=0, second=0, microsecond=0)
         began = time.monotonic()
@@ -115,13 +113,9 @@ def _read_issue(answer: bytes, site: Site, hour: datetime, arrived: datetime) ->
     """
     if not answer.lstrip().startswith(b"{"):
         raise ConfigurationError(f"is not a forecast in JSON: {read_reason(answer)}")
-    with scratch_directory(IN_MEMORY) as directory:  # a full disk must not cost a forecast
-        file = directory / "answer.json"
-        file.write_bytes(answer)
-        members = read_answer(
-            file, site, lambda name: PRECIPITATION if _MEMBER.fullmatch(name) else None
-        ).values
-        records = complete_records(drop_empty(read_records(file, site)), site)
+    file = Path("answer.json")
+    records = complete_records(drop_empty(read_records(file, site, answer)), site)
+    members = read_rain(*read_answer(file, site, answer), _MEMBER, site).values
     start = (hour - records.first) // HOUR
     if not 0 <= start < records.hours:
         raise ConfigurationError(f"must contain the hour from {to_people(hour)} on", file=file)

@@ -9,19 +9,20 @@ moved back by one hour, and an instantaneous value is used for the following hou
 
 from __future__ import annotations
 
+import itertools
 import json
-from collections.abc import Callable
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import read_text
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.site.site import Place, Site
-from greenroof_ros.weather.description import PLACE, REANALYSIS, TIME, Description
-from greenroof_ros.weather.frame import read_columns
+from greenroof_ros.weather.description import END, REANALYSIS, TIME, Description
 from greenroof_ros.weather.quantities import (
     DEW_POINT,
     HUMIDITY,
@@ -32,7 +33,10 @@ from greenroof_ros.weather.quantities import (
     TEMPERATURE,
     WIND,
 )
-from greenroof_ros.weather.records import HOUR, Records, add_dew_point
+from greenroof_ros.weather.records import HOUR, WEATHER, Records, make_hours
+from greenroof_ros.weather.table import Row, Table, arrange
+
+Values = NDArray[np.float64]
 
 VARIABLES = {
     PRECIPITATION: PRECIPITATION, TEMPERATURE: "temperature_2m", DEW_POINT: "dew_point_2m",
@@ -68,52 +72,54 @@ def make_parameters(site: Site, **more: str | float) -> dict[str, str | float]:
     }
 
 
-def read_records(file: Path, site: Place) -> Records:
-    """Read past weather, which is from a weather model.
+def read_records(file: Path, site: Place, answer: bytes | None = None) -> Records:
+    """Read past weather, which is from a weather model; see :func:`read_answer`.
 
     Raises:
         ConfigurationError: if the file is not such an answer, contains no precipitation, or is for
-            another place than the site's.
+            another place than the site's; or if a time is not a whole number of hours after the
+            previous one, or a value is outside the range of its quantity.
     """
-    answer = read_answer(file, site, _QUANTITIES.get)
-    values = add_dew_point({_QUANTITIES[name]: each for name, each in answer.values.items()})
-    if PRECIPITATION not in values:
+    table, described = read_answer(file, site, answer)
+    used = {_QUANTITIES[name]: name for name in table.header if name in _QUANTITIES}
+    if PRECIPITATION not in used:
         raise ConfigurationError("must contain precipitation", file=file, key="hourly")
-    shifted = tuple(quantity for quantity in (PRECIPITATION, RADIATION) if quantity in values)
+    described = replace(
+        described, units={quantity: described.units[name] for quantity, name in used.items()},
+        columns={TIME: (TIME,), **{quantity: (name,) for quantity, name in used.items()}},
+    )
+    records = make_hours(file, arrange(table, described, site, WEATHER))
+    shifted = tuple(name for name in (PRECIPITATION, RADIATION) if name in records.values)
     # One more hour: the hour before the first time has only rain and radiation, the last has
     # neither.
-    return replace(
-        answer, first=answer.first - HOUR, rain_kind=REANALYSIS, shifted=shifted, values={
-            name: np.append(series, np.nan) if name in shifted else np.append(np.nan, series)
-            for name, series in values.items()
-        },
-    )
+    return replace(records, first=records.first - HOUR, shifted=shifted, values={
+        name: np.append(series, np.nan) if name in shifted else np.append(np.nan, series)
+        for name, series in records.values.items()
+    })
 
 
-def read_answer(file: Path, site: Place, quantity_of: Callable[[str], str | None]) -> Records:
-    """Read the hours of an answer, by variable, at the time stamps of the answer.
+def read_answer(file: Path, site: Place, answer: bytes | None = None) -> tuple[Table, Description]:
+    """Return the hours of an answer as a table, and its description, with the unit of each column.
 
     Args:
         file: JSON file for a single location.
         site: site that must be near this location, if both are known.
-        quantity_of: function that returns the quantity of a variable, or None if the variable is
-            not needed.
+        answer: content of the file, if it is not on the disk.
 
     Raises:
         ConfigurationError: if the file is not such an answer, or is for another place than the
-            site's; if a time is not a whole number of hours after the previous one, or a value is
-            outside the range of its quantity.
+            site's.
     """
     try:
-        content = json.loads(read_text(file))
+        content = json.loads(read_text(file) if answer is None else answer)
     except (ValueError, RecursionError) as error:
         wrong = f"is not valid JSON, or is nested too deeply: {error}"
         raise ConfigurationError(wrong, file=file) from error
-    answer = content if isinstance(content, dict) else {}
-    hourly, units = answer.get("hourly"), answer.get("hourly_units")
+    content = content if isinstance(content, dict) else {}
+    hourly, units = content.get("hourly"), content.get("hourly_units")
     if not isinstance(hourly, dict) or not isinstance(units, dict):
         raise ConfigurationError(
-            f"is an error message from the service: {answer['reason']}" if "reason" in answer else
+            f"is an error message from the service: {content['reason']}" if "reason" in content else
             "must be an answer of Open-Meteo for a single location, with hourly values and units",
             file=file,
         )
@@ -125,32 +131,49 @@ def read_answer(file: Path, site: Place, quantity_of: Callable[[str], str | None
             )
     stated = dict[str, float]()
     for name, (limits, far) in _STATED.items():
-        if answer.get(name) is not None:
-            stated[name] = limits.read(answer[name], key=name, file=file)
+        if content.get(name) is not None:
+            stated[name] = limits.read(content[name], key=name, file=file)
             own = getattr(site, name, None)
             if own is not None and abs(stated[name] - own) > far:
                 raise ConfigurationError(
                     f"must be within {far:g} {limits.unit} of the site's {name}, {own:g}",
                     file=file, key=name, value=stated[name],
                 )
-    wanted = {name: quantity for name in hourly if (quantity := quantity_of(name)) is not None}
-    # Members of an ensemble are of one quantity, so each is a table of its own.
-    one_table = len({*wanted.values()}) == len(wanted)
-    values = {}
-    for names in [[*wanted]] if one_table else [[name] for name in wanted]:
-        columns = {TIME: [*map(str, times)], **{name: hourly[name] for name in names}}
-        rows = read_columns(file, columns, Description(
-            columns={TIME: (TIME,), **{wanted[name]: (name,) for name in names}},
-            units={wanted[name]: _find_unit(units.get(name), wanted[name]) for name in names},
-            utc_offset=stated.get("utc_offset_seconds", 0.0) / 3600, step=3600.0,
-        ), site)
-        for name in names:
-            values[name] = np.full(rows.steps[-1] + 1, np.nan)
-            values[name][rows.steps] = rows.values[wanted[name]]
-    place = {file: (stated["latitude"], stated["longitude"])} if {*PLACE} <= {*stated} else {}
-    return Records((file,), rows.first, values, places=place, wind_height=10.0)
+    columns = {TIME: [*map(str, times)], **{name: hourly[name] for name in hourly if name != TIME}}
+    rows = map(Row, itertools.count(), zip(*columns.values(), strict=True))
+    return Table(file, [*columns], None, rows), Description(
+        name="Open-Meteo", wind_height=10.0, rain_kind=REANALYSIS, step=3600.0,
+        units={name: _find_unit(name, units.get(name)) for name in columns},
+        utc_offset=stated.get("utc_offset_seconds", 0.0) / 3600,
+        latitude=stated.get("latitude"), longitude=stated.get("longitude"),
+    )
 
 
-def _find_unit(name: object, quantity: str) -> str:
-    """Return the usual name of a unit; without any value, the service does not define it."""
-    return {"mp/h": "mph", "undefined": QUANTITIES[quantity].unit}.get(str(name), str(name))
+def read_rain(table: Table, described: Description, names: re.Pattern[str], site: Place) -> Records:
+    """Return the rain (mm/h) in each column with one of the names, by the name of the column.
+
+    Args:
+        table: table whose first column contains the ends of the hours.
+        described: description of the table, with the unit of each column.
+        names: pattern of the names, of which the table has at least one.
+        site: the site.
+
+    Raises:
+        ConfigurationError: as for :func:`read_records`.
+    """
+    rows, series = [*table.rows], dict[str, Values]()
+    for name in filter(names.fullmatch, table.header):
+        table.rows = iter(rows)
+        of_name = replace(
+            described, columns={TIME: (table.header[0],), PRECIPITATION: (name,)},
+            units={PRECIPITATION: described.units[name]}, rows=END,
+        )
+        records = make_hours(table.file, arrange(table, of_name, site, [PRECIPITATION]))
+        series[name] = records.values[PRECIPITATION]
+    return replace(records, values=series)
+
+
+def _find_unit(variable: str, unit: object) -> str:
+    """Return the unit of a variable; without any value, the service does not define it."""
+    quantity = _QUANTITIES.get(variable, PRECIPITATION)
+    return QUANTITIES[quantity].unit if unit == "undefined" else str(unit)

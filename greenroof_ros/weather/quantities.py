@@ -94,8 +94,9 @@ _ZEROS = {"degF": 32.0, "K": 273.15}
 _CHARACTERS = str.maketrans({"°": "deg", "º": "deg", "²": "2", "³": "3", "^": ""})
 _SPELLINGS = {
     "C": "degC", "F": "degF", "Deg C": "degC", "deg C": "degC", "Deg F": "degF", "deg F": "degF",
-    "inch": "in", "inches": "in", "kph": "km/h", "knots": "kn", "mb": "mbar", "hr": "h", "d": "day",
-    "L": "l", "meters/second": "m/s", "%RH": "%", "hpa": "hPa", "hour": "h", "millimeter": "mm",
+    "inch": "in", "inches": "in", "kph": "km/h", "mp/h": "mph", "knots": "kn", "mb": "mbar",
+    "L": "l", "meters/second": "m/s", "%RH": "%", "hpa": "hPa", "hour": "h", "hr": "h", "d": "day",
+    "millimeter": "mm",
 }
 _FACTOR = re.compile(r"(0\.\d+|1/\d+) ", re.ASCII)
 
