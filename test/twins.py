@@ -79,8 +79,7 @@ def record_rows(
     seconds = (np.datetime64(start, "s") + STEP_S * np.arange(len(rain))).astype(np.int64)
     day = np.arange(len(rain)) // DAY
     reference = spread_over_day(
-        hargreaves(site.latitude, dates, minimum, maximum), site.latitude, seconds, day, STEP_S,
-        site.longitude - 15 * site.utc_offset,
+        hargreaves(site.latitude, dates, minimum, maximum), site, seconds, STEP_S
     )
     x2 = site.wilting_volume + FILLED_AT_FIRST * site.available_volume
     state = State(2.5 * site.a1, x2, 0.0)

@@ -13,17 +13,14 @@ from greenroof_ros.forecast.issue import SERVICE_DELAY_H, SUFFIXES
 from greenroof_ros.forecast.skill import REAL, SKILLS
 from greenroof_ros.site.horizon import MAX_MEMBERS
 
-PERFECT = "perfect"
+MODELS = PERFECT, ERRORS, ENSEMBLE = "perfect", "errors", "ensemble"
+"""the models; an archive is named by its path"""
 FILE = "file"
-
-# Every model and its OPTIONS; an archive is named by its path.
-MODELS: dict[str, tuple[str, ...]] = {
-    PERFECT: (),
-    "errors": ("skill", "seed", "delay"),
-    "ensemble": ("skill", "seed", "members", "delay"),
+# The models that have an option, by its name.
+_MODELS_WITH = {
+    "skill": (ERRORS, ENSEMBLE), "seed": (ERRORS, ENSEMBLE), "members": (ENSEMBLE,),
+    "delay": (ERRORS, ENSEMBLE, FILE),
 }
-
-_OPTIONS_OF = {**MODELS, FILE: ("delay",)}
 
 
 @dataclass(frozen=True)
@@ -62,7 +59,8 @@ class ForecastChoice:
 
     def options(self) -> dict[str, str | float]:
         """Return those :data:`OPTIONS` of the model that are set, each with its value."""
-        values = {name: getattr(self, name) for name in _OPTIONS_OF[self.model]}
+        own = [name for name, models in _MODELS_WITH.items() if self.model in models]
+        values = {name: getattr(self, name) for name in own}
         return {name: value for name, value in values.items() if value is not None}
 
 
@@ -95,7 +93,7 @@ def choose(text: str, options: Mapping[str, Any] | None = None) -> ForecastChoic
     with rename_keys({name: f"forecast_{name}" for name in OPTIONS}):
         checked = make_record(ForecastChoice, options)
         for name, value in options.items():
-            if name not in _OPTIONS_OF[model]:
-                owners = " and ".join(each for each, names in _OPTIONS_OF.items() if name in names)
+            if model not in _MODELS_WITH[name]:
+                owners = " and ".join(_MODELS_WITH[name])
                 raise ConfigurationError(f"is an option of {owners}", key=name, value=value)
     return replace(checked, model=model, file=Path(text) if model == FILE else None)

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import from_epoch_ns, hours_since_1970, to_minutes
-from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
+from greenroof_ros.forecast.choice import ENSEMBLE, PERFECT, ForecastChoice
 from greenroof_ros.forecast.issue import ISSUE_HOURS, SERVICE_DELAY_H, IssuedForecast, read_archive
 from greenroof_ros.forecast.memo import Memo
 from greenroof_ros.forecast.skill import Climate, Skill, read_skill
@@ -457,6 +457,6 @@ def make_model(
         return FileModel(read_archive(choice.file, site, choice.delay), weather, all_members)
     if choice.model == PERFECT:
         return ForecastModel(weather)
-    members = choice.members if all_members and choice.model == "ensemble" else 1
+    members = choice.members if all_members and choice.model == ENSEMBLE else 1
     delay = SERVICE_DELAY_H if choice.delay is None else choice.delay
     return ErrorModel(weather, choice.seed, read_skill(choice.skill), members, delay)

@@ -8,6 +8,7 @@ equation (``fao56``). Hargreaves' equation requires only a day's minimum and max
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import replace
 from datetime import datetime
 
@@ -36,7 +37,6 @@ Days = NDArray[np.datetime64]
 FAO56, HARGREAVES, MONTHLY = "fao56", "hargreaves", "monthly"
 COMPUTED = (FAO56, HARGREAVES, MONTHLY)
 """methods for records without evapotranspiration, in descending order of accuracy"""
-_REQUIRED = {FAO56: FOR_EVAPOTRANSPIRATION, HARGREAVES: (TEMPERATURE,)}
 _MJ_PER_M2_AND_HOUR = 3600e-6  # per W/m2
 _LATITUDES = Range(-66.0, 66.0, "degrees")  # between the polar circles
 _METRES_PER_SECOND = 1 / 3.6  # per km/h
@@ -110,7 +110,7 @@ def compute_fao56(records: Records, site: Place) -> Values:
         ConfigurationError: if the file lacks a required quantity, if the site file lacks the
             location, or if the site is beyond a polar circle.
     """
-    site = _prepare(site, records, FAO56)
+    site = _prepare(site, records, FAO56, FOR_EVAPOTRANSPIRATION)
     site = replace(site, wind_height=records.wind_height or site.wind_height)
     values = {name: records.values[name] for name in FOR_EVAPOTRANSPIRATION}
     seconds = _find_local_seconds(records.first, records.hours, site)
@@ -158,13 +158,13 @@ def check_place(site: Place, method: str) -> None:
         )
 
 
-def _prepare(site: Place, records: Records, method: str) -> Place:
+def _prepare(site: Place, records: Records, method: str, needed: Collection[str]) -> Place:
     """Return a site with an elevation, derived from the mean pressure if unknown (Eq. 7).
 
     Raises:
         ConfigurationError: if the records or the site lack what the method requires.
     """
-    lacking = [name for name in _REQUIRED[method] if name not in records.values]
+    lacking = [name for name in needed if name not in records.values]
     if lacking:
         raise ConfigurationError(
             f"has no column '{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION].unit}]', and "
@@ -252,8 +252,7 @@ def sun_height(latitude: float, seconds: NDArray[np.int64], east_of_meridian: fl
 
 
 def spread_over_day(
-    daily: Values, latitude: float, seconds: NDArray[np.int64], day: NDArray[np.int64],
-    step_s: float, east_of_meridian: float,
+    daily: Values, site: Place, seconds: NDArray[np.int64], step_s: float
 ) -> Values:
     """Distribute daily evapotranspiration over steps in proportion to the sun's elevation.
 
@@ -261,26 +260,25 @@ def spread_over_day(
     begins.
 
     Args:
-        daily: evapotranspiration of every day (mm), shape (days,).
-        latitude: latitude (degrees, north positive).
+        daily: evapotranspiration of every day in which a step begins (mm), shape (days,).
+        site: site with its location, and the UTC offset of the clock of the steps.
         seconds: start of every step, in local standard time, shape (steps,).
-        day: index in ``daily`` of the day of every step.
         step_s: duration of a step (s).
-        east_of_meridian: longitude relative to the meridian of the clock (degrees, east positive).
 
     Returns:
         Evapotranspiration in every step (mm), shape (steps,).
     """
+    latitude, east = site.latitude or 0.0, (site.longitude or 0.0) - 15 * site.clock_offset
     # The sun's mean height in a step is the mean over parts of no more than five minutes.
     parts = math.ceil(step_s / _PART_S)
     middles = np.round((np.arange(parts) + 0.5) * step_s / parts).astype(np.int64)
     inside = (seconds[:, None] + middles[None, :]).ravel()
-    shares = sun_height(latitude, inside, east_of_meridian).reshape(-1, parts).mean(axis=1)
+    shares = sun_height(latitude, inside, east).reshape(-1, parts).mean(axis=1)
     # Totals of whole days: at the ends of a record, a day may be incomplete.
-    of_a_day = (np.arange(0, _DAY_S, _PART_S) + _PART_S // 2)[None, :]
-    first = (seconds // _DAY_S * _DAY_S)[np.searchsorted(day, np.arange(len(daily)))]
-    whole = sun_height(latitude, (first[:, None] + of_a_day).ravel(), east_of_meridian)
-    totals = whole.reshape(len(daily), -1).sum(axis=1) * _PART_S
+    days, day = np.unique(seconds // _DAY_S, return_inverse=True)
+    of_a_day = np.arange(0, _DAY_S, _PART_S) + _PART_S // 2
+    whole = sun_height(latitude, (days[:, None] * _DAY_S + of_a_day).ravel(), east)
+    totals = whole.reshape(len(days), -1).sum(axis=1) * _PART_S
     return np.asarray(daily[day] * shares * step_s / totals[day])
 
 
@@ -332,8 +330,7 @@ def spread_hargreaves(
     )
     daily = hargreaves(site.latitude or 0.0, days.astype("datetime64[D]"), minimum, maximum)
     far = np.abs(days[:, None] - at[~unknown.any(axis=0)]).min(axis=1) > _MAX_GAP_DAYS
-    east = (site.longitude or 0.0) - 15 * site.clock_offset
-    return spread_over_day(daily, site.latitude or 0.0, seconds, day, step_s, east), far[day]
+    return spread_over_day(daily, site, seconds, step_s), far[day]
 
 
 def compute_hargreaves(records: Records, site: Place) -> Values:
@@ -348,10 +345,9 @@ def compute_hargreaves(records: Records, site: Place) -> Values:
         ConfigurationError: if the file contains no temperature, if the site file lacks the
             location, or if the site is beyond a polar circle.
     """
-    site = _prepare(site, records, HARGREAVES)
-    seconds, temperature = (
-        _find_local_seconds(records.first, records.hours, site), records.values[TEMPERATURE]
-    )
+    site = _prepare(site, records, HARGREAVES, [TEMPERATURE])
+    temperature = records.values[TEMPERATURE]
+    seconds = _find_local_seconds(records.first, records.hours, site)
     days, day = np.unique(seconds // _DAY_S, return_inverse=True)
     extremes = find_extremes(day, temperature, temperature, _ENOUGH_H)
     if np.isnan(extremes).all():

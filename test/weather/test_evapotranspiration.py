@@ -206,12 +206,13 @@ def test_the_sun_stands_highest_at_noon_of_its_own_meridian() -> None:
 def test_steps_of_any_length_keep_the_sums_of_whole_days(step_s: int) -> None:
     """From noon on it is half of a day's; none falls at night; quarters of days are alike."""
     first = np.datetime64("2015-06-01T12:00", "s").astype(np.int64)
+    greenwich = replace(TORONTO, latitude=52.5, longitude=0.0, utc_offset=0.0)
 
     def over(step_s: int) -> tuple[np.ndarray, np.ndarray]:
         seconds = first + step_s * np.arange(int(2.5 * 86400) // step_s)
         day = seconds // 86400 - first // 86400
         daily = np.array([4.0, 5.0, 6.0])
-        return day, spread_over_day(daily, 52.5, seconds, day, float(step_s), 0.0)
+        return day, spread_over_day(daily, greenwich, seconds, float(step_s))
 
     day, steps = over(step_s)
     sums = np.bincount(day, steps)
