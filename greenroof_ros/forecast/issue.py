@@ -74,6 +74,7 @@ class IssuedForecast:
         values: precipitation (mm/h), shape (members, hours), and, if the file contains them,
             evapotranspiration (mm/day) and temperature (degC), shape (hours,), by quantity.
         notes: sentences about data that could not be used unchanged.
+        finest_lead: finest resolution of the lead (h); more than 1 for a day of previous runs.
     """
 
     issued: datetime
@@ -82,6 +83,7 @@ class IssuedForecast:
     line: int | None
     values: dict[str, Array]
     notes: tuple[str, ...] = ()
+    finest_lead: int = 1
 
     @property
     def rain(self) -> Array:
@@ -202,7 +204,9 @@ def _count_known(series: Array) -> NDArray[np.intp]:
 # --- archives -------------------------------------------------------------------------------------
 
 
-def read_archive(source: Path, site: Place, delay: float | None = None) -> list[IssuedForecast]:
+def read_archive(
+    source: Path, site: Place, delay: float | None = None, *, daily: bool = False
+) -> list[IssuedForecast]:
     """Return the issues of an archive, in chronological order, with equal numbers of members.
 
     An issue is known as soon as it is available, hours after its nominal time, because the model
@@ -214,39 +218,26 @@ def read_archive(source: Path, site: Place, delay: float | None = None) -> list[
         site: site that must be near the archive's position, if the archive states a position.
         delay: time from the nominal time of an issue until the issue is known (h); by default, the
             usual delay for the kind of archive.
+        daily: True for verification: previous runs are then one issue per day, at 00 UTC, whose
+            hours from 24 (N - 1) to 24 N contain the values of N. Every value is in exactly one
+            issue, on the day to which it belongs; missing values are NaN.
 
     Raises:
         ConfigurationError: if a file does not conform to its form, if the files have different
             forms, or if an issue occurs twice.
     """
-    files, own = _list_files(source)
-    issues = _join_own(files) if own else _make_issues(files, site)
-    if delay is None:
-        return issues
-    return [replace(issue, available=issue.issued + delay * HOUR) for issue in issues]
-
-
-def read_verified(source: Path, site: Place) -> tuple[list[IssuedForecast], int]:
-    """Return the issues of an archive for verification, and the finest resolution of leads (h).
-
-    Previous runs are returned as one issue per day, at 00 UTC, whose hours from 24 (N - 1) to 24 N
-    contain the values of N. Every value is then in exactly one issue, on the day to which it
-    belongs; missing values are NaN. See :func:`read_archive`.
-    """
-    files, own = _list_files(source)
-    if own:
-        return _join_own(files), 1
-    return _make_issues(files, site, daily=True), _DAY_H
-
-
-def _list_files(source: Path) -> tuple[list[Path], bool]:
-    """Return the files of an archive, and whether they are in this project's own form."""
     files = [source]
     if source.is_dir():
         files = sorted(file for file in source.iterdir() if file.suffix in SUFFIXES)
     if not files:
         raise ConfigurationError("must contain forecast files, .csv or .json", file=source)
-    return files, files[0].suffix != ".json" and read_table(files[0]).header[0] == "issued"
+    if files[0].suffix != ".json" and read_table(files[0]).header[0] == "issued":
+        issues = _join_own(files)
+    else:
+        issues = _make_issues(files, site, daily)
+    if delay is None:
+        return issues
+    return [replace(issue, available=issue.issued + delay * HOUR) for issue in issues]
 
 
 def _join_own(files: Sequence[Path]) -> list[IssuedForecast]:
@@ -399,9 +390,7 @@ def _read_previous_runs(file: Path, site: Place) -> Records:
     return read_rain(table, described, _PREVIOUS, site)
 
 
-def _make_issues(
-    files: Sequence[Path], site: Place, *, daily: bool = False
-) -> list[IssuedForecast]:
+def _make_issues(files: Sequence[Path], site: Place, daily: bool) -> list[IssuedForecast]:
     """Return the forecasts that were known at 00, 06, 12 and 18 UTC, from previous runs.
 
     With l as the lead time (h) from the issue to the end of an hour, the forecast for this hour is
@@ -411,7 +400,7 @@ def _make_issues(
     Args:
         files: files of previous runs.
         site: site that must be near the position in the files.
-        daily: True for one issue per day; see :func:`read_verified`.
+        daily: True for one issue per day; see :func:`read_archive`.
 
     Raises:
         ConfigurationError: if no issue has a known first hour.
@@ -424,19 +413,19 @@ def _make_issues(
         padded[day - 1, span:-span] = series
     leads, ages = np.arange(span), np.arange(max(days))[:, None]
     allowed = ages == leads // _DAY_H if daily else ages >= leads // _DAY_H
-    issues, since_1970 = [], hours_since_1970(previous.first)
-    for start in range(-span, previous.hours):
-        if (since_1970 + start) % (_DAY_H if daily else ISSUE_HOURS) == 0:
-            by_days = np.where(allowed, padded[:, span + start : 2 * span + start], np.nan)
-            rain = by_days[(~np.isnan(by_days)).argmax(axis=0), leads]
-            if not daily:
-                rain = rain[: _count_known(rain)]
-            if len(rain):
-                issued = previous.first + start * HOUR
-                issues.append(IssuedForecast(
-                    issued, issued + SERVICE_DELAY_H * HOUR, files[0], None,
-                    {PRECIPITATION: rain[None]},
-                ))
+    issues, every = [], _DAY_H if daily else ISSUE_HOURS
+    before = (span - hours_since_1970(previous.first)) % every  # hours before the first issue
+    for begin in range(before, span + previous.hours, every):
+        by_days = np.where(allowed, padded[:, begin : begin + span], np.nan)
+        rain = by_days[(~np.isnan(by_days)).argmax(axis=0), leads]
+        if not daily:
+            rain = rain[: _count_known(rain)]
+        if len(rain):
+            issued = previous.first + (begin - span) * HOUR
+            issues.append(IssuedForecast(
+                issued, issued + SERVICE_DELAY_H * HOUR, files[0], None,
+                {PRECIPITATION: rain[None]}, finest_lead=_DAY_H if daily else 1,
+            ))
     if not issues:
         raise ConfigurationError(
             "must contain a value for an hour that starts at 00, 06, 12 or 18 UTC", file=files[0]

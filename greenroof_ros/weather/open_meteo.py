@@ -123,9 +123,9 @@ def read_answer(file: Path, site: Place, answer: bytes | None = None) -> tuple[T
             "must be an answer of Open-Meteo for a single location, with hourly values and units",
             file=file,
         )
-    times = hourly.get(TIME) or []
-    for name, series in {TIME: times, **hourly}.items():
-        if not isinstance(series, list) or not series or len(series) != len(times):
+    columns = {TIME: [], **hourly}
+    for name, series in columns.items():
+        if not isinstance(series, list) or not series or len(series) != len(columns[TIME]):
             raise ConfigurationError(
                 "must be a list with one value for each time", file=file, key=f"hourly.{name}"
             )
@@ -139,7 +139,6 @@ def read_answer(file: Path, site: Place, answer: bytes | None = None) -> tuple[T
                     f"must be within {far:g} {limits.unit} of the site's {name}, {own:g}",
                     file=file, key=name, value=stated[name],
                 )
-    columns = {TIME: [*map(str, times)], **{name: hourly[name] for name in hourly if name != TIME}}
     rows = map(Row, itertools.count(), zip(*columns.values(), strict=True))
     return Table(file, [*columns], None, rows), Description(
         name="Open-Meteo", wind_height=10.0, rain_kind=REANALYSIS, step=3600.0,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.analysis.verification.scores import Tally
 from greenroof_ros.base.times import to_people
-from greenroof_ros.forecast.issue import read_verified
+from greenroof_ros.forecast.issue import read_archive
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.records import HOUR
 from greenroof_ros.weather.series import Weather
@@ -70,7 +70,7 @@ def read_issued_forecasts(
     Raises:
         ConfigurationError: if the archive is invalid.
     """
-    issues, finest_lead = read_verified(file, site)
+    issues = read_archive(file, site, daily=True)
     verified = [issue.align(weather.first) for issue in issues]
     first = weather.first - weather.rain_late * HOUR
     end = first + len(weather.precipitation) * HOUR
@@ -82,8 +82,8 @@ def read_issued_forecasts(
     ends = max(issue.end for issue in verified)
     return IssuedForecasts(
         str(file), len(issues[0].rain),
-        min(horizon, max((issue.hours for issue in within), default=horizon)), finest_lead,
-        f"{to_people(begins)} to {to_people(ends)}",
+        min(horizon, max((issue.hours for issue in within), default=horizon)),
+        issues[0].finest_lead, f"{to_people(begins)} to {to_people(ends)}",
         [((issue.issued - first) // HOUR, issue.rain) for issue in within],
         tuple(dict.fromkeys(note for issue in issues for note in issue.notes)),
     )
