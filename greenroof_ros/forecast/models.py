@@ -36,7 +36,6 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import from_epoch_ns, hours_since_1970, to_minutes
 from greenroof_ros.forecast.choice import ENSEMBLE, PERFECT, ForecastChoice
 from greenroof_ros.forecast.issue import ISSUE_HOURS, SERVICE_DELAY_H, IssuedForecast, read_archive
-from greenroof_ros.forecast.memo import Memo
 from greenroof_ros.forecast.skill import Climate, Skill, read_skill
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.quantities import (
@@ -306,15 +305,18 @@ class ErrorModel(ForecastModel):
         ages = np.arange(math.ceil(_FORGOTTEN * persistence / ISSUE_HOURS) + 1)
         weights = np.exp(-ages * ISSUE_HOURS / persistence)
         self._weights = weights / np.sqrt((weights**2).sum())
-        # Twice as many as an issue needs, so that none is dropped that the next issue needs, too.
-        self._drawn = Memo(self._draw, 2 * len(weights))
-        self._newest = Memo(self._make)  # one issue is needed for several hours
+        # One issue is needed for several hours, and its noise also for the following issues.
+        self._drawn: dict[tuple[int, int], tuple[Array, float]] = {}
+        self._made: dict[tuple[int, int], tuple[Array, Array]] = {}
 
     def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the forecast; see :class:`ForecastModel`."""
         _, evapotranspiration = super().forecast(hour, hours)  # rejects missing records
         issue = self._find_newest(hour)
-        rain, factor = self._newest(issue, ISSUE_HOURS - 1 + self._delay + hours)
+        key = issue, ISSUE_HOURS - 1 + self._delay + hours
+        if key not in self._made:
+            self._made = {key: self._make(*key)}
+        rain, factor = self._made[key]
         leads = slice(self._first + hour - issue, self._first + hour - issue + hours)
         dried = np.minimum(evapotranspiration * factor[leads], QUANTITIES[EVAPOTRANSPIRATION].high)
         return rain[:, leads].copy(), dried
@@ -365,11 +367,13 @@ class ErrorModel(ForecastModel):
             noise of evapotranspiration (1).
         """
         longest = hours + ISSUE_HOURS * (len(self._weights) - 1)
-        rain = np.zeros((self.members + 1, hours))
-        dry = 0.0
+        longest = math.ceil(longest / _BLOCK) * _BLOCK
+        rain, dry = np.zeros((self.members + 1, hours)), 0.0
+        drawn, self._drawn = self._drawn, {}
         for age, weight in enumerate(self._weights):
             begin = ISSUE_HOURS * age
-            noise, of_dry = self._drawn(issue - begin, -(-longest // _BLOCK) * _BLOCK)
+            key = issue - begin, longest
+            self._drawn[key] = noise, of_dry = drawn.get(key) or self._draw(*key)
             rain += weight * noise[:, begin : begin + hours]
             dry += weight * of_dry
         return rain, dry

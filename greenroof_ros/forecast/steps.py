@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from greenroof_ros.base.times import to_minutes
 from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
-from greenroof_ros.forecast.memo import Memo
 from greenroof_ros.forecast.models import ForecastModel, make_model
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
@@ -190,7 +189,7 @@ class SteppedForecast:
         self._ends, self._all_members = ends, all_members
         self._offset = (start - weather.first).total_seconds()
         self._until = self._offset + (len(series.precipitation) - site.M) * site.tau
-        self._hour_forecast = Memo(self._make_hour_forecast)
+        self._made: dict[int, HourForecast] = {}  # that of the current hour
         hours = range(int(self._offset // _HOUR_S), int(self._until // _HOUR_S) + 1)
         model.check(range(hours[0], hours[-1] + self._hours(hours[-1])))
         first_end = min((
@@ -204,7 +203,9 @@ class SteppedForecast:
         time = self._offset + tick * self._site.tau
         hour = int(time // _HOUR_S)
         measured = self._series.precipitation[tick], self._series.evapotranspiration[tick]
-        return self._hour_forecast(hour).at(time - hour * _HOUR_S, self._all_members, measured)
+        if hour not in self._made:
+            self._made = {hour: self._make_hour_forecast(hour)}
+        return self._made[hour].at(time - hour * _HOUR_S, self._all_members, measured)
 
     def _hours(self, hour: int) -> int:
         """Return the number of hours that the ticks in an hour need, including that hour."""
