@@ -33,7 +33,7 @@ THREE_HOURS = weather_of([0.2, 3.0, 7.2], first=parse_time("2021-07-07T03:00-05:
 def test_last_record_is_repeated_past_the_end(steps: int, repeats: bool) -> None:
     """The window of tick N reaches to tick N + 9; the records end with tick 10,799."""
     run = WeatherSeries(THREE_HOURS, PAPER_SITE, THREE_HOURS.first, steps)
-    window = PerfectForecast(run, 10).precipitation(steps)
+    window = PerfectForecast(run, 10).at(steps).rain
     assert list(window) == pytest.approx([2e-6] * 10, rel=1e-15)
     end = parse_time("2021-07-07T06:00-05:00")
     assert run.repeats_from == (end if repeats else None)
