@@ -137,7 +137,7 @@ def main() -> None:
         f"{forecasts.name}: {count} forecasts, compared with {weather.source}", tallies
     ))
     notes = [
-        *as_lines(summarize(weather, site)), *filter(None, [weather.rain_note]), *weather.notes,
+        *as_lines(summarize(weather, site)), *filter(None, [weather.rain_note]), *weather.left_out,
         *forecasts.notes,
     ]
     if len(notes) > _MAX_NOTES:

@@ -159,7 +159,7 @@ def _describe(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
         unknown = ""
     except ConfigurationError as error:
         weather, unknown = complete_records(measured, site, method=""), str(error)
-    for text in (*measured.applied, *measured.notes):
+    for text in (*measured.applied, *measured.left_out):
         yield "read", "", text
     yield from _describe_places(measured, site)
     last = measured.first + (measured.hours - 1) * HOUR

@@ -33,8 +33,8 @@ from greenroof_ros.weather import quantities
 from greenroof_ros.weather.description import TIME, Description
 from greenroof_ros.weather.open_meteo import read_answer, read_rain
 from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
-from greenroof_ros.weather.records import HOUR, Records, bridge_gaps, join_records
-from greenroof_ros.weather.table import Row, Table, read_table
+from greenroof_ros.weather.records import HOUR, bridge_gaps, make_hours
+from greenroof_ros.weather.table import Row, Rows, Table, read_table
 
 Array = NDArray[np.float64]
 
@@ -374,7 +374,7 @@ def write_forecasts(issues: Sequence[IssuedForecast]) -> str:
 # --- previous runs --------------------------------------------------------------------------------
 
 
-def _read_previous_runs(file: Path, site: Place) -> Records:
+def _read_previous_runs(file: Path, site: Place) -> Rows:
     """Return the precipitation by variable; values are for the hour after their time stamps."""
     if file.suffix == ".json":
         table, described = read_answer(file, site)
@@ -405,7 +405,7 @@ def _make_issues(files: Sequence[Path], site: Place, daily: bool) -> list[Issued
     Raises:
         ConfigurationError: if no issue has a known first hour.
     """
-    previous = join_records([_read_previous_runs(file, site) for file in files])
+    previous = make_hours([_read_previous_runs(file, site) for file in files])
     days = {int(name[-1]): series for name, series in previous.values.items()}
     span = _DAY_H * max(days)
     padded = np.full((max(days), previous.hours + 2 * span), np.nan)

@@ -30,10 +30,15 @@ from greenroof_ros.base.http import ServiceError, check_url, name_url, read_reas
 from greenroof_ros.base.times import to_people
 from greenroof_ros.forecast.issue import IssuedForecast, mend_forecast, write_forecasts
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.open_meteo import make_parameters, read_answer, read_rain, read_records
+from greenroof_ros.weather.open_meteo import (
+    make_parameters,
+    read_answer,
+    read_rain,
+    read_weather_rows,
+)
 from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
 from greenroof_ros.weather.read import complete_records, drop_empty, fill_long_gaps
-from greenroof_ros.weather.records import HOUR
+from greenroof_ros.weather.records import HOUR, make_hours
 
 OPEN_METEO = "open-meteo"
 """name of the service, given in place of a file of forecasts"""
@@ -114,8 +119,9 @@ def _read_issue(answer: bytes, site: Site, hour: datetime, arrived: datetime) ->
     if not answer.lstrip().startswith(b"{"):
         raise ConfigurationError(f"is not a forecast in JSON: {read_reason(answer)}")
     file = Path("answer.json")
-    records = complete_records(drop_empty(read_records(file, site, answer)), site)
-    members = read_rain(*read_answer(file, site, answer), _MEMBER, site).values
+    measured = make_hours(read_weather_rows(file, site, answer))
+    records = complete_records(drop_empty(measured), site)
+    members = make_hours([read_rain(*read_answer(file, site, answer), _MEMBER, site)]).values
     start = (hour - records.first) // HOUR
     if not 0 <= start < records.hours:
         raise ConfigurationError(f"must contain the hour from {to_people(hour)} on", file=file)

@@ -115,7 +115,7 @@ class Run:
 
     def weather_notes(self) -> list[str]:
         """Return sentences about weather and forecasts that were not used as they were found."""
-        return [*self.weather.notes, *self.series.notes, *self.forecast.notes]
+        return [*self.weather.left_out, *self.series.notes, *self.forecast.notes]
 
     @cached_property
     def without_rain_s(self) -> float:

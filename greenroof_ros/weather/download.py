@@ -38,7 +38,7 @@ from greenroof_ros.weather.description import find_service
 from greenroof_ros.weather.open_meteo import VARIABLES, make_parameters
 from greenroof_ros.weather.quantities import PRECIPITATION
 from greenroof_ros.weather.read import read_file, read_measured
-from greenroof_ros.weather.records import HOUR, Records
+from greenroof_ros.weather.records import HOUR, Records, make_hours
 
 _OPEN_METEO_URL = "https://archive-api.open-meteo.com/v1/archive"
 _ECCC_URL = "https://climate.weather.gc.ca/climate_data/bulk_data_e.html"
@@ -218,7 +218,7 @@ def _check(file: Path, source: Source, block: Block, site: Site) -> None:
         return
     url = name_url(source.url)
     try:
-        records = read_file(file, site)
+        records = make_hours(read_file(file, site))
     except ConfigurationError as error:
         if error.key in ("latitude", "longitude", "elevation", "utc_offset"):
             raise

@@ -36,7 +36,7 @@ def read_frame(frame: Any, site: Place) -> Records:
     series = {str(name): [*frame[name]] for name in frame.columns}
     if times := _list_times(frame):
         series[TIME] = times
-    return make_hours(_NAME, read_columns(_NAME, series, Description(name="data frame"), site))
+    return make_hours([read_columns(_NAME, series, Description(name="data frame"), site)])
 
 
 def read_columns(

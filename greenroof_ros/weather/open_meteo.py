@@ -33,8 +33,8 @@ from greenroof_ros.weather.quantities import (
     TEMPERATURE,
     WIND,
 )
-from greenroof_ros.weather.records import HOUR, WEATHER, Records, make_hours
-from greenroof_ros.weather.table import Row, Table, arrange
+from greenroof_ros.weather.records import HOUR, WEATHER
+from greenroof_ros.weather.table import Row, Rows, Table, arrange
 
 Values = NDArray[np.float64]
 
@@ -44,6 +44,8 @@ VARIABLES = {
 }
 """The service's variable for each of our quantities; every request names all of them."""
 _QUANTITIES = {"relative_humidity_2m": HUMIDITY} | {name: of for of, name in VARIABLES.items()}
+# Quantities whose values are for the hour before their time.
+_BEFORE = PRECIPITATION, RADIATION
 # What an answer states of its place and clock, and how far it may be from the site's: the coarsest
 # model's cell is half a degree wide; air is 2 degC colder 300 m further up.
 _STATED = {
@@ -72,8 +74,11 @@ def make_parameters(site: Site, **more: str | float) -> dict[str, str | float]:
     }
 
 
-def read_records(file: Path, site: Place, answer: bytes | None = None) -> Records:
+def read_weather_rows(file: Path, site: Place, answer: bytes | None = None) -> list[Rows]:
     """Read past weather, which is from a weather model; see :func:`read_answer`.
+
+    Returns:
+        The rows whose times are starts, and those of rain and radiation, whose times are ends.
 
     Raises:
         ConfigurationError: if the file is not such an answer, contains no precipitation, or is for
@@ -88,14 +93,11 @@ def read_records(file: Path, site: Place, answer: bytes | None = None) -> Record
         described, units={quantity: described.units[name] for quantity, name in used.items()},
         columns={TIME: (TIME,), **{quantity: (name,) for quantity, name in used.items()}},
     )
-    records = make_hours(file, arrange(table, described, site, WEATHER))
-    shifted = tuple(name for name in (PRECIPITATION, RADIATION) if name in records.values)
-    # One more hour: the hour before the first time has only rain and radiation, the last has
-    # neither.
-    return replace(records, first=records.first - HOUR, shifted=shifted, values={
-        name: np.append(series, np.nan) if name in shifted else np.append(np.nan, series)
-        for name, series in records.values.items()
-    })
+    rows = arrange(table, described, site, WEATHER)
+    ends = {name: rows.values.pop(name) for name in _BEFORE if name in rows.values}
+    return [rows] * bool(rows.values) + [replace(
+        rows, first=rows.first - HOUR, values=ends, described=replace(described, rows=END),
+    )]
 
 
 def read_answer(file: Path, site: Place, answer: bytes | None = None) -> tuple[Table, Description]:
@@ -148,7 +150,7 @@ def read_answer(file: Path, site: Place, answer: bytes | None = None) -> tuple[T
     )
 
 
-def read_rain(table: Table, described: Description, names: re.Pattern[str], site: Place) -> Records:
+def read_rain(table: Table, described: Description, names: re.Pattern[str], site: Place) -> Rows:
     """Return the rain (mm/h) in each column with one of the names, by the name of the column.
 
     Args:
@@ -158,18 +160,17 @@ def read_rain(table: Table, described: Description, names: re.Pattern[str], site
         site: the site.
 
     Raises:
-        ConfigurationError: as for :func:`read_records`.
+        ConfigurationError: as for :func:`read_weather_rows`.
     """
-    rows, series = [*table.rows], dict[str, Values]()
+    cells, series = [*table.rows], dict[str, Values]()
     for name in filter(names.fullmatch, table.header):
-        table.rows = iter(rows)
-        of_name = replace(
+        table.rows = iter(cells)
+        rows = arrange(table, replace(
             described, columns={TIME: (table.header[0],), PRECIPITATION: (name,)},
             units={PRECIPITATION: described.units[name]}, rows=END,
-        )
-        records = make_hours(table.file, arrange(table, of_name, site, [PRECIPITATION]))
-        series[name] = records.values[PRECIPITATION]
-    return replace(records, values=series)
+        ), site, [PRECIPITATION])
+        series[name] = rows.values[PRECIPITATION]
+    return replace(rows, values=series)
 
 
 def _find_unit(variable: str, unit: object) -> str:

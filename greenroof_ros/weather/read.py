@@ -20,12 +20,11 @@ from greenroof_ros.weather.records import (
     WEATHER,
     Records,
     bridge_gaps,
-    join_records,
     make_hours,
     write_records,
 )
 from greenroof_ros.weather.series import FILL, REFUSE, Weather
-from greenroof_ros.weather.table import read_rows
+from greenroof_ros.weather.table import Rows, read_rows
 
 Array = NDArray[np.float64]
 
@@ -47,17 +46,17 @@ def default_weather() -> Path:
     return shared_directory() / "config" / "weather" / "toronto_2021-07.csv"
 
 
-def read_file(file: Path, site: Place, described: Description | None = None) -> Records:
-    """Return the records of a weather file; see :func:`.table.read_rows`.
+def read_file(file: Path, site: Place, described: Description | None = None) -> list[Rows]:
+    """Return the rows of a weather file; see :func:`.table.read_rows`.
 
-    JSON is read as an answer of Open-Meteo.
+    JSON is read as an answer of Open-Meteo, whose rain has rows of its own.
 
     Raises:
         ConfigurationError: if the file does not conform to its description.
     """
     if file.suffix == ".json" and described is None:
-        return open_meteo.read_records(file, site)
-    return make_hours(file, read_rows(file, site, WEATHER, described))
+        return open_meteo.read_weather_rows(file, site)
+    return [read_rows(file, site, WEATHER, described)]
 
 
 def read_measured(
@@ -73,8 +72,8 @@ def read_measured(
     Raises:
         ConfigurationError: if a file cannot be parsed, or if two files overlap.
     """
-    joined = join_records([
-        read_file(file, site, own or described) for file, own in _expand(files)
+    joined = make_hours([
+        rows for file, own in _expand(files) for rows in read_file(file, site, own or described)
     ])
     if PRECIPITATION not in joined.values:
         raise ConfigurationError(
@@ -231,8 +230,8 @@ def _drop_partial_hours(records: Records) -> Records:
     known = ~np.isnan([series[[0, -1]] for series in records.values.values()])
     rain = list(records.values).index(PRECIPITATION)
     partial = records.parts_of_hours[[0, -1]] & ~known[rain]
-    if moved.any():
-        partial |= ~known[~moved, 0].any() & ~moved.all(), ~known[moved, 1].any()
+    if moved.any() and not moved.all():
+        partial |= ~known[~moved, 0].any(), ~known[moved, 1].any()
     begin, end = int(partial[0]), records.hours - int(partial[1])
     return records.cut(begin, end) if end > begin else records
 

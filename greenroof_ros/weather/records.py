@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import duration, to_minutes
-from greenroof_ros.weather.description import PLACE
+from greenroof_ros.weather.description import END, PLACE
 from greenroof_ros.weather.quantities import (
     DEW_POINT,
     EVAPOTRANSPIRATION,
@@ -31,7 +31,9 @@ Array = NDArray[np.float64]
 HOUR = timedelta(hours=1)
 # Minimum share of an hour for which rain must be known; other quantities need only one value.
 _ENOUGH = 0.75
-_MINUTE, _MINUTES = timedelta(minutes=1), "minutes"
+_MINUTE, _HOUR_S = timedelta(minutes=1), 3600.0
+# Rounding errors of times (s).
+_ROUNDING_S = 1e-6
 WEATHER = [name for name in QUANTITIES if name not in ROOF]
 """the quantities of weather"""
 
@@ -47,8 +49,7 @@ class Records:
             are the quantities of :data:`.quantities.QUANTITIES` that the files contain, with the
             units of that table, or the columns of forecasts.
         method: method of the evapotranspiration; empty if the values contain no evapotranspiration.
-        shifted: quantities with time stamps at the end of the hour in the files, which were moved
-            to its start.
+        shifted: quantities whose time stamps in the files are the ends of rows.
         rain_late: delay of the rain's time stamps (h): 1 if they are at the end of the hour in the
             files and the rain was not moved to the start, otherwise 0.
         filled: mask of the hours that were missing and have been filled, by quantity, shape
@@ -100,11 +101,6 @@ class Records:
         minutes = rain if self.minutes is None else self.minutes
         return np.where(np.isnan(minutes), rain, minutes)
 
-    @property
-    def arrays(self) -> dict[str, Array]:
-        """The values of every quantity and, if known, the rain of minutes, under ``minutes``."""
-        return self.values if self.minutes is None else {**self.values, _MINUTES: self.minutes}
-
     def cut(self, begin: int, end: int) -> Self:
         """Return the hours from one to another (exclusive)."""
         return replace(
@@ -125,16 +121,6 @@ class Records:
             f"rain is from a {self.rain_kind}, whose values are means over a grid cell; its "
             "peaks are lower than those of a rain gauge, so overflow, discharge and peak runoff "
             "are underestimated"
-        )
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Notes about changes to the values of the files, except the filling of gaps."""
-        if not self.shifted:
-            return self.left_out
-        return (
-            f"{' and '.join(self.shifted)} in the files are for the hour before the time stamp, "
-            "and were moved back by one hour", *self.left_out,
         )
 
 
@@ -203,156 +189,131 @@ def name_hours(first: datetime, marks: NDArray[np.bool_]) -> list[str]:
     ]
 
 
-def join_records(parts: Sequence[Records]) -> Records:
-    """Join the records of more than one file.
-
-    The files may have the same quantities, or some of them other quantities. A value that is in no
-    file is missing (NaN). No value may be in more than one file, except in an hour that a file
-    covers only in part. In such an hour, the values of other files take precedence, and the rain is
-    computed from the minutes of all files. If the hours of a file begin at a different minute from
-    those of the first file, each value becomes the mean of the two hours that it overlaps, and
-    values from other files take precedence.
-
-    Raises:
-        ConfigurationError: if two files have values for the same time, only some quantities in
-            common, different methods of evapotranspiration or different conventions for time
-            stamps. The message names both files.
-    """
-    given = sorted(parts, key=lambda part: part.first)
-    first = given[0]
-    for part in given:
-        _check_same_kind(next(other for other in given if other.values.keys() & part.values), part)
-    parts = [_shift_to_hours_of(first, part) for part in given]
-    begins = [(part.first - first.first) // HOUR for part in parts]
-    hours = max(begin + part.hours for begin, part in zip(begins, parts, strict=True))
-    values = {
-        name: np.full((hours, *series.shape[1:]), np.nan)
-        for part in parts for name, series in part.arrays.items()
-    }
-    for certain in (True, False):
-        for begin, part, own in zip(begins, parts, given, strict=True):
-            whole = np.full(part.hours, part is own) & ~part.parts_of_hours
-            for name, series in part.arrays.items():
-                joined = values[name][begin : begin + part.hours]
-                known = ~np.isnan(series)
-                if certain and name != _MINUTES:
-                    known &= whole
-                both = np.argwhere(known & ~np.isnan(joined))
-                if certain and both.size:
-                    raise _refuse_overlap(parts, part, name, both[0].tolist())
-                np.copyto(joined, series, where=known & np.isnan(joined))
-    minutes = values.pop(_MINUTES, None)
-    if minutes is not None:
-        means = average_minutes(minutes)
-        np.copyto(values[PRECIPITATION], means, where=~np.isnan(means))
-        minutes[np.isnan(means) & ~np.isnan(values[PRECIPITATION])] = np.nan
-    parts = sorted(parts, key=lambda part: part.first)
-    files, shifted, left_out, applied = (
-        tuple(dict.fromkeys(each for part in parts for each in getattr(part, name)))
-        for name in ("files", "shifted", "left_out", "applied")
-    )
-    return Records(
-        files, first.first, values, max(part.method for part in parts), shifted,
-        max(part.rain_late for part in parts), left_out=left_out, applied=applied, minutes=minutes,
-        rain_kind=max(part.rain_kind for part in parts),
-        places={file: place for part in parts for file, place in part.places.items()},
-        wind_height=min(parts, key=lambda part: WIND not in part.values).wind_height,
-    )
-
-
-def _refuse_overlap(
-    parts: Sequence[Records], part: Records, name: str, index: Sequence[int]
-) -> ConfigurationError:
-    """Return the error about a value of a part that is also in one of the other parts."""
-    time = part.first + index[0] * HOUR + sum(index[1:]) * _MINUTE
-    other = next(
-        each for each in parts
-        if each is not part and name in each.arrays
-        and each.first <= time < each.first + each.hours * HOUR
-    )
-    return ConfigurationError(
-        f"is also in {other.source}: files must not overlap", file=part.source,
-        key=f"{PRECIPITATION if name == _MINUTES else name} at {to_minutes(time)}",
-    )
-
-
-def _check_same_kind(first: Records, part: Records) -> None:
-    expected, present = ({
-        "quantities": ", ".join(sorted(each.values)),
-        "method of evapotranspiration": each.method or "none",
-        "quantities for the hour before the time stamp": ", ".join(each.shifted) or "none",
-        "delay of the rain": f"{each.rain_late} h",
-    } for each in (first, part))
-    for aspect, text in expected.items():
-        if text != present[aspect]:
-            raise ConfigurationError(
-                f"must have the same {aspect} as {first.source}, {text}; it has {present[aspect]}",
-                file=part.source,
-            )
-
-
-def _shift_to_hours_of(first: Records, part: Records) -> Records:
-    """Shift records to hours that begin at the same minute as those of the first records."""
-    late = (part.first - first.first) % HOUR
-    if not late:
-        return part
-    share, late_min, minutes = late / HOUR, late // _MINUTE, part.minutes
-    values = {
-        name: share * np.append(np.nan, series) + (1 - share) * np.append(series, np.nan)
-        for name, series in part.values.items()
-    }
-    if minutes is not None:
-        edge = late_min, 60 - late_min
-        minutes = np.pad(minutes.ravel(), edge, constant_values=np.nan).reshape(-1, 60)
-        values[PRECIPITATION] = average_minutes(minutes)
-    shifted = replace(
-        part, first=part.first - late, minutes=minutes, values=values,
-        left_out=(*part.left_out, (
-            f"{part.source}: hours begin {late_min} min after those of {first.source}; "
-            "each value is the mean of the two hours that it overlaps"
-        )),
-    )
-    # Of its first and last hour, a part may know nothing.
-    known = np.count_nonzero(~np.isnan(np.column_stack([*shifted.arrays.values()])), axis=1)
-    return shifted.cut(int(known[0] == 0), shifted.hours - int(known[-1] == 0))
-
-
 # --- rows ----------------------------------------------------------------------------------------
 
 
-def make_hours(file: Path, rows: Rows) -> Records:
-    """Return hourly records from rows.
+def make_hours(parts: Sequence[Rows]) -> Records:
+    """Return hourly records from the rows of one or more files.
 
-    The values of each hour are for the hour that starts at its time stamp. If rows are less than
-    one hour apart, rain is stored in minutes, and the rain of an hour is the mean of its minutes;
-    the rain of an hour is missing if less than 0.75 of the minutes are known. Other quantities are
-    averaged over the clock hours in which the rows begin.
+    The values of each hour are for the hour that starts at its time stamp. Hours begin at the full
+    hour, or at the minute at which those of the first file begin if its rows are one hour apart. A
+    row that begins in one hour and ends in the next counts in both, by its share. A value that is
+    in no file is missing (NaN). If rows of rain are less than one hour apart, rain is stored in
+    minutes, and the rain of an hour is the mean of its minutes, of which 0.75 must be known.
+
+    Args:
+        parts: rows of files. The files may have the same quantities, or some of them other
+            quantities.
 
     Raises:
-        ConfigurationError: if the rows are more than one hour apart, or no column is weather.
+        ConfigurationError: if the rows of a file are more than one hour apart, or no column is
+            weather; if two files have values for the same time, only some quantities in common or
+            different methods of evapotranspiration. The message names both files.
     """
-    if not rows.values:
-        raise rows.table.refuse("must have a column of weather, such as 'rain [mm]'")
-    if rows.step_s > 3600:
-        raise rows.table.refuse(f"rows must be at most one hour apart, not {duration(rows.step_s)}")
-    first, begins, minutes = rows.first, rows.step_s * rows.steps.astype(np.float64), None
-    if rows.step_s < 3600:
+    parts = sorted(parts, key=lambda rows: rows.begins[0])
+    for rows in parts:
+        if not rows.values:
+            raise rows.table.refuse("must have a column of weather, such as 'rain [mm]'")
+        if rows.step_s > _HOUR_S:
+            apart = duration(rows.step_s)
+            raise rows.table.refuse(f"rows must be at most one hour apart, not {apart}")
+        _check_same_kind(next(each for each in parts if each.values.keys() & rows.values), rows)
+    first = parts[0].first
+    if parts[0].step_s < _HOUR_S:
         first = first.replace(minute=0, second=0, microsecond=0)
-        begins += (rows.first - first).total_seconds()
-    of_rows, count = (begins // 3600).astype(np.intp), math.ceil((begins[-1] + rows.step_s) / 3600)
-    values = {name: _average_hours(series, of_rows, count) for name, series in rows.values.items()}
-    if rows.step_s < 3600 and PRECIPITATION in values:
-        minutes = _spread_over_minutes(rows.values[PRECIPITATION], begins, rows.step_s, count)
-        values[PRECIPITATION] = average_minutes(minutes)
-    about = rows.described
-    place: Any = about.latitude, about.longitude
+    hours, values, minutes = _count_hours(parts, first), dict[str, Array](), None
+    for name in dict.fromkeys(name for rows in parts for name in rows.values):
+        joined = _join(parts, name, first)
+        values[name] = _average_hours(*joined, hours)
+        if name == PRECIPITATION and (joined[1] < _HOUR_S).any():
+            minutes = _spread_over_minutes(*joined, hours)
+            values[name] = average_minutes(minutes)
+    applied, ends = dict[str, list[Path]](), set[str]()
+    for rows in parts:
+        applied.setdefault(describe_rows(rows), []).append(rows.table.file)
+        ends |= rows.values.keys() if rows.described.rows == END else set()
+    about = [rows.described for rows in parts]
     return Records(
-        (file,), first, add_dew_point(values), rows.method,
-        rain_late=about.rain_late, applied=(describe_rows(rows),),
-        places={} if None in place else {file: place},
-        wind_height=about.wind_height, minutes=minutes,
-        rain_kind=about.rain_kind if PRECIPITATION in values else "",
+        tuple(dict.fromkeys(rows.table.file for rows in parts)), first, add_dew_point(values),
+        max(rows.method for rows in parts),
+        shifted=tuple(name for name in values if name in ends),
+        rain_late=max(each.rain_late for each in about),
+        left_out=tuple(_note_shifts(parts, first)),
+        places={
+            rows.table.file: (each.latitude, each.longitude)
+            for rows, each in zip(parts, about, strict=True)
+            if each.latitude is not None and each.longitude is not None
+        },
+        wind_height=min(parts, key=lambda rows: WIND not in rows.values).described.wind_height,
+        minutes=minutes,
+        rain_kind=max(rows.described.rain_kind for rows in parts if PRECIPITATION in rows.values),
+        applied=tuple(
+            text if len(applied) == 1 else f"{name_files(files)}: {text}"
+            for text, files in applied.items()
+        ),
     )
+
+
+def _check_same_kind(first: Rows, rows: Rows) -> None:
+    expected, present = ({
+        "quantities": ", ".join(sorted(each.values)),
+        "method of evapotranspiration": each.method or "none",
+        "delay of the rain": f"{each.described.rain_late} h",
+    } for each in (first, rows))
+    for aspect, text in expected.items():
+        if text != present[aspect]:
+            raise ConfigurationError(
+                f"must have the same {aspect} as {first.table.file}, {text}; it has "
+                f"{present[aspect]}", file=rows.table.file,
+            )
+
+
+def _count_hours(parts: Sequence[Rows], first: datetime) -> int:
+    """Return the number of hours up to the last of which the rows know enough."""
+    counts = list[int]()
+    for rows in parts:
+        end = float(rows.begins[-1] - first.timestamp() + rows.step_s) / _HOUR_S
+        counts.append(math.ceil(end) if rows.step_s < _HOUR_S else math.floor(end + 1 - _ENOUGH))
+    return max(counts)
+
+
+def _note_shifts(parts: Sequence[Rows], first: datetime) -> Iterator[str]:
+    """Yield a sentence about each file whose hours begin at another minute than the first's."""
+    for rows in parts:
+        late = (rows.first - first) % HOUR // _MINUTE
+        if late and rows.step_s == _HOUR_S:
+            yield (
+                f"{rows.table.file}: hours begin {late} min after those of {parts[0].table.file}; "
+                "each value is the mean of the two hours that it overlaps"
+            )
+
+
+def _join(parts: Sequence[Rows], name: str, first: datetime) -> tuple[Array, Array, Array]:
+    """Return the known values of a quantity in the rows of all files, in chronological order.
+
+    Returns:
+        Starts of the rows (s from the first hour), their durations (s), and the values.
+
+    Raises:
+        ConfigurationError: if two files have values for the same time.
+    """
+    own = [rows for rows in parts if name in rows.values]
+    begins = np.concatenate([rows.begins for rows in own]) - first.timestamp()
+    sizes = [len(rows.steps) for rows in own]
+    seconds, files = (np.repeat(each, sizes) for each in ([r.step_s for r in own], range(len(own))))
+    values = np.concatenate([rows.values[name] for rows in own])
+    order = np.argsort(begins, kind="stable")
+    order = order[~np.isnan(values[order])]
+    begins, seconds, files, values = (each[order] for each in (begins, seconds, files, values))
+    twice = np.flatnonzero(begins[1:] < begins[:-1] + seconds[:-1] - _ROUNDING_S)
+    if twice.size:
+        one, other = files[twice[0] : twice[0] + 2]
+        time = first + timedelta(seconds=begins[twice[0] + 1])
+        raise ConfigurationError(
+            f"is also in {own[one].table.file}: files must not overlap",
+            file=own[other].table.file, key=f"{name} at {to_minutes(time)}",
+        )
+    return begins, seconds, values
 
 
 def describe_rows(rows: Rows) -> str:
@@ -367,37 +328,43 @@ def describe_rows(rows: Rows) -> str:
     )
 
 
-def _spread_over_minutes(rain: Array, begins: Array, step_s: float, hours: int) -> Array:
+def _spread_over_minutes(begins: Array, seconds: Array, rain: Array, hours: int) -> Array:
     """Return the mean rain in every minute, shape (hours, 60); NaN in minutes without a row.
 
     Args:
-        rain: rain in the rows (mm/h), NaN if missing.
         begins: starts of the rows relative to the first hour (s).
-        step_s: interval of a row (s).
+        seconds: durations of the rows (s).
+        rain: rain in the rows (mm/h).
         hours: number of hours.
     """
-    known = ~np.isnan(rain)
-    edges = np.maximum.accumulate(np.stack((begins, begins + step_s), axis=1)[known].ravel())
+    edges = np.maximum.accumulate(np.stack((begins, begins + seconds), axis=1).ravel())
     seconds, minutes = np.diff(edges)[::2], 60 * np.arange(60 * hours + 1)
     sums = np.zeros((2, len(edges)))
-    sums[:, 1::2] = rain[known] * seconds, seconds
+    sums[:, 1::2] = rain * seconds, seconds
     fallen, there = (np.diff(np.interp(minutes, edges, each)) for each in sums.cumsum(axis=1))
-    rates = np.divide(fallen, there, out=np.full(len(there), math.nan), where=there > 1e-6)
+    rates = np.divide(fallen, there, out=np.full(len(there), math.nan), where=there > _ROUNDING_S)
     # Sums of binary numbers are rounded.
     return np.asarray(np.round(rates, 9).reshape(hours, 60))
 
 
-def _average_hours(series: Array, hours: NDArray[np.intp], count: int) -> Array:
-    """Return the mean of the rows in every hour, shape (count,); NaN in hours without rows.
+def _average_hours(begins: Array, seconds: Array, values: Array, hours: int) -> Array:
+    """Return the mean of the rows in every hour, shape (hours,); NaN in hours without a row.
 
     Args:
-        series: values of the rows, NaN if missing.
-        hours: indices of the hours in which the rows begin.
-        count: number of hours.
+        begins: as for :func:`_spread_over_minutes`.
+        seconds: as for :func:`_spread_over_minutes`.
+        values: values of the rows.
+        hours: number of hours.
     """
-    rows = np.bincount(hours, ~np.isnan(series), count)
-    total = np.bincount(hours, np.nan_to_num(series), count)
-    means = np.divide(total, rows, out=np.full(count, math.nan), where=rows > 0)
+    of_begin = (begins // _HOUR_S).astype(np.intp)
+    of_end = ((begins + seconds - _ROUNDING_S) // _HOUR_S).astype(np.intp)
+    late = np.where(of_end > of_begin, begins + seconds - _HOUR_S * of_end, 0.0) / seconds
+    rows, total = (
+        np.bincount(of_begin, (1 - late) * each, hours)[:hours]
+        + np.bincount(of_end, late * each, hours)[:hours]
+        for each in (np.ones(len(values)), values)
+    )
+    means = np.divide(total, rows, out=np.full(hours, math.nan), where=rows >= _ENOUGH)
     # Tenths do not add up exactly in binary numbers.
     return np.asarray(np.where(rows > 1, np.round(means, 9), means))
 

@@ -231,6 +231,11 @@ class Rows:
     values: dict[str, Values]
     ignored: tuple[str, ...]
 
+    @property
+    def begins(self) -> Values:
+        """Starts of the rows (s since 1970)."""
+        return np.asarray(self.first.timestamp() + self.step_s * self.steps)
+
 
 def read_rows(
     file: Path, site: Place, wanted: Collection[str], described: Description | None = None

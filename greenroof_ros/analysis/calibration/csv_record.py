@@ -114,7 +114,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
         last_decimal=last_decimal, cistern=series.get("cistern level"),
         command=series.get("pump state"),
         reference_column=columns[EVAPOTRANSPIRATION][0] if measured else "",
-        contents=_show(file, rows, site),
+        contents=_show(rows, site),
     )
     counts = select_months(record, months)
     if measured:
@@ -124,11 +124,11 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
     return replace(record, reference=reference)
 
 
-def _show(file: Path, rows: Rows, site: Site) -> tuple[str, ...]:
+def _show(rows: Rows, site: Site) -> tuple[str, ...]:
     """Return what the record contains; of rows longer than an hour, only how they were read."""
     if rows.step_s > HOUR_S:
         return (describe_rows(rows),)
-    return tuple(as_lines(summarize(make_hours(file, rows), site)))
+    return tuple(as_lines(summarize(make_hours([rows]), site)))
 
 
 def _find_last_decimal(values: Values) -> float:

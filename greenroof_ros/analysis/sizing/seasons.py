@@ -136,7 +136,7 @@ def list_notes(runs: Mapping[str, Run], site: Site) -> list[str]:
         site: the user's site, because a note on the duration of a tick must refer to this site.
     """
     own = (replace(run, site=site) for run in runs.values())
-    notes = [note for run in own for note in (*run.weather.notes, *run.notes())]
+    notes = [note for run in own for note in (*run.weather.left_out, *run.notes())]
     notes += [note for run in runs.values() for note in run.series.summary["notes"]]
     for quantity in (PRECIPITATION, *FOR_EVAPOTRANSPIRATION):
         hours = {name: run.series.filled_counts.get(quantity, 0) for name, run in runs.items()}
