@@ -30,11 +30,11 @@ from greenroof_ros.base.times import hours_since_1970, parse_time, to_minutes
 from greenroof_ros.site.horizon import MAX_MEMBERS
 from greenroof_ros.site.site import Place
 from greenroof_ros.weather import quantities
-from greenroof_ros.weather.description import TIME, Description
-from greenroof_ros.weather.open_meteo import read_answer, read_rain
+from greenroof_ros.weather.description import END, TIME, Description
+from greenroof_ros.weather.open_meteo import read_answer
 from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
 from greenroof_ros.weather.records import HOUR, bridge_gaps, make_hours
-from greenroof_ros.weather.table import Row, Rows, Table, read_table
+from greenroof_ros.weather.table import Row, Rows, Table, arrange, read_table
 
 Array = NDArray[np.float64]
 
@@ -371,7 +371,7 @@ def write_forecasts(issues: Sequence[IssuedForecast]) -> str:
     return "\n".join([*lines, ""])
 
 
-# --- previous runs --------------------------------------------------------------------------------
+# --- previous runs and members --------------------------------------------------------------------
 
 
 def _read_previous_runs(file: Path, site: Place) -> Rows:
@@ -388,6 +388,30 @@ def _read_previous_runs(file: Path, site: Place) -> Rows:
             "must begin with issued, or with time and precipitation_previous_day1 and so on", first
         )
     return read_rain(table, described, _PREVIOUS, site)
+
+
+def read_rain(table: Table, described: Description, names: re.Pattern[str], site: Place) -> Rows:
+    """Return the rain (mm/h) in each column with one of the names, by the name of the column.
+
+    Args:
+        table: table whose first column contains the ends of the hours.
+        described: description of the table, with the unit of each column.
+        names: pattern of the names, of which the table has at least one.
+        site: the site.
+
+    Raises:
+        ConfigurationError: if the rows or the values are invalid; see :func:`.table.arrange`.
+    """
+    cells, series = [*table.rows], dict[str, Array]()
+    for name in filter(names.fullmatch, table.header):
+        table.rows = iter(cells)
+        of_name = replace(
+            described, columns={TIME: (table.header[0],), PRECIPITATION: (name,)},
+            units={PRECIPITATION: described.units[name]}, rows=END,
+        )
+        rows = arrange(table, of_name, site, [PRECIPITATION])
+        series[name] = rows.values[PRECIPITATION]
+    return replace(rows, values=series)
 
 
 def _make_issues(files: Sequence[Path], site: Place, daily: bool) -> list[IssuedForecast]:

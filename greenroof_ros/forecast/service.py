@@ -28,14 +28,9 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import replace_text
 from greenroof_ros.base.http import ServiceError, check_url, name_url, read_reason, request
 from greenroof_ros.base.times import to_people
-from greenroof_ros.forecast.issue import IssuedForecast, mend_forecast, write_forecasts
+from greenroof_ros.forecast.issue import IssuedForecast, mend_forecast, read_rain, write_forecasts
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.open_meteo import (
-    make_parameters,
-    read_answer,
-    read_rain,
-    read_weather_rows,
-)
+from greenroof_ros.weather.open_meteo import make_parameters, read_answer, read_weather_rows
 from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
 from greenroof_ros.weather.read import complete_records, drop_empty, fill_long_gaps
 from greenroof_ros.weather.records import HOUR, make_hours

@@ -11,18 +11,16 @@ from __future__ import annotations
 
 import itertools
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import read_text
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.site.site import Place, Site
-from greenroof_ros.weather.description import END, REANALYSIS, TIME, Description
+from greenroof_ros.weather.description import REANALYSIS, TIME, Description
 from greenroof_ros.weather.quantities import (
     DEW_POINT,
     HUMIDITY,
@@ -35,8 +33,6 @@ from greenroof_ros.weather.quantities import (
 )
 from greenroof_ros.weather.records import HOUR, WEATHER
 from greenroof_ros.weather.table import Row, Rows, Table, arrange
-
-Values = NDArray[np.float64]
 
 VARIABLES = {
     PRECIPITATION: PRECIPITATION, TEMPERATURE: "temperature_2m", DEW_POINT: "dew_point_2m",
@@ -148,29 +144,6 @@ def read_answer(file: Path, site: Place, answer: bytes | None = None) -> tuple[T
         utc_offset=stated.get("utc_offset_seconds", 0.0) / 3600,
         latitude=stated.get("latitude"), longitude=stated.get("longitude"),
     )
-
-
-def read_rain(table: Table, described: Description, names: re.Pattern[str], site: Place) -> Rows:
-    """Return the rain (mm/h) in each column with one of the names, by the name of the column.
-
-    Args:
-        table: table whose first column contains the ends of the hours.
-        described: description of the table, with the unit of each column.
-        names: pattern of the names, of which the table has at least one.
-        site: the site.
-
-    Raises:
-        ConfigurationError: as for :func:`read_weather_rows`.
-    """
-    cells, series = [*table.rows], dict[str, Values]()
-    for name in filter(names.fullmatch, table.header):
-        table.rows = iter(cells)
-        rows = arrange(table, replace(
-            described, columns={TIME: (table.header[0],), PRECIPITATION: (name,)},
-            units={PRECIPITATION: described.units[name]}, rows=END,
-        ), site, [PRECIPITATION])
-        series[name] = rows.values[PRECIPITATION]
-    return replace(rows, values=series)
 
 
 def _find_unit(variable: str, unit: object) -> str:
