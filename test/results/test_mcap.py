@@ -26,10 +26,10 @@ def ours(steps: list[Step]) -> bytes:
     types, topics = count(1), count(1)
 
     def add_schema(name: str, encoding: str, data: bytes) -> None:
-        writer.add_schema(Schema(next(types), data, encoding, name))
+        writer.add(Schema(next(types), data, encoding, name))
 
     def add_channel(topic: str, encoding: str, schema: int, metadata: dict[str, str]) -> None:
-        writer.add_channel(Channel(next(topics), topic, encoding, metadata, schema))
+        writer.add(Channel(next(topics), topic, encoding, metadata, schema))
 
     perform(steps, add_schema, add_channel, writer.add_message, writer.flush)
     writer.finish()
