@@ -171,15 +171,15 @@ def read_record(
     content = read_yaml(file)
     try:
         record = make_record(kind, content)
+        for key, expected in mistakes(record, content):
+            place = find(content, key)[1]
+            value = None if isinstance(place, (list, YamlMapping)) else place
+            raise ConfigurationError(expected, key=key, value=value)
     except ConfigurationError as error:
         line = find(content, error.key or "")[0] or min(content.lines.values(), default=None)
         raise ConfigurationError(
             error.expected, file=file, line=line, key=error.key, value=error.value
         ) from None
-    for key, expected in mistakes(record, content):
-        line, place = find(content, key)
-        value = None if isinstance(place, (list, YamlMapping)) else place
-        raise ConfigurationError(expected, file=file, line=line, key=key, value=value)
     return record
 
 
