@@ -69,8 +69,8 @@ TOPICS: list[Step] = [
 
 @pytest.mark.parametrize("largest", [0, 8, 2000, 3 * 2**20])
 def test_a_file_is_the_librarys(largest: int) -> None:
-    """For any input: times out of order, gaps, late topics, equal or huge messages, flushes."""
-    random, steps = Random(largest), list(TOPICS)
+    """For any input: time 0, disorder, gaps, late topics, equal or huge messages, flushes."""
+    random, steps = Random(largest), [*TOPICS, (1, 0, b"", 0, 0)]  # of the earliest time
     for number in range(1000 if largest < 2**20 else 12):
         if number % 7 == 6:
             steps.append(None)
