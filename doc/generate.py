@@ -42,7 +42,7 @@ from greenroof_ros.analysis.district.district_file import (
     Orifice,
 )
 from greenroof_ros.base.files import parse_yaml, read_text, read_yaml, shared_directory
-from greenroof_ros.base.parameter import Key, Parameter, Word, keys, parameters_of
+from greenroof_ros.base.parameter import Parameter, Word, parameters_of
 from greenroof_ros.controllers.outlet import PARAMETERS
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.interface.alarm import Alarm
@@ -334,7 +334,7 @@ _RELAY_PARTS = {
 }
 
 
-def _kind(key: Key) -> str:
+def _kind(key: Parameter) -> str:
     """Return the kinds of values that a key of a file accepts."""
     names = {
         str: "text", int: "whole number", float: "number", Word: "word", tuple: "list",
@@ -378,16 +378,16 @@ def district_file() -> str:
 def _keys(parts: Mapping[str, Any]) -> str:
     """Return every key of the parts of a file."""
 
-    def holds(key: Key) -> str:
-        choices = (f"`{choice}`" for choice in key.entry.among if choice)
-        unit = "" if key.entry.unit == "1" else key.entry.unit
-        limits = " ".join(filter(None, (key.entry.range.limits, unit)))
+    def holds(key: Parameter) -> str:
+        choices = (f"`{choice}`" for choice in key.among if choice)
+        unit = "" if key.unit == "1" else key.unit
+        limits = " ".join(filter(None, (key.range.limits, unit)))
         accepted = ", ".join(filter(None, (limits, *choices)))
         return "; ".join(filter(None, (_kind(key), accepted, "optional" * key.optional)))
 
     return "\n".join(
         f"### {title[0].upper()}{title[1:]}\n\n"
-        + entries((f"`{key.name}`", holds(key), key.entry.meaning) for key in keys(kind))
+        + entries((f"`{key.name}`", holds(key), key.meaning) for key in parameters_of(kind))
         for title, kind in parts.items()
     )
 
@@ -537,10 +537,10 @@ def quantities() -> str:
 def description() -> str:
     """Return the keys of a description of a weather file."""
     return markdown(("key", "meaning"), (
-        (f"`{key.name}`", key.entry.description + (
-            f": {key.entry.limits}" if key.entry.among else ""
+        (f"`{key.name}`", key.description + (
+            f": {key.limits}" if key.among else ""
         ))
-        for key in keys(Description) if key.name not in ("name", "header")
+        for key in parameters_of(Description) if key.name not in ("name", "header")
     ))
 
 

@@ -51,6 +51,8 @@ class Parameter:
         on_field_capacity: default value on a roof with field-capacity soil; None if the default is
             the same.
         usual: range of usual values, for the documentation; None for no range.
+        kind: type of the value in a file, if the parameter is a key of a file.
+        optional: False if a file must contain the key.
     """
 
     name: str
@@ -63,6 +65,8 @@ class Parameter:
     among: tuple[str, ...] = ()
     on_field_capacity: Any = None
     usual: tuple[float, float] | None = None
+    kind: Any = None
+    optional: bool = True
 
     @property
     def whole(self) -> bool:
@@ -77,28 +81,24 @@ class Parameter:
     @functools.cached_property
     def range(self) -> Range:
         """The range of valid numbers."""
-        return Range(self.low, self.high, self.unit, self.whole)
+        return Range(self.low, self.high, self.unit, self.whole, self.among)
 
-    def read(
-        self, value: Any, *, key: str, file: Path | None = None, line: int | None = None
-    ) -> Any:
+    def read(self, value: Any, **place: Any) -> Any:
         """Check a user's value, and return it, with a number converted to a Python number.
 
         Args:
             value: the user's value.
-            file: file that contains the value, for the error.
-            line: line that contains the value, for the error.
-            key: key of the value, for the error.
+            place: key of the value, with its file and line if any, for the error.
 
         Raises:
             ConfigurationError: if the value is out of range, or is not one of the allowed strings.
         """
         if not self.among:
-            return self.range.read(value, file=file, line=line, key=key)
+            return self.range.read(value, **place)
         if isinstance(value, str) and value in self.among:
             return value
         expected = describe_choices([*filter(None, self.among)], str(value))
-        raise ConfigurationError(expected, file=file, line=line, key=key, value=value)
+        raise ConfigurationError(expected, value=value, **place)
 
     @property
     def limits(self) -> str:
@@ -130,45 +130,25 @@ def entry(
         factory: function that creates the default if the default is a mapping.
         usual: range of usual values.
     """
-    value = None if default is MISSING else default
-    metadata = {
-        "entry": Parameter("", value, unit, low, high, meaning, among=choices, usual=usual)
-    }
-    result: Any = field(default=default, default_factory=factory, metadata=metadata)
+    made = Parameter(
+        "", None if default is MISSING else default, unit, low, high, meaning, among=choices,
+        usual=usual, optional=default is not MISSING or factory is not MISSING,
+    )
+    result: Any = field(default=default, default_factory=factory, metadata={"entry": made})
     return result
 
 
-@dataclass(frozen=True)
-class Key:
-    """A key of a file, which corresponds to a field of a dataclass."""
-
-    name: str
-    kind: Any
-    entry: Parameter
-    optional: bool
-
-
 @functools.cache  # a district creates thousands of sites
-def keys(kind: Any) -> tuple[Key, ...]:
-    """Return the keys of a dataclass, that is, the fields that were created with `entry`."""
+def parameters_of(kind: Any) -> tuple[Parameter, ...]:
+    """Return the keys of a dataclass, that is, the fields that were created with `entry`.
+
+    The default of a required key is None.
+    """
     hints = get_type_hints(kind)
     return tuple(
-        Key(
-            attribute.name, hints[attribute.name],
-            replace(attribute.metadata["entry"], name=attribute.name),
-            attribute.default is not MISSING or attribute.default_factory is not MISSING,
-        )
+        replace(attribute.metadata["entry"], name=attribute.name, kind=hints[attribute.name])
         for attribute in fields(kind) if "entry" in attribute.metadata
     )
-
-
-def parameters_of(kind: Any) -> list[Parameter]:
-    """Return the keys of a dataclass as parameters; the default of a required key is None."""
-    return [key.entry for key in keys(kind)]
-
-
-def _refuse(parts: tuple[str, ...], expected: str, value: object = None) -> ConfigurationError:
-    return ConfigurationError(expected, key=".".join(parts), value=value)
 
 
 def read_record(
@@ -191,15 +171,15 @@ def read_record(
     content = read_yaml(file)
     try:
         record = make_record(kind, content)
+        for key, expected in mistakes(record, content):
+            place = find(content, key)[1]
+            value = None if isinstance(place, (list, YamlMapping)) else place
+            raise ConfigurationError(expected, key=key, value=value)
     except ConfigurationError as error:
         line = find(content, error.key or "")[0] or min(content.lines.values(), default=None)
         raise ConfigurationError(
             error.expected, file=file, line=line, key=error.key, value=error.value
         ) from None
-    for key, expected in mistakes(record, content):
-        line, place = find(content, key)
-        value = None if isinstance(place, (list, YamlMapping)) else place
-        raise ConfigurationError(expected, file=file, line=line, key=key, value=value)
     return record
 
 
@@ -214,7 +194,7 @@ def make_record(kind: type[Record], values: Mapping[str, Any]) -> Record:
         ConfigurationError: if a key is unknown or missing, or if a value is of the wrong type or
             out of range.
     """
-    return cast(Record, _record(kind, values, ()))
+    return cast(Record, _record(kind, values, ""))
 
 
 def find(content: YamlMapping, key: str) -> tuple[int | None, Any]:
@@ -236,28 +216,29 @@ def find(content: YamlMapping, key: str) -> tuple[int | None, Any]:
     return line, place
 
 
-def _record(kind: Any, value: Any, parts: tuple[str, ...]) -> Any:
-    entries, by_name = _mapping(value, parts), {key.name: key for key in keys(kind)}
-    for name, given in entries.items():
-        if name not in by_name:
-            wrong = f"is not a valid key; {suggest_names(name, by_name)}"
-            raise _refuse((*parts, name), wrong, given)
-    fields = {}
-    for name, key in by_name.items():
-        if name in entries:
-            fields[name] = _value(key.kind, entries[name], key.entry, (*parts, name))
-        elif not key.optional:
-            raise _refuse((*parts, name), f"is missing: {key.entry.description}")
-    return kind(**fields)
+def _record(kind: Any, value: Any, key: str) -> Any:
+    place = f"{key}." if key else ""
+    given, known = _mapping(value, key), {each.name: each for each in parameters_of(kind)}
+    for name in given:
+        if name not in known:
+            wrong = f"is not a valid key; {suggest_names(name, known)}"
+            raise ConfigurationError(wrong, key=place + name, value=given[name])
+    made = {}
+    for name, entry in known.items():
+        if name in given:
+            made[name] = _value(entry.kind, given[name], entry, place + name)
+        elif not entry.optional:
+            raise ConfigurationError(f"is missing: {entry.description}", key=place + name)
+    return kind(**made)
 
 
-def _mapping(value: Any, parts: tuple[str, ...]) -> Mapping[str, Any]:
+def _mapping(value: Any, key: str) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
-        raise _refuse(parts, "must contain 'key: value' lines", value)
+        raise ConfigurationError("must contain 'key: value' lines", key=key, value=value)
     return value
 
 
-def _value(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> Any:
+def _value(kind: Any, value: Any, entry: Parameter, key: str) -> Any:
     if hasattr(value, "tolist"):  # a NumPy array
         value = value.tolist()
     origin, inner = get_origin(kind), get_args(kind)
@@ -269,47 +250,48 @@ def _value(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> A
         kinds = [member for member in inner if member not in (types.NoneType, str)] or [str]
         if isinstance(value, YamlMapping):
             kinds = [*(member for member in kinds[1:] if member.fits(value)), *kinds]
-        return _value(kinds[0], value, entry, parts)
+        return _value(kinds[0], value, entry, key)
     if is_dataclass(kind):
-        return _record(kind, value, parts)
+        return _record(kind, value, key)
     if origin is tuple:
         if not isinstance(value, (list, tuple)):
-            raise _refuse(parts, f"must be a list ({entry.meaning})", value)
+            raise ConfigurationError(f"must be a list ({entry.meaning})", key=key, value=value)
         return tuple(
-            _value(inner[0], item, entry, (*parts, str(number)))
+            _value(inner[0], item, entry, f"{key}.{number}")
             for number, item in enumerate(value, start=1)
         )
     if origin is dict:
         return {
-            _key(inner[0], key, entry, (*parts, key)): _value(inner[1], item, entry, (*parts, key))
-            for key, item in _mapping(value, parts).items()
+            _key(inner[0], name, entry, f"{key}.{name}"):
+                _value(inner[1], item, entry, f"{key}.{name}")
+            for name, item in _mapping(value, key).items()
         }
-    return _scalar(kind, value, entry, parts)
+    return _scalar(kind, value, entry, key)
 
 
-def _key(kind: Any, key: str, entry: Parameter, parts: tuple[str, ...]) -> Any:
+def _key(kind: Any, name: str, entry: Parameter, key: str) -> Any:
     """Convert a mapping's key to the key's type, because `files.read_yaml` returns keys as text."""
     if kind is str:
-        return key
-    return _scalar(kind, int(key) if key.isdecimal() else key, entry, parts)
+        return name
+    return _scalar(kind, int(name) if name.isdecimal() else name, entry, key)
 
 
-def _scalar(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> Any:
+def _scalar(kind: Any, value: Any, entry: Parameter, key: str) -> Any:
     if kind is bool:
         if not isinstance(value, bool):
-            raise _refuse(parts, "must be true or false", value)
+            raise ConfigurationError("must be true or false", key=key, value=value)
         return value
     if kind is str:
         if entry.among:
-            return entry.read(value, key=".".join(parts))
+            return entry.read(value, key=key)
         if not isinstance(value, str) or not value.strip():
-            raise _refuse(parts, f"must be text ({entry.meaning})", value)
+            raise ConfigurationError(f"must be text ({entry.meaning})", key=key, value=value)
         return " ".join(value.split())
     if kind is Word and isinstance(value, str) and _HEXADECIMAL.fullmatch(value):
         value = int(value, 16)
-    allowed = replace(entry.range, whole=kind in (int, Word), words=entry.among)
+    allowed = replace(entry.range, whole=kind in (int, Word))
     example = ", such as 0x047E or 1150" if kind is Word else ""
-    return allowed.read(value, key=".".join(parts), about=f"{example} ({entry.meaning})")
+    return allowed.read(value, key=key, about=f"{example} ({entry.meaning})")
 
 
 def replace_infinity(parameters: Mapping[str, Any]) -> dict[str, Any]:

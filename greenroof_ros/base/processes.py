@@ -49,9 +49,7 @@ def end_with_parent() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
-# Length of the address of a Unix socket (bytes), and what the kernel reports about its listener:
-# process, user and group.
-_MAX_ADDRESS = 107
+# What the kernel reports about the listener of a Unix socket: process, user and group.
 _CREDENTIALS = struct.Struct("3i")
 
 
@@ -76,15 +74,13 @@ def acquire_name_lock(name: str) -> socket.socket:
     network namespace.
 
     Args:
-        name: the name to lock; a long name is replaced by its digest.
+        name: the name to lock, of any length.
 
     Raises:
         LockedError: if another process holds the lock.
         OSError: if the system does not support abstract sockets.
     """
-    address = f"\0greenroof_ros-{name}"
-    if len(address.encode()) > _MAX_ADDRESS:
-        address = f"\0greenroof_ros-{hashlib.sha256(name.encode()).hexdigest()}"
+    address = f"\0greenroof_ros-{hashlib.sha256(name.encode()).hexdigest()}"
     lock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         lock.bind(address)
@@ -162,10 +158,11 @@ def scratch_directory(place: str | None = None) -> Iterator[Path]:
 _lost_threads = False
 
 
-def _watch_polars() -> None:
+def _note_lost_threads() -> None:
+    """In a forked process, look for threads of polars in its parent."""
     global _lost_threads
-    if "polars" in sys.modules and not _lost_threads:
-        for task in Path("/proc/self/task").glob("*/comm"):
+    if "polars" in sys.modules:
+        for task in Path(f"/proc/{os.getppid()}/task").glob("*/comm"):
             with contextlib.suppress(OSError):  # it has just ended
                 _lost_threads |= task.read_text() == "polars-0\n"
 
@@ -176,16 +173,15 @@ def refuse_forked_polars() -> None:
     Raises:
         ConfigurationError: if this process was forked after polars had been used.
     """
-    if _lost_threads and os.getpid() != _IMPORTED_BY:
+    if _lost_threads:
         raise ConfigurationError(
             "cannot be created in a process that was forked after polars was used; start the "
             "processes with spawn: multiprocessing.get_context('spawn')", key="a data frame",
         )
 
 
-_IMPORTED_BY = os.getpid()
 if hasattr(os, "register_at_fork"):  # Windows does not fork
-    os.register_at_fork(before=_watch_polars)
+    os.register_at_fork(after_in_child=_note_lost_threads)
 
 
 def count_cores() -> int:

@@ -12,7 +12,6 @@ import sys
 from contextlib import suppress
 from dataclasses import dataclass
 from numbers import Integral, Real
-from pathlib import Path
 from typing import Any
 
 from greenroof_ros.base.errors import ConfigurationError
@@ -115,18 +114,13 @@ class Range:
             return self.check(read_number(text))
         raise ValueError(self.expected(text))
 
-    def read(
-        self, value: Any, *, key: str, file: Path | None = None, line: int | None = None,
-        about: str = "",
-    ) -> float:
+    def read(self, value: Any, about: str = "", **place: Any) -> float:
         """Check the number of a key, and return it; see :meth:`check`.
 
         Args:
             value: value of the key.
-            key: name of the key.
-            file: file that contains the key; None if a program passes the value.
-            line: line of the key.
             about: text to append to the message.
+            place: name of the key, with its file and line if any, for the error.
 
         Raises:
             ConfigurationError: if the value is not a number in this range.
@@ -134,6 +128,4 @@ class Range:
         try:
             return self.check(value)
         except ValueError as error:
-            raise ConfigurationError(
-                f"{error}{about}", file=file, line=line, key=key, value=value
-            ) from None
+            raise ConfigurationError(f"{error}{about}", value=value, **place) from None

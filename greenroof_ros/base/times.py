@@ -40,13 +40,9 @@ def parse_time(text: str, zone: tzinfo | None = None) -> datetime:
         if (time.hour, time.minute, time.second, time.microsecond) != (0, 0, 0, 0):
             raise ValueError
         time += timedelta(days=1)
-    return _within_years(time if time.tzinfo else time.replace(tzinfo=zone))
-
-
-def _within_years(time: datetime) -> datetime:
     if not FIRST_YEAR <= time.year <= LAST_YEAR:
         raise ValueError
-    return time
+    return time if time.tzinfo else time.replace(tzinfo=zone)
 
 
 def to_minutes(time: datetime) -> str:

@@ -112,12 +112,12 @@ def _copy_file(file: Path, copy: Path, had: tuple[int, int]) -> tuple[int, list[
             for record in records:
                 if isinstance(record, Schema) and record.id not in schemas:
                     schemas.add(record.id)
-                    writer.add_schema(record)
+                    writer.add(record)
                 elif isinstance(record, Channel) and record.id not in channels:
                     channels.add(record.id)
                     if record.schema_id not in schemas:
                         record.schema_id = 0  # its type was defined in the lost part
-                    writer.add_channel(record)
+                    writer.add(record)
             messages = [record for record in records if isinstance(record, Message)]
             # The topics of the others were defined in the lost part.
             known = [message for message in messages if message.channel_id in channels]

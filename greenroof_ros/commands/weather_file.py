@@ -15,7 +15,7 @@ from rich.console import Console
 from greenroof_ros.base.command_line import Parser, add_site, command
 from greenroof_ros.base.errors import ConfigurationError, rename_keys
 from greenroof_ros.base.files import add_path_to_errors
-from greenroof_ros.base.parameter import Key, keys
+from greenroof_ros.base.parameter import Parameter, parameters_of
 from greenroof_ros.base.times import to_people
 from greenroof_ros.commands.output_file import refuse_unwritable
 from greenroof_ros.simulation.screen import grid
@@ -77,22 +77,22 @@ def make_parser() -> Parser:
     )
     for key in _options():
         group.add_argument(
-            _flag(key), help=key.entry.description.replace("%", "%%"), dest=key.name,
+            _flag(key), help=key.description.replace("%", "%%"), dest=key.name,
             metavar="NAME=VALUE" if _is_mapping(key) else "VALUE",
             nargs="+" if _is_mapping(key) or "tuple" in str(key.kind) else None,
         )
     return parser
 
 
-def _options() -> list[Key]:
-    return [key for key in keys(Description) if key.name not in _NOT_OPTIONS]
+def _options() -> list[Parameter]:
+    return [key for key in parameters_of(Description) if key.name not in _NOT_OPTIONS]
 
 
-def _flag(key: Key) -> str:
+def _flag(key: Parameter) -> str:
     return f"--{key.name.replace('_', '-')}"
 
 
-def _is_mapping(key: Key) -> bool:
+def _is_mapping(key: Parameter) -> bool:
     return "dict" in str(key.kind)
 
 

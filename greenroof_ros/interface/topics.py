@@ -20,14 +20,12 @@ class Qos:
     """A quality-of-service profile with keep-last history and automatic liveliness.
 
     Attributes:
-        name: the profile's name in the interface.
         reliability: ``reliable`` or ``best_effort``.
         durability: ``transient_local`` or ``volatile``.
         depth: history depth (number of messages).
         lease_s: liveliness lease duration (s); infinite by default.
     """
 
-    name: str
     reliability: str
     durability: str
     depth: int
@@ -110,7 +108,7 @@ class Topic:
 def read_topics() -> Mapping[str, Topic]:
     """Return the topics in the order of the file, which is also their order in a bag's ticks."""
     interface: dict[str, Any] = read_yaml(shared_directory() / "msg_defs" / "topics.yaml")
-    profiles = {name: Qos(name=name, **profile) for name, profile in interface["qos"].items()}
+    profiles = {name: Qos(**profile) for name, profile in interface["qos"].items()}
     ages = {name: Age(parameter=name, **age) for name, age in interface["max_ages"].items()}
     return {
         name: _make_topic(

@@ -72,12 +72,11 @@ class RecorderNode(SimulationNode):
             replace(topic, name=self.resolve_topic_name(topic.graph_name))
             for topic in topics
         ]
-        try:
-            self._bag = BagWriter(Path(directory), self._in_bag)
-        except FileExistsError:
+        if Path(directory).exists():
             raise ConfigurationError(
                 "exists, but the recorder never overwrites a bag", key="directory", value=directory
-            ) from None
+            )
+        self._bag = BagWriter(Path(directory), self._in_bag)
         self._closed = False
         self._ending_since: float | None = None
         self.open_outputs("/recorder/written")

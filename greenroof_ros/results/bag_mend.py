@@ -8,18 +8,16 @@ from __future__ import annotations
 
 import os
 import struct
-import zlib
 from collections.abc import Iterator
 from contextlib import suppress
-from io import BytesIO
 from typing import BinaryIO
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Schema
-from mcap.stream_reader import MAGIC_SIZE, StreamReader, breakup_chunk
+from mcap.stream_reader import MAGIC_SIZE, breakup_chunk
 
-from greenroof_ros.results.bag_write import seek_summary
+from greenroof_ros.results.bag_write import read_summary
 
 _HEAD = struct.Struct("<BQ")  # a record's opcode and length
 _DATA_END_SIZE = _HEAD.size + 4
@@ -32,7 +30,9 @@ def read_chunks(stream: BinaryIO) -> Iterator[tuple[int, list[McapRecord]]]:
     The topics and types of a closed file come first, in case the chunk that defines them is lost.
     """
     size = os.fstat(stream.fileno()).st_size
-    summary = _read_summary(stream)
+    summary: list[McapRecord] = []
+    with suppress(Exception):
+        summary = list(read_summary(stream))
     yield 0, [record for record in summary if isinstance(record, Schema | Channel)]
     chunks = [record for record in summary if isinstance(record, ChunkIndex)]
     for chunk in chunks:
@@ -60,16 +60,6 @@ def _read_in_order(stream: BinaryIO, size: int) -> Iterator[tuple[int, list[Mcap
                 yield end - at, []
                 accounted = end
             at = end
-
-
-def _read_summary(stream: BinaryIO) -> list[McapRecord]:
-    """Return the records of a file's summary; an empty list if it is missing or damaged."""
-    with suppress(Exception):
-        if (footer := seek_summary(stream)) is not None:
-            summary = stream.read()
-            if footer.summary_crc in (0, zlib.crc32(summary[: -MAGIC_SIZE - 4])):
-                return list(StreamReader(BytesIO(summary), skip_magic=True).records)
-    return []
 
 
 def _read_head(stream: BinaryIO, at: int) -> tuple[int, int]:

@@ -214,19 +214,19 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
         with AnyReader([bag], default_typestore=typestore) as reader:
             types = {each.topic: each.msgtype for each in reader.connections}
             namespace = find_namespace(types, _NEEDED, bag)
-            names = {f"{namespace}{topic}": topic for topic in (*_ATTRIBUTES, _CLOCK)}
+            names = {f"{namespace}{topic}": topic for topic in _ATTRIBUTES}
             if missing := [topic for topic in _NEEDED if namespace + topic not in types]:
                 raise ConfigurationError(
                     f"lacks {', '.join(missing)}, which the report needs; the topics in the bag "
                     f"are: {', '.join(sorted(types)) or 'none'}", file=bag,
                 )
-            for name, topic in names.items():
-                if topic != _CLOCK and types.get(name, _TYPE) != _TYPE:
+            for name in names:
+                if types.get(name, _TYPE) != _TYPE:
                     raise ConfigurationError(
                         f"must be of type {_TYPE}, not {types[name]}", file=bag, key=name
                     )
-            if types.get(clock_name := f"{namespace}{_CLOCK}") != _CLOCK_TYPE:
-                del names[clock_name]  # of another program
+            if types.get(f"{namespace}{_CLOCK}") == _CLOCK_TYPE:  # otherwise of another program
+                names[f"{namespace}{_CLOCK}"] = _CLOCK
             wanted = [each for each in reader.connections if each.topic in names]
             for connection, stamp, raw in reader.messages(connections=wanted):
                 message: Any = reader.deserialize(raw, connection.msgtype)

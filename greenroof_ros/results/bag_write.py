@@ -9,14 +9,16 @@ from __future__ import annotations
 import functools
 import math
 import os
-from collections.abc import Collection, Iterable, Sequence
+import zlib
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import yaml
 from mcap.reader import FOOTER_SIZE
-from mcap.records import Channel, Footer, Schema, Statistics
+from mcap.records import Channel, Footer, McapRecord, Schema, Statistics
 from mcap.stream_reader import MAGIC_SIZE, StreamReader
 
 from greenroof_ros.base.errors import ConfigurationError
@@ -39,9 +41,118 @@ _DAY_NS = 86_400 * 10**9
 # The mcap channel metadata keys of a topic's QoS profiles and type hash.
 _PROFILES, _HASH = "offered_qos_profiles", "topic_type_hash"
 
-# rosbag2's metadata version, and RMW_DURATION_INFINITE, which means "no limit".
-_METADATA_VERSION = 9
-_INFINITE = {"sec": 9223372036, "nsec": 854775807}
+_METADATA_VERSION = 9  # of rosbag2
+
+
+class BagWriter:
+    """Writer of the next file of a bag, which must be cut after a write error.
+
+    Otherwise the file would contain a part of the failed write, and the number of recoverable
+    writes would differ from ``safe``.
+
+    Attributes:
+        directory: directory of the bag.
+        path: path of the file.
+        written: number of writes, such as ticks.
+        safe: number of writes that were flushed, and are therefore safe if the process is killed.
+    """
+
+    def __init__(self, directory: Path, topics: Sequence[Topic]) -> None:
+        """Create the file, and its directory if necessary, and write its header with the topics.
+
+        Args:
+            directory: directory of the bag.
+            topics: topics whose messages the file can contain; of a tick, in the order of writing.
+
+        Raises:
+            OSError: if the directory or the file cannot be written.
+        """
+        directory.mkdir(parents=True, exist_ok=True)
+        self.directory, self.path = directory, name_next_file(directory)
+        self.written = self.safe = 0
+        self._safe_bytes = 0
+        self._stream = self.path.open("xb")
+        self._mcap = McapWriter(self._stream)
+        types = _read_constants()["types"]
+        kinds: list[str] = []
+        for number, topic in enumerate(topics, start=1):
+            kind = topic.type
+            if kind not in kinds:
+                kinds.append(kind)
+                definition = types[kind]["definition"].encode()
+                self._mcap.add(Schema(len(kinds), definition, "ros2msg", kind))
+            about = {_PROFILES: _describe_qos(topic.qos), _HASH: types[kind]["hash"]}
+            self._mcap.add(Channel(number, topic.name, "cdr", about, kinds.index(kind) + 1))
+        self._sequences = [0] * len(topics)
+
+    @property
+    def size(self) -> int:
+        """Number of bytes written so far, excluding the current chunk."""
+        return self._stream.tell()
+
+    def write(self, time_ns: int, messages: Iterable[tuple[int, bytes]]) -> None:
+        """Write messages that share one time stamp.
+
+        Args:
+            time_ns: time of the messages (ns since 1970).
+            messages: pairs of a topic's index and a message, serialised as CDR.
+
+        Raises:
+            OSError: if writing fails, for instance because the disk is full.
+        """
+        for index, message in messages:
+            self._mcap.add_message(index + 1, time_ns, message, time_ns, self._sequences[index])
+            self._sequences[index] += 1
+        self.written += 1
+
+    def write_tick(self, time_ns: int, messages: Sequence[bytes]) -> None:
+        """Write the messages of a simulation's tick, and flush after every sixteenth tick.
+
+        Args:
+            time_ns: simulated time of the tick (ns since 1970).
+            messages: the message of every topic, serialised as CDR, in the order of the topics.
+
+        Raises:
+            OSError: if writing fails, for instance because the disk is full.
+        """
+        self.write(time_ns, enumerate(messages))
+        if self.written % _TICKS_PER_CHUNK == 0:
+            self.flush()
+
+    def flush(self, *, to_disk: bool = False) -> None:
+        """Pass all messages written so far to the operating system.
+
+        Args:
+            to_disk: True to sync the file to the disk as well, so that it survives a power failure.
+
+        Raises:
+            OSError: if writing fails, for instance because the disk is full.
+        """
+        self._mcap.flush()
+        if to_disk:
+            os.fsync(self._stream.fileno())
+        self.safe, self._safe_bytes = self.written, self._stream.tell()
+
+    def close(self) -> None:
+        """Write the index and the end of the file, and list the file in ``metadata.yaml``.
+
+        Raises:
+            OSError: if writing fails, for instance because the disk is full; ``greenroof recover``
+                then restores what is safe.
+        """
+        self._mcap.finish()
+        self.flush()
+        self._stream.close()
+        write_metadata(self.directory, find_files(self.directory))
+
+    def cut(self) -> None:
+        """Close the file and truncate it to its last flush; remove it if it was never flushed."""
+        with suppress(OSError):  # the disk itself may be gone
+            self._stream.close()  # tries to write the rest again
+        with suppress(OSError):
+            os.truncate(self.path, self._safe_bytes)
+            if not self._safe_bytes:
+                self.path.unlink()
 
 
 class LiveBag:
@@ -61,7 +172,6 @@ class LiveBag:
         directory: directory of the bag.
         problem: reason why recording failed; empty if it has not failed, or once later messages are
             flushed.
-        recorded: number of messages flushed to the bag since the start of the recorder.
         lost: number of messages that were lost because recording failed.
     """
 
@@ -80,17 +190,21 @@ class LiveBag:
         """
         self.directory = directory
         self.problem = ""
-        self.recorded = 0
         self.lost = 0
         self._topics = list(topics)
         self._index = {topic.name: index for index, topic in enumerate(self._topics)}
         self._file_bytes = file_bytes
         self._total_bytes = total_bytes
-        self._file: BagFile | None = None  # the file being written
+        self._file: BagWriter | None = None  # the file being written
         self._day = 0  # day on which it was begun (days since 1970)
         self._before = 0  # messages recorded before it
         self._flushed = -math.inf
         self._again = -math.inf  # time of the next try (steady clock, s)
+
+    @property
+    def recorded(self) -> int:
+        """Number of messages flushed to the bag since the start of the recorder."""
+        return self._before + (self._file.safe if self._file is not None else 0)
 
     def write(self, topic: str, time_ns: int, message: bytes, now: float) -> None:
         """Record a message.
@@ -106,10 +220,11 @@ class LiveBag:
             return
         day = time_ns // _DAY_NS
         try:
-            file = self._file
-            if file is None or file.size >= self._file_bytes or day != self._day:
-                file = self._begin(now, day)
-            file.write(time_ns, [(self._index[topic], message)])
+            if self._file is None or self._file.size >= self._file_bytes or day != self._day:
+                self._close()
+                self._file = BagWriter(self.directory, self._topics)
+                self._flushed, self._day = now, day
+            self._file.write(time_ns, [(self._index[topic], message)])
         except OSError as error:
             self.lost += 1
             self._fail(error, now)
@@ -125,7 +240,7 @@ class LiveBag:
         self._flushed = now
         try:
             self._file.flush(to_disk=True)
-            self._count_flushed(self._file)
+            self.problem = ""
             self._remove_oldest()
         except OSError as error:
             self._fail(error, now)
@@ -137,35 +252,20 @@ class LiveBag:
         except OSError as error:
             self._fail(error, -math.inf)
 
-    def _begin(self, now: float, day: int) -> BagFile:
-        """Close the current file, if any, and begin the next one."""
-        self._close()
-        self.directory.mkdir(parents=True, exist_ok=True)
-        self._file = file = BagFile(name_next_file(self.directory), self._topics)
-        self._flushed, self._day, self._before = now, day, self.recorded
-        return file
-
     def _close(self) -> None:
         if self._file is not None:
             self._file.close()
-            self._count_flushed(self._file)
-            self._file = None
+            self._before, self._file, self.problem = self.recorded, None, ""
             self._remove_oldest()
-            write_metadata(self.directory, find_files(self.directory))
-
-    def _count_flushed(self, file: BagFile) -> None:
-        """Update the number of recorded messages after a flush, and clear the problem."""
-        self.recorded = self._before + file.safe
-        self.problem = ""
 
     def _fail(self, error: OSError, now: float) -> None:
         """Stop recording until the next retry, and count the messages not yet flushed as lost."""
         self.problem = f"{self.directory}: {error.strerror or error}"
         self._again = now + RETRY_S
-        file, self._file = self._file, None
-        if file is not None:
-            self.lost += file.written - file.safe
-            file.cut()
+        if self._file is not None:
+            self.lost += self._file.written - self._file.safe
+            self._file.cut()
+            self._before, self._file = self.recorded, None
 
     def _remove_oldest(self) -> None:
         """Remove the oldest files while the bag exceeds its limit, but never the newest file."""
@@ -180,146 +280,6 @@ class LiveBag:
                 (self.directory / METADATA).unlink(missing_ok=True)
                 oldest.unlink(missing_ok=True)
                 write_metadata(self.directory, files)
-
-
-class BagFile(McapWriter):
-    """An mcap file that is being written, and that must be truncated after a write error.
-
-    Otherwise the file would contain a part of the failed write, and the number of recoverable
-    writes would differ from ``safe``.
-
-    Attributes:
-        path: path of the file.
-        written: number of writes.
-        safe: number of writes that were flushed, and are therefore safe if the process is killed.
-    """
-
-    def __init__(self, path: Path, topics: Sequence[Topic]) -> None:
-        """Create the file, and write its header with the topics.
-
-        Args:
-            path: path of the file, which must not exist.
-            topics: topics whose messages the file can contain.
-
-        Raises:
-            FileExistsError: if the file exists.
-            OSError: if the file cannot be written.
-        """
-        super().__init__(path.open("xb"))
-        self.path = path
-        self.written = self.safe = 0
-        self._safe_bytes = 0
-        types = _read_types()
-        kinds: list[str] = []
-        for number, topic in enumerate(topics, start=1):
-            kind = topic.type
-            if kind not in kinds:
-                kinds.append(kind)
-                definition = read_definition(kind).encode()
-                self.add_schema(Schema(len(kinds), definition, "ros2msg", kind))
-            about = {_PROFILES: _write_yaml([_describe_qos(topic.qos)]), _HASH: types[kind]["hash"]}
-            self.add_channel(Channel(number, topic.name, "cdr", about, kinds.index(kind) + 1))
-        self._sequences = [0] * len(topics)
-
-    @property
-    def size(self) -> int:
-        """Number of bytes written so far, excluding the current chunk."""
-        return self._stream.tell()
-
-    def write(self, time_ns: int, messages: Iterable[tuple[int, bytes]]) -> None:
-        """Write messages that share one time stamp.
-
-        Args:
-            time_ns: time of the messages (ns since 1970).
-            messages: pairs of a topic's index and a message, serialised as CDR.
-
-        Raises:
-            OSError: if writing fails, for instance because the disk is full.
-        """
-        for index, message in messages:
-            self.add_message(index + 1, time_ns, message, time_ns, self._sequences[index])
-            self._sequences[index] += 1
-        self.written += 1
-
-    def flush(self, *, to_disk: bool = False) -> None:
-        """Pass all messages written so far to the operating system.
-
-        Args:
-            to_disk: True to sync the file to the disk as well, so that it survives a power failure.
-
-        Raises:
-            OSError: if writing fails, for instance because the disk is full.
-        """
-        super().flush()
-        if to_disk:
-            os.fsync(self._stream.fileno())
-        self.safe, self._safe_bytes = self.written, self._stream.tell()
-
-    def close(self) -> None:
-        """Write the index and the end of the file.
-
-        Raises:
-            OSError: if writing fails, for instance because the disk is full.
-        """
-        self.finish()
-        self.flush()
-        self._stream.close()
-
-    def cut(self) -> None:
-        """Close the file and truncate it to its last flush; remove it if it was never flushed."""
-        with suppress(OSError):  # the disk itself may be gone
-            self._stream.close()  # tries to write the rest again
-        with suppress(OSError):
-            os.truncate(self.path, self._safe_bytes)
-            if not self._safe_bytes:
-                self.path.unlink()
-
-
-class BagWriter(BagFile):
-    """Writer of a simulation's bag, tick by tick, in one file; `written` counts ticks.
-
-    Attributes:
-        directory: directory of the bag.
-    """
-
-    def __init__(self, directory: Path, topics: Sequence[Topic]) -> None:
-        """Create the bag's directory and its file.
-
-        Args:
-            directory: directory of the bag, which must not exist.
-            topics: the topics of every tick, in the order of writing.
-
-        Raises:
-            FileExistsError: if the directory exists.
-            OSError: if the directory or the file cannot be written.
-        """
-        self.directory = directory
-        directory.mkdir(parents=True)
-        super().__init__(name_next_file(directory), topics)
-
-    def write_tick(self, time_ns: int, messages: Sequence[bytes]) -> None:
-        """Write the messages of a tick.
-
-        Args:
-            time_ns: simulated time of the tick (ns since 1970).
-            messages: the message of every topic, serialised as CDR, in the order of the topics.
-
-        Raises:
-            OSError: if writing fails, for instance because the disk is full.
-        """
-        self.write(time_ns, enumerate(messages))
-        if self.written % _TICKS_PER_CHUNK == 0:
-            self.flush()
-
-    def close(self) -> None:
-        """Finish the file and write ``metadata.yaml``.
-
-        Raises:
-            OSError: if writing fails, for instance because the disk is full; ``greenroof recover``
-                then restores the safe ticks.
-        """
-        super().close()
-        write_metadata(self.directory, [self.path])
 
 
 def find_files(bag: Path) -> list[Path]:
@@ -344,14 +304,19 @@ def _read_number(file: Path) -> str:
     return file.stem.rpartition("_")[2]
 
 
-def seek_summary(stream: BinaryIO) -> Footer | None:
-    """Move to a file's summary, and return the footer; None if the file was not closed."""
+def read_summary(stream: BinaryIO) -> Iterator[McapRecord]:
+    """Yield the records of a file's summary, of which there are none if the file was not closed.
+
+    Raises:
+        Exception: of any kind, from the library, if the summary cannot be read or is damaged.
+    """
     stream.seek(-(FOOTER_SIZE + MAGIC_SIZE), os.SEEK_END)
     footer = next(StreamReader(stream, skip_magic=True).records)
-    if not isinstance(footer, Footer) or not footer.summary_start:
-        return None
-    stream.seek(footer.summary_start)
-    return footer
+    if isinstance(footer, Footer) and footer.summary_start:
+        stream.seek(footer.summary_start)
+        summary = stream.read()
+        if footer.summary_crc in (0, zlib.crc32(summary[: -MAGIC_SIZE - 4])):
+            yield from StreamReader(BytesIO(summary), skip_magic=True).records
 
 
 def _read_index(path: Path) -> tuple[dict[int, str], list[Channel], Statistics] | None:
@@ -363,11 +328,9 @@ def _read_index(path: Path) -> tuple[dict[int, str], list[Channel], Statistics] 
     """
     types: dict[int, str] = {}
     channels: list[Channel] = []
-    with suppress(Exception), path.open("rb") as stream:  # the library raises any error
-        if seek_summary(stream) is None:
-            return None
+    with suppress(Exception), path.open("rb") as stream:
         # Do not read to the end: a day has thousands of chunks, each with an index.
-        for record in StreamReader(stream, skip_magic=True).records:
+        for record in read_summary(stream):
             if isinstance(record, Schema):
                 types[record.id] = record.name
             elif isinstance(record, Channel):
@@ -407,7 +370,7 @@ def write_metadata(bag: Path, files: Sequence[Path]) -> None:
             })
             topic["message_count"] += statistics.channel_message_counts.get(channel.id, 0)
     messages = {file: statistics for file, (*_, statistics) in indices.items()}
-    replace_text(bag / METADATA, _write_yaml({"rosbag2_bagfile_information": {
+    about = {
         "version": _METADATA_VERSION,
         "storage_identifier": "mcap",
         **_describe_messages(messages.values()),
@@ -423,7 +386,11 @@ def write_metadata(bag: Path, files: Sequence[Path]) -> None:
         # Shows how much is lost if a file is cut later.
         "custom_data": {f"bytes of {file.name}": str(file.stat().st_size) for file in indices},
         "ros_distro": "jazzy",
-    }}))
+    }
+    replace_text(bag / METADATA, yaml.safe_dump(
+        {"rosbag2_bagfile_information": about}, sort_keys=False, default_flow_style=False,
+        width=10_000,
+    ))
 
 
 def _describe_messages(statistics: Collection[Statistics]) -> dict[str, Any]:
@@ -452,41 +419,22 @@ def read_recorded(bag: Path) -> dict[str, tuple[int, int]]:
     return {}
 
 
-def _describe_qos(qos: Qos) -> dict[str, Any]:
-    lease = dict(_INFINITE)
-    if qos.lease_s != float("inf"):
-        lease = {"sec": int(qos.lease_s), "nsec": round(qos.lease_s % 1 * 1e9)}
-    return {
-        "history": "keep_last",
-        "depth": qos.depth,
-        "reliability": qos.reliability,
-        "durability": qos.durability,
-        "deadline": dict(_INFINITE),
-        "lifespan": dict(_INFINITE),
-        "liveliness": "automatic",
-        "liveliness_lease_duration": lease,
-        "avoid_ros_namespace_conventions": False,
-    }
-
-
 @functools.cache
-def _read_types() -> dict[str, Any]:
-    types: dict[str, Any] = read_yaml(shared_directory() / "msg_defs" / "types.yaml")
-    return types
+def _read_constants() -> dict[str, Any]:
+    return read_yaml(shared_directory() / "msg_defs" / "bag.yaml")
+
+
+def _describe_qos(qos: Qos) -> str:
+    lease = {"sec": 9223372036, "nsec": 854775807}  # RMW_DURATION_INFINITE
+    if math.isfinite(qos.lease_s):
+        lease = {"sec": int(qos.lease_s), "nsec": round(qos.lease_s % 1 * 1e9)}
+    profile: str = _read_constants()["qos_profile"]
+    return profile.format(qos=qos, **lease)
 
 
 def read_definition(name: str) -> str:
     """Return the definition of a message type and its nested types, in the format of bags."""
-    types = _read_types()
-    parts = [types[name]["definition"]]
-    for used in types[name].get("uses", ()):
-        short = used.replace("/msg/", "/")
-        parts.append(f"{'=' * 80}\nMSG: {short}\n{types[used]['definition']}")
-    return "\n".join(parts) + "\n"
-
-
-def _write_yaml(content: object) -> str:
-    return yaml.safe_dump(content, sort_keys=False, default_flow_style=False, width=10_000)
+    return str(_read_constants()["types"][name]["definition"])
 
 
 def _read_profiles(profiles: str) -> list[Any]:

@@ -24,6 +24,11 @@ _MESSAGE = struct.Struct("<BQHIQQ")
 _MESSAGE_OPCODE, _BEFORE_DATA = int(Opcode.MESSAGE), 22
 # Size of the records at which a chunk ends automatically (bytes), as in the library.
 _CHUNK_BYTES = 1024 * 1024
+# The groups of records in a summary, in the order in which the library writes them.
+_SUMMARY = (
+    Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX,
+    Opcode.METADATA_INDEX,
+)
 
 
 class McapWriter:
@@ -36,26 +41,21 @@ class McapWriter:
         """Write the beginning of the file."""
         self._stream = stream
         self._compress = ZstdCompressor().compress
-        self._schemas: list[records.Schema] = []  # message types
-        self._channels: list[records.Channel] = []  # topics
-        self._chunk_indexes = RecordBuilder()  # packed: a month has 160,000
-        self._chunks = 0
-        self._counts: Counter[int] = Counter()  # messages, by channel
-        self._times: list[int] = []  # times of the first and last message (ns)
+        # Packed, since a month has 160,000 indexes of chunks.
+        self._summary = {opcode: RecordBuilder() for opcode in _SUMMARY}
+        self._statistics = records.Statistics(0, 0, Counter(), 0, 0, 0, 0, 0, 0)
         self._chunk = bytearray()  # the records of the present chunk
         # By channel: time (ns) and position in the chunk of every message, one after another.
         self._index: defaultdict[int, list[int]] = defaultdict(list)
         self._stream.write(MCAP0_MAGIC + _pack(records.Header("ros2", "greenroof_ros")))
 
-    def add_schema(self, schema: records.Schema) -> None:
-        """Add a message type."""
-        self._schemas.append(schema)
-        self._chunk += _pack(schema)
-
-    def add_channel(self, channel: records.Channel) -> None:
-        """Add a topic."""
-        self._channels.append(channel)
-        self._chunk += _pack(channel)
+    def add(self, record: records.Schema | records.Channel) -> None:
+        """Add a message type or a topic."""
+        is_type = isinstance(record, records.Schema)
+        self._statistics.schema_count += is_type
+        self._statistics.channel_count += not is_type
+        record.write(self._summary[Opcode.SCHEMA if is_type else Opcode.CHANNEL])
+        self._chunk += _pack(record)
 
     def add_message(
         self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int
@@ -79,22 +79,12 @@ class McapWriter:
         """Write the summary and the end of the file; the stream stays open."""
         self._end_chunk()
         self._stream.write(_pack(records.DataEnd(data_section_crc=0)))
-        first, last = self._times or (0, 0)
-        statistics = records.Statistics(
-            message_count=self._counts.total(), channel_message_counts=self._counts,
-            message_start_time=first, message_end_time=last, chunk_count=self._chunks,
-            schema_count=len(self._schemas), channel_count=len(self._channels),
-            attachment_count=0, metadata_count=0,
-        )
+        counts = self._statistics.channel_message_counts
+        self._statistics.message_count = sum(counts.values())
+        self._statistics.write(self._summary[Opcode.STATISTICS])
         start, summary, offsets = self._stream.tell(), b"", b""
-        groups = {
-            Opcode.SCHEMA: _pack(*self._schemas),
-            Opcode.CHANNEL: _pack(*self._channels),
-            Opcode.STATISTICS: _pack(statistics),
-            Opcode.CHUNK_INDEX: self._chunk_indexes.end(),
-            Opcode.ATTACHMENT_INDEX: b"", Opcode.METADATA_INDEX: b"",
-        }
-        for opcode, group in groups.items():
+        for opcode, builder in self._summary.items():
+            group = builder.end()
             offsets += _pack(records.SummaryOffset(opcode, start + len(summary), len(group)))
             summary += group
         footer = _pack(records.Footer(start, start + len(summary), summary_crc=0))
@@ -119,16 +109,19 @@ class McapWriter:
             indexes += struct.pack(
                 f"<BQHI{len(entries)}Q", Opcode.MESSAGE_INDEX, 6 + size, channel, size, *entries
             )
-            self._counts[channel] += len(entries) // 2
+            self._statistics.channel_message_counts[channel] += len(entries) // 2
         self._stream.write(chunk + indexes)
         records.ChunkIndex(
             compression="zstd", chunk_start_offset=start, chunk_length=len(chunk),
             compressed_size=len(data), uncompressed_size=len(self._chunk),
             message_start_time=first, message_end_time=last,
             message_index_offsets=offsets, message_index_length=len(indexes),
-        ).write(self._chunk_indexes)
-        self._chunks += 1
-        self._times = [min([first, *self._times]), max([last, *self._times])]
+        ).write(self._summary[Opcode.CHUNK_INDEX])
+        total = self._statistics
+        earliest = total.message_start_time if total.chunk_count else first
+        total.message_start_time = min(first, earliest)
+        total.message_end_time = max(last, total.message_end_time)
+        total.chunk_count += 1
         self._chunk.clear()
         self._index.clear()
 

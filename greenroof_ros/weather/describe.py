@@ -18,7 +18,7 @@ import yaml
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import read_lines
-from greenroof_ros.base.parameter import keys
+from greenroof_ros.base.parameter import parameters_of
 from greenroof_ros.base.ranges import read_number
 from greenroof_ros.weather.description import SEPARATORS, TIME, Description
 from greenroof_ros.weather.quantities import QUANTITIES, Unit, find_unit
@@ -100,7 +100,7 @@ def describe(file: Path) -> str:
     usual = vars(Description())
     stated = {key: value for key, value in stated.items() if value and value != usual[key]}
     comments = [
-        *(f"{key.name}: {key.entry.description}" for key in keys(Description)
+        *(f"{key.name}: {key.description}" for key in parameters_of(Description)
           if _UNKNOWN in str(stated.get(key.name))),
         *(f"time_format can be {form}" for form in forms if len(forms) > 1),
         f"not used: {', '.join(name for name in names if name not in used)}",

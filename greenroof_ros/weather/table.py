@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
 from greenroof_ros.base.files import read_lines
-from greenroof_ros.base.parameter import keys
+from greenroof_ros.base.parameter import parameters_of
 from greenroof_ros.base.ranges import Range, read_number
 from greenroof_ros.base.times import DEFAULT_START, duration, is_skipped, parse_time
 from greenroof_ros.site.site import Place, Site
@@ -388,8 +388,8 @@ def split_unit(column: str) -> tuple[str, str]:
 def _read_position(table: Table, row: Row, described: Description) -> Description:
     """Return a description with the position in a row, if the file has such columns."""
     position: dict[str, Any] = {
-        key.name: table.read_number(row, column, key.entry.range)
-        for key in keys(Description) if key.name in PLACE
+        key.name: table.read_number(row, column, key.range)
+        for key in parameters_of(Description) if key.name in PLACE
         for column in described.columns.get(key.name, ()) if table.cell(row, column)
     }
     return replace(described, **position)

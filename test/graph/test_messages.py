@@ -198,13 +198,13 @@ RELIABLE, BEST, LATCHED, VOLATILE = (
 @pytest.mark.parametrize(
     ("required", "offered", "lacking"),
     [
-        (Qos("test", "reliable", "transient_local", 64, 2.0), (RELIABLE, LATCHED, 2.0), []),
-        (Qos("test", "reliable", "transient_local", 64, 2.0), (BEST, VOLATILE, 3.0),
+        (Qos("reliable", "transient_local", 64, 2.0), (RELIABLE, LATCHED, 2.0), []),
+        (Qos("reliable", "transient_local", 64, 2.0), (BEST, VOLATILE, 3.0),
          ["is best effort", "is volatile", "has a liveliness lease of 3 s"]),
-        (Qos("test", "reliable", "transient_local", 64, 2.0), (RELIABLE, LATCHED, None),
+        (Qos("reliable", "transient_local", 64, 2.0), (RELIABLE, LATCHED, None),
          ["has no liveliness lease"]),
-        (Qos("test", "reliable", "volatile", 1, math.inf), (RELIABLE, LATCHED, None), []),
-        (Qos("test", "best_effort", "volatile", 1, math.inf), (BEST, VOLATILE, None), []),
+        (Qos("reliable", "volatile", 1, math.inf), (RELIABLE, LATCHED, None), []),
+        (Qos("best_effort", "volatile", 1, math.inf), (BEST, VOLATILE, None), []),
     ],
 )
 def test_what_a_publisher_offers_less_than_is_required(

@@ -40,26 +40,30 @@ def test_numbers_have_a_display() -> None:
 
 
 def test_types_match_ros() -> None:
-    """Definitions and hashes in msg_defs/types.yaml agree with the installed ROS 2."""
+    """Definitions and hashes in msg_defs/bag.yaml agree with the installed ROS 2."""
     rclpy = pytest.importorskip("rclpy", reason="the message packages come with ROS 2")
     assert rclpy
-    types: dict[str, Any] = read_yaml(shared_directory() / "msg_defs" / "types.yaml")
+    types: dict[str, Any] = read_yaml(shared_directory() / "msg_defs" / "bag.yaml")["types"]
     for name, entry in types.items():
-        package, _, short = name.split("/")
-        module = importlib.import_module(f"{package}.msg")
-        share = next(
-            parent / "share" / package / "msg"
-            for parent in Path(str(module.__file__)).parents
-            if (parent / "share" / package / "msg" / f"{short}.msg").exists()
-        )
-        text = (share / f"{short}.msg").read_text()
-        fields = [line.split("#")[0].split() for line in text.splitlines()]
-        assert [line.split() for line in entry["definition"].splitlines()] == list(
-            filter(None, fields)
-        )
-        if "hash" in entry:
-            described = json.loads((share / f"{short}.json").read_text())["type_hashes"]
-            assert {"type_name": name, "hash_string": entry["hash"]} in described
+        first, *used = entry["definition"].split(f"{'=' * 80}\nMSG: ")
+        definitions = {name: first}
+        for part in used:
+            short_name, _, definition = part.partition("\n")
+            definitions[short_name.replace("/", "/msg/")] = definition
+        for kind, definition in definitions.items():
+            package, _, short = kind.split("/")
+            module = importlib.import_module(f"{package}.msg")
+            share = next(
+                parent / "share" / package / "msg"
+                for parent in Path(str(module.__file__)).parents
+                if (parent / "share" / package / "msg" / f"{short}.msg").exists()
+            )
+            text = (share / f"{short}.msg").read_text()
+            fields = [line.split("#")[0].split() for line in text.splitlines()]
+            assert [line.split() for line in definition.splitlines()] == list(filter(None, fields))
+            if kind == name:
+                described = json.loads((share / f"{short}.json").read_text())["type_hashes"]
+                assert {"type_name": name, "hash_string": entry["hash"]} in described
 
 
 OUTPUTS = {"/controller/cost": "cost", "/controller/solver_status": "status"}

@@ -26,10 +26,10 @@ def ours(steps: list[Step]) -> bytes:
     types, topics = count(1), count(1)
 
     def add_schema(name: str, encoding: str, data: bytes) -> None:
-        writer.add_schema(Schema(next(types), data, encoding, name))
+        writer.add(Schema(next(types), data, encoding, name))
 
     def add_channel(topic: str, encoding: str, schema: int, metadata: dict[str, str]) -> None:
-        writer.add_channel(Channel(next(topics), topic, encoding, metadata, schema))
+        writer.add(Channel(next(topics), topic, encoding, metadata, schema))
 
     perform(steps, add_schema, add_channel, writer.add_message, writer.flush)
     writer.finish()
@@ -69,8 +69,8 @@ TOPICS: list[Step] = [
 
 @pytest.mark.parametrize("largest", [0, 8, 2000, 3 * 2**20])
 def test_a_file_is_the_librarys(largest: int) -> None:
-    """For any input: times out of order, gaps, late topics, equal or huge messages, flushes."""
-    random, steps = Random(largest), list(TOPICS)
+    """For any input: time 0, disorder, gaps, late topics, equal or huge messages, flushes."""
+    random, steps = Random(largest), [*TOPICS, (1, 0, b"", 0, 0)]  # of the earliest time
     for number in range(1000 if largest < 2**20 else 12):
         if number % 7 == 6:
             steps.append(None)
