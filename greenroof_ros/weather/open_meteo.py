@@ -20,7 +20,7 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import read_text
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.site.site import Place, Site
-from greenroof_ros.weather.description import REANALYSIS, TIME, Description
+from greenroof_ros.weather.description import END, REANALYSIS, TIME, Description
 from greenroof_ros.weather.quantities import (
     DEW_POINT,
     HUMIDITY,

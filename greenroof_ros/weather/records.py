@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
@@ -49,7 +50,7 @@ class Records:
             are the quantities of :data:`.quantities.QUANTITIES` that the files contain, with the
             units of that table, or the columns of forecasts.
         method: method of the evapotranspiration; empty if the values contain no evapotranspiration.
-        shifted: quantities whose time stamps in the files are the ends of rows.
+        shifted: quantities whose times are ends of rows, in files whose other times are starts.
         rain_late: delay of the rain's time stamps (h): 1 if they are at the end of the hour in the
             files and the rain was not moved to the start, otherwise 0.
         filled: mask of the hours that were missing and have been filled, by quantity, shape
@@ -229,12 +230,14 @@ def make_hours(parts: Sequence[Rows]) -> Records:
             minutes = _spread_over_minutes(*joined, hours)
             values[name] = average_minutes(minutes)
     applied, ends = dict[str, list[Path]](), set[str]()
+    files = Counter(rows.table.file for rows in parts)
     for rows in parts:
         applied.setdefault(describe_rows(rows), []).append(rows.table.file)
-        ends |= rows.values.keys() if rows.described.rows == END else set()
+        if rows.described.rows == END and files[rows.table.file] > 1:
+            ends |= rows.values.keys()
     about = [rows.described for rows in parts]
     return Records(
-        tuple(dict.fromkeys(rows.table.file for rows in parts)), first, add_dew_point(values),
+        (*files,), first, add_dew_point(values),
         max(rows.method for rows in parts),
         shifted=tuple(name for name in values if name in ends),
         rain_late=max(each.rain_late for each in about),
@@ -248,8 +251,8 @@ def make_hours(parts: Sequence[Rows]) -> Records:
         minutes=minutes,
         rain_kind=max(rows.described.rain_kind * (PRECIPITATION in rows.values) for rows in parts),
         applied=tuple(
-            text if len(applied) == 1 else f"{name_files(files)}: {text}"
-            for text, files in applied.items()
+            text if len(applied) == 1 else f"{name_files(sources)}: {text}"
+            for text, sources in applied.items()
         ),
     )
 

@@ -176,6 +176,22 @@ def test_files_that_end_within_an_hour(tmp_path: Path, site: Site) -> None:
         check_ticks(read_measured(files, site), rows, site, taus=(60.0, 300.0))
 
 
+@pytest.mark.parametrize(("first", "second", "late_min"), [
+    ([3600.0] * 48, [3600.0] * 48, 30), ([3600.0] * 4, [3600.0] * 4, 40),
+    ([300.0] * 30, [3600.0] * 3, 120), ([3600.0] * 2, [300.0] * 20, 90),
+    ([600.0] * 6, [600.0] * 6, 50), ([420.0] * 6, [420.0] * 6, 21),
+])
+def test_rows_of_two_files_that_overlap(
+    tmp_path: Path, first: Sequence[float], second: Sequence[float], late_min: int
+) -> None:
+    """Wherever their hours and steps begin, no row is left out or counted by half in silence."""
+    begin = FIRST + timedelta(minutes=late_min)
+    one = write(tmp_path / "one.csv", rows_of(first), f"# step: {first[0]:g}\n")
+    two = write(tmp_path / "two.csv", rows_of(second, begin), f"# step: {second[0]:g}\n")
+    text = f"{two}: precipitation at {begin:%Y-%m-%dT%H:%M}.*: is also in {one}: files must not"
+    refusal(read_measured, [two, one], SITE, match=text)
+
+
 def test_rain_and_temperature_in_files_of_their_own(tmp_path: Path) -> None:
     rows = rows_of([300.0] * 96, FIRST + timedelta(hours=3))
     air = tmp_path / "air.csv"
