@@ -9,7 +9,7 @@ common is read in blocks, so that a season of seconds needs no more memory than 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -48,7 +48,7 @@ Values = NDArray[np.float64]
 # number of threads, so that sums over sites do not depend on it.
 _BLOCK, _PARTS = 43_200, 8
 # Plans that are made in one call: a user's interrupt waits for its end.
-_PLANS = 2_000
+_PLANS = 20_000
 
 
 def _find_bed(run: Run, site: Site) -> float:
@@ -280,11 +280,13 @@ def simulate_season(
         spread: Any = pool.map if threads > 1 else map
         for rows in together.values():
             season = _Season([cases[row] for row in rows], every, intervals, count)
+            running: Iterable[None] = ()
             for ticks, begin, end, *forecasts in season.ticks():
-                run = partial(season.run, ticks, begin, end, forecasts)
-                list(spread(run, season.parts))
+                list(running)  # ticks are read while those before them are simulated
+                running = spread(partial(season.run, ticks, begin, end, forecasts), season.parts)
                 done += (end - begin) * len(rows)
                 progress(min(1.0, done / (steps + 1) / count))
+            list(running)
             for _, groups, of_part in season.parts:
                 hydrograph[groups] += of_part
             results |= zip(rows, season.results(), strict=True)
