@@ -107,18 +107,19 @@ def read_lines(path: Path, encoding: str = "utf-8") -> Iterator[str]:
     file is reported immediately.
 
     Yields:
-        Each line, including its line ending.
+        Each line, with a line feed at its end, whichever line ending the file has.
 
     Raises:
         ConfigurationError: if the file cannot be read, is too large or empty, or contains a line
-            that is not UTF-8 text.
+            that is not text in the encoding.
     """
     source = as_started(path)
     if source.exists() and not source.is_file():
         raise ConfigurationError("must be a regular file", file=path)
-    blank = True
+    blank, number = True, 1
     try:
-        with source.open("rb") as stream:
+        # Bytes that are not text become surrogates, so that the line of the first one is known.
+        with source.open(encoding=encoding, errors="surrogateescape") as stream:
             size = os.fstat(stream.fileno()).st_size
             if size > MAX_BYTES:
                 raise ConfigurationError(
@@ -126,16 +127,10 @@ def read_lines(path: Path, encoding: str = "utf-8") -> Iterator[str]:
                     "delete the data that no run needs, or split the file (weather can be given "
                     "as several files, and forecasts as a directory of files)", file=path,
                 )
-            for number, raw in enumerate(stream, start=1):
-                try:
-                    line = raw.decode(encoding)
-                except UnicodeDecodeError:
-                    line = "\0"
+            for number, line in enumerate(stream, start=1):
+                line.encode()
                 if "\0" in line:
-                    raise ConfigurationError(
-                        f"is not text in {encoding.upper()}: unpack a compressed file, and save a "
-                        "table as CSV in UTF-8", file=path, line=number,
-                    )
+                    raise UnicodeError
                 if number == 1:
                     line = line.removeprefix("\ufeff")
                     if _WEB_PAGE.match(line):
@@ -146,6 +141,12 @@ def read_lines(path: Path, encoding: str = "utf-8") -> Iterator[str]:
                 yield line
     except OSError as error:
         raise ConfigurationError(f"cannot be read: {error.strerror}", file=path) from error
+    except UnicodeError:
+        raise ConfigurationError(
+            f"is not text in {encoding.upper()}: unpack a compressed file, save a table as CSV in "
+            "UTF-8, or state the encoding: of a weather file in its description, which "
+            "greenroof weather FILE --describe prints", file=path, line=number,
+        ) from None
     if blank:
         raise ConfigurationError("is empty", file=path)
 

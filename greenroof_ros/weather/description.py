@@ -21,6 +21,7 @@ import functools
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
@@ -148,14 +149,17 @@ def _find_mistakes(made: Description) -> Iterator[tuple[str, str]]:
     if made.columns and TIME not in made.columns:
         yield f"columns.{TIME}", "must name the column of the times"
     zone = "UTC" if made.time_zone in ("", STANDARD) else made.time_zone
-    for key, name, look_up, example in (
-        ("time_zone", zone, ZoneInfo, "a time zone, such as Europe/Berlin or UTC"),
-        ("encoding", made.encoding, "".encode, "an encoding, such as utf-8 or cp1252"),
+    form, some_time = made.time_format, datetime(2021, 7, 7, tzinfo=timezone.utc)
+    for key, name, look_up, expected in (
+        ("time_zone", zone, ZoneInfo, "the name of a time zone, such as Europe/Berlin or UTC"),
+        ("encoding", made.encoding, "".encode, "the name of an encoding, such as utf-8 or cp1252"),
+        ("time_format", some_time.strftime(form), lambda text: datetime.strptime(text, form),  # noqa: DTZ007
+         "the form of a time, such as %d.%m.%Y %H:%M, with each directive only once"),
     ):
         try:
             look_up(name)
-        except (LookupError, ValueError, OSError):
-            yield key, f"must be the name of {example}"
+        except (LookupError, ValueError, OSError, re.error):
+            yield key, f"must be {expected}"
 
 
 def usual_name(name: str) -> str:

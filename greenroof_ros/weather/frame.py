@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
 
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.site.site import Place
 from greenroof_ros.weather.description import TIME, Description
 from greenroof_ros.weather.records import WEATHER, Records, make_hours
@@ -33,6 +34,8 @@ def read_frame(frame: Any, site: Place) -> Records:
         ConfigurationError: if a column or a value is invalid; the message states the row, counted
             from 0.
     """
+    if not len(frame):
+        raise ConfigurationError("must have rows", file=_NAME)
     series = {str(name): [*frame[name]] for name in frame.columns}
     if times := _list_times(frame):
         series[TIME] = times

@@ -227,6 +227,7 @@ def test_records_that_are_written_again(tmp_path: Path, step_min: int, lines: in
 def test_a_data_frame_without_times(library: str) -> None:
     frame = pytest.importorskip(library).DataFrame({"rain [mm]": [0.0, 0.1]})
     refusal(lambda: gr.simulate("onoff", weather=frame), match="^the data frame.*time.*must be")
+    refusal(lambda: gr.simulate("onoff", weather=frame[:0]), match="^the data frame: must have")
 
 
 # --- a measured roof ------------------------------------------------------------------------------

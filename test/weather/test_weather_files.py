@@ -136,6 +136,17 @@ def test_missing_values_are_declared(tmp_path: Path) -> None:
     assert rain_of(tmp_path, f"time,rain [mm]\n{rows(['T', 1])}", zero_values="T") == [0, 1]
 
 
+@pytest.mark.parametrize(
+    ("encoding", "ends"), [("utf-16", "\n"), ("utf-8", "\r"), ("cp1252", "\r\n")]
+)
+def test_encodings_and_line_ends(tmp_path: Path, encoding: str, ends: str) -> None:
+    text = f"time,rain [mm],é [%]\n{rows(['0.5,1', '0.25,1'])}".replace("\n", ends)
+    assert rain_of(tmp_path, text, encoding=encoding) == [0.5, 0.25]
+    if encoding != "utf-8":
+        message = refusal(read_measured, [tmp_path / "gauge.csv"], SITE)
+        assert "line 1: is not text in UTF-8" in message and "--describe" in message
+
+
 # --- times ----------------------------------------------------------------------------------------
 
 
