@@ -6,9 +6,9 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Any
 
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.standard_error import ProgressLines
 from greenroof_ros.base.times import hours_minutes_seconds
 
@@ -28,7 +28,7 @@ class ProgressBar(Progress):
         Args:
             file: stream on which the bar is drawn; None for standard error.
         """
-        console = Console(stderr=True, file=file)
+        console = PlainConsole(stderr=True, file=file)
         super().__init__(
             TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
             TimeRemainingColumn(), console=console, disable=not console.is_interactive,
@@ -39,7 +39,7 @@ class ProgressBar(Progress):
 
     def print_line(self, text: str) -> None:
         """Print a line above the bar."""
-        self.console.print(text, markup=False, highlight=False, soft_wrap=True)
+        self.console.print(text, soft_wrap=True)
 
     def show(self, text: str, share: float) -> None:
         """Show the current task and the completed share of all tasks, from 0 to 1."""

@@ -8,7 +8,6 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from greenroof_ros.analysis.calibration.bag_record import read_bag_record
@@ -35,6 +34,7 @@ from greenroof_ros.analysis.calibration.site_file import (
 )
 from greenroof_ros.analysis.calibration.step_record import DAY_S, StepRecord, Steps, name_time
 from greenroof_ros.base.command_line import Parser, add_site, command
+from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import ConfigurationError, require_extra
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.progress import ProgressBar
@@ -103,7 +103,7 @@ def main() -> None:
     for file, content in ((page_file, page), (output, text)):
         with add_path_to_errors(file):
             file.write_text(content, encoding="utf-8")
-    Console().print(f"written: {output}, {page_file}", soft_wrap=True, highlight=False)
+    PlainConsole().print(f"written: {output}, {page_file}", soft_wrap=True)
 
 
 def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str, str]:
@@ -242,4 +242,4 @@ def _print_parameters(fitted: Fit) -> None:
             parameter.name, f"{parameter.value:.4g}", parameter.interval or "not fitted",
             parameter.reason,
         )
-    Console().print(table)
+    PlainConsole().print(table)

@@ -9,7 +9,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from rich.console import Console
 from rich.table import Column, Table
 
 from greenroof_ros.analysis.workers.choice import (
@@ -23,6 +22,7 @@ from greenroof_ros.base.command_line import (
     Parser,
     command,
 )
+from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import require_extra
 from greenroof_ros.base.files import find_shipped
 from greenroof_ros.base.processes import InterruptedRun, Signals, count_cores
@@ -134,4 +134,4 @@ def _show(rows: Sequence[Mapping[str, Any]], page: ModuleType) -> None:
             page.LABELS[row["outlet"]] if row["adoption"] else page.AS_IS_LABEL,
             *(f"{row[name]:,.4g}" for name in columns.values()),
         )
-    Console().print(table)
+    PlainConsole().print(table)

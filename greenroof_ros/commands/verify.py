@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
 from greenroof_ros.analysis.verification.checks import check_forecasts
@@ -23,6 +22,7 @@ from greenroof_ros.base.command_line import (
     command,
     make_number_type,
 )
+from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.progress import ProgressBar
@@ -132,7 +132,7 @@ def main() -> None:
     if arguments.output is not None:
         with add_path_to_errors(arguments.output):
             arguments.output.write_text(_write_csv(tallies), encoding="utf-8")
-    console = Console()
+    console = PlainConsole()
     console.print(_make_table(
         f"{forecasts.name}: {count} forecasts, compared with {weather.source}", tallies
     ))
@@ -147,7 +147,7 @@ def main() -> None:
     for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
     if arguments.output:
-        console.print(f"written: {arguments.output}", soft_wrap=True, highlight=False)
+        console.print(f"written: {arguments.output}", soft_wrap=True)
 
 
 def _read_sums(arguments: argparse.Namespace) -> list[Sum]:

@@ -9,9 +9,9 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
+from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.times import to_minutes
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
@@ -136,12 +136,12 @@ def show(
     if as_json:
         print(json.dumps(result, indent=2, allow_nan=False))
         return
-    console = Console()
+    console = PlainConsole()
     for note in result["notes"]:
-        console.print(f"note: {note}", soft_wrap=True, highlight=False, markup=False)
+        console.print(f"note: {note}", soft_wrap=True)
     console.print(grid(title, lines))
     if end:
-        console.print(end, soft_wrap=True, highlight=False)
+        console.print(end, soft_wrap=True)
 
 
 def print_weather(summary: Mapping[str, Any], name: str = "weather") -> None:
