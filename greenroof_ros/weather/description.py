@@ -125,8 +125,11 @@ def _shape(key: str, value: Any) -> Any:
             "must be decided, because the file does not say it", key=key, value=value
         )
     if isinstance(value, Mapping):
-        return {usual_name(each): _shape(f"{key}.{each}", value[each]) for each in value}
-    if key == "skiprows" and isinstance(value, int):
+        shaped = {usual_name(each): _shape(f"{key}.{each}", value[each]) for each in value}
+        if len(shaped) < len(value):
+            raise ConfigurationError("must name a quantity only once", key=key, value=[*value])
+        return shaped
+    if key == "skiprows" and isinstance(value, int) and value >= 0:
         return [*range(value)]
     if key.partition(".")[0] in _LISTS:
         return [_as_text(each) for each in (value if isinstance(value, (list, tuple)) else [value])]
@@ -148,6 +151,13 @@ def _find_mistakes(made: Description) -> Iterator[tuple[str, str]]:
             yield f"columns.{name}", "must be one column"
     if made.columns and TIME not in made.columns:
         yield f"columns.{TIME}", "must name the column of the times"
+    for name in {*made.units} - {*made.columns} if made.columns else ():
+        yield f"units.{name}", "has no effect, because columns does not name this quantity"
+    for key in ("skiprows", "skipfooter"):
+        if getattr(made, key) and not made.columns:
+            yield key, "has an effect only in a description with columns"
+    if made.time_zone and made.utc_offset is not None:
+        yield "utc_offset", "must not be stated together with time_zone"
     zone = "UTC" if made.time_zone in ("", STANDARD) else made.time_zone
     form, some_time = made.time_format, datetime(2021, 7, 7, tzinfo=timezone.utc)
     for key, name, look_up, expected in (
@@ -207,9 +217,10 @@ def read_comments(
     lines = [f"{stated[n]}," if n in stated else "" for n in range(1, max(stated, default=0) + 1)]
     made = make_description(parse_yaml("{" + "\n".join(lines) + "}", path), path)
     default = vars(Description())
-    return replace(
-        made, **{key: value for key, value in vars(given).items() if value != default[key]}
-    )
+    own = {key: value for key, value in vars(given).items() if value != default[key]}
+    if own.keys() & {"time_zone", "utc_offset"}:
+        made = replace(made, time_zone="", utc_offset=None)
+    return replace(made, **own)
 
 
 @functools.cache

@@ -36,9 +36,16 @@ def read_frame(frame: Any, site: Place) -> Records:
     """
     if not len(frame):
         raise ConfigurationError("must have rows", file=_NAME)
-    series = {str(name): [*frame[name]] for name in frame.columns}
-    if times := _list_times(frame):
-        series[TIME] = times
+    names = [*map(str, frame.columns)]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ConfigurationError("is the name of more than one column", file=_NAME, key=twice[0])
+    times = _list_times(frame)
+    if not times or not isinstance(times[0], (str, datetime)):
+        expected = "must be a column of the data frame, or its index must consist of times"
+        raise ConfigurationError(expected, file=_NAME, key=TIME)
+    if hasattr(frame, "notna"):  # pandas has several values that stand for a missing one
+        frame = frame.astype(object).where(frame.notna(), None)
+    series = {name: [*frame[name]] for name in frame.columns} | {TIME: times}
     return make_hours([read_columns(_NAME, series, Description(name="data frame"), site)])
 
 
@@ -56,6 +63,5 @@ def find_zone(frame: Any) -> tzinfo | None:
     return ZoneInfo(zone.zone) if hasattr(zone, "zone") else zone  # from pytz, as in older pandas
 
 
-def _list_times(frame: Any) -> list[str | datetime]:
-    times: Any = frame[TIME] if TIME in frame.columns else getattr(frame, "index", ())
-    return [time if isinstance(time, datetime) else str(time) for time in times]
+def _list_times(frame: Any) -> list[Any]:
+    return [*(frame[TIME] if TIME in frame.columns else getattr(frame, "index", ()))]

@@ -365,6 +365,7 @@ def _find_columns(
             continue
         if quantity in columns:
             raise table.refuse(f"an earlier column already contains {quantity}", column)
+        table.place(column)
         unit = described.units.get(name, described.units.get(quantity, split_unit(column)[1]))
         try:
             quantities.find_unit(quantity, unit, 1.0, 1.0)
@@ -421,13 +422,13 @@ def _number_reader(
             if cell in meanings or cell != cell:  # NaN in a data frame
                 return meanings.get(cell, math.nan)
             number = read_number(cell.translate(marks)) if isinstance(cell, str) else float(cell)
-            if not math.isfinite(number):
+            if not math.isfinite(number) or isinstance(cell, bool | np.bool_):
                 raise ValueError
         except (TypeError, ValueError):
-            raise table.refuse(
-                f"must be a number with a decimal {'comma' if comma else 'point'}, or empty; if it "
-                "denotes a missing value, name it in na_values", column, row,
-            ) from None
+            expected = f"must be a number with a decimal {'comma' if comma else 'point'}, or empty"
+            if table.line is not None:
+                expected += "; if it denotes a missing value, name it in na_values"
+            raise table.refuse(expected, column, row) from None
         return meanings.get(number, number)
 
     return read

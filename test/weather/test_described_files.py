@@ -122,6 +122,12 @@ def _values(value: object) -> list[object]:
         ("file: a.csv\ncolumns: {time: t, rain: rain}\nunits: {rain: mm}",
          "line 1: 'rain': must be the name of one column of the file"),
         ("file: a.csv\ncolumns: {time: t, rain: r}", "line 1: 'r': the unit of precipitation must"),
+        ("file: a.csv\ncolumns: {time: t, rain: cx}", "line 1: 'cx': must be the name of one"),
+        ("file: a.csv\ntime_zone: UTC\nutc_offset: 3", "line 3: utc_offset = 3.0: must not be sta"),
+        ("file: a.csv\nskiprows: 1", "line 2: skiprows = (0,): has an effect only in a"),
+        ("file: a.csv\nskiprows: -1", "line 2: skiprows = -1: must be a list"),
+        ("file: a.csv\ncolumns: {time: t, rain: r}\nunits: {temperature: K}", "has no effect"),
+        ("file: a.csv\ncolumns: {time: t, rain: r, precipitation: r}", "must name a quantity only"),
     ],
 )
 def test_wrong_descriptions(tmp_path: Path, text: str, reason: str) -> None:

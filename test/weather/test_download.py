@@ -316,7 +316,7 @@ REQUEST_ERRORS = (
     "This API does not yet support timezones",
     "Parameter 'latitude' and 'longitude' must not exceed 1000 coordinates.",
     "No data is available for this location",
-    "Data corrupted at path ''. Cannot initialize ForecastVariable from invalid String value rains.",
+    "Data corrupted at path ''. Cannot initialize ForecastVariable from invalid String value x.",
     "The supplied API key is invalid.",
 )
 OWN_FAILURES = (

@@ -21,6 +21,7 @@ from greenroof_ros.forecast.choice import choose
 from greenroof_ros.forecast.steps import make_forecast
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
+from greenroof_ros.weather.frame import read_frame
 from greenroof_ros.weather.read import complete_records, read_measured
 from greenroof_ros.weather.records import Records, write_records
 from greenroof_ros.weather.series import FILL, REFUSE, WeatherSeries
@@ -226,8 +227,22 @@ def test_records_that_are_written_again(tmp_path: Path, step_min: int, lines: in
 @pytest.mark.parametrize("library", ["polars", "pandas"])
 def test_a_data_frame_without_times(library: str) -> None:
     frame = pytest.importorskip(library).DataFrame({"rain [mm]": [0.0, 0.1]})
-    refusal(lambda: gr.simulate("onoff", weather=frame), match="^the data frame.*time.*must be")
+    refusal(lambda: gr.simulate("onoff", weather=frame), match="^the data frame.*time.*must be a")
     refusal(lambda: gr.simulate("onoff", weather=frame[:0]), match="^the data frame: must have")
+
+
+def test_a_pandas_frame() -> None:
+    """Each of its missing values is one; a boolean is no amount of rain; columns differ in name."""
+    pandas = pytest.importorskip("pandas")
+    times = [FIRST + timedelta(hours=hour) for hour in range(4)]
+    frame = pandas.DataFrame({"rain [mm]": [pandas.NA, 1.5, None, np.nan]}, index=times)
+    for kind in (object, "Float64"):
+        rain = read_frame(frame.astype(kind), SITE).values["precipitation"]
+        assert rain.tolist() == pytest.approx([np.nan, 1.5, np.nan, np.nan], nan_ok=True)
+    wet = pandas.DataFrame({"rain [mm]": [True, False]}, index=times[:2])
+    refusal(read_frame, wet, SITE, match="row 0: rain .* = 'True': must be a number[^;]*$")
+    frame.columns = ["rain [mm]"]
+    refusal(read_frame, pandas.concat([frame, frame], axis=1), SITE, match="more than one column")
 
 
 # --- a measured roof ------------------------------------------------------------------------------
