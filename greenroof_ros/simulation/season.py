@@ -383,16 +383,13 @@ class _Season:
 
     def _foresee(self, due: Sequence[int]) -> Forecasts:
         """Return the forecasts for the plans that are made before some ticks."""
-        rain, evaporated = list[Values](), list[Any]()
-        for tick in due:
-            outlook = self._forecast.at(tick)
-            rain.append(np.atleast_2d(outlook.rain))
-            evaporated.append(outlook.evapotranspiration)
-        rates = np.array(rain or np.empty((0, 1, 1)))
+        outlooks = [self._forecast.at(tick) for tick in due]
+        rates = np.array([np.atleast_2d(each.rain) for each in outlooks] or np.empty((0, 1, 1)))
         if not self._cases[0].with_forecast:
             rates = rates[:, :1].copy()
             rates[:, :, 1:] = 0.0
-        demand = np.array(evaporated or np.empty((0, 1))) / self._bed
+        needs = [each.evapotranspiration for each in outlooks]
+        demand = np.array(needs or np.empty((0, 1))) / self._bed
         return Forecasts(np.array(due, np.intp), self._ends, rates, demand)
 
     def run(
