@@ -50,9 +50,9 @@ class WeatherService(HttpService):
     Attributes:
         faults: of the next requests, one each: "" for none; "html"; "half" of the answer, then the
             connection ends; "limit", "limit 1" with Retry-After, and "tomorrow": 429; "error": 503;
-            "refusal": 400 with a reason; "400": the same without one; "missing": 404; "slow": a
-            pause of 20 s; "fewer" variables; "short": a day less; "other" hours, of ten years
-            before; "gap": five hours without values; "dry": no values of precipitation at all;
+            "refusal": 400 with a reason; any other phrase: 400 with this reason; "missing": 404;
+            "slow": a pause of 20 s; "fewer" variables; "short": a day less; "other" hours, of ten
+            years before; "gap": five hours without values; "dry": no values of precipitation at all;
             "JSON error": an answer with status 200 that is an error; "odd": no list of times;
             "deep": nested JSON; "control": a refusal with control characters, which repeats the
             query.
@@ -78,12 +78,12 @@ class WeatherService(HttpService):
             "tomorrow": (429, {}, "Daily API request limit exceeded. Please try again tomorrow."),
             "error": (503, {}, "upstream is down"),
             "refusal": (400, {}, "Parameter 'end_date' is out of allowed range"),
-            "400": (400, {}, "Something went wrong."),
             "missing": (404, {}, "Not Found"),
             "JSON error": (200, {}, "Something went wrong."),
-        }.get(fault)
+        }.get(fault, (400, {}, fault) if " " in fault else None)
         if fault == "control":
-            status, headers, body = 400, {}, f"\33[2J\7\u202eno value: {path.query}".encode()
+            status, headers = 400, {}
+            body = f"\33[2J\7\u202einvalid String value {path.query}".encode()
         elif refusal is not None:
             status, headers, reason = refusal
             body = json.dumps({"error": True, "reason": reason}).encode()

@@ -28,9 +28,14 @@ _MAX_MESSAGE, _MAX_REASON = 800, 200
 _KEY_LENGTH = 6
 # Statuses below 500 that pass by themselves: a slow request and too many requests.
 _PASSING = (408, 429)
-# What a service says about a request that it will never answer. Open-Meteo also sends the status
-# 400 for failures of its own, with the reason "Something went wrong."
-_OWN_FAULT = re.compile(r"\b(parameter|value|range|key)s?\b", re.IGNORECASE)
+# Open-Meteo's words for a request that it will never answer (ForecastapiError in its source). It
+# also sends the status 400 for failures of its own: "Something went wrong.", or "Could not read
+# reference weight file" with the name of a variable. So the name of a variable decides nothing.
+_OWN_FAULT = re.compile(
+    r"\bmust (not )?(be|have|exceed)\b|\binvalid (timezone|\w+ value)\b|\bis invalid\b"
+    r"|\bout of allowed range\b|\bmutually exclusive\b|\bnot (yet )?support"
+    r"|\b(value|key) required\b|\bno data is available for this location\b", re.IGNORECASE,
+)
 # Only redirections are followed at once; the caller tries again, after a day at most.
 _RETRY = Retry(
     None, connect=False, read=False, redirect=5, raise_on_redirect=False, retry_after_max=86_400,

@@ -272,7 +272,7 @@ def test_a_key_in_the_url_reaches_the_service_and_nothing_else(service, tmp_path
     assert f"error: 2023-01-01 to 2024-01-01: {service.address}/v1/archive: 400 Bad Request: " in (
         done.stderr
     )
-    assert "\\x1b[2J\\x07\\u202eno value: apikey=***&models=&lat" in done.stderr
+    assert "\\x1b[2J\\x07\\u202einvalid String value apikey=***&models=&lat" in done.stderr
     assert not {"\33", "\7", "\u202e"} & {*done.stderr}
     done = run(service, tmp_path, "--years", "2022-2023", "--url", paid)
     assert done.returncode == 0 and len(service.requests) == 3
@@ -305,9 +305,31 @@ def failure(service: WeatherService, directory: Path, source: Source) -> str:
     return str(caught.value)
 
 
+# All with the status 400. The words are those of Open-Meteo's source and pages, except for the key
+# and the timeout, which stand for other words of the same kinds.
+REQUEST_ERRORS = (
+    "Latitude must be in range of -90 to 90°. Given: 95.0.",
+    "Forecast days is invalid. Allowed range 0 to 16. Given 17.",
+    "Invalid timezone",
+    "End-date must be larger or equals than start-date",
+    "Parameter 'end_date' is out of allowed range from 1940-01-01 to 2026-11-30",
+    "Parameter 'past_days' is mutually exclusive with 'start_date' and 'end_date'",
+    "This API does not yet support timezones",
+    "Parameter 'latitude' and 'longitude' must not exceed 1000 coordinates.",
+    "No data is available for this location",
+    "Data corrupted at path ''. Cannot initialize ForecastVariable from invalid String value rain.",
+    "The supplied API key is invalid.",
+)
+OWN_FAILURES = (
+    "Something went wrong.",
+    "Could not read reference weight file temperature_2m for domain era5",
+    "Timeout while reading value from disk",
+)
+
+
 @pytest.mark.parametrize(("fault", "requests", "reason"), [
-    ("refusal", 1, "400 Bad Request: .*out of allowed range"),
-    ("400", 8, "400 Bad Request: .*Something went wrong"),
+    *((reason, 1, "400 Bad Request: ") for reason in REQUEST_ERRORS),
+    *((reason, 8, "400 Bad Request: ") for reason in OWN_FAILURES),
     ("missing", 1, "404 Not Found"),
     ("fewer", 1, "sent no solar radiation values"),
     ("dry", 1, "sent no precipitation values"),
