@@ -14,7 +14,9 @@ import yaml
 
 from greenroof_ros.base.errors import ConfigurationError
 
-# libyaml is ten times as fast, and every process reads the interface when it starts.
+# libyaml is ten times as fast, and every process reads the interface when it starts. ruamel.yaml
+# knows lines of keys in pure Python only (140 ms for topics.yaml instead of 2 ms); its C loader
+# is five times slower than PyYAML's, and deep nesting crashes the interpreter.
 _BaseLoader: Any = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
 
 
