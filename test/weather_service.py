@@ -52,8 +52,8 @@ class WeatherService(HttpService):
             connection ends; "limit", "limit 1" with Retry-After, and "tomorrow": 429; "error": 503;
             "refusal": 400 with a reason; any other phrase: 400 with this reason; "missing": 404;
             "slow": a pause of 20 s; "fewer" variables; "short": a day less; "other" hours, of ten
-            years before; "gap": five hours without values; "dry": no values of precipitation at all;
-            "JSON error": an answer with status 200 that is an error; "odd": no list of times;
+            years before; "gap": five hours without values; "dry": no values of precipitation at
+            all; "JSON error": an answer with status 200 that is an error; "odd": no list of times;
             "deep": nested JSON; "control": a refusal with control characters, which repeats the
             query.
         requests: the queries, in order.
