@@ -47,10 +47,10 @@ class Peer:
         from rclpy.node import Node
         from rclpy.signals import SignalHandlerOptions
 
-        from greenroof_ros.graph.domain import choose_transport
+        from greenroof_ros.graph.domain import prepare_ros
 
         self.context = rclpy.Context()
-        choose_transport()
+        prepare_ros()
         rclpy.init(
             args=[], context=self.context, domain_id=domain,
             signal_handler_options=SignalHandlerOptions.NO,

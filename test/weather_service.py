@@ -51,9 +51,9 @@ class WeatherService(HttpService):
         faults: of the next requests, one each: "" for none; "html"; "half" of the answer, then the
             connection ends; "limit", "limit 1" with Retry-After, and "tomorrow": 429; "error": 503;
             "refusal": 400 with a reason; any other phrase: 400 with this reason; "missing": 404;
-            "slow": a pause of 20 s; "fewer" variables; "short": a day less; "other" hours, of
-            ten years before; "gap": five hours without values; "dry": no precipitation at all;
-            "JSON error": an answer with status 200 that is an error; "odd": no list of times;
+            "slow": a pause of 20 s; "fewer" variables; "short": a day less; "other" hours, of ten
+            years before; "gap": five hours without values; "dry": no values of precipitation at
+            all; "JSON error": an answer with status 200 that is an error; "odd": no list of times;
             "deep": nested JSON; "control": a refusal with control characters, which repeats the
             query.
         requests: the queries, in order.
@@ -82,8 +82,8 @@ class WeatherService(HttpService):
             "JSON error": (200, {}, "Something went wrong."),
         }.get(fault, (400, {}, fault) if " " in fault else None)
         if fault == "control":
-            text = f"\33[2J\7\u202einvalid String value {path.query}"
-            status, headers, body = 400, {}, text.encode()
+            status, headers = 400, {}
+            body = f"\33[2J\7\u202einvalid String value {path.query}".encode()
         elif refusal is not None:
             status, headers, reason = refusal
             body = json.dumps({"error": True, "reason": reason}).encode()

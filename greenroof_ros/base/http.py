@@ -30,7 +30,7 @@ _KEY_LENGTH = 6
 _PASSING = (408, 429)
 # Open-Meteo's words for a request that it will never answer (ForecastapiError in its source). It
 # also sends the status 400 for failures of its own: "Something went wrong.", or "Could not read
-# reference weight file", which names a variable of the request. So a name alone decides nothing.
+# reference weight file" with the name of a variable. So the name of a variable decides nothing.
 _OWN_FAULT = re.compile(
     r"\bmust (not )?(be|have|exceed)\b|\binvalid (timezone|\w+ value)\b|\bis invalid\b"
     r"|\bout of allowed range\b|\bmutually exclusive\b|\bnot (yet )?support"

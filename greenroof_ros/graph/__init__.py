@@ -1,7 +1,5 @@
 """Parts of a graph's nodes: messages, publishers, parameters, reports, lockstep, executables."""
 
-import sys
-
 from greenroof_ros.base.interrupts import begin_program
 
 

@@ -17,7 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.graph.domain import SHUTDOWN_S, choose_transport
+from greenroof_ros.graph.domain import SHUTDOWN_S, prepare_ros
 from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.rclpy_internals import take_messages
@@ -42,7 +42,7 @@ def ros(arguments: Sequence[str]) -> Iterator[None]:
     Raises:
         ConfigurationError: if rcl cannot parse the arguments.
     """
-    choose_transport()
+    prepare_ros()
     try:
         # Not rclpy's own handlers: after them nothing can be published, and a node that stops still
         # has to send its last report.

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from places import CONFIG
+from places import CHECKOUT, CONFIG
 from refusals import refusal
 
 from greenroof_ros.base.errors import OccupiedError
@@ -85,3 +86,17 @@ def test_values_that_ros_would_replace(
     assert message.startswith(f"{variable} = {value!r}: ") and words in message
     monkeypatch.setenv(variable, "")  # as if it were not set
     check_environment()
+
+
+def test_importing_nodes_and_commands_changes_nothing_in_the_process() -> None:
+    code = (
+        "import logging, signal, sys, rclpy, std_msgs.msg;"
+        "state = lambda: (logging.raiseExceptions, sys.excepthook, len(sys.meta_path),"
+        " [name for name in sys.modules if sys.modules[name] is None],"
+        " [signal.getsignal(number) for number in signal.valid_signals()]);"
+        "before = state();"
+        "import greenroof_ros.live.pump, greenroof_ros.bringup.composition,"
+        " greenroof_ros.bringup.live, greenroof_ros.watch.graph_client;"
+        "assert state() == before, state()"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=CHECKOUT)

@@ -305,7 +305,8 @@ def failure(service: WeatherService, directory: Path, source: Source) -> str:
     return str(caught.value)
 
 
-# As in the source of Open-Meteo, whose answers to both kinds have the status 400.
+# All with the status 400. The words are those of Open-Meteo's source and pages, except for the key
+# and the timeout, which stand for other words of the same kinds.
 REQUEST_ERRORS = (
     "Latitude must be in range of -90 to 90°. Given: 95.0.",
     "Forecast days is invalid. Allowed range 0 to 16. Given 17.",
@@ -316,7 +317,7 @@ REQUEST_ERRORS = (
     "This API does not yet support timezones",
     "Parameter 'latitude' and 'longitude' must not exceed 1000 coordinates.",
     "No data is available for this location",
-    "Data corrupted at path ''. Cannot initialize ForecastVariable from invalid String value x.",
+    "Data corrupted at path ''. Cannot initialize ForecastVariable from invalid String value rain.",
     "The supplied API key is invalid.",
 )
 OWN_FAILURES = (

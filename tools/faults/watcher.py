@@ -22,7 +22,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
-from greenroof_ros.graph.domain import choose_transport
+from greenroof_ros.graph.domain import prepare_ros
 from greenroof_ros.graph.messages import message_class, qos_profile
 from greenroof_ros.interface.topics import read_topics
 
@@ -31,7 +31,7 @@ from greenroof_ros.interface.topics import read_topics
 def _transport() -> Iterator[None]:
     """Use the nodes' transport, and restore the environment for processes started later."""
     before = dict(os.environ)
-    choose_transport()
+    prepare_ros()
     try:
         yield
     finally:

@@ -22,7 +22,7 @@ from greenroof_ros.base.command_line import CheckResult
 from greenroof_ros.base.errors import ConfigurationError, OccupiedError
 from greenroof_ros.base.processes import Signals
 from greenroof_ros.base.standard_error import ProgressLines
-from greenroof_ros.graph.domain import choose_transport
+from greenroof_ros.graph.domain import prepare_ros
 from greenroof_ros.graph.errors import MalformedMessageError
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
 from greenroof_ros.graph.messages import (
@@ -324,7 +324,7 @@ def check_node(
         ConfigurationError: if the node under test is not found.
         OccupiedError: if other nodes already publish the topics that the check publishes.
     """
-    choose_transport()
+    prepare_ros()
     Signals(interrupt=True)  # the node leaves the graph
     namespace, _, tested_name = tested.rpartition("/")
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
