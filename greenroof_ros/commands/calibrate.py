@@ -8,7 +8,6 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from greenroof_ros.analysis.calibration.bag_record import read_bag_record
@@ -35,9 +34,11 @@ from greenroof_ros.analysis.calibration.site_file import (
 )
 from greenroof_ros.analysis.calibration.step_record import DAY_S, StepRecord, Steps, name_time
 from greenroof_ros.base.command_line import Parser, add_site, command
+from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import ConfigurationError, require_extra
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.progress import ProgressBar
+from greenroof_ros.base.text import escape
 from greenroof_ros.commands.output_file import refuse_unwritable
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
@@ -103,7 +104,7 @@ def main() -> None:
     for file, content in ((page_file, page), (output, text)):
         with add_path_to_errors(file):
             file.write_text(content, encoding="utf-8")
-    Console().print(f"written: {output}, {page_file}", soft_wrap=True, highlight=False)
+    PlainConsole().print(f"written: {output}, {page_file}", soft_wrap=True)
 
 
 def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str, str]:
@@ -125,9 +126,9 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
     site = complete_roof(read_site(site_file))
     record = read(site)
     for line in record.contents:
-        print(f"record: {line}", file=sys.stderr)
+        print(escape(f"record: {line}"), file=sys.stderr)
     for note in record.notes:
-        print(f"note: {note}", file=sys.stderr)
+        print(escape(f"note: {note}"), file=sys.stderr)
     counts = select_months(record, months)
     pumps = fit_pumps(site, record.select(counts))
     site = pumps.site
@@ -136,7 +137,7 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
     counted = record.select(counts)
     warnings = check_record(counted, site)
     for warning in warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+        print(escape(f"warning: {warning}"), file=sys.stderr)
     halves = halve_steps(record, select_comparable(record) & counts)
     _refuse_dry(record, halves)
     own = site.percolation_exponent
@@ -242,4 +243,4 @@ def _print_parameters(fitted: Fit) -> None:
             parameter.name, f"{parameter.value:.4g}", parameter.interval or "not fitted",
             parameter.reason,
         )
-    Console().print(table)
+    PlainConsole().print(table)

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from rich import box
-from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Column, Table
 
@@ -23,6 +22,7 @@ from greenroof_ros.base.command_line import (
     make_number_type,
     option_of,
 )
+from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import ConfigurationError, rename_keys, require_extra
 from greenroof_ros.base.files import writable
 from greenroof_ros.base.processes import Signals, count_cores
@@ -150,8 +150,8 @@ def _refuse_other_files(directory: Path) -> None:
 
 def show(sizes: Sizes, page: Path) -> None:
     """Print the recommendation and the designs with the recommended target."""
-    console, own = Console(), sizes.recommended
-    console.print(sizes.sentence, style="bold", highlight=False)
+    console, own = PlainConsole(), sizes.recommended
+    console.print(sizes.sentence, style="bold")
     seasons = sizes.seasons[0]
     if len(sizes.seasons) > 1:
         seasons = (
@@ -159,7 +159,7 @@ def show(sizes: Sizes, page: Path) -> None:
         )
     console.print(
         f"Target {own.target:g} mm, outlet {own.outlet}, on/off control; {sizes.window}; "
-        f"{seasons}. The cistern: {sizes.describe_knee()}", highlight=False,
+        f"{seasons}. The cistern: {sizes.describe_knee()}",
     )
     columns = sizes.columns
     for outlet in sizes.outlets:
@@ -181,14 +181,13 @@ def show(sizes: Sizes, page: Path) -> None:
         needed = Measurement.get(console, console.options.update(max_width=1000), table).minimum
         # No number is cut off.
         console.print(table, width=max(console.width, needed), crop=False)
-    console.print(sizes.describe_starts(), highlight=False)
+    console.print(sizes.describe_starts())
     for note in sizes.list_remarks():
-        console.print(f"NOTE: {note}", highlight=False)
+        console.print(f"NOTE: {note}")
     others = [f"{target:g} mm" for target in sizes.targets if target != own.target]
     if others:
         many = "s" * (len(others) > 1)
         console.print(
             f"The page also contains the tables for the target{many} {', '.join(others)}.",
-            highlight=False,
         )
-    console.print(f"written to {page} and {TABLE}", soft_wrap=True, highlight=False)
+    console.print(f"written to {page} and {TABLE}", soft_wrap=True)

@@ -9,7 +9,6 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any, TypeAlias
 
-from rich.console import Console
 from rich.table import Column, Table
 
 from greenroof_ros.analysis.study.case import Case, collect_contents
@@ -32,6 +31,7 @@ from greenroof_ros.base.command_line import (
     command,
     make_number_type,
 )
+from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.files import find_shipped, shared_directory
 from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.base.progress import ProgressBar
@@ -220,7 +220,7 @@ def show(rows: Sequence[Mapping[str, Any]], directory: Path) -> None:
         rows: rows of the study's ``results.csv``, one for each run.
         directory: directory of the study.
     """
-    console = Console()
+    console = PlainConsole()
     windows: dict[str, dict[str, dict[str, list[float | None]]]] = {}
     for row in rows:
         cases = windows.setdefault(row["window"], {})
@@ -239,7 +239,7 @@ def show(rows: Sequence[Mapping[str, Any]], directory: Path) -> None:
         count = sum(bool(row.get(column)) for row in rows)
         if count:
             console.print(f"NOTE: {count} of {len(rows)} runs {what} (column {column})")
-    console.print(f"written to {directory / 'results.csv'}", soft_wrap=True, highlight=False)
+    console.print(f"written to {directory / 'results.csv'}", soft_wrap=True)
 
 
 def _mean(values: Sequence[float | None]) -> str:

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
 from greenroof_ros.analysis.verification.checks import check_forecasts
@@ -23,9 +22,11 @@ from greenroof_ros.base.command_line import (
     command,
     make_number_type,
 )
+from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.progress import ProgressBar
+from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import to_people
 from greenroof_ros.commands.output_file import refuse_unwritable
 from greenroof_ros.site.file import read_site
@@ -132,7 +133,7 @@ def main() -> None:
     if arguments.output is not None:
         with add_path_to_errors(arguments.output):
             arguments.output.write_text(_write_csv(tallies), encoding="utf-8")
-    console = Console()
+    console = PlainConsole()
     console.print(_make_table(
         f"{forecasts.name}: {count} forecasts, compared with {weather.source}", tallies
     ))
@@ -143,11 +144,11 @@ def main() -> None:
     if len(notes) > _MAX_NOTES:
         notes[_MAX_NOTES:] = [f"and {len(notes) - _MAX_NOTES} more notes"]
     for note in notes:
-        print(f"note: {note}", file=sys.stderr)
+        print(escape(f"note: {note}"), file=sys.stderr)
     for warning in warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+        print(escape(f"warning: {warning}"), file=sys.stderr)
     if arguments.output:
-        console.print(f"written: {arguments.output}", soft_wrap=True, highlight=False)
+        console.print(f"written: {arguments.output}", soft_wrap=True)
 
 
 def _read_sums(arguments: argparse.Namespace) -> list[Sum]:

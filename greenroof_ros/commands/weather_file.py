@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from greenroof_ros.base.command_line import Parser, add_site, command
+from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import ConfigurationError, rename_keys
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.parameter import Key, keys
@@ -141,7 +141,7 @@ def main() -> None:
     # A file for another place is described, too; a run rejects it, or warns.
     anywhere = replace(site, latitude=None, longitude=None, elevation=None)
     measured = read_measured(files, anywhere, _read_options(arguments))
-    console = Console()
+    console = PlainConsole()
     console.print(grid("Weather", _describe(measured, site)))
     if output is not None:
         with add_path_to_errors(output):
@@ -149,7 +149,7 @@ def main() -> None:
                 write_records(measured, "\n".join((*measured.applied, "Written by greenroof "
                                                    "weather."))), encoding="utf-8",
             )
-        console.print(f"written: {output}", soft_wrap=True, highlight=False)
+        console.print(f"written: {output}", soft_wrap=True)
 
 
 def _describe(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:

@@ -9,9 +9,10 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
+from greenroof_ros.base.console import PlainConsole
+from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import to_minutes
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
@@ -136,12 +137,12 @@ def show(
     if as_json:
         print(json.dumps(result, indent=2, allow_nan=False))
         return
-    console = Console()
+    console = PlainConsole()
     for note in result["notes"]:
-        console.print(f"note: {note}", soft_wrap=True, highlight=False, markup=False)
+        console.print(f"note: {note}", soft_wrap=True)
     console.print(grid(title, lines))
     if end:
-        console.print(end, soft_wrap=True, highlight=False)
+        console.print(end, soft_wrap=True)
 
 
 def print_weather(summary: Mapping[str, Any], name: str = "weather") -> None:
@@ -152,7 +153,7 @@ def print_weather(summary: Mapping[str, Any], name: str = "weather") -> None:
         name: name of the record.
     """
     for line in as_lines(summary):
-        print(f"{name}: {line}", file=sys.stderr)
+        print(escape(f"{name}: {line}"), file=sys.stderr)
 
 
 def show_summary(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:
