@@ -10,6 +10,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.standard_error import ProgressLines
+from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import hours_minutes_seconds
 
 # Often enough for the eye, rarely enough to cost nothing.
@@ -30,8 +31,9 @@ class ProgressBar(Progress):
         """
         console = PlainConsole(stderr=True, file=file)
         super().__init__(
-            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
-            TimeRemainingColumn(), console=console, disable=not console.is_interactive,
+            TextColumn("{task.description}", markup=False), BarColumn(),
+            TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn(),
+            console=console, disable=not console.is_interactive,
             refresh_per_second=2,  # its thread competes with the run
         )
         self._task = self.add_task("", total=1.0)
@@ -43,7 +45,7 @@ class ProgressBar(Progress):
 
     def show(self, text: str, share: float) -> None:
         """Show the current task and the completed share of all tasks, from 0 to 1."""
-        self.update(self._task, description=text, completed=share)
+        self.update(self._task, description=escape(text), completed=share)
         if self.disable:
             self._lines.update(f"{text}: {share:.0%}")
 

@@ -38,6 +38,7 @@ from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import ConfigurationError, require_extra
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.progress import ProgressBar
+from greenroof_ros.base.text import escape
 from greenroof_ros.commands.output_file import refuse_unwritable
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
@@ -125,9 +126,9 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
     site = complete_roof(read_site(site_file))
     record = read(site)
     for line in record.contents:
-        print(f"record: {line}", file=sys.stderr)
+        print(escape(f"record: {line}"), file=sys.stderr)
     for note in record.notes:
-        print(f"note: {note}", file=sys.stderr)
+        print(escape(f"note: {note}"), file=sys.stderr)
     counts = select_months(record, months)
     pumps = fit_pumps(site, record.select(counts))
     site = pumps.site
@@ -136,7 +137,7 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
     counted = record.select(counts)
     warnings = check_record(counted, site)
     for warning in warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+        print(escape(f"warning: {warning}"), file=sys.stderr)
     halves = halve_steps(record, select_comparable(record) & counts)
     _refuse_dry(record, halves)
     own = site.percolation_exponent

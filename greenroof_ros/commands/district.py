@@ -27,6 +27,7 @@ from greenroof_ros.base.errors import require_extra
 from greenroof_ros.base.files import find_shipped
 from greenroof_ros.base.processes import InterruptedRun, Signals, count_cores
 from greenroof_ros.base.progress import ProgressBar
+from greenroof_ros.base.text import escape
 
 _DESCRIPTION = """\
 Simulate a district of many buildings with green roofs and cisterns, which are drawn from
@@ -84,7 +85,7 @@ def main() -> int:
     places = [] if arguments.weather is None else [arguments.weather]
     district = run.read_run(find_shipped(arguments.district), places)
     for note in district.notes:
-        print(f"note: {note}", file=sys.stderr)
+        print(escape(f"note: {note}"), file=sys.stderr)
     make_directory(arguments.output)
     signals = Signals()  # from now on, a signal ends the run at the next report
     try:
@@ -108,7 +109,7 @@ def main() -> int:
     _show(result.rows, page)
     print(result.sentence)
     for warning in result.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+        print(escape(f"warning: {warning}"), file=sys.stderr)
     print(f"written to {arguments.output / PAGE}")
     return EXIT_DONE
 

@@ -26,6 +26,7 @@ from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.progress import ProgressBar
+from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import to_people
 from greenroof_ros.commands.output_file import refuse_unwritable
 from greenroof_ros.site.file import read_site
@@ -143,9 +144,9 @@ def main() -> None:
     if len(notes) > _MAX_NOTES:
         notes[_MAX_NOTES:] = [f"and {len(notes) - _MAX_NOTES} more notes"]
     for note in notes:
-        print(f"note: {note}", file=sys.stderr)
+        print(escape(f"note: {note}"), file=sys.stderr)
     for warning in warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+        print(escape(f"warning: {warning}"), file=sys.stderr)
     if arguments.output:
         console.print(f"written: {arguments.output}", soft_wrap=True)
 

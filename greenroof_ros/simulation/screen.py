@@ -12,6 +12,7 @@ from typing import Any
 from rich.table import Table
 
 from greenroof_ros.base.console import PlainConsole
+from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import to_minutes
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
@@ -152,7 +153,7 @@ def print_weather(summary: Mapping[str, Any], name: str = "weather") -> None:
         name: name of the record.
     """
     for line in as_lines(summary):
-        print(f"{name}: {line}", file=sys.stderr)
+        print(escape(f"{name}: {line}"), file=sys.stderr)
 
 
 def show_summary(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:
