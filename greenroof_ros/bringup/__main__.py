@@ -1,8 +1,8 @@
 """``python -m greenroof_ros.bringup`` is equivalent to ``greenroof run``."""
 
-from greenroof_ros.graph import begin_node
+from greenroof_ros.base.interrupts import begin_program
 
-begin_node(__name__)
+begin_program(__name__)
 
 from greenroof_ros.bringup.simulated import main
 

@@ -16,7 +16,3 @@ def begin_node(module: str) -> None:
         from greenroof_ros.graph.domain import end_without_ros
 
         end_without_ros()
-        # Whatever sends a message imports ROS's generator of Python code, with a parser and
-        # templates, and never uses it. Blocking it saves a tenth of a node's start time.
-        generator = "rosidl_generator_py.generate_py_impl"
-        sys.modules.setdefault(generator, None)  # type: ignore[arg-type]
