@@ -20,11 +20,14 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import read_lines
 from greenroof_ros.base.parameter import parameters_of
 from greenroof_ros.base.ranges import read_number
+from greenroof_ros.base.text import escape
 from greenroof_ros.weather.description import SEPARATORS, TIME, Description
 from greenroof_ros.weather.quantities import QUANTITIES, Unit, find_unit
 from greenroof_ros.weather.table import parse_text, split, split_unit
 
 _LINES = 2000
+# Lines after the rows that can contain sums and remarks.
+_FOOT = 4
 _HIGHEST = 1e4  # of any quantity in our unit
 _DATES = "%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y", "%d/%m/%y", "%m/%d/%y", "%Y/%m/%d"
 _CLOCKS = "%H:%M", "%H:%M:%S", "%I:%M %p", "%I:%M:%S %p", "%I:%M%p"
@@ -76,7 +79,7 @@ def describe(file: Path) -> str:
     between = cells[header + 1 : first]
     for name, title, *texts in itertools.zip_longest(names, full, *between, *rows, fillvalue=""):
         quantity = _quantity_of(title)
-        if quantity is None or quantity in columns:
+        if quantity is None or quantity in columns or name in columns[TIME]:
             continue
         words = re.split(r"[,_ ]+", re.sub(r"\(.*", "", title))
         unit = _find_unit(quantity, [*texts[: len(between)], split_unit(title)[1], *words])
@@ -105,9 +108,10 @@ def describe(file: Path) -> str:
         *(f"time_format can be {form}" for form in forms if len(forms) > 1),
         f"not used: {', '.join(name for name in names if name not in used)}",
     ]
+    printable = "".join([file.name, *names, *missing]).isprintable()
     return yaml.safe_dump(
-        stated, sort_keys=False, allow_unicode=True, default_flow_style=None, width=1000
-    ) + "".join(f"# {comment}\n" for comment in comments)
+        stated, sort_keys=False, allow_unicode=printable, default_flow_style=None, width=1000
+    ) + "".join(f"# {escape(comment)}\n" for comment in comments)
 
 
 def _read(file: Path) -> tuple[str, list[str]]:
@@ -144,11 +148,12 @@ def _find_rows(
         for begin, count in itertools.product(range(min(8, len(row)) if heads else 0), (4, 2, 1)):
             time = tuple(range(begin, begin + count))
             forms = [form for form in _FORMS if _is_time(row, time, form)]
-            for kept in (rows, rows[:-1]):  # the last line can be a foot
+            for foot in range(_FOOT + 1):
+                kept = rows[: len(rows) - foot]
                 fits = [form for form in forms if all(_is_time(cells[n], time, form) for n in kept)]
                 if kept and fits:
                     named = [n for n in heads if any(map(_quantity_of, cells[n]))]
-                    last = len(cells) - 1 if kept is rows else kept[-1]
+                    last = kept[-1] if foot else len(cells) - 1
                     return (named or heads[:1])[-1], first, time, fits, last
     raise ConfigurationError(
         "has no rows that begin with a time in a known form: write its description by hand, or a "
