@@ -189,7 +189,9 @@ class SteppedForecast:
         self._ends, self._all_members = ends, all_members
         self._offset = (start - weather.first).total_seconds()
         self._until = self._offset + (len(series.precipitation) - site.M) * site.tau
-        self._made: dict[int, HourForecast] = {}  # that of the current hour
+        # Those of the current hour and tick: an environment asks twice in a tick.
+        self._made: dict[int, HourForecast] = {}
+        self._outlooks: dict[int, Outlook] = {}
         hours = range(int(self._offset // _HOUR_S), int(self._until // _HOUR_S) + 1)
         model.check(range(hours[0], hours[-1] + self._hours(hours[-1])))
         first_end = min((
@@ -200,12 +202,16 @@ class SteppedForecast:
 
     def at(self, tick: int) -> Outlook:
         """Return the outlook at a tick."""
+        if tick in self._outlooks:
+            return self._outlooks[tick]
         time = self._offset + tick * self._site.tau
         hour = int(time // _HOUR_S)
         measured = self._series.precipitation[tick], self._series.evapotranspiration[tick]
         if hour not in self._made:
             self._made = {hour: self._make_hour_forecast(hour)}
-        return self._made[hour].at(time - hour * _HOUR_S, self._all_members, measured)
+        outlook = self._made[hour].at(time - hour * _HOUR_S, self._all_members, measured)
+        self._outlooks = {tick: outlook}
+        return outlook
 
     def _hours(self, hour: int) -> int:
         """Return the number of hours that the ticks in an hour need, including that hour."""

@@ -264,7 +264,6 @@ def simulate_season(
     if any((each.site.tau, each.run.steps) != (cases[0].site.tau, steps) for each in cases):
         raise ConfigurationError("all sites in a batch must have the same tau and number of steps")
     note_if_slow(steps * count)
-    progress(0.0)  # compiling can take a while
     together: dict[Any, list[int]] = {}
     # Those of a group are adjacent, so that few parts have the group's hydrograph.
     for row in sorted(range(count), key=lambda row: cases[row].group):
@@ -283,13 +282,14 @@ def simulate_season(
             running: Iterable[None] = ()
             for ticks, begin, end, *forecasts in season.ticks():
                 list(running)  # ticks are read while those before them are simulated
+                progress(done / (steps + 1) / count)
                 running = spread(partial(season.run, ticks, begin, end, forecasts), season.parts)
                 done += (end - begin) * len(rows)
-                progress(min(1.0, done / (steps + 1) / count))
             list(running)
             for _, groups, of_part in season.parts:
                 hydrograph[groups] += of_part
             results |= zip(rows, season.results(), strict=True)
+    progress(1.0)
     return [results[row] for row in range(count)], hydrograph
 
 

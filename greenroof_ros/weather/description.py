@@ -146,13 +146,13 @@ def _find_mistakes(made: Description) -> Iterator[tuple[str, str]]:
         for name in getattr(made, key):
             if quantity_of(name) not in QUANTITIES and name not in others:
                 yield f"{key}.{name}", f"must be one of {', '.join((*others, *QUANTITIES))}"
+            if made.columns and quantity_of(name) not in map(quantity_of, made.columns):
+                yield f"{key}.{name}", "has no effect, because columns does not name this quantity"
     for name, columns in made.columns.items():
         if len(columns) != 1 and name != TIME:
             yield f"columns.{name}", "must be one column"
     if made.columns and TIME not in made.columns:
         yield f"columns.{TIME}", "must name the column of the times"
-    for name in {*made.units} - {*made.columns} if made.columns else ():
-        yield f"units.{name}", "has no effect, because columns does not name this quantity"
     for key in ("skiprows", "skipfooter"):
         if getattr(made, key) and not made.columns:
             yield key, "has an effect only in a description with columns"

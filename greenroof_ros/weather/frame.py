@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
-from datetime import datetime, tzinfo
+from datetime import date, tzinfo
 from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
@@ -13,7 +12,7 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.site.site import Place
 from greenroof_ros.weather.description import TIME, Description
 from greenroof_ros.weather.records import WEATHER, Records, make_hours
-from greenroof_ros.weather.table import Row, Rows, Table, arrange
+from greenroof_ros.weather.table import Row, Table, arrange
 
 _NAME = Path("the data frame")
 
@@ -40,21 +39,15 @@ def read_frame(frame: Any, site: Place) -> Records:
     if twice := [name for name in names if names.count(name) > 1]:
         raise ConfigurationError("is the name of more than one column", file=_NAME, key=twice[0])
     times = _list_times(frame)
-    if not times or not isinstance(times[0], (str, datetime)):
+    if not times or not isinstance(times[0], (str, date)):
         expected = "must be a column of the data frame, or its index must consist of times"
         raise ConfigurationError(expected, file=_NAME, key=TIME)
     if hasattr(frame, "notna"):  # pandas has several values that stand for a missing one
         frame = frame.astype(object).where(frame.notna(), None)
-    series = {name: [*frame[name]] for name in frame.columns} | {TIME: times}
-    return make_hours([read_columns(_NAME, series, Description(name="data frame"), site)])
-
-
-def read_columns(
-    source: Path, columns: Mapping[str, Sequence[Any]], described: Description, site: Place
-) -> Rows:
-    """Return the rows of a table that is given by its columns; see :func:`.table.arrange`."""
-    rows = map(Row, itertools.count(), zip(*columns.values(), strict=True))
-    return arrange(Table(source, [*columns], None, rows), described, site, WEATHER)
+    series = {str(name): [*frame[name]] for name in frame.columns} | {TIME: times}
+    rows = map(Row, itertools.count(), zip(*series.values(), strict=True))
+    table = Table(_NAME, [*series], None, rows)
+    return make_hours([arrange(table, Description(name="data frame"), site, WEATHER)])
 
 
 def find_zone(frame: Any) -> tzinfo | None:

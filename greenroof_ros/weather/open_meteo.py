@@ -90,10 +90,14 @@ def read_weather_rows(file: Path, site: Place, answer: bytes | None = None) -> l
         columns={TIME: (TIME,), **{quantity: (name,) for quantity, name in used.items()}},
     )
     rows = arrange(table, described, site, WEATHER)
-    ends = {name: rows.values.pop(name) for name in _BEFORE if name in rows.values}
-    return [rows] * bool(rows.values) + [replace(
-        rows, first=rows.first - HOUR, values=ends, described=replace(described, rows=END),
+    at_ends, at_starts = (
+        {name: series for name, series in rows.values.items() if (name in _BEFORE) == before}
+        for before in (True, False)
+    )
+    parts = [replace(rows, values=at_starts), replace(
+        rows, first=rows.first - HOUR, values=at_ends, described=replace(described, rows=END),
     )]
+    return [part for part in parts if part.values]
 
 
 def read_answer(file: Path, site: Place, answer: bytes | None = None) -> tuple[Table, Description]:

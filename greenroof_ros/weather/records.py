@@ -249,7 +249,9 @@ def make_hours(parts: Sequence[Rows]) -> Records:
         },
         wind_height=min(parts, key=lambda rows: WIND not in rows.values).described.wind_height,
         minutes=minutes,
-        rain_kind=max(rows.described.rain_kind * (PRECIPITATION in rows.values) for rows in parts),
+        rain_kind=max(
+            (rows.described.rain_kind for rows in parts if PRECIPITATION in rows.values), default="",
+        ),
         applied=tuple(
             text if len(applied) == 1 else f"{name_files(sources)}: {text}"
             for text, sources in applied.items()

@@ -132,6 +132,7 @@ def _values(value: object) -> list[object]:
         ("file: a.csv\nskiprows: 1", "line 2: skiprows = (0,): has an effect only in a"),
         ("file: a.csv\nskiprows: -1", "line 2: skiprows = -1: must be a list"),
         ("file: a.csv\ncolumns: {time: t, rain: r}\nunits: {temperature: K}", "has no effect"),
+        ("file: a.csv\ncolumns: {time: t, rain: r}\nflags: {wind speed: q}", "has no effect"),
         ("file: a.csv\ncolumns: {time: t, rain: r, precipitation: r}", "must name a quantity only"),
     ],
 )
