@@ -250,7 +250,7 @@ def make_hours(parts: Sequence[Rows]) -> Records:
         wind_height=min(parts, key=lambda rows: WIND not in rows.values).described.wind_height,
         minutes=minutes,
         rain_kind=max(
-            (rows.described.rain_kind for rows in parts if PRECIPITATION in rows.values), default="",
+            (each.described.rain_kind for each in parts if PRECIPITATION in each.values), default=""
         ),
         applied=tuple(
             text if len(applied) == 1 else f"{name_files(sources)}: {text}"
