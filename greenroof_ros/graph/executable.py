@@ -6,6 +6,7 @@ import argparse
 import math
 import sys
 import textwrap
+import traceback
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any, NoReturn
@@ -142,11 +143,13 @@ def run_nodes(
             for node in nodes:
                 refuse_unknown(node, sys.argv)
             spin(nodes, signals.check)
-        except (ConfigurationError, LockstepError, OSError) as error:
-            failure, code = explain(error)
-            print(f"error: {failure}", file=sys.stderr)
         except InterruptedRun:
             pass
+        except Exception as error:  # whatever the error, its cause must be reported
+            failure, code = explain(error)
+            if not isinstance(error, (ConfigurationError, LockstepError, OSError)):
+                traceback.print_exc()
+            print(f"error: {failure}", file=sys.stderr)
         finally:
             if nodes and end_nodes(nodes, failure) is not None:
                 code = code or EXIT_FAILED

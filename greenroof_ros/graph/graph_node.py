@@ -182,6 +182,11 @@ class GraphNode(Node):
 
     # --- ending -----------------------------------------------------------------------------
 
+    def note_failure(self, failure: str | None) -> None:
+        """Add the error that stops the node, if there is one, to all later reports."""
+        if failure is not None:
+            self._final["failure"] = failure
+
     def end(self, failure: str | None) -> None:
         """Report that the node is stopping, and wait up to 1 s for readers to receive all messages.
 
@@ -189,8 +194,7 @@ class GraphNode(Node):
             failure: the error that stopped the node; None if there was none.
         """
         self.reports.state = ENDED
-        if failure is not None:
-            self._final["failure"] = failure
+        self.note_failure(failure)
         self.report_state()
         until = time.monotonic() + _FLUSH_S
         for publisher in self._outputs.values():

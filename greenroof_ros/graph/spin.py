@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import rclpy
@@ -18,6 +19,7 @@ from rclpy.task import Future
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.graph.domain import SHUTDOWN_S, prepare_ros
+from greenroof_ros.graph.errors import explain
 from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.rclpy_internals import take_messages
@@ -26,6 +28,9 @@ from greenroof_ros.graph.rclpy_internals import take_messages
 _CHECK_S = 0.05
 # How long the middleware may take to shut down on a busy machine (s); SHUTDOWN_S is processor time.
 _MAX_SHUTDOWN_S = 30
+# Interval of the reports while nodes close their files and connections, and the longest time for
+# which they report this (s): a pump takes up to 38 s to come to a standstill.
+_REPORT_S, _MAX_STOP_S = 0.25, 45.0
 # A clock that is not affected when the system's clock is set.
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
@@ -131,6 +136,9 @@ def start_receiving(executor: Any, node: Any) -> None:
 def end_nodes(nodes: Sequence[GraphNode], failure: str | None) -> str | None:
     """Make every node close its open files and connections, and report that it is stopping.
 
+    A failure is reported before the nodes stop, and they go on reporting while they stop: a
+    supervisor would kill a silent node.
+
     Args:
         nodes: the nodes.
         failure: description of the error that ended the run; None if there was none.
@@ -140,14 +148,41 @@ def end_nodes(nodes: Sequence[GraphNode], failure: str | None) -> str | None:
         was stopping; None if there was no error.
     """
     for node in nodes:
-        try:
-            node.on_stop()
-        except OSError as error:
-            failure = failure or str(error)
-            print(f"error: {error}", file=sys.stderr)
+        node.note_failure(failure)
+    with _reporting(nodes):
+        for node in nodes:
+            try:
+                node.on_stop()
+            except Exception as error:  # the other nodes must stop too
+                why, _ = explain(error)
+                failure = failure or why
+                print(f"error: {why}", file=sys.stderr)
     for node in nodes:
         node.end(failure)
     return failure
+
+
+@contextmanager
+def _reporting(nodes: Sequence[GraphNode]) -> Iterator[None]:
+    """Let nodes report their states during the block, for a limited time."""
+    stopped = threading.Event()
+
+    def report() -> None:
+        until = time.monotonic() + _MAX_STOP_S
+        while time.monotonic() < until:
+            for node in nodes:
+                with suppress(Exception):  # its own error is reported already
+                    node.report_state()
+            if stopped.wait(_REPORT_S):
+                return
+
+    reporter = threading.Thread(target=report, daemon=True)
+    reporter.start()
+    try:
+        yield
+    finally:
+        stopped.set()
+        reporter.join()
 
 
 def destroy_nodes(nodes: Sequence[GraphNode]) -> None:
