@@ -17,6 +17,7 @@ import numpy as np
 from greenroof_ros.base.errors import ConfigurationError, describe_choices, suggest_names
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.parameter_sections import read_sections
+from greenroof_ros.interface.topics import node_names
 from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.decide import OwnCode, find_frame
 from greenroof_ros.controllers.outlet import OutletPolicy, requested_share
@@ -40,8 +41,6 @@ EXTERNAL = "external"
 _PATHS = {**BUILT_IN, EXTERNAL: f"{_HERE}.registry:External"}
 # Parameters that rclpy declares in every node.
 OF_EVERY_NODE = {"use_sim_time", "start_type_description_service", "qos_overrides"}
-# A controller's node is named after it. These nodes run alongside it.
-_OTHER_NODES = {"plant", "weather", "recorder", "pump", "bringup"}
 # Every controller's node has these parameters.
 _OF_EVERY_NODE = {
     "site_file", "state_file", "given_up", "time_without_rain", "use_sim_time", "level_limit",
@@ -346,7 +345,7 @@ def find_controller(reference: str) -> ControllerChoice:
         problem = describe_choices(BUILT_IN, reference, ", or package.module:Class")
     elif not re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", reference):
         problem = "must be of the form package.module:Class"
-    elif name in BUILT_IN or name in _OTHER_NODES:
+    elif name in BUILT_IN or name in node_names():  # a controller's node is named after it
         problem = f"the node would have the same name as another node, {name}; rename the class"
     else:
         return ControllerChoice(name, reference)

@@ -42,6 +42,11 @@ LEASE, _LEASE_S = "GREENROOF_ROS_LEASE_S", "20"
 # The variables that name a profiles file; Fast DDS 3 (ROS 2 Kilted) reads the second, and warns
 # about the first.
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+# The packages of ROS 2 that this package imports.
+_ROS = (
+    "rclpy", "rcl_interfaces", "std_msgs", "std_srvs", "rosgraph_msgs", "diagnostic_msgs",
+    "builtin_interfaces", "rpyutils", "rosidl_runtime_py",
+)
 # How long to listen for nodes that are already in the graph (s). On loopback they answer in well
 # under half of that. The check for two publishers finds a node that is missed here.
 _LISTEN_S = 1.0
@@ -109,6 +114,8 @@ def require_ros() -> Iterator[None]:
     try:
         yield
     except ImportError as error:
+        if error.name and error.name.partition(".")[0] not in _ROS:
+            raise  # of another package, such as one that a user's controller needs
         raise ConfigurationError(
             "ROS 2 cannot be imported: repair the installation of ROS 2, or "
             f"{describe_extra('ros')}; greenroof simulate does not need ROS 2 ({error})"

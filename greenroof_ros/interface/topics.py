@@ -152,6 +152,17 @@ def _drop_plant(roles: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(role for role in roles if role != "plant")
 
 
+@functools.cache
+def node_names() -> frozenset[str]:
+    """Return the names of all nodes and of a live site's processes, except for a controller's."""
+    roles = {
+        role for topic in read_topics().values()
+        for role in (*topic.publishers, *topic.subscribers, *topic.live_publishers,
+                     *topic.live_subscribers)
+    }
+    return frozenset(roles - {"controller"} | {"bringup", "sensors"})
+
+
 def optional_topics(outputs: Mapping[str, str]) -> list[tuple[Topic, str]]:
     """Return the topics of a controller's outputs, with the corresponding controller attributes.
 

@@ -181,7 +181,7 @@ def make_parser() -> Parser:
         "  greenroof live --sensors sensors.yaml --forecast forecast.csv \\\n"
         "    --drive danfoss_fc202 --drive-at /dev/ttyUSB0\n\n"
         "exit codes: 0 stopped on request, 1 a node failed, or the pump may run on, 2 bad usage or "
-        "configuration, 3 a graph is already running, 130 interrupted before anything was started",
+        "configuration, 3 a graph is already running",
     )
     group = parser.add_argument_group("the site")
     add_controller_arguments(parser, group, default=FOR_A_SITE)

@@ -11,8 +11,8 @@ import pytest
 from places import CHECKOUT, CONFIG
 from refusals import refusal
 
-from greenroof_ros.base.errors import OccupiedError
-from greenroof_ros.graph.domain import check_environment, lock_namespace
+from greenroof_ros.base.errors import ConfigurationError, OccupiedError
+from greenroof_ros.graph.domain import check_environment, lock_namespace, require_ros
 
 
 def test_one_bringup_in_a_namespace(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -28,6 +28,16 @@ def test_one_bringup_in_a_namespace(monkeypatch: pytest.MonkeyPatch) -> None:
             pass
     with lock_namespace("/site1"):
         pass
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("rclpy._rclpy_pybind11", ConfigurationError), ("pymodbus", ImportError)],
+)
+def test_only_a_broken_ros_is_reported_as_one(name: str, kind: type[Exception]) -> None:
+    """A module of a user's controller can be missing too."""
+    pytest.importorskip("rclpy", reason="without it, ROS is always missing")
+    with pytest.raises(kind), require_ros():
+        raise ImportError("broken", name=name)
 
 
 def test_files_of_profiles_differ_only_in_what_they_are_for() -> None:

@@ -27,7 +27,7 @@ from greenroof_ros.live.devices.modbus_line import (
 
 TANKS = ("cistern", "roof")
 _MAX_FILTER_S = 30.0
-# A flow that is shown for 12 s (follow_time) while the pump is stopped is a fault.
+# A flow that is shown for 12 s while the pump is stopped is a fault.
 _MAX_AFTERFLOW_S = 10.0
 # A level further below 0 (m) is not noise: a tank would seem empty.
 _LEVEL_NOISE = 0.1

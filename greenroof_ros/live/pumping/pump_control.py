@@ -29,6 +29,8 @@ _MAX_SPEED = 2.0
 _MAX_LEVEL = 100.0
 # This many consecutive failed starts are a fault.
 _FAILED_STARTS = 3
+# A meter may show a flow for 10 s after its end (sensor_file); for longer than this (s), it is true.
+_AFTERFLOW_S = 12.0
 # The state of a pump that is kept off, by the kind of the first active interlock.
 _STATES = {LATCHED: "fault", INHIBIT: "held", PERMISSIVE: "off"}
 
@@ -379,7 +381,7 @@ class PumpControl:
     @property
     def _flows_on(self) -> bool:
         """Whether a meter has shown flow for so long that the reported standstill must be false."""
-        return self._flowed_for > self._settings.follow_time
+        return self._flowed_for > _AFTERFLOW_S
 
     def _flows_at_rest(self, drive_dt: float, observed: Observation) -> Diagnosis | None:
         """Return a fault if a meter shows flow although the drive reports standstill.

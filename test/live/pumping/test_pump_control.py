@@ -289,13 +289,16 @@ def test_no_flow_once_the_pump_stands() -> None:
 
 
 @pytest.mark.parametrize("meter", ["flow", "drive_flow"])
-def test_a_flow_while_the_pump_stands_is_a_contact_that_is_welded(meter: str) -> None:
-    """More than a fifth of the maximum flow (min_flow) for more than 12 s (follow_time).
+@pytest.mark.parametrize("follow_time", [5.0, 12.0, 60.0])
+def test_a_flow_while_the_pump_stands_is_a_contact_that_is_welded(
+    meter: str, follow_time: float
+) -> None:
+    """More than a fifth of the maximum flow (min_flow) for more than 12 s, whatever follow_time is.
 
     Then the drive's report of rest is wrong. What the meter shows counts as pumped, but for its
     first second: 11 of 12 s, and 12 of 13 s.
     """
-    rig = Rig(x1=70.0)
+    rig = Rig(x1=70.0, settings=settings_for(PAPER_SITE, follow_time=follow_time))
     minimum = 0.2 * maximum_pump_flow(PAPER_SITE, 70.0)
     rig.change = {meter: 0.95 * minimum}
     assert rig.run(60, 0.0).state == "off"
