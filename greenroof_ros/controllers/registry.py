@@ -17,11 +17,11 @@ import numpy as np
 from greenroof_ros.base.errors import ConfigurationError, describe_choices, suggest_names
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.parameter_sections import read_sections
-from greenroof_ros.interface.topics import node_names
 from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.decide import OwnCode, find_frame
 from greenroof_ros.controllers.outlet import OutletPolicy, requested_share
 from greenroof_ros.controllers.protocol import Controller, set_optional
+from greenroof_ros.interface.topics import node_names
 from greenroof_ros.site.horizon import MAX_HORIZON, look_ahead_ends
 from greenroof_ros.site.site import Site
 

@@ -7,7 +7,7 @@ would have no effect. This module rejects undeclared parameters.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,10 @@ from typing import Any
 from greenroof_ros.base.command_line import refuse
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
 from greenroof_ros.base.files import default_site_file
+from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.parameter_sections import read_sections
 from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
+from greenroof_ros.graph.parameters import check_value
 from greenroof_ros.site.file import read_site
 
 # Parameters that only bringup sets, by node, each with the option of bringup that sets it.
@@ -45,23 +47,32 @@ def node_parameter_files(
         given: values of the controller's parameters, by name.
 
     Raises:
-        ConfigurationError: if the file does not exist, or if it sets a parameter that no node has
-            or that an option of bringup sets. Otherwise bringup might stop the wrong drive, or a
-            summary might be wrong.
+        ConfigurationError: if the file does not exist, contains a wrong value, or sets a parameter
+            that no node has or that an option of bringup sets. Otherwise bringup might stop the
+            wrong drive, or a summary might be wrong.
     """
     file: Path | None = arguments.node_parameters
     if file is None:
         return []
     refuse((not file.is_file(), "--node-parameters", str(file), "must be an existing file"))
     named = {f"{arguments.namespace}/{name}": module for name, module in modules.items()}
-    _refuse_unknown(file, named, controller, given)
+    _refuse_wrong(file, named, controller, given)
     return [file]
 
 
-def _refuse_unknown(
+def find_value(files: Iterable[Path], node: str, parameter: Parameter) -> Any:
+    """Return the value of a node's parameter from parameter files, or else its default."""
+    value = parameter.default
+    for section in (section for file in files for section in read_sections(file)):
+        if section.applies_to(node):
+            value = section.values.get(parameter.name, value)
+    return value
+
+
+def _refuse_wrong(
     file: Path, nodes: Mapping[str, str], controller: ControllerChoice, given: Mapping[str, float]
 ) -> None:
-    """Reject a file with parameters that no node of the graph has, or that only bringup may set.
+    """Reject a file with parameters that no node has or that only bringup may set, or wrong values.
 
     In a section for more than one node, every parameter must be known to at least one of the nodes.
 
@@ -72,11 +83,11 @@ def _refuse_unknown(
         given: values of the controller's parameters, by name.
 
     Raises:
-        ConfigurationError: if the file contains a parameter to reject, a section that applies to no
-            node of the graph, or a section in which ``ros__parameters`` is missing or is not a
-            mapping.
+        ConfigurationError: if the file contains a parameter or a value to reject, a section that
+            applies to no node of the graph, or a section in which ``ros__parameters`` is missing or
+            is not a mapping.
     """
-    known = {name: _names_of(module, controller) for name, module in nodes.items()}
+    known = {name: _parameters_of(module, controller) for name, module in nodes.items()}
     for section in read_sections(file):
         matching = list(filter(section.applies_to, known))
         if not matching:
@@ -98,6 +109,11 @@ def _refuse_unknown(
                         f"must not be set for the node {last} in this file: under bringup, "
                         f"{option} sets it", **place,
                     )
+                if name in known[node]:
+                    try:
+                        check_value(known[node][name], value)
+                    except ValueError as error:
+                        raise ConfigurationError(str(error), **place) from None
             if name not in names and name.partition(".")[0] not in OF_EVERY_NODE:
                 raise ConfigurationError(
                     f"there is no such parameter; {suggest_names(name, sorted(names))}", **place
@@ -116,7 +132,7 @@ def _find_option(
     return "an option of greenroof run" if module.startswith("greenroof_ros.nodes.") else ""
 
 
-def _names_of(module: str, controller: ControllerChoice) -> set[str]:
+def _parameters_of(module: str, controller: ControllerChoice) -> dict[str, Parameter]:
     site = read_site(default_site_file())
     of = controller if module.endswith(".controller") else site
-    return {parameter.name for parameter in import_module(module).parameters(of)}
+    return {parameter.name: parameter for parameter in import_module(module).parameters(of)}

@@ -115,7 +115,7 @@ def _declare(node: Node, parameter: Parameter) -> Any:
     given = node.declare_parameter(parameter.name, parameter.default, anything).value
     node.undeclare_parameter(parameter.name)
     try:
-        value = _check_value(parameter, given)
+        value = check_value(parameter, given)
     except ValueError as error:
         key = f"parameter {parameter.name} of {node.get_name()}"
         raise ConfigurationError(str(error), key=key, value=given) from None
@@ -124,7 +124,7 @@ def _declare(node: Node, parameter: Parameter) -> Any:
     ).value
 
 
-def _check_value(parameter: Parameter, value: Any) -> Any:
+def check_value(parameter: Parameter, value: Any) -> Any:
     """Check a value of a parameter, and return it converted to the parameter's type.
 
     Raises:

@@ -44,7 +44,7 @@ from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.live.number_file import NumberFile
 from greenroof_ros.live.supervisor_socket import supervisor_socket
-from greenroof_ros.live.time_limit import time_limit
+from greenroof_ros.live.time_limit import deciding_limit, time_limit
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import pump_flow
 from greenroof_ros.site.site import Site
@@ -61,9 +61,8 @@ _FLOW, _GAUGE = "/pump/flow", "/gauge/precipitation"
 _GIVEN_UP = 3
 # How long after a failure the controller is tried again while on/off commands, as such a multiple.
 _ASKED_AGAIN = 60
-# How long it may take to decide (s), or the tick if that is longer: the supervisor kills a node
-# that is silent for 5 s.
-_DECIDING_S = 3.0
+# How long it may take to return its outputs after its command (s).
+_OUTPUTS_S = 1.0
 # How long the import of its class, and then its first instantiation, which imports a solver, may
 # each take (s). Both, and the start of ROS before them, fit into the 30 s for which a starting node
 # may be silent.
@@ -159,7 +158,7 @@ class LiveControllerNode(LiveNode):
         command, decides = 0.0, False
         failed_for = time.monotonic() - self._failed_at
         if not self._failure or not self._stand_in_since or failed_for >= self._asked_again_after:
-            with self._controllers_code(max(_DECIDING_S, self._site.tau)):
+            with self._controllers_code(deciding_limit(self._site.tau)):
                 command, decides = self._ask(allowed)
         if decides and failed_for >= self._stand_in_after:
             self._failure = ""
@@ -175,7 +174,7 @@ class LiveControllerNode(LiveNode):
             command = 0.0
         self.publish("/pump/command", command)
         self._tick += 1
-        with self._controllers_code(_DECIDING_S):
+        with self._controllers_code(_OUTPUTS_S):
             for topic, attribute in self._optional:
                 of_controller = decides and self._settings.controller is not None
                 self.publish(

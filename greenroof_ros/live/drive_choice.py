@@ -48,9 +48,10 @@ class DriveChoice:
     def stopper(self) -> StopDrive:
         """Return a function that stops the drive without the pump node.
 
-        The function takes the pump node's process id, and returns whether the drive reports the
-        pump as stopped, and the outcome in words. A drive that another program controls is left
-        alone, and the function returns False.
+        The function takes the pump node's process id, and whether that node has reached the drive.
+        It returns whether the pump may be running after that, and the outcome in words. A drive
+        that another program controls is left alone. A drive that nobody has reached runs no pump:
+        its own timeout would have stopped a pump that was left on before.
 
         Raises:
             ConfigurationError: if the file or the address is invalid.
@@ -61,18 +62,19 @@ class DriveChoice:
         endpoint = self.read()
         endpoint.connection()  # load its library now, since the disk may hang when it is needed
 
-        def stop(pump_node: int) -> tuple[bool, str]:
+        def stop(pump_node: int, reached: bool) -> tuple[bool, str]:
             try:
                 status = stop_drive(endpoint, driver=pump_node)
             except DriveInUseError as error:
-                return False, (
+                return True, (
                     f"another program (process {error.holder}) controls the drive, and the pump "
                     "may be running: the drive is left to that program"
                 )
             except Exception as error:  # whatever the error, someone must check the pump
-                return False, f"bringup could not stop the drive: {error}; {_MAY_RUN}"
+                warning = _MAY_RUN if reached else "the drive has not responded since the start"
+                return reached, f"bringup could not stop the drive: {error}; {warning}"
             message = f"bringup commanded the drive to stop; the drive then reported: {status}"
-            return (True, message) if status.at_rest else (False, f"{message}; {_MAY_RUN}")
+            return (False, message) if status.at_rest else (True, f"{message}; {_MAY_RUN}")
 
         return stop
 

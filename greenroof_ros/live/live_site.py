@@ -37,6 +37,7 @@ class LiveSite:
 
     Attributes:
         site_file: the site file.
+        tau: duration of the site's tick (s).
         controller: the chosen controller.
         parameters: all parameters of the controller.
         sensors: sensor file; None if the user's own nodes publish the levels.
@@ -57,6 +58,7 @@ class LiveSite:
         self.site_file: Path = arguments.site
         site = read_site(self.site_file)
         refuse_valve(site, self.site_file)
+        self.tau = site.tau
         self.controller, parameters = read_controller(arguments)
         self.parameters = self.controller.complete_parameters(site, parameters)
         self.drive = drive = read_drive_choice(arguments)

@@ -49,12 +49,16 @@ from greenroof_ros.live.engine import LIMITS, PAUSE_S, Levels, live_parameters
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.live.pump_reports import PumpReports
 from greenroof_ros.live.pumping.ledger import MAX_NUMBER, Ledger
-from greenroof_ros.live.pumping.limits import PumpSettings, pump_parameters
+from greenroof_ros.live.pumping.limits import (
+    PumpSettings,
+    check_command_limit,
+    pump_parameters,
+)
 from greenroof_ros.live.pumping.pump_control import Decision, PumpControl
 from greenroof_ros.live.pumping.pump_inputs import INPUTS, Observation
 from greenroof_ros.site.site import Site
 
-_COMMAND_LIMIT = LIMITS["/pump/command"]
+COMMAND_LIMIT = LIMITS["/pump/command"]
 # For how long a suspension of the machine, or a changed record, is reported (s).
 _REPORTED_S = 60.0
 # Interval at which a state that could not be saved is written again, and at which the node reports
@@ -100,12 +104,10 @@ class PumpNode(LiveNode):
         super().__init__("pump", "pump")
         site = self._site = self.declare_site()
         values = declare(self, parameters(site))
-        if values[_COMMAND_LIMIT.name] <= site.tau:
-            raise ConfigurationError(
-                f"must exceed tau of the site, {site.tau:g} s: one command arrives per "
-                "tau", key=f"parameter {_COMMAND_LIMIT.name} of {self.get_name()}",
-                value=values[_COMMAND_LIMIT.name],
-            )
+        check_command_limit(
+            values[COMMAND_LIMIT.name], site.tau,
+            f"parameter {COMMAND_LIMIT.name} of {self.get_name()}",
+        )
         endpoint = _read_endpoint(values, self.get_name())
         self._exchange = DriveExchange(
             endpoint, timeout_limit_s=values["drive_timeout_limit"],

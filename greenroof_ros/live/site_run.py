@@ -33,15 +33,17 @@ from greenroof_ros.base.times import iso
 from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL
 from greenroof_ros.graph.alarms import Judge
 from greenroof_ros.graph.domain import lock_namespace, refuse_other_nodes, require_ros
-from greenroof_ros.graph.parameter_file import node_parameter_files
+from greenroof_ros.graph.parameter_file import find_value, node_parameter_files
 from greenroof_ros.interface.alarm import WARN, advise
 from greenroof_ros.interface.states import PUMP, DriveState, PumpState
 from greenroof_ros.live.latest_writer import LatestWriter
 from greenroof_ros.live.live_site import MIN_BAG_MB, LiveSite
 from greenroof_ros.live.pumping.ledger import RECORD, make_record
+from greenroof_ros.live.pumping.limits import check_command_limit
 from greenroof_ros.live.service_manager import notify
 from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart
+from greenroof_ros.live.time_limit import silence_limit
 from greenroof_ros.results.versions import versions
 from greenroof_ros.simulation import summary
 from greenroof_ros.simulation.directory import write_parameters
@@ -77,6 +79,8 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     }
     with require_ros():
         user_files = node_parameter_files(arguments, modules, site.controller, site.parameters)
+        if site.drive is not None:
+            _check_pump(site.tau, user_files, f"{arguments.namespace}/{PUMP}")
     with (
         lock_namespace(arguments.namespace),
         _state_directory(state) as state,
@@ -97,7 +101,8 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         supervisor = LiveSupervisor(
             state / "log", configuration.parameters, arguments.namespace,
             site.drive.stopper() if site.drive is not None else None,
-            record.alarms.fail, silence_s=arguments.peer_limit, prepare=configuration.write,
+            record.alarms.fail, silence_s=max(arguments.peer_limit, silence_limit(site.tau)),
+            prepare=configuration.write,
         )
         try:
             record.write(summary.RUNNING)
@@ -108,6 +113,14 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         except Exception as error:  # whatever the error, the summary must not state "running"
             signals.ignore()
             return _report_end(record, supervisor, error)
+
+
+def _check_pump(tau: float, files: Sequence[Path], node: str) -> None:
+    """Check before anything starts what the pump node would reject; see `check_command_limit`."""
+    from greenroof_ros.live.pump import COMMAND_LIMIT  # it imports ROS
+
+    limit = find_value(files, node, COMMAND_LIMIT)
+    check_command_limit(limit, tau, f"parameter {COMMAND_LIMIT.name} of {PUMP}")
 
 
 def _supervise(
@@ -370,7 +383,8 @@ def _state_directory(path: Path) -> Iterator[Path]:
 
 def _fit_bag(site: LiveSite, bag: Path) -> None:
     """If the bag's limit exceeds nine tenths of the space on its disk, reduce it, and warn."""
-    fits = shutil.disk_usage(bag.parent).free + sum(
+    disk = bag if bag.is_dir() else bag.parent  # the bag may be a mount of its own
+    fits = shutil.disk_usage(disk).free + sum(
         file.stat().st_size for file in bag.glob("*.mcap")
     )
     reduced = max(MIN_BAG_MB, 0.9 * fits / 1e6)

@@ -29,7 +29,7 @@ from greenroof_ros.base.command_line import (
 from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.processes import child_environment
 from greenroof_ros.graph.domain import LEASE, ros_arguments
-from greenroof_ros.interface.states import PUMP, READY, RECORDER
+from greenroof_ros.interface.states import PUMP, READY, RECORDER, DriveState
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS
 from greenroof_ros.live.supervisor_socket import SOCKET, read_report
 
@@ -65,9 +65,10 @@ _NOT_REQUIRED = {
     RECORDER, *(quantity.node for section, quantity in QUANTITIES.items() if section not in TANKS)
 }
 
-# A function that stops the drive without the pump node, whose process id it takes; it returns
-# whether the drive reports the pump as stopped, and the outcome in words.
-StopDrive = Callable[[int], tuple[bool, str]]
+# A function that stops the drive without the pump node. It takes that node's process id, and whether
+# that node has reached the drive; it returns whether the pump may be running after that, and the
+# outcome in words.
+StopDrive = Callable[[int, bool], tuple[bool, str]]
 
 
 class NodeFailed(Exception):
@@ -218,6 +219,7 @@ class LiveSupervisor:
         self._stopper = ThreadPoolExecutor(1)
         self._stopper.submit(int)  # start its thread now: the system may be out of threads later
         self._stopping: Future[tuple[bool, str]] | None = None
+        self._drive_reached = False
         self._ros_arguments = ros_arguments(parameters, namespace)
         self._selector = selectors.DefaultSelector()
         self._read_at = time.monotonic()
@@ -245,8 +247,8 @@ class LiveSupervisor:
     def _confirm_drive_stopped(self, stop_drive: StopDrive) -> None:
         """Stop the drive, and report if the pump node failed or the pump may still be running."""
         process = self.nodes[PUMP].process
-        at_rest, message = stop_drive(process.pid)
-        self.may_run = "" if at_rest else message
+        may_run, message = stop_drive(process.pid, self._drive_reached)
+        self.may_run = message if may_run else ""
         if self.may_run or process.returncode != EXIT_DONE:
             self._on_failure(PUMP, f"{self.exit_status(PUMP)}; {message}")
 
@@ -389,6 +391,8 @@ class LiveSupervisor:
                 ended because of invalid parameters or another graph.
         """
         now = time.monotonic()
+        drive_state = self.last.get(PUMP, {}).get("drive_state")
+        self._drive_reached |= drive_state not in (None, DriveState.CONNECTING.value)
         for name, record in self._records.items():
             if record.starts_again is None:
                 record.was_ready |= self._is_ready(name)
@@ -446,7 +450,9 @@ class LiveSupervisor:
         how = "given up: " if replaced else ""
         self._on_failure(name, f"{failure}; {how}starts again in {wait:g} s{_unrecorded(name)}")
         if name == PUMP and self._stop_drive is not None:
-            self._stopping = self._stopper.submit(self._stop_drive, self.nodes[name].process.pid)
+            self._stopping = self._stopper.submit(
+                self._stop_drive, self.nodes[name].process.pid, self._drive_reached
+            )
 
     def _reason(self, name: str, failure: str) -> str:
         """Return a description of a failure, with its location in the code if Python printed it."""

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from contextlib import closing
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 from commands import run_command
@@ -25,6 +29,7 @@ from greenroof_ros.live.devices.lock import acquire_drive_lock
 from greenroof_ros.live.drive_choice import DriveChoice
 from greenroof_ros.live.live_site import LiveSite
 from greenroof_ros.live.live_site import make_parser as live_site_parser
+from greenroof_ros.live.site_run import _check_pump, _fit_bag
 
 EXTERNAL = ("--sensors", "external", "--pump", "external", "--weather", "external")
 
@@ -194,6 +199,8 @@ NO_EFFECT = {
         "mean max_volume_per_day?",
     "# mine\n/**/pum:\n  ros__parameters:\n    min_off: 1.0\n":
         "line 2: /**/pum: applies to no node that bringup starts: /",
+    "/**/pump:\n  ros__parameters:\n    follow_time: 0\n":
+        "line 3: /**/pump: follow_time = 0: must be a number from 0.1 to 600 s",
     "pump:\n  max_volume_per_day: 0.5\n":
         "line 2: pump: max_volume_per_day = 0.5: has no effect at this level: write /**",
 }
@@ -238,16 +245,58 @@ def test_a_drive_of_another_program_is_left_to_it() -> None:
     with closing(Wire(acs880())) as wire:
         choice = DriveChoice(str(find_drive_file("abb_acs880")), wire.gateway)
         driver, stop = acquire_drive_lock(choice.read()), choice.stopper()
-        assert stop(1) == (
-            False,
+        assert stop(1, True) == (
+            True,
             f"another program (process {os.getpid()}) controls the drive, and the pump may be "
             "running: the drive is left to that program",
         )
         assert wire.connections == 0
         message = "bringup commanded the drive to stop; the drive then reported: speed 0.0%"
-        assert stop(os.getpid())[0] and stop(os.getpid())[1].startswith(message)
+        assert not stop(os.getpid(), True)[0] and stop(os.getpid(), True)[1].startswith(message)
         driver.close()
-        assert stop(1)[0] and stop(1)[1].startswith(message)
+        assert not stop(1, True)[0] and stop(1, True)[1].startswith(message)
+
+
+def test_only_a_drive_that_was_reached_may_run_on() -> None:
+    """Its own timeout stops what was left on before; a cable that was never there warns no one."""
+    choice = DriveChoice(str(find_drive_file("abb_acs880")), "tcp://127.0.0.1:9")
+    for reached in (False, True):
+        may_run, message = choice.stopper()(1, reached)
+        assert (may_run, "THE PUMP MAY BE RUNNING" in message) == (reached, reached)
+
+
+def test_a_command_each_tick_is_never_too_old(tmp_path: Path) -> None:
+    """What a node would refuse is refused before anything starts, with what would be right."""
+    pytest.importorskip("rclpy")
+    file = tmp_path / "nodes.yaml"
+    file.write_text("/**/pump:\n  ros__parameters:\n    command_limit: 6.0\n")
+    _check_pump(4.0, [file], "/site1/pump")
+    for files in ([], [file]):
+        with pytest.raises(ConfigurationError, match="command_limit of pump"):
+            _check_pump(6.0, files, "/site1/pump")
+    site = site_file(tmp_path, tau=60.0)
+    done = run_command(
+        "bringup.live", "--sensors", "external", "--weather", "external", "--thermometer",
+        "external", "--drive", "abb_acs880", "--drive-at", "tcp://127.0.0.1:9", "--site", str(site),
+        cwd=tmp_path, env=environment(0),
+    )
+    assert done.returncode == 2 and not (tmp_path / "live").exists()
+    assert "error: parameter command_limit of pump = 3.0: must exceed tau of the site, 60 s" in (
+        done.stderr
+    )
+
+
+def test_a_bag_on_a_disk_of_its_own_has_the_space_of_that_disk(tmp_path: Path) -> None:
+    """As with a card that is mounted at live/bag."""
+    memory = Path("/dev/shm")
+    if not memory.is_dir() or memory.stat().st_dev == tmp_path.stat().st_dev:
+        pytest.skip("this machine has only one disk")
+    with TemporaryDirectory(dir=memory) as mounted:
+        (tmp_path / "bag").symlink_to(mounted)
+        site = SimpleNamespace(bag_limit=1e9)
+        _fit_bag(cast("LiveSite", site), tmp_path / "bag")
+        free_mb = shutil.disk_usage(memory).free / 1e6
+    assert site.bag_limit == pytest.approx(0.9 * free_mb, rel=0.05)
 
 
 def test_a_directory_in_use(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import socket
 import subprocess
@@ -35,5 +36,5 @@ def test_the_cause_is_reported_before_the_stop_and_until_its_end(domain: int) ->
     assert "ZeroDivisionError" in failed[0] and "failing_node.py, line 12" in failed[0]
     assert states[0] != "ended" and states[-1] == "ended"
     assert times[-1] - times[0] > 2.5  # from before the stop to after it
-    assert max(b - a for a, b in zip(times, times[1:], strict=False)) < 2.0
+    assert max(b - a for a, b in itertools.pairwise(times)) < 2.0
     assert "Traceback" in errors and f"error: {failed[0]}" in errors

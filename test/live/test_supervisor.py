@@ -41,9 +41,9 @@ class Site:
         self.stops: list[float] = []
         self.longest_step = 0.0  # of the supervision (s)
 
-        def stop_drive(_pump_node: int) -> tuple[bool, str]:
+        def stop_drive(_pump_node: int, _reached: bool) -> tuple[bool, str]:
             self.stops.append(time.monotonic())
-            return True, "the drive stands"
+            return False, "the drive stands"
 
         self.supervisor = LiveSupervisor(
             directory, [], "", stop_drive, lambda *failure: self.failures.append(failure),

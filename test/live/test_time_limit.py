@@ -9,6 +9,8 @@ import time
 
 import pytest
 
+from greenroof_ros.live.time_limit import deciding_limit, silence_limit
+
 LIMITED = """
 import sys, time
 from greenroof_ros.base.errors import HangError
@@ -36,3 +38,10 @@ def test_a_pause_of_the_process_is_no_hang(busy_s: str, expected: str) -> None:
         time.sleep(2.5)
         process.send_signal(signal.SIGCONT)
         assert process.stdout.read() == expected
+
+
+@pytest.mark.parametrize(("tau", "decides", "silent"), [(1.0, 3.0, 5.0), (8.0, 8.0, 10.0)])
+def test_a_controller_that_may_still_decide_is_not_killed(
+    tau: float, decides: float, silent: float
+) -> None:
+    assert (deciding_limit(tau), silence_limit(tau)) == (decides, silent)

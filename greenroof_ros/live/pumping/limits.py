@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.parameter import Parameter, entry, parameters_of
 from greenroof_ros.base.times import to_people
 from greenroof_ros.interface.conditions import Diagnosis
@@ -338,3 +339,22 @@ class Pulses:
 
     def _flow(self, share: float, cistern_level: float) -> float:
         return share * flow_at(self._site, 1.0, cistern_level)
+
+
+def check_command_limit(limit: float, tau: float, key: str) -> None:
+    """Check that a command may be older than a tick, since one command arrives per tick.
+
+    Args:
+        limit: the parameter ``command_limit`` of the pump node (s).
+        tau: duration of the site's tick (s).
+        key: name of the parameter, for the message.
+
+    Raises:
+        ConfigurationError: if the pump would stop between two commands.
+    """
+    if limit <= tau:
+        raise ConfigurationError(
+            f"must exceed tau of the site, {tau:g} s, because one command arrives per tau: set a "
+            "smaller tau in the site file, or command_limit (at most 10 s) with --node-parameters",
+            key=key, value=limit,
+        )

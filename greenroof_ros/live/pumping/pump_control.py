@@ -29,7 +29,8 @@ _MAX_SPEED = 2.0
 _MAX_LEVEL = 100.0
 # This many consecutive failed starts are a fault.
 _FAILED_STARTS = 3
-# A meter may show a flow for 10 s after its end (sensor_file); for longer than this (s), it is true.
+# A meter may show a flow for 10 s after its end (sensor_file). If it shows one for longer than this
+# (s), water is flowing.
 _AFTERFLOW_S = 12.0
 # The state of a pump that is kept off, by the kind of the first active interlock.
 _STATES = {LATCHED: "fault", INHIBIT: "held", PERMISSIVE: "off"}
