@@ -65,9 +65,9 @@ _NOT_REQUIRED = {
     RECORDER, *(quantity.node for section, quantity in QUANTITIES.items() if section not in TANKS)
 }
 
-# A function that stops the drive without the pump node. It takes that node's process id, and whether
-# that node has reached the drive; it returns whether the pump may be running after that, and the
-# outcome in words.
+# A function that stops the drive without the pump node. It takes the process id of that node, and
+# whether that node has reached the drive; it returns whether the pump may be running after that,
+# and the outcome in words.
 StopDrive = Callable[[int, bool], tuple[bool, str]]
 
 
