@@ -29,12 +29,20 @@ from greenroof_ros.graph.parameters import default_site, refuse_unknown, type_na
 from greenroof_ros.graph.spin import destroy_nodes, end_nodes, ros, spin
 
 
-class _Parser(argparse.ArgumentParser):
+class NodeParser(argparse.ArgumentParser):
     """Parser for the node's own arguments, as opposed to ROS arguments, with one-line errors."""
 
     def error(self, message: str) -> NoReturn:
         """Print an error as one line, and exit."""
         self.exit(EXIT_USAGE, f"error: {message}; --help lists the node's arguments\n")
+
+    def parse_own_args(self) -> argparse.Namespace:
+        """Return the process's own arguments."""
+        try:
+            argv = remove_ros_args(sys.argv)
+        except RuntimeError as error:  # rcl cannot parse the arguments
+            self.error(" ".join(str(error).split()))
+        return self.parse_args(argv[1:])
 
 
 def node_command(
@@ -58,15 +66,11 @@ def node_command(
 
     @command
     def main() -> int:
-        parser = _Parser(add_help=False, allow_abbrev=False)
+        parser = NodeParser(add_help=False, allow_abbrev=False)
         parser.add_argument("-h", "--help", action="store_true")
         if option:
             parser.add_argument(option, dest="value")
-        try:
-            argv = remove_ros_args(sys.argv)
-        except RuntimeError as error:  # rcl cannot parse the arguments
-            parser.error(" ".join(str(error).split()))
-        arguments = parser.parse_args(argv[1:])
+        arguments = parser.parse_own_args()
         of = [arguments.value] if option else []
         if arguments.help:
             usage = f"{module} {option} VALUE" if option else module

@@ -160,7 +160,7 @@ def node_names() -> frozenset[str]:
         for role in (*topic.publishers, *topic.subscribers, *topic.live_publishers,
                      *topic.live_subscribers)
     }
-    return frozenset(roles - {"controller"} | {"bringup", "sensors"})
+    return frozenset(roles - {"controller"} | {"bringup", "station"})
 
 
 def optional_topics(outputs: Mapping[str, str]) -> list[tuple[Topic, str]]:

@@ -20,7 +20,7 @@ from greenroof_ros.live.devices.modbus_line import parse_address
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, ModbusSensor, Sensors, read_sensors
 from greenroof_ros.live.drive_choice import DriveChoice, add_drive_arguments, read_drive_choice
 from greenroof_ros.live.pumping.ledger import RECORD
-from greenroof_ros.live.supervisor import NodeStart
+from greenroof_ros.live.supervisor import STATION, NodeSetup, ProcessStart
 from greenroof_ros.live.valve import refuse_valve
 from greenroof_ros.simulation.options import (
     add_controller_arguments,
@@ -126,49 +126,54 @@ class LiveSite:
             files += [getattr(sensor, key, "") for key in ("login", "authority")]
         return [Path(file) for file in files if file]
 
-    def nodes(self, state: Path) -> Iterator[NodeStart]:
-        """Yield the nodes that bringup starts; ``state`` is the site's directory."""
+    def processes(self, state: Path) -> Iterator[ProcessStart]:
+        """Yield the processes that bringup starts; ``state`` is the site's directory.
+
+        What the user wrote and what drives the pump each have a process of their own.
+        """
         common = {"site_file": str(self.site_file)}
+        nodes, options = dict[str, NodeSetup](), list[str]()
         if self.sensed is not None:
-            yield NodeStart(
-                "sensors", "greenroof_ros.live.sensors", ("--sensors", str(self.sensors)),
-                several=tuple(QUANTITIES[section].node for section in self.sensed.by_section),
-            )
+            options += "--sensors", str(self.sensors)
+            nodes |= {
+                QUANTITIES[section].node: NodeSetup("greenroof_ros.live.sensors", {})
+                for section in self.sensed.by_section
+            }
         if self.weather:
+            options.append("--weather")
             forecast = {"forecast": str(self.forecast or "")}
             if self.forecast == OPEN_METEO:
                 forecast = {
                     "forecast": str(state / "forecast.csv"),
                     "fetch": ENSEMBLE if self.controller.ensemble else FORECAST,
                 }
-            yield NodeStart(
-                "weather", "greenroof_ros.live.weather", (),
-                {
-                    **common,
-                    **forecast,
-                    "horizon": self.parameters.get("horizon", 0.0),
-                    "all_members": self.controller.ensemble,
-                },
-            )
-        yield NodeStart(
+            nodes["weather"] = NodeSetup("greenroof_ros.live.weather", {
+                **common,
+                **forecast,
+                "horizon": self.parameters.get("horizon", 0.0),
+                "all_members": self.controller.ensemble,
+            })
+        nodes[RECORDER] = NodeSetup("greenroof_ros.live.recorder", {
+            "directory": str(state / "bag"), "total_limit": self.bag_limit,
+        })
+        yield ProcessStart(STATION, "greenroof_ros.live.station", (*options, "--recorder"), nodes)
+        yield ProcessStart(
             self.controller.name, "greenroof_ros.live.controller",
-            ("--controller", self.controller.reference),
-            {
-                **common, **self.parameters,
-                # A controller cannot use what another one has learned.
-                "state_file": str(state / f"{self.controller.name}.json"),
+            ("--controller", self.controller.reference), {
+                self.controller.name: NodeSetup("greenroof_ros.live.controller", {
+                    **common, **self.parameters,
+                    # A controller cannot use what another one has learned.
+                    "state_file": str(state / f"{self.controller.name}.json"),
+                }),
             },
-            instead=partial(_give_up, self.controller),
+            partial(_give_up, self.controller),
         )
         if self.drive is not None:
-            yield NodeStart(
-                PUMP, "greenroof_ros.live.pump", (),
-                {**common, **vars(self.drive), "state_file": str(state / RECORD)},
-            )
-        yield NodeStart(
-            RECORDER, "greenroof_ros.live.recorder", (),
-            {"directory": str(state / "bag"), "total_limit": self.bag_limit},
-        )
+            yield ProcessStart(PUMP, "greenroof_ros.live.pump", (), {
+                PUMP: NodeSetup("greenroof_ros.live.pump", {
+                    **common, **vars(self.drive), "state_file": str(state / RECORD),
+                }),
+            })
 
 
 def make_parser() -> Parser:

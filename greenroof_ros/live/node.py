@@ -72,6 +72,13 @@ class LiveNode(GraphNode):
 
     # --- to override ------------------------------------------------------------------------
 
+    def on_start(self) -> None:
+        """Start what the node needs; called once, when all nodes of the process have been made.
+
+        Raises:
+            ConfigurationError: if a library is missing.
+        """
+
     def on_inputs(self) -> None:
         """Act at the end of a period; see :attr:`good`."""
 
@@ -197,6 +204,7 @@ def spin(nodes: Sequence[LiveNode], check: Callable[[], None]) -> NoReturn:
     """
     executor = SingleThreadedExecutor()
     for node in nodes:
+        node.on_start()
         start_receiving(executor, node)
     while True:
         check()

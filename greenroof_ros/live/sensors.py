@@ -14,6 +14,8 @@ begin_node(__name__)
 
 import math
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from greenroof_ros.base.parameter import Parameter
@@ -66,7 +68,9 @@ class SensorNode(LiveNode):
         self.reports.hardware = str(sensor)
         self._reader: ModbusReader | MqttReader
         if isinstance(sensor, ModbusSensor):
-            line = lines.setdefault(sensor.connection, SensorLine(sensor.address))
+            line = lines.get(sensor.connection)
+            if line is None or line.closed:
+                line = lines[sensor.connection] = SensorLine(sensor.address)
             age = values[quantity.limit]
             self._reader = ModbusReader(sensor, unit, line, age, quantity.spread_s)
             # In addition, the other sensors on its line can take half of the maximum age.
@@ -75,8 +79,8 @@ class SensorNode(LiveNode):
             self._reader = MqttReader(quantity.node, sensor, unit, quantity.spread_s)
             self._hangs_s = math.inf
 
-    def start(self) -> None:
-        """Start reading the sensor."""
+    def on_start(self) -> None:
+        """Start reading the sensor; its line knows all its sensors by then."""
         self._reader.start()
 
     def on_timer(self, now: float) -> None:
@@ -103,23 +107,29 @@ class SensorNode(LiveNode):
         self.reports.diagnose(self._part, problem, "the sensor is being read", self._level)
 
     def on_stop(self) -> None:
-        """Close the connection to the sensor."""
+        """Stop reading the sensor."""
         self._reader.close()
 
 
-def sensor_nodes(file: str) -> list[SensorNode]:
-    """Return a node for each sensor in a file, and start reading the sensors.
+def sensor_makers(file: Path) -> list[Callable[[], LiveNode]]:
+    """Return a function for each sensor in a file that makes the sensor's node.
+
+    Raises:
+        ConfigurationError: if the file is invalid.
+    """
+    lines: dict[str, SensorLine] = {}
+    return [
+        partial(SensorNode, section, file, lines) for section in read_sensors(file).by_section
+    ]
+
+
+def sensor_nodes(file: str) -> list[LiveNode]:
+    """Return a node for each sensor in a file.
 
     Raises:
         ConfigurationError: if the file or a parameter is invalid, or a library is missing.
     """
-    lines: dict[str, SensorLine] = {}
-    nodes = [
-        SensorNode(section, Path(file), lines) for section in read_sensors(Path(file)).by_section
-    ]
-    for node in nodes:
-        node.start()
-    return nodes
+    return [make() for make in sensor_makers(Path(file))]
 
 
 main = live_command(sensor_nodes, "live.sensors", __doc__, parameters, "--sensors")

@@ -12,7 +12,7 @@ from greenroof_ros.interface.alarm import ALARMS
 from greenroof_ros.interface.states import STARTING
 from greenroof_ros.interface.topics import read_live_topics
 from greenroof_ros.live.alarm_log import AlarmLog
-from greenroof_ros.live.supervisor import NodeStart
+from greenroof_ros.live.supervisor import ProcessStart
 
 # A longer gap between two updates means that this process was paused (s), so what it has not read
 # yet does not mean that the nodes were silent.
@@ -32,7 +32,7 @@ class SiteAlarms:
     """
 
     def __init__(
-        self, state: Path, namespace: str, processes: Iterable[NodeStart],
+        self, state: Path, namespace: str, processes: Iterable[ProcessStart],
         print_line: Callable[[str], None],
     ) -> None:
         """Continue the alarm record in the directory of a site.

@@ -42,7 +42,7 @@ from greenroof_ros.live.pumping.ledger import RECORD, make_record
 from greenroof_ros.live.pumping.limits import check_command_limit
 from greenroof_ros.live.service_manager import notify
 from greenroof_ros.live.site_alarms import SiteAlarms
-from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart
+from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, ProcessStart
 from greenroof_ros.live.time_limit import silence_limit
 from greenroof_ros.results.versions import versions
 from greenroof_ros.simulation import summary
@@ -75,7 +75,8 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     """
     state: Path = arguments.state
     modules = {
-        name: node.module for node in site.nodes(state) for name in node.nodes
+        name: node.module for process in site.processes(state)
+        for name, node in process.nodes.items()
     }
     with require_ros():
         user_files = node_parameter_files(arguments, modules, site.controller, site.parameters)
@@ -89,10 +90,10 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         if site.drive is not None:
             make_record(state / RECORD)
         _fit_bag(site, state / "bag")
-        nodes = list(site.nodes(state))
-        configuration = _Configuration(memory, site, user_files, nodes)
+        processes = list(site.processes(state))
+        configuration = _Configuration(memory, site, user_files, processes)
         configuration.write()
-        record = _SiteRecord(site, state, arguments.namespace, nodes)
+        record = _SiteRecord(site, state, arguments.namespace, processes)
         start = _StartReport()
         start.update(record.alarms.judge, {}, "the nodes are starting")
         names = modules.keys() | {"plant", *BUILT_IN}
@@ -107,8 +108,8 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         try:
             record.write(summary.RUNNING)
             with supervisor:
-                for node in nodes:
-                    supervisor.add(node)
+                for process in processes:
+                    supervisor.add(process)
                 _supervise(site, supervisor, record, start, signals)
         except Exception as error:  # whatever the error, the summary must not state "running"
             signals.ignore()
@@ -251,7 +252,7 @@ class _SiteRecord:
     """
 
     def __init__(
-        self, site: LiveSite, state: Path, namespace: str, processes: Sequence[NodeStart]
+        self, site: LiveSite, state: Path, namespace: str, processes: Sequence[ProcessStart]
     ) -> None:
         """Start a record, without writing anything yet."""
         self.alarms = SiteAlarms(state, namespace, processes, print_line)
@@ -412,7 +413,7 @@ class _Configuration:
 
     def __init__(
         self, directory: Path, site: LiveSite, user_files: Sequence[Path],
-        nodes: Sequence[NodeStart],
+        processes: Sequence[ProcessStart],
     ) -> None:
         """Read the files.
 
@@ -420,7 +421,7 @@ class _Configuration:
             directory: directory of the copies.
             site: the site as described on the command line.
             user_files: the user's parameter files.
-            nodes: the nodes.
+            processes: the processes of the site.
 
         Raises:
             OSError: if a file cannot be read or written.
@@ -429,8 +430,10 @@ class _Configuration:
         self._files: dict[Path, tuple[bytes, int]] = {}  # content and mode of each copy
         self._kept: dict[Path, bytes] = {}  # what people may read later, without passwords
         with add_path_to_errors(directory):
-            of_nodes = {node.name: node.parameters for node in nodes if node.parameters}
-            own = write_parameters(directory, of_nodes)
+            own = write_parameters(directory, {
+                name: node.parameters for process in processes
+                for name, node in process.nodes.items() if node.parameters
+            })
         self._files[own], self._kept[Path(own.name)] = (own.read_bytes(), 0o644), own.read_bytes()
         self.parameters = [own, *map(self._add, user_files)]
         for name, file in [*site.files().items(), *(("nodes", file) for file in user_files)]:

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 from greenroof_ros.base.command_line import (
     EXIT_DONE,
@@ -60,6 +60,8 @@ _MAX_WAIT_S = 10.0
 MAX_RESTARTS, _WINDOW_S = 10, 600.0
 # How long after its restart a killed node still counts as a second publisher (s).
 _LIVE_LEASE_S = "3"
+# The process with all nodes but the pump's and the controller's.
+STATION = "station"
 # Nodes that the site can do without; a node that needs a gauge itself reports its absence.
 _NOT_REQUIRED = {
     RECORDER, *(quantity.node for section, quantity in QUANTITIES.items() if section not in TANKS)
@@ -85,31 +87,33 @@ class NodeFailed(Exception):
         self.last_lines, self.code = last_lines, code
 
 
+class NodeSetup(NamedTuple):
+    """A node, as bringup starts it."""
+
+    module: str
+    """Python module of the node, such as greenroof_ros.live.weather"""
+    parameters: dict[str, Any]
+    """parameters that bringup sets"""
+
+
 @dataclass(frozen=True)
-class NodeStart:
+class ProcessStart:
     """Process to be started, which runs one or more nodes.
 
     Attributes:
-        name: name of the node, or a common name for several nodes.
-        module: Python module of the process, such as greenroof_ros.nodes.weather.
+        name: name of the process.
+        module: Python module of the process, such as greenroof_ros.live.station.
         arguments: command-line arguments of the process, without ROS arguments.
-        parameters: parameters that bringup sets, if they are not written elsewhere.
-        several: names of the nodes if the process contains more than one node.
+        nodes: the nodes, by name.
         instead: function that receives the reason why the process can no longer be used, and
             returns the arguments with which it is started from then on; None if the site then ends.
     """
 
     name: str
     module: str
-    arguments: tuple[str, ...] = ()
-    parameters: dict[str, Any] = field(default_factory=dict)
-    several: tuple[str, ...] = ()
+    arguments: tuple[str, ...]
+    nodes: Mapping[str, NodeSetup]
     instead: Callable[[str], tuple[str, ...]] | None = None
-
-    @property
-    def nodes(self) -> tuple[str, ...]:
-        """Names of the nodes in the process."""
-        return self.several or (self.name,)
 
 
 class NodeProcess:
@@ -161,7 +165,7 @@ class NodeProcess:
 class _NodeRecord:
     """Start command of a node of a live site, and the history of the node's starts."""
 
-    start: NodeStart
+    start: ProcessStart
     starts_again: float | None = None  # when its restart is due; None while it runs
     restarts: deque[float] = field(default_factory=deque)  # times of restarts within the window
     was_ready: bool = False
@@ -176,8 +180,7 @@ class LiveSupervisor:
 
     The supervisor has no influence on whether the pump may run. A node that ends or is silent for
     too long is restarted after an increasing delay. If a node needs too many restarts, the
-    supervisor stops the pump and ends the site. The recorder is an exception and is always
-    restarted, since a recording failure must not stop control. A controller is replaced if it needs
+    supervisor stops the pump and ends the site. A controller is replaced if it needs
     too many restarts, or if its node can no longer run it. A pump node that has died cannot stop
     the drive, so the supervisor stops the drive. The supervisor also stops the drive at the end,
     whatever the pump node reports.
@@ -229,7 +232,7 @@ class LiveSupervisor:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End all nodes: the pump node first, and the recorder last, so that the bag is complete.
+        """End all nodes: the pump node first, and the station last, so that the bag is complete.
 
         Two simultaneous stops of the drive would collide, so a stop in progress is completed first.
         """
@@ -241,8 +244,8 @@ class LiveSupervisor:
         self._stop_nodes(names & {PUMP})
         if self._stop_drive is not None and PUMP in names:
             self._confirm_drive_stopped(self._stop_drive)
-        self._stop_nodes(names - {PUMP, RECORDER})
-        self._stop_nodes(names & {RECORDER})
+        self._stop_nodes(names - {PUMP, STATION})
+        self._stop_nodes(names & {STATION})
 
     def _confirm_drive_stopped(self, stop_drive: StopDrive) -> None:
         """Stop the drive, and report if the pump node failed or the pump may still be running."""
@@ -254,7 +257,7 @@ class LiveSupervisor:
 
     # --- starting -------------------------------------------------------------------------------
 
-    def start(self, node: NodeStart) -> None:
+    def start(self, node: ProcessStart) -> None:
         """Start a node in its own session, so that Ctrl-C at the terminal does not reach it.
 
         Raises:
@@ -363,7 +366,7 @@ class LiveSupervisor:
 
     # --- keeping them running -------------------------------------------------------------------
 
-    def add(self, node: NodeStart) -> None:
+    def add(self, node: ProcessStart) -> None:
         """Start a node now, and restart it whenever it has failed; see :meth:`start`."""
         self._records[node.name] = _NodeRecord(node)
         self._start(node.name, time.monotonic())
@@ -380,7 +383,7 @@ class LiveSupervisor:
             why, before = error.strerror or str(error), record.cannot_start
             record.cannot_start = why
             if why != before:
-                again = f"another attempt is made every {_MAX_WAIT_S:g} s{_unrecorded(name)}"
+                again = f"another attempt is made every {_MAX_WAIT_S:g} s"
                 self._on_failure(name, f"cannot be started: {why}; {again}")
 
     def update(self) -> None:
@@ -434,21 +437,20 @@ class LiveSupervisor:
             record.start = replace(record.start, arguments=replaced, instead=None)
             record.restarts.clear()
             too_often = False
-        if name not in _NOT_REQUIRED:
-            if not record.was_ready and code in (EXIT_USAGE, EXIT_OCCUPIED):
-                raise NodeFailed(f"node {name} {failure}", self.last_lines_of(name), code)
-            if too_often:
-                raise NodeFailed(
-                    f"node {name} {failure}; it has been restarted {len(record.restarts)} times "
-                    f"in the last {_WINDOW_S / 60:g} minutes, and will not be restarted again",
-                    self.last_lines_of(name), EXIT_FAILED,
-                )
-        wait = _WINDOW_S if too_often else min(2.0 ** len(record.restarts), _MAX_WAIT_S)
+        if not record.was_ready and code in (EXIT_USAGE, EXIT_OCCUPIED):
+            raise NodeFailed(f"node {name} {failure}", self.last_lines_of(name), code)
+        if too_often:
+            raise NodeFailed(
+                f"node {name} {failure}; it has been restarted {len(record.restarts)} times in the "
+                f"last {_WINDOW_S / 60:g} minutes, and will not be restarted again",
+                self.last_lines_of(name), EXIT_FAILED,
+            )
+        wait = min(2.0 ** len(record.restarts), _MAX_WAIT_S)
         record.starts_again = now + wait
         if not replaced:
             record.restarts.append(now)
         how = "given up: " if replaced else ""
-        self._on_failure(name, f"{failure}; {how}starts again in {wait:g} s{_unrecorded(name)}")
+        self._on_failure(name, f"{failure}; {how}starts again in {wait:g} s")
         if name == PUMP and self._stop_drive is not None:
             self._stopping = self._stopper.submit(
                 self._stop_drive, self.nodes[name].process.pid, self._drive_reached
@@ -493,7 +495,3 @@ def _log_file(path: Path) -> RotatingFileHandler:
     )
     log.terminator = ""
     return log
-
-
-def _unrecorded(name: str) -> str:
-    return "; until then, nothing is recorded" if name == RECORDER else ""

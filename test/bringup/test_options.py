@@ -56,8 +56,9 @@ def test_a_controller_keeps_what_it_learned_in_its_own_file(
 ) -> None:
     """Another controller would not understand the file, and would overwrite it."""
     monkeypatch.setattr(sys, "argv", ["live", *EXTERNAL, "--controller", "lookahead"])
-    nodes = LiveSite(live_site_parser().parse_args()).nodes(tmp_path)
-    (path,) = (node.parameters["state_file"] for node in nodes if node.name == "lookahead")
+    processes = LiveSite(live_site_parser().parse_args()).processes(tmp_path)
+    nodes = {name: node for process in processes for name, node in process.nodes.items()}
+    path = nodes["lookahead"].parameters["state_file"]
     assert path == str(tmp_path / "lookahead.json")
 
 

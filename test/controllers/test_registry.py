@@ -101,7 +101,7 @@ def test_wrong_files(tmp_path: Path, name: str, text: str, message: str) -> None
         ("pid", "must be one of mpc, onoff, anticipating_onoff, lookahead, or"),
         ("a b:C", "must be of the form package.module:Class"),
         ("package:Plant", "the node would have the same name as another node, plant"),
-        ("package:Sensors", "the node would have the same name as another node, sensors"),
+        ("package:Station", "the node would have the same name as another node, station"),
         ("package:RainGauge", "the node would have the same name as another node, rain_gauge"),
         ("package:Mpc", "the node would have the same name as another node, mpc"),
     ],

@@ -1,21 +1,41 @@
-"""A live node that fails while it runs, and needs three seconds to stop its device."""
+"""Live nodes whose code fails while they run; the first argument states which.
+
+``alone`` is a process with one node, which needs three seconds to stop its device. ``station`` is a
+station of two nodes, of which the first fails again and again, and the second goes on.
+"""
 
 from __future__ import annotations
 
+import sys
 import time
+from functools import partial
 
-from greenroof_ros.live.node import LiveNode, live_command
+from greenroof_ros.graph.executable import run_nodes
+from greenroof_ros.live import station
+from greenroof_ros.live.node import LiveNode, spin
 
 
-class FailingNode(LiveNode):
+class Failing(LiveNode):
+    def __init__(self, stop_s: float) -> None:
+        super().__init__("recorder", "recorder")
+        self._stop_s = stop_s
+
     def on_timer(self, now: float) -> None:
         print(1 / 0)
 
     def on_stop(self) -> None:
-        time.sleep(3.0)
+        time.sleep(self._stop_s)
 
 
-main = live_command(lambda: FailingNode("recorder", "recorder"), "failing", __doc__, lambda _: [])
+class Working(LiveNode):
+    def __init__(self) -> None:
+        super().__init__("weather", "weather")
 
-if __name__ == "__main__":
-    main()
+
+kind = sys.argv[1]
+sys.argv[1:] = ["--ros-args"]
+if kind == "alone":
+    sys.exit(run_nodes(partial(Failing, 3.0), spin))
+station._MAX_WAIT_S, station._MAX_FAILURES = 0.5, 2
+makers = [partial(Failing, 0.0), Working]
+sys.exit(run_nodes(lambda: [make() for make in makers], partial(station.keep_nodes, makers)))

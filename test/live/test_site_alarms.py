@@ -20,7 +20,7 @@ from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.times import iso
 from greenroof_ros.interface.alarm import ALARMS
 from greenroof_ros.live.site_alarms import SiteAlarms
-from greenroof_ros.live.supervisor import NodeStart
+from greenroof_ros.live.supervisor import NodeSetup, ProcessStart
 from greenroof_ros.live.supervisor_socket import read_report
 from greenroof_ros.results.alarm_file import read_alarms
 from greenroof_ros.watch.alarms import list_alarms
@@ -79,7 +79,9 @@ def test_console_record_summary_and_page_have_the_same_alarms(
     monkeypatch.setattr(time, "monotonic", lambda: 1000.0 + now)
     monkeypatch.setattr(time, "time", lambda: NOON + now)
     site = SiteAlarms(
-        tmp_path, "/site1", [NodeStart(node, "module") for node in SCRIPT], printed.append
+        tmp_path, "/site1", [
+            ProcessStart(node, "module", (), {node: NodeSetup("module", {})}) for node in SCRIPT
+        ], printed.append
     )
     pages = {begins: GraphStore("/site1") for begins in (0.0, 32.0, 62.0)}
     of_pages: dict[float, dict[tuple[str, str], float]] = {begins: {} for begins in pages}

@@ -24,10 +24,19 @@ from greenroof_ros.base.disk import DISK
 from greenroof_ros.live import supervisor
 from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.site_run import _StartReport, describe_site
-from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart
+from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeSetup, ProcessStart
 from greenroof_ros.live.supervisor_socket import SOCKET, SupervisorSocket, read_report
 
 TOO_LONG_S = 60
+
+
+def process(
+    name: str, does: str, marks: Path, instead: Callable[[str], tuple[str, ...]] | None = None
+) -> ProcessStart:
+    """Return a process of small nodes; see :mod:`small_node`."""
+    names = does.split(",") if "," in does else [name]
+    nodes = {node: NodeSetup("small_node", {}) for node in names}
+    return ProcessStart(name, "small_node", (does, str(marks)), nodes, instead)
 
 
 class Site:
@@ -55,7 +64,7 @@ class Site:
 
     def add(self, *nodes: str) -> None:
         for node in nodes:
-            self.supervisor.add(NodeStart(node, "small_node", (node, str(self.marks))))
+            self.supervisor.add(process(node, node, self.marks))
 
     def until(self, condition: Callable[[], object], seconds: float = TOO_LONG_S) -> None:
         """Supervise until a condition holds."""
@@ -223,9 +232,7 @@ def test_on_off_replaces_a_controller_that_is_given_up(site: Site) -> None:
         return "onoff", str(site.marks)
 
     for kind in ("refuses", "crashes"):
-        site.supervisor.add(NodeStart(
-            kind, "small_node", (kind, str(site.marks)), instead=partial(instead, kind)
-        ))
+        site.supervisor.add(process(kind, kind, site.marks, partial(instead, kind)))
     site.until_ready()
     (site.marks / "turn").touch()
     site.until(lambda: len(site.starts("onoff")) == 2)
@@ -246,33 +253,13 @@ def test_on_off_replaces_a_controller_that_is_given_up(site: Site) -> None:
         site.until(lambda: False)
 
 
-@limits(restarts=1)
-def test_a_recorder_that_fails_ends_nothing(site: Site) -> None:
-    """It is tried again, at growing intervals; the site does not wait for it."""
-    (site.marks / "weather-waits").touch()
-    site.add("weather", "pump")
-    site.supervisor.add(NodeStart("recorder", "small_node", ("wrong", str(site.marks))))
-    site.until(lambda: site.supervisor.unready == "weather is starting")
-    (site.marks / "weather-waits").unlink()
-    site.until_ready()
-    site.until(lambda: len(site.failures) == 2)
-    assert site.supervisor.unready == ""
-    site.end()
-    assert site.failures == [
-        ("recorder", "ended (exit code 2): parameter x must be a number; "
-         f"starts again in {wait} s; until then, nothing is recorded") for wait in (1, 600)
-    ]
-
-
 def test_a_process_of_several_nodes(site: Site) -> None:
     """Each is reported by its name; the process is restarted, and counts, once.
 
     The site does not wait for a gauge that is not ready.
     """
     several = ("cistern_sensor", "roof_sensor", "rain_gauge")
-    site.supervisor.add(NodeStart(
-        "sensors", "small_node", (",".join(several), str(site.marks)), several=several,
-    ))
+    site.supervisor.add(process("station", ",".join(several), site.marks))
     (site.marks / "roof_sensor-waits").touch()
     (site.marks / "rain_gauge-waits").touch()
     site.until(lambda: site.supervisor.unready == "roof_sensor is starting")
@@ -281,13 +268,13 @@ def test_a_process_of_several_nodes(site: Site) -> None:
     site.until_ready()
     (site.marks / "rain_gauge-waits").unlink()
     site.until(lambda: site.supervisor.last["rain_gauge"]["state"] == "ready")
-    os.kill(site.pid("sensors"), signal.SIGKILL)
+    os.kill(site.pid("station"), signal.SIGKILL)
     site.until(
         lambda: site.supervisor.unready == "cistern_sensor is missing, roof_sensor is missing"
     )
     site.until_ready()
-    assert site.failures == [("sensors", "ended (SIGKILL); starts again in 1 s")]
-    assert "were started" in (site.directory / "sensors.log").read_text()
+    assert site.failures == [("station", "ended (SIGKILL); starts again in 1 s")]
+    assert "were started" in (site.directory / "station.log").read_text()
 
 
 def _open_files() -> Counter[str]:
@@ -350,7 +337,7 @@ def test_a_start_for_which_there_are_too_few_files(site: Site, files: int) -> No
     gc.collect()  # close now what earlier tests left open
     before = _open_files()
     with few_files_left(files), pytest.raises(OSError, match="Too many open files"):
-        nodes.start(NodeStart("weather", "small_node", ("weather", str(site.marks))))
+        nodes.start(process("weather", "weather", site.marks))
     assert _open_files() == before
 
 
@@ -391,7 +378,7 @@ def test_what_systemd_and_the_start_say_of_the_pump(
     reports = {"controller": {"command": 0.5}, "pump": {"cistern_level": 2.0, **held}}
     levels = "cistern 2.000 m, roof unknown"
     assert describe_site(reports) == f"{levels}, command 0.500, pump held: a hold by the page"
-    alarms = SiteAlarms(tmp_path, "", [NodeStart("pump", "small_node")], str)
+    alarms = SiteAlarms(tmp_path, "", [process("pump", "pump", tmp_path)], str)
     printed: list[str] = []
     monkeypatch.setattr("greenroof_ros.live.site_run.print_line", printed.append)
     for pump, reason in (held, "held: a hold by the page"), ({}, "unknown"):

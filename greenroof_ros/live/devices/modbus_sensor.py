@@ -59,9 +59,22 @@ class SensorLine(DeviceThread[DeviceSnapshot]):
             self._line = self.readers[0].sensor.line(self._timeout_s)
             super().start()
 
-    def close(self) -> None:
-        """End the thread, and wait up to four timeouts for it to close the connection."""
-        self._stop_thread(4 * _TIMEOUT_S)
+    @property
+    def closed(self) -> bool:
+        """Whether the thread has ended or is ending."""
+        return self._closing
+
+    def remove(self, reader: ModbusReader) -> None:
+        """Stop reading a sensor.
+
+        After the last one, end the thread, and wait up to four timeouts for it to close the
+        connection.
+        """
+        rest = [other for other in self.readers if other is not reader]
+        if rest:
+            self.readers = rest  # the thread uses either the old list or the new one
+        else:
+            self._stop_thread(4 * _TIMEOUT_S)
 
     # --- in the thread ----------------------------------------------------------------------------
 
@@ -71,6 +84,8 @@ class SensorLine(DeviceThread[DeviceSnapshot]):
         if self._closing:
             self._done = True
             self._line.close()
+            return
+        if reader not in self.readers:
             return
         began = time.monotonic()
         try:
@@ -102,7 +117,9 @@ class ModbusReader(SensorReader):
         self, sensor: ModbusSensor, unit: str, line: SensorLine, max_age: float = math.inf,
         spread_s: float = math.inf,
     ) -> None:
-        """Add a sensor to a line that has not been started.
+        """Add a sensor to a line.
+
+        The line's timeout depends on the sensors that it has when it is started.
 
         Args:
             sensor: the sensor to read.
@@ -114,15 +131,15 @@ class ModbusReader(SensorReader):
         self.sensor, self.max_age, self.due = sensor, max_age, time.monotonic()
         super().__init__(sensor, unit, spread_s, Reading(problem="not yet read"))
         self._line = line
-        line.readers.append(self)
+        line.readers = [*line.readers, self]
 
     def start(self) -> None:
         """Start the sensor's line; see :meth:`SensorLine.start`."""
         self._line.start()
 
     def close(self) -> None:
-        """Close the sensor's line, which also stops the reading of other sensors on that line."""
-        self._line.close()
+        """Stop reading the sensor; see :meth:`SensorLine.remove`."""
+        self._line.remove(self)
 
     # --- in the line's thread ---------------------------------------------------------------------
 

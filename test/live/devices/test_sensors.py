@@ -220,7 +220,7 @@ def test_a_sensor_next_to_a_silent_or_wrong_one_on_a_serial_line() -> None:
     devices = TwoSensors()
     with closing(SerialWire(devices)) as wire:
         first, second = both(wire.line, 3.0)
-        with closing(first):
+        with closing(first), closing(second):
             for reader in (first, second):
                 reader.start()
             until(lambda: (first.snapshot.value, second.snapshot.value) == (1.0, 3.0))
@@ -244,7 +244,7 @@ def test_a_late_answer_of_one_sensor_is_no_level_of_the_other() -> None:
     devices.delay_s = 0.35
     with closing(SerialWire(devices)) as wire:
         first, second = both(wire.line, 3.0)
-        with closing(first):
+        with closing(first), closing(second):
             first.start()
             until(lambda: "no valid response" in first.snapshot.problem)
             until(lambda: second.snapshot.value is not None)
@@ -278,7 +278,7 @@ def test_a_late_answer_is_no_value_of_the_next_register(late_s: float) -> None:
             ModbusReader(sensor(wire.gateway, register=register, period=0.2), "m", line, 3.0)
             for register in data
         ]
-        with closing(line):
+        with closing(readers[0]), closing(readers[1]):
             line.start()
             until(lambda: [reader.snapshot.value for reader in readers] == [1.0, 3.0])
             wait_s = late_s
@@ -294,7 +294,7 @@ def test_nothing_else_opens_a_line_that_is_read() -> None:
     """Neither a drive nor another program: bytes of two would mix."""
     with closing(SerialWire(TwoSensors())) as wire:
         first, second = both(wire.line, 3.0)
-        with closing(first):
+        with closing(first), closing(second):
             first.start()
             until(lambda: second.snapshot.value == 3.0)
             with pytest.raises(DriveError, match="cannot connect"):
@@ -315,7 +315,7 @@ def test_sensors_behind_one_gateway_share_a_connection() -> None:
         good, lost = (
             ModbusReader(sensor(wire.at, device_id=number), "m", line) for number in (1, 9)
         )
-        with closing(good):
+        with closing(good), closing(lost):
             good.start()
             until(lambda: (good.snapshot.value, lost.snapshot.value) == (3.0, 1.0))
             assert wire.connections == 1

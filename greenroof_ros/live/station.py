@@ -1,0 +1,132 @@
+"""Everything of a live site that neither drives the pump nor is the user's code, in one process.
+
+``python -m greenroof_ros.live.station --sensors sensors.yaml --weather --recorder`` creates a node
+for every section of the sensor file, the weather node and the recorder. A node that fails is
+destroyed and made again, after 1, 2, 4, 8 and 10 s, while the others go on. A node that fails more
+than ten times in ten minutes is left out until the site is restarted; its failure stays an alarm. A
+node that hangs stops the others too, so the supervisor restarts the process.
+"""
+
+from __future__ import annotations
+
+from greenroof_ros.graph import begin_node
+
+begin_node(__name__)
+
+import argparse
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+from rclpy.executors import SingleThreadedExecutor
+
+from greenroof_ros.base.command_line import command
+from greenroof_ros.graph.errors import explain
+from greenroof_ros.graph.executable import NodeParser, run_nodes
+from greenroof_ros.graph.spin import start_receiving
+from greenroof_ros.live.node import LiveNode
+from greenroof_ros.live.recorder import LiveRecorderNode
+from greenroof_ros.live.sensors import sensor_makers
+from greenroof_ros.live.weather import LiveWeatherNode
+
+# How often a node may fail within ten minutes (s), and the longest wait before it is made again
+# (s).
+_MAX_FAILURES, _WINDOW_S, _MAX_WAIT_S = 10, 600.0, 10.0
+# Longest wait for a message while no node asks for less (s).
+_WAIT_S = 0.05
+
+Make = Callable[[], LiveNode]
+
+
+class _Place:
+    """A node's place in the station: what makes it, and its failures."""
+
+    def __init__(self, make: Make, node: LiveNode) -> None:
+        self.make = make
+        self.node: LiveNode | None = node
+        self.due = math.inf  # when it is made again (steady clock, s)
+        self._failures: deque[float] = deque()
+
+    def fail(self, now: float) -> None:
+        """Count a failure, and set when the node is made again."""
+        self._failures.append(now)
+        while now - self._failures[0] > _WINDOW_S:
+            self._failures.popleft()
+        count = len(self._failures)
+        self.node = None
+        self.due = math.inf if count > _MAX_FAILURES else now + min(2.0 ** (count - 1), _MAX_WAIT_S)
+
+
+def keep_nodes(
+    makers: Sequence[Make], nodes: list[LiveNode], check: Callable[[], None]
+) -> None:
+    """Run nodes, and make those again that fail, until a check ends them.
+
+    Args:
+        makers: functions that make the nodes.
+        nodes: the nodes, in the same order; from then on, those that are running.
+        check: function that is called at least 20 times a second and may raise an exception.
+    """
+    executor = SingleThreadedExecutor()
+    places = [_Place(make, node) for make, node in zip(makers, nodes, strict=True)]
+    for node in nodes:
+        node.on_start()
+        start_receiving(executor, node)
+    while True:
+        check()
+        executor.spin_once(timeout_sec=min([_WAIT_S, *(node.wait_s for node in nodes)]))
+        for place in places:
+            now = time.monotonic()
+            try:
+                if place.node is not None:
+                    place.node.check(now)
+                elif now >= place.due:
+                    place.node = place.make()
+                    nodes.append(place.node)
+                    place.node.on_start()
+                    start_receiving(executor, place.node)
+            except Exception as error:  # whatever it is, it must not end the other nodes
+                if place.node is not None:
+                    nodes.remove(place.node)
+                    executor.remove_node(place.node)
+                    _destroy(place.node, explain(error)[0])
+                place.fail(now)
+
+
+def _destroy(node: LiveNode, failure: str) -> None:
+    """Let a node that failed report why, and leave the graph."""
+    node.get_logger().error(failure)
+    try:
+        node.on_stop()
+    except Exception as error:  # its first failure is reported
+        node.get_logger().error(explain(error)[0])
+    node.end(failure)
+    node.destroy_node()
+
+
+def _list_makers(arguments: argparse.Namespace) -> list[Make]:
+    """Return what makes the nodes of the command line; the recorder, which ends last, is last."""
+    makers: list[Make] = [] if arguments.sensors is None else sensor_makers(arguments.sensors)
+    if arguments.weather:
+        makers.append(LiveWeatherNode)
+    if arguments.recorder:
+        makers.append(LiveRecorderNode)
+    return makers
+
+
+@command
+def main() -> int:
+    """Run the nodes."""
+    parser = NodeParser(description=__doc__)
+    parser.add_argument("--sensors", type=Path, help="sensor file")
+    parser.add_argument("--weather", action="store_true", help="run the weather node")
+    parser.add_argument("--recorder", action="store_true", help="run the recorder")
+    makers = _list_makers(parser.parse_own_args())
+    return run_nodes(lambda: [make() for make in makers], partial(keep_nodes, makers))
+
+
+if __name__ == "__main__":
+    main()
