@@ -18,9 +18,9 @@ from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.parameter_sections import read_sections
 from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
-from greenroof_ros.graph.parameters import check_value
 from greenroof_ros.site.file import read_site
 
+_TEXTS = {bool: "true or false", str: "text", list: "a list of strings"}
 # Parameters that only bringup sets, by node, each with the option of bringup that sets it.
 _OF_BRINGUP = {
     "pump": {
@@ -136,3 +136,18 @@ def _parameters_of(module: str, controller: ControllerChoice) -> dict[str, Param
     site = read_site(default_site_file())
     of = controller if module.endswith(".controller") else site
     return {parameter.name: parameter for parameter in import_module(module).parameters(of)}
+
+
+def check_value(parameter: Parameter, value: Any) -> Any:
+    """Check a value of a parameter, and return it converted to the parameter's type.
+
+    Raises:
+        ValueError: if the value is invalid; the message states the valid values.
+    """
+    kind = type(parameter.default)
+    if kind in (int, float):
+        return parameter.range.check(value)
+    texts = type(value) is not list or (value and {*map(type, value)} == {str})
+    if type(value) is kind and texts and (value in parameter.among or not parameter.among):
+        return value
+    raise ValueError(f"must be {parameter.limits or _TEXTS[kind]}")

@@ -26,6 +26,7 @@ from greenroof_ros.base.errors import ConfigurationError, suggest_names
 from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.parameter_sections import read_sections
+from greenroof_ros.graph.parameter_file import check_value
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import MAX_HORIZON
 from greenroof_ros.site.site import Site
@@ -33,7 +34,6 @@ from greenroof_ros.site.site import Site
 USE_SIM_TIME = "use_sim_time"  # rclpy's name
 # The name of every Python type in ROS 2.
 _KINDS = {float: "double", int: "integer", bool: "bool", str: "string", list: "string array"}
-_TEXTS = {bool: "true or false", str: "text", list: "a list of strings"}
 
 
 def site_file() -> Parameter:
@@ -122,21 +122,6 @@ def _declare(node: Node, parameter: Parameter) -> Any:
     return node.declare_parameter(
         parameter.name, value, _descriptor(parameter), ignore_override=True
     ).value
-
-
-def check_value(parameter: Parameter, value: Any) -> Any:
-    """Check a value of a parameter, and return it converted to the parameter's type.
-
-    Raises:
-        ValueError: if the value is invalid; the message states the valid values.
-    """
-    kind = type(parameter.default)
-    if kind in (int, float):
-        return parameter.range.check(value)
-    texts = type(value) is not list or (value and {*map(type, value)} == {str})
-    if type(value) is kind and texts and (value in parameter.among or not parameter.among):
-        return value
-    raise ValueError(f"must be {parameter.limits or _TEXTS[kind]}")
 
 
 _LONG = 2**62  # beyond any number that a node uses

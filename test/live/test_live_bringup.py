@@ -225,7 +225,7 @@ def test_both_level_sensors_on_one_serial_line(
                 hardware.until_it_pumps()
                 # Bringup, suspended, cannot replace it before the levels are too old.
                 with suspended(process.process.pid):
-                    os.kill(process.nodes()["sensors"], signal.SIGKILL)
+                    os.kill(process.nodes()["station"], signal.SIGKILL)
                     wait_for(lambda: hardware.speed() == 0, 60, "a pump that stands")
                 process.until_printed(": /roof_sensor: ended (SIGKILL); starts again in 1 s")
                 hardware.until_it_pumps()
@@ -403,11 +403,10 @@ def test_nodes_read_what_the_site_was_started_with_on_a_full_disk(
                     break
                 write(sensors, site_file, before, 2.0)
                 login.chmod(0o644)
-                environ = Path(f"/proc/{process.nodes()['sensors']}/environ").read_text()
+                environ = Path(f"/proc/{process.nodes()['station']}/environ").read_text()
                 shutil.rmtree(environ.partition("GREENROOF_ROS_COPIES=")[2].partition("\0")[0])
-                for name in ("sensors", "weather"):
-                    os.kill(process.nodes()[name], signal.SIGKILL)
-                site.until(lambda: {"sensors", "weather"} <= process.nodes().keys(), 60, "restarts")
+                os.kill(process.nodes()["station"], signal.SIGKILL)
+                site.until(lambda: "station" in process.nodes(), 60, "a restart")
                 site.diagnoses.clear()
                 evapotranspiration.clear()
             assert not process.stderr().count("exit code")

@@ -61,7 +61,6 @@ def bounds(site: Site) -> dict[str, float]:
         "frost": _limit("/weather/frost") + step,
         # The drive stops automatically, or bringup stops it.
         "drive": DRIVE_TIMEOUT_S + end,
-        "supervised": SILENCE_S + end,
         # For this time the slowest permitted ramp can explain the speed.
         "follow": apart * ramp + follow + step,
         # A level that does not change although the pump moves water.

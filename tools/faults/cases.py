@@ -85,20 +85,17 @@ _DELIVERY = Expected(bound="undelivered", signs=_pump("delivery"), recovery="lat
 def _process(node: str, fault: str) -> Expected:
     """Return what must follow from a fault of a live site's process."""
     # A node that ends as it is asked to is no alarm, and is started again.
-    nodes = ("cistern_sensor", "roof_sensor") if node == "sensors" else (node,)
+    of_station = "cistern_sensor", "roof_sensor", "weather", "recorder"
+    nodes = of_station if node == "station" else (node,)
     lost = () if fault == "term" else tuple((name, "not_heard") for name in nodes)
     if fault == "stop short":
         return _RUNS_ON
-    if node == "recorder":
-        return Expected(stops=False, signs=lost, watch=12.0)
     if node == "bringup":  # the other processes do without it, until they are asked to end
         return Expected(stops=False, watch=12.0) if fault == "stop long" else Expected(
             recovery="ends")
     if node == "pump":
         return Expected(bound="step" if fault == "term" else "drive", signs=lost)
-    if node == "weather":  # it is started again before frost is unknown
-        return Expected(stops=False, bound="supervised", signs=lost)
-    if node == "sensors":  # after the first failures it is started again before levels are unknown
+    if node == "station":  # after the first failures it is started again before levels are unknown
         unknown = fault == "stop long"
         return Expected(stops=unknown or None, bound="level", signs=(
             *lost, *(_level("cistern") if unknown else ())))
@@ -110,7 +107,7 @@ def _process(node: str, fault: str) -> Expected:
 
 def _processes() -> Iterator[Case]:
     for fault in ("kill", "term", "stop short", "stop long"):
-        for node in ("onoff", "weather", "sensors", "pump", "recorder", "bringup"):
+        for node in ("onoff", "station", "pump", "bringup"):
             yield Case(SITE, fault, node, _process(node, fault))
     for drive in DRIVES:
         rig = f"site:{drive}"

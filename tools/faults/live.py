@@ -83,7 +83,7 @@ def run_case(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None
         rig.until_guarded()
     rig.until_running(steady_s=_STEADY_S if case.expected.stops is False else 0.0)
     rig.watchers[1:] = []
-    if case.target == "recorder" and isinstance(rig, SiteRig):
+    if case.target == "station" and isinstance(rig, SiteRig):
         _until_it_records(rig.output / "bag", rng)
     time.sleep(rng.uniform(0.0, 1.0))  # a random phase of the ticks, which last a second
     if not rig.runs():
@@ -153,7 +153,7 @@ def _fault(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None:
     if expected.recovery != "ends":
         _recover(rig, case, outcome)
     outcome.signs = sorted(rig.signs(began, alarms))
-    if recorded and case.target == "recorder" and case.fault in ("kill", "term", "stop long"):
+    if recorded and case.target == "station" and case.fault in ("kill", "term", "stop long"):
         outcome.lost = max(0.0, clock - (last_message(recorded) or recorded.stat().st_mtime))
         if outcome.lost > _LOST_S:
             outcome.fail(f"{outcome.lost:.1f} s before the fault are not in the bag")
