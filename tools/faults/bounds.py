@@ -18,8 +18,6 @@ from greenroof_ros.site.site import Site
 # The simulated drive of the campaign: time from rated speed to rest, and its own timeout (s).
 RAMP_S = 1.0
 DRIVE_TIMEOUT_S = 5.0
-# Silence of a node after which bringup kills it: bringup's default (s).
-SILENCE_S = 5.0
 # Limit of a run or of a day in cases about these limits, in place of the default (s).
 LIMIT_S = 20.0
 # Added by a busy machine, and by the measurement, to any of these times (s).
