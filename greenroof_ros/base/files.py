@@ -171,6 +171,7 @@ _WORDS = {
     ".nan": math.nan, ".inf": math.inf, "+.inf": math.inf, "-.inf": -math.inf,
 }
 _NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_HEXADECIMAL = re.compile(r"0x[0-9A-Fa-f]{1,16}")
 
 
 class YamlMapping(dict[str, Any]):
@@ -183,10 +184,12 @@ class YamlMapping(dict[str, Any]):
         self.lines = {**(lines or {})}
 
 
-def _parse_plain(text: str) -> Any:
+def parse_plain(text: str) -> Any:
     """Return the value of an unquoted text: numbers as in YAML 1.2, and yes and no as in 1.1."""
     if (word := text.lower()) in _WORDS:
         return _WORDS[word]
+    if _HEXADECIMAL.fullmatch(text):
+        return int(text, 16)
     if not _NUMBER.fullmatch(text):
         return text
     whole = len(text) <= _MAX_DIGITS and not set(text) & {*".eE"}
@@ -263,7 +266,7 @@ class _YamlValues:
         if depth > _DEEPEST:
             raise _at(node, f"is nested more than {_DEEPEST} levels deep")
         if isinstance(node, yaml.ScalarNode):
-            return node.value if node.style in ("'", '"') else _parse_plain(node.value)
+            return node.value if node.style in ("'", '"') else parse_plain(node.value)
         if isinstance(node, yaml.SequenceNode):
             return [self.read(item, depth + 1) for item in node.value]
         mapping = YamlMapping()

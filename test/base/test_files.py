@@ -31,7 +31,7 @@ def test_plain_values(tmp_path: Path) -> None:
     )
     assert read_yaml(file) == {
         "a": [16, "3:0", 0.5, 578000.0, 1e-5, -math.inf, 2**63, -math.inf],
-        "b": [True, False, True, None, None, "2021-07-07", "1_000", "0x1F", "5", "no"],
+        "b": [True, False, True, None, None, "2021-07-07", "1_000", 0x1F, "5", "no"],
     }
 
 
