@@ -99,7 +99,6 @@ def is_there(path: Path) -> bool:
 MAX_BYTES = 100_000_000
 """Maximum size of a user's file (bytes): 100 years of hourly weather, three years of a record by
 the minute, or a year of hourly forecast runs with one member. So no file exhausts the memory."""
-_WEB_PAGE = re.compile(r"\s*<(!doctype|html|\?xml|head|body|!--)", re.IGNORECASE)
 
 
 def read_lines(path: Path, encoding: str = "utf-8") -> Iterator[str]:
@@ -135,10 +134,6 @@ def read_lines(path: Path, encoding: str = "utf-8") -> Iterator[str]:
                     raise UnicodeError
                 if number == 1:
                     line = line.removeprefix("\ufeff")
-                    if _WEB_PAGE.match(line):
-                        raise ConfigurationError(
-                            "is a web page or XML, perhaps a message from a service", file=path
-                        )
                 blank = blank and not line.strip()
                 yield line
     except OSError as error:

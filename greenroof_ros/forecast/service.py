@@ -26,7 +26,7 @@ import numpy as np
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import replace_text
-from greenroof_ros.base.http import ServiceError, check_url, name_url, read_reason, request
+from greenroof_ros.base.http import ServiceError, check_url, name_url, request
 from greenroof_ros.base.times import to_people
 from greenroof_ros.forecast.issue import IssuedForecast, mend_forecast, read_rain, write_forecasts
 from greenroof_ros.site.site import Site
@@ -80,7 +80,7 @@ class Service:
         more = {"models": model} if model else {}
         self._parameters = make_parameters(site, forecast_days=days, **more)
         default = _ENSEMBLE_URL if ensemble else _FORECAST_URL
-        self._url = check_url(url or default, self._parameters)
+        self._url = check_url(url or default)
 
     def fetch(self, now: datetime) -> IssuedForecast:
         """Return the latest forecast, issued in the current hour, with evapotranspiration.
@@ -111,8 +111,6 @@ def _read_issue(answer: bytes, site: Site, hour: datetime, arrived: datetime) ->
     Raises:
         ConfigurationError: if the response is not a forecast for the hour and the site.
     """
-    if not answer.lstrip().startswith(b"{"):
-        raise ConfigurationError(f"is not a forecast in JSON: {read_reason(answer)}")
     file = Path("answer.json")
     measured = make_hours(read_weather_rows(file, site, answer))
     records = complete_records(drop_empty(measured), site)
