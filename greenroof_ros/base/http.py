@@ -80,8 +80,8 @@ def name_url(url: str) -> str:
     return urlsplit(url)._replace(query="", fragment="").geturl()
 
 
-def request(url: str, parameters: Mapping[str, str | float]) -> tuple[bytes, str]:
-    """Request data from a service; return its response, and its clock (empty if unknown).
+def request(url: str, parameters: Mapping[str, str | float]) -> bytes:
+    """Request data from a service, and return its response.
 
     Args:
         url: URL of the interface, checked by :func:`check_url`.
@@ -93,7 +93,7 @@ def request(url: str, parameters: Mapping[str, str | float]) -> tuple[bytes, str
     """
     own = dict(parse_qsl(urlsplit(url).query, keep_blank_values=True))
     whole = f"{name_url(url)}?{urlencode({**own, **parameters})}"
-    result: Future[tuple[bytes, str]] = Future()
+    result: Future[bytes] = Future()
 
     def work() -> None:
         try:
@@ -118,8 +118,8 @@ def request(url: str, parameters: Mapping[str, str | float]) -> tuple[bytes, str
     raise ServiceError(f"{name_url(url)}: {why}", error.wait, is_final=error.is_final) from None
 
 
-def _get(url: str) -> tuple[bytes, str]:
-    """Return the response from a URL, and the time in its header.
+def _get(url: str) -> bytes:
+    """Return the response from a URL.
 
     Raises:
         ServiceError: if the status is not 200, or if the response is too large.
@@ -132,7 +132,7 @@ def _get(url: str) -> tuple[bytes, str]:
             if len(body) > _MAX_BYTES:
                 raise ServiceError(f"sent more than {_MAX_BYTES} bytes")
     if response.status == 200:
-        return bytes(body), response.headers.get("Date", "")
+        return bytes(body)
     reason = " ".join(body.decode("utf-8", "replace").split())[:_MAX_REASON]
     wait = 0.0
     with suppress(InvalidHeader):

@@ -192,7 +192,7 @@ def fetch(
             progress.show(f"{block}", number / len(files))
             time.sleep(wait)
             try:
-                body, _ = request(source.url, block.parameters)
+                body = request(source.url, block.parameters)
                 answer = file.with_name(f"answer{file.suffix}")
                 answer.write_bytes(body)
                 _check(answer, source, block, site)

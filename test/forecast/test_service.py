@@ -94,7 +94,6 @@ def test_each_hour_has_the_rain_and_temperature_that_are_forecast_for_it(server)
     ("error", "503 Service Unavailable: upstream is down"),
     ("length", "temperature_2m: must be a list with one value for each time"),
     ("missing", "has no precipitation: every value is missing"),
-    ("clock", "check the clock of this machine"),
 ])
 def test_a_bad_answer_is_refused_and_replaces_nothing(server, tmp_path, monkeypatch, fault, reason):
     file = tmp_path / "forecast.csv"
