@@ -48,7 +48,8 @@ def _discard_what_cannot_be_printed() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 
-def _print_error(text: str) -> None:
+def print_error(text: str) -> None:
+    """Print an error in one line on standard error."""
     print(f"error: {escape(text)}", file=sys.stderr)
 
 
@@ -78,16 +79,16 @@ def command(
                 code = end.code and (failed or end.code)
             print(end="", flush=True)
         except (ConfigurationError, argparse.ArgumentError) as error:
-            _print_error(str(error))
+            print_error(str(error))
             code = failed or exit_code(error)
         except (InterruptedRun, KeyboardInterrupt) as error:
-            print(str(error) or "interrupted", file=sys.stderr)
+            print(escape(str(error)) or "interrupted", file=sys.stderr)
             code = EXIT_INTERRUPTED
         except OSError as error:
             if not isinstance(error, BrokenPipeError):
                 # When copying, it is the second file that has no room.
                 parts = (error.filename2 or error.filename, error.strerror or str(error))
-                _print_error(": ".join(filter(None, parts)))
+                print_error(": ".join(filter(None, parts)))
             code = failed or EXIT_FAILED
             _discard_what_cannot_be_printed()
         return code

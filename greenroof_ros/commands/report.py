@@ -9,6 +9,7 @@ from greenroof_ros.base.command_line import Parser, command
 from greenroof_ros.base.errors import ConfigurationError, require_extra
 from greenroof_ros.base.files import add_path_to_errors, writable
 from greenroof_ros.base.progress import ProgressBar
+from greenroof_ros.base.text import escape
 
 # A report's directory contains this file and figures/.
 _PAGE = "report.html"
@@ -102,7 +103,8 @@ def main() -> None:
             file.unlink()
     for run in report.runs:
         if run.row.get("ended"):
-            print(f"{run.name} {run.row['ended']}; all results cover only the recorded part")
+            ended = f"{run.name} {run.row['ended']}"
+            print(escape(f"{ended}; all results cover only the recorded part"))
     if report.failed:
         print(f"runs that failed or were not started: {len(report.failed)}; the report lists them")
-    print(f"written to {output.resolve() / _PAGE}")
+    print(escape(f"written to {output.resolve() / _PAGE}"))

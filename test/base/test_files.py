@@ -117,6 +117,16 @@ def test_no_control_character_reaches_the_terminal(tmp_path: Path, text: str) ->
         assert all(sign == "\n" or sign.isprintable() for sign in done.stderr)
 
 
+def test_nor_of_the_name_of_a_file_that_is_written(tmp_path: Path) -> None:
+    done = run_command(
+        "__main__", "new-site", "--roof", "40", "--catchment", "80", "--cistern", "5",
+        "--place", "43.63,-79.40", "--output", "\33[31m\r\u202e.yaml", cwd=tmp_path,
+        env=dict(os.environ),
+    )
+    assert done.stdout.startswith(r"written: \x1b[31m\r\u202e.yaml, for"), done.stderr
+    assert all(sign == "\n" or sign.isprintable() for sign in done.stdout)
+
+
 def test_a_number_that_python_does_not_print_is_described() -> None:
     assert describe_value(10**5000) == "a number with thousands of digits"
 

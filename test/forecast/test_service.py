@@ -210,11 +210,14 @@ def test_a_place_that_is_unknown():
 
 
 def test_the_command(server, tmp_path):
+    """No control character or direction mark reaches the terminal."""
+    file = tmp_path / "\33[31m\u202e.csv"
     asked = ("fetch_forecast", "--url", f"{server.address}/v1/ensemble", "--ensemble")
-    ended = run_command(*asked, cwd=tmp_path, env=environment(0))
+    ended = run_command(*asked, "--output", file.name, cwd=tmp_path, env=environment(0))
     assert ended.returncode == 0, ended.stderr
     assert "11 members; forecasts by Open-Meteo.com, CC BY 4.0" in ended.stdout
-    assert len(read_forecasts(tmp_path / "forecast.csv")[0].rain) == 11
+    assert ended.stdout.startswith(r"\x1b[31m\u202e.csv: issued ")
+    assert len(read_forecasts(file)[0].rain) == 11
     server.fault = "error"
     ended = run_command(*asked, cwd=tmp_path, env=environment(0))
     assert ended.returncode == 1

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED
+from greenroof_ros.base.text import escape
 
 
 @dataclass(frozen=True)
@@ -25,11 +26,11 @@ class CheckResult:
 
 def print_check_results(title: str, results: Sequence[CheckResult]) -> int:
     """Print results, and return exit code 0 if every check passed, otherwise 1."""
-    print(title)
+    print(escape(title))
     for result in results:
         outcome = "failed" if result.problem else "passed"
         shown = ": ".join(filter(None, (result.check, result.problem or result.result)))
-        print(f"  {outcome}: {shown}")
+        print(escape(f"  {outcome}: {shown}"))
     passed = sum(not result.problem for result in results)
     print(f"{passed} of {len(results)} checks passed")
     return EXIT_DONE if passed == len(results) else EXIT_FAILED
