@@ -153,8 +153,6 @@ def read_text(path: Path) -> str:
     return "".join(read_lines(path))
 
 
-# Maximum depth of nesting: far more than our files need, far less than a thread's stack allows.
-_DEEPEST = 200
 # Maximum size of a YAML file (characters): the metadata of a bag of 3,000 files. And the number of
 # values that its aliases may add: a few lines of nested aliases would make billions.
 _MAX_YAML, _MAX_ALIASED = 1_000_000, 10_000
@@ -233,7 +231,7 @@ def parse_yaml(text: str, path: Path) -> Any:
         raise ConfigurationError(f"is longer than {_MAX_YAML / 1e6:g} MB", file=path)
     try:
         node = yaml.compose(text, Loader=_Loader)
-        return None if node is None else _YamlValues(len(text) + _MAX_ALIASED).read(node)
+        return None if node is None else _read_node(node, iter(range(len(text) + _MAX_ALIASED)))
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         problem = ", ".join(filter(None, (error.context, error.problem)))
@@ -245,36 +243,31 @@ def parse_yaml(text: str, path: Path) -> Any:
         raise ConfigurationError(f"is not valid YAML: {error}", file=path) from error
 
 
-class _YamlValues:
-    """Reader of the values of YAML nodes; an alias is read again wherever it stands."""
+def _read_node(node: yaml.Node, left: Iterator[int]) -> Any:
+    """Return the value of a node; an alias is read again wherever it stands.
 
-    def __init__(self, most: int) -> None:
-        self._left = most  # values
-
-    def read(self, node: yaml.Node, depth: int = 0) -> Any:
-        """Return the value of a node at a depth of nesting."""
-        self._left -= 1
-        if self._left < 0:
-            raise _at(node, f"its aliases (*NAME) add more than {_MAX_ALIASED} values")
-        if node.tag:
-            raise _at(node, f"values must not have tags such as {node.tag!r}")
-        if depth > _DEEPEST:
-            raise _at(node, f"is nested more than {_DEEPEST} levels deep")
-        if isinstance(node, yaml.ScalarNode):
-            return node.value if node.style in ("'", '"') else parse_plain(node.value)
-        if isinstance(node, yaml.SequenceNode):
-            return [self.read(item, depth + 1) for item in node.value]
-        mapping = YamlMapping()
-        for key, value in node.value:
-            name = key.value
-            if not isinstance(key, yaml.ScalarNode) or key.tag:
-                raise _at(key, "a key must be text without a tag")
-            if name in mapping:
-                first = mapping.lines[name]
-                raise _at(key, f"the key {name} appears twice, first on line {first}")
-            mapping[name] = self.read(value, depth + 1)
-            mapping.lines[name] = key.start_mark.line + 1
-        return mapping
+    Args:
+        node: the node.
+        left: an item for each value that may still be read.
+    """
+    if next(left, None) is None:
+        raise _at(node, f"its aliases (*NAME) add more than {_MAX_ALIASED} values")
+    if node.tag:
+        raise _at(node, f"values must not have tags such as {node.tag!r}")
+    if isinstance(node, yaml.ScalarNode):
+        return node.value if node.style in ("'", '"') else parse_plain(node.value)
+    if isinstance(node, yaml.SequenceNode):
+        return [_read_node(item, left) for item in node.value]
+    mapping = YamlMapping()
+    for key, value in node.value:
+        name = key.value
+        if not isinstance(key, yaml.ScalarNode) or key.tag:
+            raise _at(key, "a key must be text without a tag")
+        if name in mapping:
+            raise _at(key, f"the key {name} appears twice, first on line {mapping.lines[name]}")
+        mapping[name] = _read_node(value, left)
+        mapping.lines[name] = key.start_mark.line + 1
+    return mapping
 
 
 def _at(node: yaml.Node, problem: str) -> yaml.MarkedYAMLError:
