@@ -289,22 +289,6 @@ def add_path_to_errors(path: Path) -> Iterator[None]:
         raise OSError(error.errno, error.strerror, str(path)) from error
 
 
-@contextmanager
-def writable(directory: Path, option: str = "--output") -> Iterator[None]:
-    """Convert a write error into a :class:`ConfigurationError` that names the directory.
-
-    Args:
-        directory: directory to which files are written.
-        option: option that sets the directory.
-    """
-    try:
-        yield
-    except OSError as error:
-        raise ConfigurationError(
-            f"cannot be written: {error.strerror}", key=option, value=str(directory)
-        ) from error
-
-
 def replace_text(file: Path, text: str, *, parents: bool = False) -> None:
     """Replace the content of a file with a text; see :func:`replace_file`."""
     replace_file(file, lambda stream: stream.write(text.encode()), parents=parents)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from greenroof_ros.base.command_line import Parser, command
 from greenroof_ros.base.errors import ConfigurationError, require_extra
-from greenroof_ros.base.files import add_path_to_errors, writable
+from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.text import escape
 
@@ -90,8 +90,7 @@ def main() -> None:
     with ProgressBar() as progress:
         report = Report(find_runs(arguments.paths, arguments.site, progress.show))
         made = list(figures.make_figures(report))
-        with writable(output):
-            (output / "figures").mkdir(parents=True, exist_ok=True)
+        (output / "figures").mkdir(parents=True, exist_ok=True)
         for number, figure in enumerate(made):
             progress.show(f"drawing {figure.name}", number / len(made))
             figure.save(output / "figures")
