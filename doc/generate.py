@@ -42,7 +42,7 @@ from greenroof_ros.analysis.district.district_file import (
     Orifice,
 )
 from greenroof_ros.base.files import parse_yaml, read_text, read_yaml, shared_directory
-from greenroof_ros.base.parameter import Parameter, Word, parameters_of
+from greenroof_ros.base.parameter import Parameter, parameters_of
 from greenroof_ros.controllers.outlet import PARAMETERS
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.interface.alarm import Alarm
@@ -337,7 +337,7 @@ _RELAY_PARTS = {
 def _kind(key: Parameter) -> str:
     """Return the kinds of values that a key of a file accepts."""
     names = {
-        str: "text", int: "whole number", float: "number", Word: "word", tuple: "list",
+        str: "text", int: "whole number", float: "number", tuple: "list",
         bool: "true or false",
     }
     union = get_origin(key.kind) in (Union, types.UnionType)

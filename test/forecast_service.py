@@ -12,8 +12,7 @@ import gzip
 import json
 import math
 import time
-from datetime import datetime, timedelta, timezone
-from email.utils import format_datetime
+from datetime import datetime, timezone
 from http.server import BaseHTTPRequestHandler
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -50,8 +49,7 @@ class ForecastService(HttpService):
         fault: what is wrong now, and can be changed at any time: connections are "refused";
             answers are "slow" (a few bytes per second) or have a "slow head", are "truncated",
             "broken" (no JSON), a "limit" (429 Too Many Requests) or an "error" (503); a series has
-            the wrong "length"; every value is "missing"; the "clock" is a day behind. Without a
-            fault it is "none".
+            the wrong "length"; every value is "missing". Without a fault it is "none".
     """
 
     def __init__(self, site: Site, records: Records, start: datetime) -> None:
@@ -98,8 +96,6 @@ class ForecastService(HttpService):
                 request.wfile.write(bytes([byte]))
                 time.sleep(0.4)
         request.send_response_only(code)
-        late = timedelta(days=1 if fault == "clock" else 0)
-        request.send_header("Date", format_datetime(datetime.now(timezone.utc) - late, usegmt=True))
         if body and "gzip" in request.headers.get("Accept-Encoding", ""):
             body = gzip.compress(body)
             request.send_header("Content-Encoding", "gzip")

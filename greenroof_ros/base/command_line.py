@@ -10,8 +10,7 @@ import os
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -49,7 +48,8 @@ def _discard_what_cannot_be_printed() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 
-def _print_error(text: str) -> None:
+def print_error(text: str) -> None:
+    """Print an error in one line on standard error."""
     print(f"error: {escape(text)}", file=sys.stderr)
 
 
@@ -79,16 +79,16 @@ def command(
                 code = end.code and (failed or end.code)
             print(end="", flush=True)
         except (ConfigurationError, argparse.ArgumentError) as error:
-            _print_error(str(error))
+            print_error(str(error))
             code = failed or exit_code(error)
         except (InterruptedRun, KeyboardInterrupt) as error:
-            print(str(error) or "interrupted", file=sys.stderr)
+            print(escape(str(error)) or "interrupted", file=sys.stderr)
             code = EXIT_INTERRUPTED
         except OSError as error:
             if not isinstance(error, BrokenPipeError):
                 # When copying, it is the second file that has no room.
                 parts = (error.filename2 or error.filename, error.strerror or str(error))
-                _print_error(": ".join(filter(None, parts)))
+                print_error(": ".join(filter(None, parts)))
             code = failed or EXIT_FAILED
             _discard_what_cannot_be_printed()
         return code
@@ -120,14 +120,10 @@ class Parser(argparse.ArgumentParser):
     Options must be written in full, because an abbreviation that is unambiguous now would become
     ambiguous if a later version added an option that begins with the same letters. In a description
     or an epilog, indented lines, such as examples, stay unchanged; all other lines are wrapped.
-
-    Attributes:
-        hint: text added to the message about an unknown option; empty for none.
     """
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(allow_abbrev=False, formatter_class=_HelpFormatter, **settings)
-        self.hint = ""
 
     def parse_args(self, args: Iterable[str] | None = None, namespace: Any = None) -> Any:
         """Parse a command line; for an unknown option, suggest the likely options."""
@@ -136,8 +132,7 @@ class Parser(argparse.ArgumentParser):
             option = next((word for word in unknown if word.startswith("--")), "")
             similar = find_similar(option.partition("=")[0], self._option_string_actions)
             meant = f"; did you mean {' or '.join(similar)}?" if similar else ""
-            hint = f" ({self.hint})" if self.hint else ""
-            self.error(f"unrecognized arguments: {' '.join(unknown)}{meant}{hint}")
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{meant}")
         return parsed
 
     def error(self, message: str) -> NoReturn:
@@ -190,28 +185,6 @@ def refuse(*rules: tuple[object, str, object, str]) -> None:
             raise ConfigurationError(expected, key=option, value=value)
 
 
-def parse_namespace(text: str) -> str:
-    """Return a namespace in ROS notation, such as ``/site1``; empty for no namespace."""
-    name = text.strip("/")
-    if name and not re.fullmatch(r"([A-Za-z_]\w*/)*[A-Za-z_]\w*", name, re.ASCII):
-        raise ValueError
-    return f"/{name}" if name else ""
-
-
-# argparse shows this in its error message
-parse_namespace.__name__ = (
-    "namespace of letters, digits and _ that does not begin with a digit, such as site1"
-)
-
-
-def add_namespace(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """Add the option for the namespace of the graph that a command joins."""
-    parser.add_argument(
-        "--namespace", type=parse_namespace, default="", metavar="NAME",
-        help=f"namespace of the graph, as passed to greenroof run or live{more} (default: none)",
-    )
-
-
 def add_site(parser: argparse._ActionsContainer, about: str = "site file") -> None:
     """Add the option for the site file."""
     from greenroof_ros.base.files import default_site_file  # reads YAML: not for every --help
@@ -241,39 +214,3 @@ def add_option(group: argparse._ArgumentGroup, parameter: Parameter, **settings:
 def option_of(name: str) -> str:
     """Return the name of the option for an input."""
     return f"--{name.replace('_', '-')}"
-
-
-def add_foxglove(parser: argparse._ActionsContainer, about: str) -> None:
-    """Add the option to serve a graph to Foxglove, with the default port of Foxglove's viewers."""
-    parser.add_argument(
-        "--foxglove", nargs="?", const=8765, type=make_number_type(0, 65535, int), metavar="PORT",
-        help=f"{about} PORT is 8765 if omitted; 0 selects any free port. Requires the extra "
-        "[foxglove]",
-    )
-
-
-@dataclass(frozen=True)
-class CheckResult:
-    """The result of one check.
-
-    Attributes:
-        check: the requirement that is checked.
-        problem: description of the deviation from the requirement; empty if the check passed.
-        result: result to show for a passed check; empty for none.
-    """
-
-    check: str
-    problem: str
-    result: str = ""
-
-
-def print_check_results(title: str, results: Sequence[CheckResult]) -> int:
-    """Print results, and return exit code 0 if every check passed, otherwise 1."""
-    print(title)
-    for result in results:
-        outcome = "failed" if result.problem else "passed"
-        shown = ": ".join(filter(None, (result.check, result.problem or result.result)))
-        print(f"  {outcome}: {shown}")
-    passed = sum(not result.problem for result in results)
-    print(f"{passed} of {len(results)} checks passed")
-    return EXIT_DONE if passed == len(results) else EXIT_FAILED

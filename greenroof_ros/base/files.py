@@ -99,7 +99,6 @@ def is_there(path: Path) -> bool:
 MAX_BYTES = 100_000_000
 """Maximum size of a user's file (bytes): 100 years of hourly weather, three years of a record by
 the minute, or a year of hourly forecast runs with one member. So no file exhausts the memory."""
-_WEB_PAGE = re.compile(r"\s*<(!doctype|html|\?xml|head|body|!--)", re.IGNORECASE)
 
 
 def read_lines(path: Path, encoding: str = "utf-8") -> Iterator[str]:
@@ -135,10 +134,6 @@ def read_lines(path: Path, encoding: str = "utf-8") -> Iterator[str]:
                     raise UnicodeError
                 if number == 1:
                     line = line.removeprefix("\ufeff")
-                    if _WEB_PAGE.match(line):
-                        raise ConfigurationError(
-                            "is a web page or XML, perhaps a message from a service", file=path
-                        )
                 blank = blank and not line.strip()
                 yield line
     except OSError as error:
@@ -158,8 +153,6 @@ def read_text(path: Path) -> str:
     return "".join(read_lines(path))
 
 
-# Maximum depth of nesting: far more than our files need, far less than a thread's stack allows.
-_DEEPEST = 200
 # Maximum size of a YAML file (characters): the metadata of a bag of 3,000 files. And the number of
 # values that its aliases may add: a few lines of nested aliases would make billions.
 _MAX_YAML, _MAX_ALIASED = 1_000_000, 10_000
@@ -171,6 +164,7 @@ _WORDS = {
     ".nan": math.nan, ".inf": math.inf, "+.inf": math.inf, "-.inf": -math.inf,
 }
 _NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_HEXADECIMAL = re.compile(r"0x[0-9A-Fa-f]{1,16}")
 
 
 class YamlMapping(dict[str, Any]):
@@ -183,10 +177,12 @@ class YamlMapping(dict[str, Any]):
         self.lines = {**(lines or {})}
 
 
-def _parse_plain(text: str) -> Any:
+def parse_plain(text: str) -> Any:
     """Return the value of an unquoted text: numbers as in YAML 1.2, and yes and no as in 1.1."""
     if (word := text.lower()) in _WORDS:
         return _WORDS[word]
+    if _HEXADECIMAL.fullmatch(text):
+        return int(text, 16)
     if not _NUMBER.fullmatch(text):
         return text
     whole = len(text) <= _MAX_DIGITS and not set(text) & {*".eE"}
@@ -235,7 +231,7 @@ def parse_yaml(text: str, path: Path) -> Any:
         raise ConfigurationError(f"is longer than {_MAX_YAML / 1e6:g} MB", file=path)
     try:
         node = yaml.compose(text, Loader=_Loader)
-        return None if node is None else _YamlValues(len(text) + _MAX_ALIASED).read(node)
+        return None if node is None else _read_node(node, iter(range(len(text) + _MAX_ALIASED)))
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         problem = ", ".join(filter(None, (error.context, error.problem)))
@@ -247,36 +243,31 @@ def parse_yaml(text: str, path: Path) -> Any:
         raise ConfigurationError(f"is not valid YAML: {error}", file=path) from error
 
 
-class _YamlValues:
-    """Reader of the values of YAML nodes; an alias is read again wherever it stands."""
+def _read_node(node: yaml.Node, left: Iterator[int]) -> Any:
+    """Return the value of a node; an alias is read again wherever it stands.
 
-    def __init__(self, most: int) -> None:
-        self._left = most  # values
-
-    def read(self, node: yaml.Node, depth: int = 0) -> Any:
-        """Return the value of a node at a depth of nesting."""
-        self._left -= 1
-        if self._left < 0:
-            raise _at(node, f"its aliases (*NAME) add more than {_MAX_ALIASED} values")
-        if node.tag:
-            raise _at(node, f"values must not have tags such as {node.tag!r}")
-        if depth > _DEEPEST:
-            raise _at(node, f"is nested more than {_DEEPEST} levels deep")
-        if isinstance(node, yaml.ScalarNode):
-            return node.value if node.style in ("'", '"') else _parse_plain(node.value)
-        if isinstance(node, yaml.SequenceNode):
-            return [self.read(item, depth + 1) for item in node.value]
-        mapping = YamlMapping()
-        for key, value in node.value:
-            name = key.value
-            if not isinstance(key, yaml.ScalarNode) or key.tag:
-                raise _at(key, "a key must be text without a tag")
-            if name in mapping:
-                first = mapping.lines[name]
-                raise _at(key, f"the key {name} appears twice, first on line {first}")
-            mapping[name] = self.read(value, depth + 1)
-            mapping.lines[name] = key.start_mark.line + 1
-        return mapping
+    Args:
+        node: the node.
+        left: an item for each value that may still be read.
+    """
+    if next(left, None) is None:
+        raise _at(node, f"its aliases (*NAME) add more than {_MAX_ALIASED} values")
+    if node.tag:
+        raise _at(node, f"values must not have tags such as {node.tag!r}")
+    if isinstance(node, yaml.ScalarNode):
+        return node.value if node.style in ("'", '"') else parse_plain(node.value)
+    if isinstance(node, yaml.SequenceNode):
+        return [_read_node(item, left) for item in node.value]
+    mapping = YamlMapping()
+    for key, value in node.value:
+        name = key.value
+        if not isinstance(key, yaml.ScalarNode) or key.tag:
+            raise _at(key, "a key must be text without a tag")
+        if name in mapping:
+            raise _at(key, f"the key {name} appears twice, first on line {mapping.lines[name]}")
+        mapping[name] = _read_node(value, left)
+        mapping.lines[name] = key.start_mark.line + 1
+    return mapping
 
 
 def _at(node: yaml.Node, problem: str) -> yaml.MarkedYAMLError:
@@ -296,22 +287,6 @@ def add_path_to_errors(path: Path) -> Iterator[None]:
         if error.filename is not None:
             raise
         raise OSError(error.errno, error.strerror, str(path)) from error
-
-
-@contextmanager
-def writable(directory: Path, option: str = "--output") -> Iterator[None]:
-    """Convert a write error into a :class:`ConfigurationError` that names the directory.
-
-    Args:
-        directory: directory to which files are written.
-        option: option that sets the directory.
-    """
-    try:
-        yield
-    except OSError as error:
-        raise ConfigurationError(
-            f"cannot be written: {error.strerror}", key=option, value=str(directory)
-        ) from error
 
 
 def replace_text(file: Path, text: str, *, parents: bool = False) -> None:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import re
 import threading
-import time
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as LateError
+from contextlib import suppress
 from urllib.parse import parse_qsl, quote_plus, unquote, urlencode, urlsplit
 from urllib.request import getproxies, proxy_bypass
 
 from urllib3 import PoolManager, ProxyManager, Retry, Timeout
-from urllib3.exceptions import HTTPError, InvalidHeader, LocationParseError, ProtocolError
+from urllib3.exceptions import HTTPError, InvalidHeader, LocationParseError
 from urllib3.util import Url, make_headers, parse_url
 
 from greenroof_ros.base.errors import ConfigurationError
@@ -56,16 +56,11 @@ class ServiceError(Exception):
         self.is_final = is_final
 
 
-def check_url(url: str, parameters: Collection[str]) -> str:
+def check_url(url: str) -> str:
     """Check a URL and return it; it must use http or https, and may contain a query with a key.
 
-    Args:
-        url: URL of a service's interface.
-        parameters: names of the parameters that requests add to the query.
-
     Raises:
-        ConfigurationError: if the URL does not use http or https, or if its query contains one of
-            the parameters.
+        ConfigurationError: if the URL does not use http or https.
     """
     try:
         parts = parse_url(url)
@@ -77,12 +72,6 @@ def check_url(url: str, parameters: Collection[str]) -> str:
             "must begin with http:// or https:// and a server address in ASCII characters, without "
             "spaces or a user name, such as https://example.org/v1/archive?apikey=KEY", key="url",
         )
-    for name, _ in parse_qsl(parts.query or "", keep_blank_values=True):
-        if name in parameters:
-            raise ConfigurationError(
-                f"must not contain {clean_text(name)} in its query, since every request sets it",
-                key="url", value=name_url(url),
-            )
     return url
 
 
@@ -91,23 +80,24 @@ def name_url(url: str) -> str:
     return urlsplit(url)._replace(query="", fragment="").geturl()
 
 
-def request(url: str, parameters: Mapping[str, str | float]) -> tuple[bytes, str]:
-    """Request data from a service; return its response, and its clock (empty if unknown).
+def request(url: str, parameters: Mapping[str, str | float]) -> bytes:
+    """Request data from a service, and return its response.
 
     Args:
         url: URL of the interface, checked by :func:`check_url`.
-        parameters: parameters to add to the URL's own query.
+        parameters: parameters to add to the URL's own query; each replaces one of the same name.
 
     Raises:
         ServiceError: if the service cannot be reached, rejects the request, breaks off the
             response, sends too much data, or sends data too slowly.
     """
-    own = parse_qsl(urlsplit(url).query, keep_blank_values=True)
-    result: Future[tuple[bytes, str]] = Future()
+    own = dict(parse_qsl(urlsplit(url).query, keep_blank_values=True))
+    whole = f"{name_url(url)}?{urlencode({**own, **parameters})}"
+    result: Future[bytes] = Future()
 
     def work() -> None:
         try:
-            result.set_result(_get(f"{name_url(url)}?{urlencode([*own, *parameters.items()])}"))
+            result.set_result(_get(whole))
         except Exception as error:  # raised again by the caller
             result.set_exception(error)
 
@@ -122,37 +112,31 @@ def request(url: str, parameters: Mapping[str, str | float]) -> tuple[bytes, str
         error, why = caught, str(caught)
     except (HTTPError, OSError) as caught:
         error, why = ServiceError(""), str(caught.__cause__ or caught.__context__ or caught)
-    for _, key in own:
+    for key in own.values():
         if len(key) >= _KEY_LENGTH:  # a service may repeat it in its response
             why = why.replace(key, "***").replace(quote_plus(key), "***")
     raise ServiceError(f"{name_url(url)}: {why}", error.wait, is_final=error.is_final) from None
 
 
-def _get(url: str) -> tuple[bytes, str]:
-    """Return the response from a URL, and the time in its header.
+def _get(url: str) -> bytes:
+    """Return the response from a URL.
 
     Raises:
         ServiceError: if the status is not 200, or if the response is too large.
         HTTPError: if there is no response, or only a part of one.
     """
-    until, body = time.monotonic() + ANSWER_S, bytearray()
+    body = bytearray()
     with _find_pool(url).request("GET", url, preload_content=False) as response:
-        try:
-            for part in response.stream(1 << 12):
-                body += part
-                if len(body) > _MAX_BYTES:
-                    raise ServiceError(f"sent more than {_MAX_BYTES} bytes")
-                if time.monotonic() > until:
-                    raise LateError
-        except ProtocolError as error:
-            raise ServiceError(f"the response ended after {len(body)} bytes") from error
+        for part in response.stream(1 << 12):
+            body += part
+            if len(body) > _MAX_BYTES:
+                raise ServiceError(f"sent more than {_MAX_BYTES} bytes")
     if response.status == 200:
-        return bytes(body), response.headers.get("Date", "")
-    reason = read_reason(bytes(body))
-    try:
+        return bytes(body)
+    reason = " ".join(body.decode("utf-8", "replace").split())[:_MAX_REASON]
+    wait = 0.0
+    with suppress(InvalidHeader):
         wait = _RETRY.parse_retry_after(response.headers.get("Retry-After", "0"))
-    except InvalidHeader:
-        wait = 0.0
     raise ServiceError(
         f"{response.status} {response.reason}: {reason}", wait,
         is_final=response.status < 500 and response.status not in _PASSING
@@ -169,8 +153,3 @@ def _find_pool(url: str) -> PoolManager:
     proxy = parse_url(address if "://" in address else f"http://{address}")
     login = make_headers(proxy_basic_auth=unquote(proxy.auth)) if proxy.auth else None
     return ProxyManager(proxy.url, proxy_headers=login, timeout=_SILENCE, retries=_RETRY)
-
-
-def read_reason(body: bytes) -> str:
-    """Return the text of an error response as one line of limited length."""
-    return " ".join(body.decode("utf-8", "replace").split())[:_MAX_REASON]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 import secrets
-import ssl
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -166,12 +165,8 @@ def make_client(
     if will is not None:
         client.will_set(*will, qos=1, retain=True)
 
-    lost = unanswered = "the connection was lost"
-    if not broker.tls:
-        unanswered += (
-            " before the broker responded; if the broker expects TLS, its address must begin with "
-            "mqtts://"
-        )
+    lost = "the connection was lost"
+    unanswered = f"{lost} before the broker responded; if it expects TLS, use mqtts://"
     why = unanswered
 
     def connected(client: Client, data: Any, flags: Any, code: Any, properties: Any) -> None:
@@ -201,14 +196,8 @@ def make_client(
 
 def _why_not_connected(broker: Broker, error: BaseException | None) -> str:
     """Return the reason why there is no connection to a broker."""
-    if isinstance(error, ssl.SSLCertVerificationError):
-        return f"the certificate of {broker} is not trusted: {error.verify_message}"
-    if broker.tls and isinstance(error, ssl.SSLError | ConnectionResetError):
-        return (
-            f"{broker} does not respond over TLS; if the broker does not use TLS, its address must "
-            "begin with mqtt://"
-        )
-    return f"no response from {broker}: {getattr(error, 'strerror', None) or error}"
+    over = " over TLS" if broker.tls else ""
+    return f"no response{over} from {broker}: {getattr(error, 'strerror', None) or error}"
 
 
 def _read_login(file: Path) -> tuple[str, str]:

@@ -11,22 +11,17 @@ from __future__ import annotations
 
 import functools
 import math
-import re
 import types
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, NewType, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 from greenroof_ros.base.errors import ConfigurationError, describe_choices, suggest_names
-from greenroof_ros.base.files import YamlMapping, read_yaml
+from greenroof_ros.base.files import YamlMapping, parse_plain, read_yaml
 from greenroof_ros.base.ranges import Range
 
 Record = TypeVar("Record")
-# A whole number that a file may write in hexadecimal, such as 0x047E.
-Word = NewType("Word", int)
-
-_HEXADECIMAL = re.compile(r"0x[0-9A-Fa-f]{1,16}")
 
 
 @dataclass(frozen=True)
@@ -271,9 +266,7 @@ def _value(kind: Any, value: Any, entry: Parameter, key: str) -> Any:
 
 def _key(kind: Any, name: str, entry: Parameter, key: str) -> Any:
     """Convert a mapping's key to the key's type, because `files.read_yaml` returns keys as text."""
-    if kind is str:
-        return name
-    return _scalar(kind, int(name) if name.isdecimal() else name, entry, key)
+    return name if kind is str else _scalar(kind, parse_plain(name), entry, key)
 
 
 def _scalar(kind: Any, value: Any, entry: Parameter, key: str) -> Any:
@@ -287,11 +280,8 @@ def _scalar(kind: Any, value: Any, entry: Parameter, key: str) -> Any:
         if not isinstance(value, str) or not value.strip():
             raise ConfigurationError(f"must be text ({entry.meaning})", key=key, value=value)
         return " ".join(value.split())
-    if kind is Word and isinstance(value, str) and _HEXADECIMAL.fullmatch(value):
-        value = int(value, 16)
-    allowed = replace(entry.range, whole=kind in (int, Word))
-    example = ", such as 0x047E or 1150" if kind is Word else ""
-    return allowed.read(value, key=key, about=f"{example} ({entry.meaning})")
+    allowed = replace(entry.range, whole=kind is int)
+    return allowed.read(value, key=key, about=f" ({entry.meaning})")
 
 
 def replace_infinity(parameters: Mapping[str, Any]) -> dict[str, Any]:

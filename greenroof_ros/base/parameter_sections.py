@@ -54,24 +54,19 @@ def _sections(
     file: Path, content: YamlMapping, section: str, line: int
 ) -> Iterator[ParameterSection]:
     for name, part in content.items():
-        if name == _SECTION:
-            if not isinstance(part, YamlMapping):
-                raise ConfigurationError(
-                    "must contain parameters as NAME: VALUE", file=file, line=line,
-                    key=f"{section}: {_SECTION}", value=part,
-                )
-            values = YamlMapping()
-            _flatten(part, "", values)
-            yield ParameterSection(section, line, values)
-        elif isinstance(part, YamlMapping) and part:
-            nested = f"{section}/{name}" if section else name
-            yield from _sections(file, part, nested, content.lines[name])
-        else:
+        if not isinstance(part, YamlMapping):
             raise ConfigurationError(
                 f"has no effect at this level: write /**/NODE: {{{_SECTION}: {{NAME: VALUE}}}}",
                 file=file, line=content.lines[name], value=part,
                 key=f"{section}: {name}" if section else name,
             )
+        if name == _SECTION:
+            values = YamlMapping()
+            _flatten(part, "", values)
+            yield ParameterSection(section, line, values)
+        else:
+            nested = f"{section}/{name}" if section else name
+            yield from _sections(file, part, nested, content.lines[name])
 
 
 def _flatten(part: YamlMapping, group: str, values: YamlMapping) -> None:

@@ -7,7 +7,8 @@ def escape(text: str) -> str:
     r"""Return a text in one line, with control characters and direction marks escaped.
 
     On a terminal, these characters of other people's files and messages could hide or change what
-    is printed. For example, ESC becomes ``\x1b``.
+    is printed. For example, ESC becomes ``\x1b``. Every command prints what a file or a service may
+    contain through this function, or on a :class:`.PlainConsole`.
     """
     if text.isprintable():
         return text

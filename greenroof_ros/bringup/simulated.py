@@ -96,9 +96,9 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
     """Create the run's directory, run the nodes, write the summary, and return the exit code.
 
     Raises:
-        ConfigurationError: if an option is invalid, a graph is already running, ROS 2 is missing,
-            or the directory cannot be created.
-        OSError: if the summary cannot be written.
+        ConfigurationError: if an option is invalid, a graph is already running, or ROS 2 is
+            missing.
+        OSError: if the directory cannot be created, or the summary cannot be written.
     """
     with require_ros():
         from greenroof_ros.bringup.composition import Composition

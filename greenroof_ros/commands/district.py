@@ -102,15 +102,15 @@ def main() -> int:
                     totals = run.distribute_district(district, workers, report)
     except (BrokenExecutor, InterruptedRun) as error:
         why, code = describe_end(error, signals)
-        print(why, file=sys.stderr)
+        print(escape(why), file=sys.stderr)
         return code
     result = DistrictResult(district, totals)
     result.save(arguments.output, with_swmm=arguments.swmm)
     _show(result.rows, page)
-    print(result.sentence)
+    print(escape(result.sentence))
     for warning in result.warnings:
         print(escape(f"warning: {warning}"), file=sys.stderr)
-    print(f"written to {arguments.output / PAGE}")
+    print(escape(f"written to {arguments.output / PAGE}"))
     return EXIT_DONE
 
 

@@ -15,6 +15,7 @@ from greenroof_ros.base.command_line import (
 )
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.http import ServiceError
+from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import to_people
 from greenroof_ros.forecast.service import (
     ATTRIBUTION,
@@ -92,12 +93,12 @@ def main() -> int:
         issue = service.fetch(datetime.now(timezone.utc))
         files.write(issue)
     except (ServiceError, OSError) as error:
-        print(f"no forecast: {error}")
+        print(escape(f"no forecast: {error}"))
         return EXIT_FAILED
-    print(
+    print(escape(
         f"{arguments.output}: issued {to_people(issue.issued)}, "
         f"{issue.hours} h, {len(issue.rain)} members; {ATTRIBUTION}"
-    )
+    ))
     for note in issue.notes:
-        print(f"  {note}")
+        print(escape(f"  {note}"))
     return EXIT_DONE

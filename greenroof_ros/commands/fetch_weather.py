@@ -17,11 +17,13 @@ from greenroof_ros.base.command_line import (
     add_site,
     command,
     make_number_type,
+    print_error,
 )
 from greenroof_ros.base.files import replace_text
 from greenroof_ros.base.http import ServiceError
 from greenroof_ros.base.processes import Signals
 from greenroof_ros.base.progress import ProgressBar
+from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import FIRST_YEAR, to_people
 from greenroof_ros.commands.output_file import refuse_unwritable
 from greenroof_ros.site.file import read_site
@@ -155,22 +157,22 @@ def main() -> int:
     except BaseException as error:
         kept = sum(file.exists() for file in source.files(part))
         if isinstance(error, ServiceError):
-            print(f"error: {error}", file=sys.stderr)
+            print_error(str(error))
         if 0 < kept < len(source.blocks):
-            print(
+            print(escape(
                 f"{kept} of {len(source.blocks)} parts have been saved in {part}; run the same "
-                "command again to fetch the rest", file=sys.stderr,
-            )
+                "command again to fetch the rest"
+            ), file=sys.stderr)
         if isinstance(error, ServiceError):
             return EXIT_FAILED
         raise
     shutil.rmtree(part)
     rain = records.values[PRECIPITATION]
     last = records.first + (records.hours - 1) * HOUR
-    print(
+    print(escape(
         f"{output}: {records.hours} hours, {to_people(records.first)} to {to_people(last)}, "
         f"{np.nansum(rain):.0f} mm of rain"
-    )
+    ))
     for place in {*records.places.values()}:
         away = ""
         if site.latitude is not None and site.longitude is not None:
@@ -183,5 +185,5 @@ def main() -> int:
             more = f", and {len(spans) - _MAX_NAMED} more" if len(spans) > _MAX_NAMED else ""
             print(f"  {name} is missing: {', '.join(spans[:_MAX_NAMED])}{more}")
     for note in filter(None, [*source.about.splitlines(), records.rain_note, *records.left_out]):
-        print(f"  {note}")
+        print(escape(f"  {note}"))
     return EXIT_DONE

@@ -23,6 +23,7 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.ranges import read_number
+from greenroof_ros.base.text import escape
 from greenroof_ros.commands.new_site_file import ASSUMED, format_new_site
 from greenroof_ros.commands.output_file import refuse_unwritable
 from greenroof_ros.simulation.run import note_pumps
@@ -228,13 +229,13 @@ def main() -> None:
     for option, key in (*_ASKED.items(), *_ASSUMED.items()):
         _note_unusual(option, SITE_KEYS[key], getattr(arguments, key))
     for note in (*_note_target(site), *note_pumps(site)):
-        print(f"note: {note}", file=sys.stderr)
+        print(escape(f"note: {note}"), file=sys.stderr)
     with add_path_to_errors(output), output.open("x", encoding="utf-8") as stream:
         stream.write(text)
-    print(f"written: {output}, for a house at {format_place(*arguments.place)}")
+    print(escape(f"written: {output}, for a house at {format_place(*arguments.place)}"))
     where = "a coastal place" if site.k_Rs == _COAST else "an interior place; --coast changes it"
     print(f"k_Rs:    {site.k_Rs}, for {where}")
-    name = shlex.quote(str(output))
+    name = escape(shlex.quote(str(output)))
     start = "2025-06-01" if site.latitude is None or site.latitude >= 0 else "2025-01-01"
     print(
         f"weather: greenroof fetch-weather --site {name} --years 2021-2025 --output weather.csv\n"
@@ -273,7 +274,7 @@ def _ask_what_is_missing(arguments: argparse.Namespace) -> None:
             try:
                 setattr(arguments, key, read(answer.strip()))
             except argparse.ArgumentTypeError as error:
-                print(f"  {error}")
+                print(escape(f"  {error}"))
 
 
 def _collect(arguments: argparse.Namespace) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from mcap.records import Channel, Message, Schema
 
 from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, Parser, command
 from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import from_epoch_ns, to_people
 from greenroof_ros.results.bag_mend import read_chunks
 from greenroof_ros.results.bag_write import (
@@ -174,7 +175,7 @@ def main() -> int:
     """Recover the bag named on the command line."""
     arguments = make_parser().parse_args()
     recovered = recover(arguments.directory, arguments.output)
-    print(f"{recovered.messages} messages recovered to {recovered.bag}")
+    print(escape(f"{recovered.messages} messages recovered to {recovered.bag}"))
     for loss in recovered.losses:
-        print(f"lost: {loss}", file=sys.stderr)
+        print(escape(f"lost: {loss}"), file=sys.stderr)
     return EXIT_FAILED if recovered.losses else EXIT_DONE

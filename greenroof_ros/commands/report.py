@@ -7,8 +7,9 @@ from pathlib import Path
 
 from greenroof_ros.base.command_line import Parser, command
 from greenroof_ros.base.errors import ConfigurationError, require_extra
-from greenroof_ros.base.files import add_path_to_errors, writable
+from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.progress import ProgressBar
+from greenroof_ros.base.text import escape
 
 # A report's directory contains this file and figures/.
 _PAGE = "report.html"
@@ -89,8 +90,7 @@ def main() -> None:
     with ProgressBar() as progress:
         report = Report(find_runs(arguments.paths, arguments.site, progress.show))
         made = list(figures.make_figures(report))
-        with writable(output):
-            (output / "figures").mkdir(parents=True, exist_ok=True)
+        (output / "figures").mkdir(parents=True, exist_ok=True)
         for number, figure in enumerate(made):
             progress.show(f"drawing {figure.name}", number / len(made))
             figure.save(output / "figures")
@@ -102,7 +102,8 @@ def main() -> None:
             file.unlink()
     for run in report.runs:
         if run.row.get("ended"):
-            print(f"{run.name} {run.row['ended']}; all results cover only the recorded part")
+            ended = f"{run.name} {run.row['ended']}"
+            print(escape(f"{ended}; all results cover only the recorded part"))
     if report.failed:
         print(f"runs that failed or were not started: {len(report.failed)}; the report lists them")
-    print(f"written to {output.resolve() / _PAGE}")
+    print(escape(f"written to {output.resolve() / _PAGE}"))

@@ -24,7 +24,6 @@ from greenroof_ros.base.command_line import (
 )
 from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import ConfigurationError, rename_keys, require_extra
-from greenroof_ros.base.files import writable
 from greenroof_ros.base.processes import Signals, count_cores
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.simulation.inputs import INPUTS
@@ -135,11 +134,11 @@ def _refuse_other_files(directory: Path) -> None:
     """Reject a directory that contains files other than those of a sizing.
 
     Raises:
-        ConfigurationError: if the directory contains other files or cannot be written to.
+        ConfigurationError: if the directory contains other files.
+        OSError: if the directory cannot be written to.
     """
-    with writable(directory):
-        directory.mkdir(parents=True, exist_ok=True)
-        others = [file.name for file in directory.iterdir() if not file.name.startswith("sizes")]
+    directory.mkdir(parents=True, exist_ok=True)
+    others = [file.name for file in directory.iterdir() if not file.name.startswith("sizes")]
     if others:
         raise ConfigurationError(
             f"contains {min(others)}, which is not the result of a sizing; choose another "

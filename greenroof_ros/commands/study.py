@@ -35,6 +35,7 @@ from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.files import find_shipped, shared_directory
 from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.base.progress import ProgressBar
+from greenroof_ros.base.text import escape
 from greenroof_ros.simulation.screen import print_weather
 
 _Bound: TypeAlias = tuple[Callable[[Path, Case], Any], Case, Callable[[Case, Any], None]]
@@ -145,10 +146,10 @@ def main() -> int:
                 _run(store, open_cases, bounds, workers, signals)
     except (BrokenExecutor, InterruptedRun) as error:
         why, code = describe_end(error, signals)
-        print(
+        print(escape(
             f"{why}: {len(store.outcomes)} of {len(cases)} cases are stored; run the same command "
-            "again to continue", file=sys.stderr,
-        )
+            "again to continue"
+        ), file=sys.stderr)
         return code
     finally:
         rows = store.write_table()
@@ -210,7 +211,7 @@ def _report_failure(
         what, store.failures[case.identity] = "failed", reason
     name = ", ".join(filter(None, names.columns(case).values()))
     name += f", {case.inputs.initial}, run {case.identity}"
-    print(f"{what}: {name}: {reason}", file=sys.stderr)
+    print(escape(f"{what}: {name}: {reason}"), file=sys.stderr)
 
 
 def show(rows: Sequence[Mapping[str, Any]], directory: Path) -> None:

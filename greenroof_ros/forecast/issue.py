@@ -15,7 +15,6 @@ import math
 import re
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -24,9 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.files import read_lines
 from greenroof_ros.base.ranges import Range
-from greenroof_ros.base.times import hours_since_1970, parse_time, to_minutes
+from greenroof_ros.base.times import hours_since_1970, to_minutes
 from greenroof_ros.site.horizon import MAX_MEMBERS
 from greenroof_ros.site.site import Place
 from greenroof_ros.weather import quantities
@@ -267,7 +265,7 @@ def _join_own(files: Sequence[Path]) -> list[IssuedForecast]:
 # --- own form ------------------------------------------------------------------------------------
 
 
-def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForecast]:
+def read_forecasts(path: Path) -> list[IssuedForecast]:
     """Read a file of forecasts with one or more issues, and return them in chronological order.
 
     Lines that start with ``#`` are comments. The first other line is the header. The columns are
@@ -282,34 +280,16 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForeca
 
     Args:
         path: path of the file.
-        now: if given, only the file's latest issue at this time and later issues are read; a live
-            site needs no older issues.
 
     Raises:
         ConfigurationError: if the file breaks any of these rules; the message names the line and
             the value.
     """
-    table = read_table(path, None if now is None else _select_latest(path, now))
+    table = read_table(path)
     columns = [name for name in _NAMES if name not in _OPTIONAL or name in table.header]
     table.require_header(columns, f"; the columns are {', '.join(map(repr, _NAMES))}")
     grouped = itertools.groupby(table.rows, lambda row: row.cells[: columns.index("time")])
     return sorted(_read_issue(table, rows) for _, rows in grouped)
-
-
-def _select_latest(path: Path, now: datetime) -> list[tuple[int, str]]:
-    """Return the header, and the numbered lines from the latest issue at a given time onwards."""
-    selected, before = list[tuple[int, str]](), ""
-    for number, line in enumerate(read_lines(path), start=1):
-        issued = line.partition(",")[0]
-        if issued != before:
-            if line.lstrip()[:1] in ("", "#"):
-                continue
-            with suppress(TypeError, ValueError):  # the header; the table rejects other texts
-                if parse_time(issued.strip(' "')) <= now:
-                    del selected[1:]
-            before = issued
-        selected.append((number, line))
-    return selected
 
 
 def _read_issue(table: Table, rows: Iterator[Row]) -> IssuedForecast:

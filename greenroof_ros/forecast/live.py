@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bisect
 import math
-from datetime import datetime, timedelta, timezone
+from datetime import datetime, timedelta
 from pathlib import Path
 
 from greenroof_ros.base.errors import ConfigurationError
@@ -27,8 +27,7 @@ class ForecastFile:
     """A forecast file that is read again when it is replaced; an invalid file is ignored.
 
     Attributes:
-        issues: forecasts in the latest file that could be read, beginning with the forecast that
-            was the latest at that time; empty before the first file.
+        issues: forecasts in the latest file that could be read; empty before the first file.
         problem: description of the fault in the current file; empty without a fault.
     """
 
@@ -52,7 +51,7 @@ class ForecastFile:
             self._file_status = status.st_dev, status.st_ino, status.st_mtime_ns, status.st_size
             if self._file_status == before:
                 return
-            issues = read_forecasts(self._path, datetime.now(timezone.utc))
+            issues = read_forecasts(self._path)
             if EVAPOTRANSPIRATION not in issues[0].values:
                 raise ConfigurationError(
                     f"must have a column '{EVAPOTRANSPIRATION} [mm/day]', because a live site has "

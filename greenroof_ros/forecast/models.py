@@ -86,7 +86,7 @@ class ForecastModel:
         """Set the records; missing records are rejected only when a forecast needs them."""
         self._weather = weather
 
-    def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
+    def forecast(self, hour: int, hours: int) -> tuple[Array, Array, datetime | None]:
         """Return the latest forecast in a given hour of the records.
 
         Args:
@@ -94,7 +94,8 @@ class ForecastModel:
             hours: number of hours to return, beginning with the given hour.
 
         Returns:
-            Rain (mm/h), shape (members, hours), and evapotranspiration (mm/day), shape (hours,).
+            Rain (mm/h), shape (members, hours); evapotranspiration (mm/day), shape (hours,); and
+            the nominal time of issue, None if the forecast has none.
 
         Raises:
             ConfigurationError: if there is no forecast, or the forecast needs a record that is
@@ -104,7 +105,7 @@ class ForecastModel:
             select_records(self._weather, quantity, np.arange(hour, hour + hours))
             for quantity in (PRECIPITATION, EVAPOTRANSPIRATION)
         )
-        return rain[None, :], evapotranspiration
+        return rain[None, :], evapotranspiration, None
 
     def check(self, hours: range) -> None:
         """Check that there are forecasts from the first hour on, with all the records they need.
@@ -116,10 +117,6 @@ class ForecastModel:
             ConfigurationError: as for :meth:`forecast`.
         """
         ForecastModel.forecast(self, hours.start, len(hours))
-
-    def issued(self, hour: int) -> datetime | None:
-        """Return the nominal time of an hour's latest forecast; None if the model has none."""
-        return None
 
     def end(self, hour: int) -> datetime:
         """Return the time from which the values of an hour's latest forecast are assumed."""
@@ -155,7 +152,7 @@ class FileModel(ForecastModel):
         arrivals = [issue.available for issue in reversed(issues)]
         self._available = [*itertools.accumulate(arrivals, min)][::-1]
 
-    def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
+    def forecast(self, hour: int, hours: int) -> tuple[Array, Array, datetime | None]:
         """Return the forecast; see :class:`ForecastModel`."""
         issue, lead = self._newest(hour)
         rain, evapotranspiration = issue.ahead(lead, hours, self._late)
@@ -163,15 +160,11 @@ class FileModel(ForecastModel):
             evapotranspiration = select_records(
                 self._weather, EVAPOTRANSPIRATION, np.arange(hour, hour + hours)
             )
-        return rain[: self.members], evapotranspiration
+        return rain[: self.members], evapotranspiration, issue.issued
 
     def check(self, hours: range) -> None:
         """Check the first forecast, and the records if needed; see :class:`ForecastModel`."""
         self.forecast(hours.start, len(hours))
-
-    def issued(self, hour: int) -> datetime:
-        """Return the nominal time of the latest forecast; see :class:`ForecastModel`."""
-        return self._newest(hour)[0].issued
 
     def end(self, hour: int) -> datetime:
         """Return the end of the forecast, or of the records if they are needed and end earlier."""
@@ -309,9 +302,9 @@ class ErrorModel(ForecastModel):
         self._drawn: dict[tuple[int, int], tuple[Array, float]] = {}
         self._made: dict[tuple[int, int], tuple[Array, Array]] = {}
 
-    def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
+    def forecast(self, hour: int, hours: int) -> tuple[Array, Array, datetime | None]:
         """Return the forecast; see :class:`ForecastModel`."""
-        _, evapotranspiration = super().forecast(hour, hours)  # rejects missing records
+        _, evapotranspiration, _ = super().forecast(hour, hours)  # rejects missing records
         issue = self._find_newest(hour)
         key = issue, ISSUE_HOURS - 1 + self._delay + hours
         if key not in self._made:
@@ -319,11 +312,7 @@ class ErrorModel(ForecastModel):
         rain, factor = self._made[key]
         leads = slice(self._first + hour - issue, self._first + hour - issue + hours)
         dried = np.minimum(evapotranspiration * factor[leads], QUANTITIES[EVAPOTRANSPIRATION].high)
-        return rain[:, leads].copy(), dried
-
-    def issued(self, hour: int) -> datetime:
-        """Return the nominal time of the latest forecast; see :class:`ForecastModel`."""
-        return from_epoch_ns(self._find_newest(hour) * 3600 * 10**9)
+        return rain[:, leads].copy(), dried, from_epoch_ns(issue * 3600 * 10**9)
 
     def _find_newest(self, hour: int) -> int:
         """Return the time (h since 1970) of the latest forecast in a given hour of the records.

@@ -220,10 +220,8 @@ class SteppedForecast:
 
     def _make_hour_forecast(self, hour: int) -> HourForecast:
         """Return the latest forecast in an hour."""
-        rain, evapotranspiration = self._model.forecast(hour, self._hours(hour))
-        return HourForecast(
-            self._model.issued(hour), rain, evapotranspiration, self._site, self._ends, True
-        )
+        rain, evapotranspiration, issued = self._model.forecast(hour, self._hours(hour))
+        return HourForecast(issued, rain, evapotranspiration, self._site, self._ends, True)
 
 
 def _note_end(repeats_from: datetime | None) -> list[str]:

@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED
 from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.errors import OccupiedError
-from greenroof_ros.base.files import COPIES, add_path_to_errors, writable
+from greenroof_ros.base.files import COPIES, add_path_to_errors
 from greenroof_ros.base.parameter import replace_infinity
 from greenroof_ros.base.processes import (
     IN_MEMORY,
@@ -69,9 +69,9 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         The exit code: 0 if the site was stopped on request and the pump is stopped.
 
     Raises:
-        ConfigurationError: if a graph is already running, ROS 2 is missing, a parameter file is
-            invalid, or the directory cannot be created.
-        OSError: if the configuration cannot be written.
+        ConfigurationError: if a graph is already running, ROS 2 is missing, or a parameter file is
+            invalid.
+        OSError: if the directory cannot be created, or the configuration cannot be written.
     """
     state: Path = arguments.state
     modules = {
@@ -366,14 +366,13 @@ def _state_directory(path: Path) -> Iterator[Path]:
     """Create the directory of a site, and lock it.
 
     Raises:
-        ConfigurationError: if it cannot be created or written to.
         OccupiedError: if another bringup has locked it.
+        OSError: if it cannot be created or written to.
     """
     with ExitStack() as held:
         try:
-            with writable(path, "--state"):
-                (path / "log").mkdir(parents=True, exist_ok=True)
-                held.enter_context(lock_file(path / "bringup.lock"))
+            (path / "log").mkdir(parents=True, exist_ok=True)
+            held.enter_context(lock_file(path / "bringup.lock"))
         except LockedError:
             raise OccupiedError(
                 "belongs to a running bringup; end it, or use another directory",

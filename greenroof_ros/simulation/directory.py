@@ -13,7 +13,7 @@ from pathlib import Path
 import yaml
 
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.files import unique_name, writable
+from greenroof_ros.base.files import add_path_to_errors, unique_name
 from greenroof_ros.physics.storm_water import WITHOUT_RAIN
 from greenroof_ros.simulation.inputs import find_needs
 from greenroof_ros.simulation.run import Run
@@ -28,17 +28,17 @@ def make_run_directory(output: Path | None, controller: str) -> Path:
     """Create the directory of a run: ``output``, or a dated directory in ``runs/``.
 
     Raises:
-        ConfigurationError: if the directory is not empty, or cannot be created or written to.
+        ConfigurationError: if the directory is not empty.
+        OSError: if the directory cannot be created or written to.
     """
-    with writable(output or _RUNS):
-        directory = output or _make_dated_directory(controller)
-        directory.mkdir(parents=True, exist_ok=True)
-        if any(directory.iterdir()):
-            raise ConfigurationError(
-                "exists and is not empty; a run never overwrites files",
-                key="--output", value=str(directory),
-            )
-        (directory / "configuration").mkdir()
+    directory = output or _make_dated_directory(controller)
+    directory.mkdir(parents=True, exist_ok=True)
+    if any(directory.iterdir()):
+        raise ConfigurationError(
+            "exists and is not empty; a run never overwrites files",
+            key="--output", value=str(directory),
+        )
+    (directory / "configuration").mkdir()
     return directory.resolve()
 
 
@@ -67,10 +67,10 @@ def write_configuration(directory: Path, run: Run, nodes: dict[str, object]) -> 
         The ROS 2 parameter file that all nodes of the run read.
 
     Raises:
-        ConfigurationError: if the directory cannot be written to.
+        OSError: if the directory cannot be written to.
     """
     configuration = directory / "configuration"
-    with writable(directory):
+    with add_path_to_errors(directory):
         site_file = configuration / "site.yaml"
         site_file.write_text(format_site(run.site), encoding="utf-8")
         weather = configuration / "weather"

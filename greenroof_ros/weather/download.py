@@ -129,7 +129,7 @@ def open_meteo_archive(site: Site, years: range, today: date, url: str = "") -> 
         "Reanalysis weather from Open-Meteo.com, Historical Weather API (ERA5, ECMWF IFS): "
         "https://open-meteo.com\n"
         "Licence: CC BY 4.0 (credit the source). The service is free for non-commercial use.",
-        check_url(url or _OPEN_METEO_URL, blocks[0].parameters), blocks, 3.0, tuple(VARIABLES),
+        check_url(url or _OPEN_METEO_URL), blocks, 3.0, tuple(VARIABLES),
     )
 
 
@@ -159,7 +159,7 @@ def eccc_station(station: int, years: range, today: date, url: str = "") -> Sour
         "Observations from Environment and Climate Change Canada, Historical Data, hourly bulk "
         f"files of stationID {station}: https://climate.weather.gc.ca\n"
         "Licence: Open Government Licence - Canada (credit the source).",
-        check_url(url or _ECCC_URL, blocks[0].parameters), blocks, 1.0,
+        check_url(url or _ECCC_URL), blocks, 1.0,
     )
 
 
@@ -192,7 +192,7 @@ def fetch(
             progress.show(f"{block}", number / len(files))
             time.sleep(wait)
             try:
-                body, _ = request(source.url, block.parameters)
+                body = request(source.url, block.parameters)
                 answer = file.with_name(f"answer{file.suffix}")
                 answer.write_bytes(body)
                 _check(answer, source, block, site)

@@ -106,8 +106,6 @@ def test_own_forecasts(tmp_path: Path) -> None:
     (tmp_path / "again.csv").write_text(write_forecasts(issues))
     again = read_forecasts(tmp_path / "again.csv")
     assert [issue.rain.tolist() for issue in again] == [issue.rain.tolist() for issue in issues]
-    newest = read_forecasts(file, parse_time("2021-07-07T07:00Z"))
-    assert [issue.issued.hour for issue in newest] == [6]
 
 
 # --- what is refused ------------------------------------------------------------------------------

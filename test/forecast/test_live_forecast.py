@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import time
-import tracemalloc
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -168,64 +166,12 @@ def test_a_file_is_read_again_when_it_is_replaced(file: Path) -> None:
     assert (forecasts.problem, forecasts.issues[0].issued) == ("", SIX)
 
 
-def archive(path: Path, issues: int, first: datetime, member_hours: str = "120 30") -> None:
-    """Write an archive of hourly issues, each of some hours and members; rain is 0.5 mm/h."""
-    hours, members = map(int, member_hours.split())
-    columns = "precipitation [mm/h],evapotranspiration [mm/day],temperature [degC]"
-    with path.open("w") as stream:
-        stream.write(f"# hourly\nissued,time,member,{columns}\n")
-        for number in range(issues):
-            times = [(first + timedelta(hours=number + hour)).isoformat() for hour in range(hours)]
-            for member in range(members):
-                stream.writelines(f"{times[0]},{time},{member},0.5,2.0,12.0\n" for time in times)
-
-
-def test_a_large_archive_costs_little_more_than_its_newest_issue(file: Path) -> None:
-    """24 MB, of 100 issues: only the last is read, in 100 MB, and in twenty times its own time.
-
-    A mistake in it is still found at its line: 2 + 99 x 3600 lines come before it.
-    """
-    now = datetime.now(UTC).replace(minute=0, second=0, microsecond=0)
-    times = []
-    for issues in (1, 100):
-        archive(file, issues, now - timedelta(hours=issues - 1))
-        forecasts = ForecastFile(file)
-        tracemalloc.start()
-        began = time.thread_time()
-        forecasts.update()
-        assert not forecasts.problem
-        times.append(time.thread_time() - began)
-        _, most = tracemalloc.get_traced_memory()
-        tracemalloc.stop()
-    assert file.stat().st_size > 20e6
-    (issue,) = forecasts.issues
-    assert (issue.issued, issue.rain.shape) == (now, (30, 120))
-    assert most < 100e6 and times[1] < 20 * times[0], times
-    with file.open("a") as stream:
-        stream.write(f"{now.isoformat()},{now.isoformat()},0,wet,2.0,12.0\n")
-    forecasts.update()
-    assert f"{file}, line {2 + 100 * 3600 + 1}" in forecasts.problem, forecasts.problem
-
-
-def test_later_issues_are_kept_and_earlier_ones_are_not_read(file: Path) -> None:
-    """A file may hold what is issued later; what is past may even be broken."""
-    now = datetime.now(UTC).replace(minute=0, second=0, microsecond=0)
-    archive(file, 5, now - timedelta(hours=2), "3 1")
-    file.write_text(file.read_text().replace("0.5", "wet", 1))
-    forecasts = ForecastFile(file)
-    forecasts.update()
-    assert not forecasts.problem
-    assert [issue.issued for issue in forecasts.issues] == [
-        now + timedelta(hours=hour) for hour in range(3)
-    ]
-
-
 def test_an_issue_that_is_too_long(file: Path) -> None:
     """A line too many is found where it is; what is longer would fill the memory."""
-    archive(file, 1, datetime.now(UTC).replace(minute=0, second=0, microsecond=0), "865 1")
+    write(file, SIX, [0.5] * 865)
     forecasts = ForecastFile(file)
     forecasts.update()
-    assert f"{file}, line 867: time = " in forecasts.problem
+    assert f"{file}, line 866: time = " in forecasts.problem
     assert "up to 864 consecutive hours" in forecasts.problem
 
 

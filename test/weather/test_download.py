@@ -79,8 +79,9 @@ def test_two_years_come_in_spite_of_all_that_services_send(service, tmp_path):
     service.faults = ["html", "half", "limit", "limit 1", "error", "JSON error", "", "short"]
     done = run(service, tmp_path, "--years", "2023-2024")
     assert (done.returncode, [*tmp_path.iterdir()]) == (0, [tmp_path / "out.csv"]), done.stderr
-    for reason in ("is a web page", "ended after", "429 Too Many Requests", "503", "went wrong",
-                   "to 2025-01-01T00:00+00:00 instead of", "next attempt in 1 s"):
+    for reason in ("is not valid JSON", "IncompleteRead", "429 Too Many Requests", "503",
+                   "went wrong", "to 2025-01-01T00:00+00:00 instead of",
+                   "next attempt in 1 s"):
         assert reason in done.stderr
     # Each year until it came; years are of the site's clock, so there is a day more at both ends.
     asked = [(query["start_date"], query["end_date"]) for query in service.requests]
@@ -287,8 +288,6 @@ def test_a_key_in_the_url_reaches_the_service_and_nothing_else(service, tmp_path
     ("http://me:s3cr3t@host/", "a server address in ASCII"),
     ("http://host/a b?apikey=s3cr3t", "a server address in ASCII"),
     ("http://h\u00f6st/?apikey=s3cr3t", "a server address in ASCII"),
-    ("http://host/?apikey=s3cr3t&hourly=rain", "url = 'http://host/': must not contain hourly"),
-    ("http://host/?start_date=2020-01-01", "must not contain start_date in its query"),
 ])
 def test_a_url_that_cannot_be_is_refused_without_its_key(url, reason):
     told = refusal(open_meteo_archive, SITE, range(2020, 2021), TODAY, url)
@@ -334,7 +333,7 @@ OWN_FAILURES = (
     ("fewer", 1, "sent no solar radiation values"),
     ("dry", 1, "sent no precipitation values"),
     ("tomorrow", 1, "Daily API request limit exceeded"),
-    ("html", 8, "is a web page"),
+    ("html", 8, "is not valid JSON"),
     ("half", 8, "ended after"),
     ("short", 8, "sent .* to 2021-01-01T00:00.00:00 instead of .* to 2021-01-02"),
     ("odd", 8, "must be a list with one value for each time"),

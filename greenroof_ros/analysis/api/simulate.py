@@ -192,8 +192,8 @@ class Result:
             directory: a new or empty directory.
 
         Raises:
-            ConfigurationError: if the directory is not empty or cannot be written, or if polars is
-                not installed.
+            ConfigurationError: if the directory is not empty, or if polars is not installed.
+            OSError: if the directory cannot be written to.
 
         Example:
             >>> import tempfile, greenroof_ros as gr

@@ -169,7 +169,7 @@ class _Forecasts:
         for place, (model, hour, count) in enumerate(known):
             key = model, hour, count
             if key not in self._made:
-                self._made[key] = self._make_rates(self._models[model].forecast(hour, count))
+                self._made[key] = self._make_rates(self._models[model].forecast(hour, count)[:2])
             self._rates[place, :, :count] = self._made[key]
 
     def _make_rates(self, forecast: tuple[Values, Values]) -> Values:

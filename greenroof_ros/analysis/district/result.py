@@ -20,7 +20,7 @@ from greenroof_ros.analysis.district.district_file import code_share
 from greenroof_ros.analysis.district.run import DistrictRun
 from greenroof_ros.analysis.district.totals import Flow, Totals
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.files import replace_file, replace_text, writable
+from greenroof_ros.base.files import replace_file, replace_text
 from greenroof_ros.base.text import number_of
 
 PAGE = "page.html"
@@ -30,15 +30,15 @@ def make_directory(directory: Path) -> None:
     """Create the directory of the results.
 
     Raises:
-        ConfigurationError: if the directory is not empty or cannot be written to.
+        ConfigurationError: if the directory is not empty.
+        OSError: if the directory cannot be written to.
     """
-    with writable(directory):
-        directory.mkdir(parents=True, exist_ok=True)
-        if any(directory.iterdir()):
-            raise ConfigurationError(
-                "exists and is not empty; choose a new or empty directory", key="--output",
-                value=str(directory),
-            )
+    directory.mkdir(parents=True, exist_ok=True)
+    if any(directory.iterdir()):
+        raise ConfigurationError(
+            "exists and is not empty; choose a new or empty directory", key="--output",
+            value=str(directory),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ class DistrictResult:
             with_swmm: whether time series for SWMM are also written.
 
         Raises:
-            ConfigurationError: if the directory is not empty or cannot be written to.
+            ConfigurationError: if the directory is not empty.
             OSError: if writing fails, for instance because the disk is full.
         """
         directory = Path(directory)

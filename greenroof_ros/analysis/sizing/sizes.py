@@ -28,7 +28,7 @@ from greenroof_ros.analysis.sizing.columns import (
 )
 from greenroof_ros.analysis.sizing.designs import NONE, Design, choose_outlet
 from greenroof_ros.base.errors import require_extra
-from greenroof_ros.base.files import add_path_to_errors, writable
+from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.processes import refuse_forked_polars
 from greenroof_ros.base.text import number_of
 from greenroof_ros.controllers.outlet import PLAN
@@ -352,13 +352,13 @@ class Sizes:
                 result are replaced, and figures of targets that are no longer compared are removed.
 
         Raises:
-            ConfigurationError: if the directory cannot be written to, or the packages that a page
-                needs are not installed.
+            ConfigurationError: if the packages that a page needs are not installed.
+            OSError: if the directory cannot be written to.
         """
         with require_extra("study"):
             from greenroof_ros.analysis.sizing.page import render
         made = Path(directory)
-        with writable(made):
+        with add_path_to_errors(made):
             made.mkdir(parents=True, exist_ok=True)
             for file in made.iterdir():
                 if _FIGURE.fullmatch(file.name):

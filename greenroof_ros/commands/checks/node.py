@@ -18,10 +18,10 @@ import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from greenroof_ros.base.command_line import CheckResult
 from greenroof_ros.base.errors import ConfigurationError, OccupiedError
 from greenroof_ros.base.processes import Signals
 from greenroof_ros.base.standard_error import ProgressLines
+from greenroof_ros.commands.checks.results import CheckResult
 from greenroof_ros.graph.domain import prepare_ros
 from greenroof_ros.graph.errors import MalformedMessageError
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity

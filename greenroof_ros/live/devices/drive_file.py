@@ -10,7 +10,7 @@ from typing import Any
 
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
 from greenroof_ros.base.files import YamlMapping, as_started, shared_directory
-from greenroof_ros.base.parameter import Word, entry, find, read_record
+from greenroof_ros.base.parameter import entry, find, read_record
 from greenroof_ros.live.devices.modbus_line import (
     WIDTHS,
     WORD_ORDERS,
@@ -90,7 +90,7 @@ class Register:
     )
     low: float = entry("minimum plausible value, in the unit of the register", default=-math.inf)
     high: float = entry("maximum plausible value, in the unit of the register", default=math.inf)
-    missing: Word | None = entry("raw value that means 'not available'", default=None)
+    missing: int | None = entry("raw value that means 'not available'", default=None)
 
     @property
     def width(self) -> int:
@@ -102,8 +102,8 @@ class Register:
 class RegisterCondition:
     """A condition that is true if register & mask == value."""
 
-    mask: Word = entry("mask of the bits that are compared", 1, 0xFFFFFFFF)
-    value: Word = entry("value that the bits in the mask must have", 0, 0xFFFFFFFF)
+    mask: int = entry("mask of the bits that are compared", 1, 0xFFFFFFFF)
+    value: int = entry("value that the bits in the mask must have", 0, 0xFFFFFFFF)
     register: str = entry("name of the register", default="status")
 
     def fulfilled_by(self, raw: int) -> bool:
@@ -116,7 +116,7 @@ class Step:
     """A write to one register, and the condition for the next step."""
 
     write: str = entry("name of the register to write")
-    value: Word | str = entry(
+    value: int | str = entry(
         "word to write, or 'speed' for the requested speed", 0, 0xFFFF, choices=(SPEED,)
     )
     until: RegisterCondition | None = entry(
@@ -175,12 +175,12 @@ class Codes:
 
     register: str = entry("name of the register")
     kind: str = entry("encoding: a single code, or one bit per fault", choices=("code", "bits"))
-    texts: dict[Word, str] = entry(
+    texts: dict[int, str] = entry(
         "texts of the codes, or of the bits (bit 0 is the least "
         "significant)", 0, 0xFFFFFFFF, factory=dict
     )
 
-    def only(self, raw: int, among: tuple[Word, ...]) -> bool:
+    def only(self, raw: int, among: tuple[int, ...]) -> bool:
         """Return whether a raw value reports some of the given codes or bits, and no others."""
         if self.kind == "code":
             return raw in among
@@ -191,9 +191,9 @@ class Codes:
         if raw == 0:
             return ""
         if self.kind == "code":
-            return f"{self.texts.get(Word(raw), 'not in the drive file')} (code {raw}, 0x{raw:04X})"
+            return f"{self.texts.get(raw, 'not in the drive file')} (code {raw}, 0x{raw:04X})"
         bits = [bit for bit in range(32) if raw >> bit & 1]
-        return ", ".join(self.texts.get(Word(bit), f"bit {bit}") for bit in bits)
+        return ", ".join(self.texts.get(bit, f"bit {bit}") for bit in bits)
 
 
 @dataclass(frozen=True)
@@ -216,14 +216,14 @@ class Timeout:
     register: str = entry("name of the register that holds the timeout period")
     kept_alive_by: str = entry("messages that restart the timeout")
     how_to_set: str = entry("instructions for setting the timeout manually: parameter and value")
-    off_values: tuple[Word, ...] = entry("raw time values that switch the timeout off", default=())
+    off_values: tuple[int, ...] = entry("raw time values that switch the timeout off", default=())
     action: Action | None = entry("setting that selects what happens when the timeout "
         "expires", default=None)
     mode: Action | None = entry(
         "setting that selects which messages restart the timeout, if there is a choice",
         default=None,
     )
-    trips: tuple[Word, ...] = entry(
+    trips: tuple[int, ...] = entry(
         "codes (or bits) of `faults` that report the expiry of the timeout", 0, default=()
     )
     unguarded_after_power_up_s: float = entry(

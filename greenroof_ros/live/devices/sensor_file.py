@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import shared_directory
 from greenroof_ros.base.mqtt import Broker, parse_topic
-from greenroof_ros.base.parameter import Word, entry, read_record
+from greenroof_ros.base.parameter import entry, read_record
 from greenroof_ros.interface.topics import Topic, read_topics
 from greenroof_ros.live.devices.modbus_line import (
     WIDTHS,
@@ -128,7 +128,7 @@ class ModbusSensor(Sensor):
         "word order of a value that occupies more than one register",
         choices=WORD_ORDERS, default="",
     )
-    missing: Word | None = entry("raw value that means 'no reading'", default=None)
+    missing: int | None = entry("raw value that means 'no reading'", default=None)
     period: float = entry(
         "time between two readings (s); at most half of the maximum age of the quantity", 0.05,
         3600, default=1.0,

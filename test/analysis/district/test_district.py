@@ -73,7 +73,7 @@ def test_command(tmp_path: Path) -> None:
     in_python = gr.district(tmp_path / "district.yaml")
     assert in_python.table.write_csv() == (out / "results.csv").read_text()
     assert in_python.buildings.write_csv() == (out / "buildings.csv").read_text()
-    assert in_python.sentence in result.stdout.replace("\n", " ")
+    assert in_python.sentence.replace("\xa0", " ") in result.stdout.replace("\n", " ")
     again = district(tmp_path, "--output", "out")
     assert again.returncode == 2
     assert "--output = 'out': exists and is not empty" in again.stderr

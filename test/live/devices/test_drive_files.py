@@ -11,7 +11,6 @@ import pytest
 from refusals import refusal
 
 from greenroof_ros.base.files import shared_directory
-from greenroof_ros.base.parameter import Word
 from greenroof_ros.live.devices.drive import DriveEndpoint
 from greenroof_ros.live.devices.drive_file import Codes, find_drive_file, read_drive_file
 from greenroof_ros.live.devices.exchange import DriveExchange
@@ -64,7 +63,7 @@ SECONDS = "    type: uint16\n    unit: s"
         ("- {write: reference, value: 0}", "- {write: reference, value: speed}",
          "sequences.stop.2.value = 'speed': may only be written in sequences.run"),
         (BIT_2, BIT_2.replace("value: 0x0004", "value: 0x0005"),
-         "status.running.value = '0x0005': has bits outside the mask 0x0004, so the condition"),
+         "status.running.value = 5: has bits outside the mask 0x0004, so the condition"),
         ("stop_bits: 1", "stop_bits: 3", "serial.stop_bits = 3: must be a whole number from 1"),
         (BIT_2, BIT_2.replace("}", ", register: speed}"),
          "status.running.register = 'speed': must be a register of the type uint16 or uint32"),
@@ -176,7 +175,7 @@ def test_a_fault_that_is_the_timeout_and_no_other() -> None:
 
 def test_the_bits_of_a_word_in_words() -> None:
     """From the lowest to the highest of 32 bits; bits without a text by their number."""
-    codes = Codes("fault", "bits", {Word(0): "low", Word(31): "high"})
+    codes = Codes("fault", "bits", {0: "low", 31: "high"})
     assert codes.text(0x8000_0003) == "low, bit 1, high"
     assert codes.text(0) == ""
 

@@ -131,10 +131,10 @@ def test_why_a_broker_cannot_be_used_is_reported(tmp_path: Path) -> None:
     secret = (*open_to_all, f"certfile {certificate}", f"keyfile {key}")
     strict = ("allow_anonymous false", user, f"password_file {users}")
     for lines, scheme, changed, why in (
-        (secret, "mqtts", {}, "is not trusted: self-signed certificate"),
-        (secret, "mqtts", {"authority": str(certificate)}, "is not trusted: IP address mismatch"),
-        (secret, "mqtt", {}, "if the broker expects TLS, its address must begin with mqtts://"),
-        (open_to_all, "mqtts", {}, "does not respond over TLS"),
+        (secret, "mqtts", {}, "verify failed: self-signed certificate"),
+        (secret, "mqtts", {"authority": str(certificate)}, "verify failed: IP address mismatch"),
+        (secret, "mqtt", {}, "if it expects TLS, use mqtts://"),
+        (open_to_all, "mqtts", {}, "no response over TLS from mqtts://"),
         (strict, "mqtt", {"login": str(login)}, "Not authorized"),
     ):
         with mosquitto(tmp_path, *lines) as broker:
