@@ -10,8 +10,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any
 
-from greenroof_ros.base.times import boot_time
 from greenroof_ros.interface.conditions import Diagnosis
+from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.devices.drive import DriveStatus
 from greenroof_ros.live.devices.drive_file import MAX_RAMP_S
 from greenroof_ros.live.devices.endpoint import Connection, Endpoint
