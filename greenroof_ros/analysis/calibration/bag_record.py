@@ -46,7 +46,7 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
             evapotranspiration.
     """
     offset = timezone(timedelta(hours=site.utc_offset or 0.0))
-    trajectory = load_bag(bag, site, offset, own=False).trajectory
+    trajectory, notes, _ = load_bag(bag, site, offset, own=False)
     steps = int(trajectory.time[-1] // _STEP_S)
     if steps < 2:
         raise ConfigurationError(
@@ -89,7 +89,7 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
         runoff=summed(trajectory.drainage) * mm if np.any(trajectory.drainage > 0) else None,
         level=np.where(gap, np.nan, trajectory.roof[first] / site.a2),
         cistern=np.where(gap, np.nan, trajectory.cistern[first] / site.a1),
-        command=np.where(beyond, np.nan, command),
+        command=np.where(beyond, np.nan, command), notes=notes,
     )
 
 
