@@ -24,7 +24,6 @@ class Interlock:
 
     Attributes:
         kind: type of the interlock: latched, inhibit or permissive.
-        source: module that detects the condition.
         limit: parameters that determine when the interlock is active.
         follows: True if the interlock is left out while an earlier interlock of the same kind is
             active, because it may be only a consequence of the earlier interlock.
@@ -37,7 +36,6 @@ class Interlock:
     """
 
     kind: str
-    source: str
     limit: tuple[str, ...] = ()
     follows: bool = False
     by: str = ""
