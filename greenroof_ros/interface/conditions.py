@@ -156,10 +156,6 @@ class Diagnosis:
         """Return a copy of the diagnosis with another code."""
         return replace(self, code=code, text=self.sentence)
 
-    def add_case(self, case: str, **values: Value) -> Diagnosis:
-        """Return a copy of the diagnosis with one more of the sentences for its code."""
-        return Diagnosis.of(self.code, str(self.values["case"]), case, **{**self.values, **values})
-
     @classmethod
     def if_any(cls, code: str, why: str) -> Diagnosis | None:
         """Return a diagnosis whose only value is a reason; None if the reason is empty."""
