@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from datetime import timedelta, timezone
 from pathlib import Path
 
@@ -96,9 +97,9 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
 def _fill_gaps(reference: Values) -> Values:
     """Fill the gaps in evapotranspiration (mm per step)."""
     day = round(86400 / _STEP_S)
-    filled = reference.copy()
+    filled = reference.tolist()  # a gap can last for years, if a clock was not set
     for step in np.flatnonzero(np.isnan(reference)).tolist():
         # A bag begins with a message, but a gap can begin in its first step.
         before = step - day if step >= day else max(step - 1, 0)
-        filled[step] = np.nan_to_num(filled[before])
-    return filled
+        filled[step] = 0.0 if math.isnan(filled[before]) else filled[before]
+    return np.array(filled)
