@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from typing import Any
 
-from greenroof_ros.base.progress import RunProgress
+from greenroof_ros.bringup.progress import RunProgress
 from greenroof_ros.bringup.watchdog import Watchdog
 from greenroof_ros.controllers.registry import EXTERNAL
 from greenroof_ros.graph.node import SimulationNode

@@ -17,8 +17,8 @@ from greenroof_ros.base.command_line import (
     command,
 )
 from greenroof_ros.base.processes import InterruptedRun, Signals
-from greenroof_ros.base.progress import RunProgress
 from greenroof_ros.base.standard_error import LINES, print_line
+from greenroof_ros.bringup.progress import RunProgress
 from greenroof_ros.bringup.start import bring_up
 from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL, ControllerChoice, find_controller
 from greenroof_ros.graph.arguments import add_graph_arguments

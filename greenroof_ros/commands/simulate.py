@@ -17,8 +17,8 @@ import numpy as np
 from greenroof_ros.base.command_line import Parser, command, make_number_type
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.processes import InterruptedRun, Signals
-from greenroof_ros.base.progress import INTERVAL_S, RunProgress
 from greenroof_ros.base.times import hours_minutes_seconds
+from greenroof_ros.bringup.progress import RunProgress
 from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.physics.sensor_and_pump import read_errors
 from greenroof_ros.results.trajectory import CSV, Trajectory, columns_of
@@ -32,6 +32,9 @@ from greenroof_ros.simulation.options import (
 )
 from greenroof_ros.simulation.run import Run
 
+# Time between two updates of the progress (s): often enough for the eye, rarely enough to cost
+# nothing.
+_INTERVAL_S = 0.2
 # Rows of a trajectory that are converted together.
 _ROWS = 65_536
 
@@ -139,7 +142,7 @@ def _paced(
         now = time.monotonic()
         if speed:
             time.sleep(max(0.0, began + tick.k * run.site.tau / speed - now))
-        if now - shown > INTERVAL_S or tick.k == run.steps:
+        if now - shown > _INTERVAL_S or tick.k == run.steps:
             position.signals.check()
             shown = now
             progress.show_tick(tick.k, tick.cistern_level, tick.roof_level, tick.command)

@@ -89,11 +89,6 @@ class Alarm:
         """Whether there is advice for the alarm's code."""
         return bool(self.role) and self.code in read_conditions()
 
-    @property
-    def advice(self) -> str:
-        """The advice on the alarm."""
-        return advise(self.code, self.role, self.node)
-
 
 def to_record(alarm: Alarm) -> dict[str, Any]:
     """Return the record of an alarm for the file and for a summary."""

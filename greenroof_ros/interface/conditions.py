@@ -24,7 +24,6 @@ class Interlock:
 
     Attributes:
         kind: type of the interlock: latched, inhibit or permissive.
-        source: module that detects the condition.
         limit: parameters that determine when the interlock is active.
         follows: True if the interlock is left out while an earlier interlock of the same kind is
             active, because it may be only a consequence of the earlier interlock.
@@ -37,7 +36,6 @@ class Interlock:
     """
 
     kind: str
-    source: str
     limit: tuple[str, ...] = ()
     follows: bool = False
     by: str = ""
@@ -157,10 +155,6 @@ class Diagnosis:
     def change_code(self, code: str) -> Diagnosis:
         """Return a copy of the diagnosis with another code."""
         return replace(self, code=code, text=self.sentence)
-
-    def add_case(self, case: str, **values: Value) -> Diagnosis:
-        """Return a copy of the diagnosis with one more of the sentences for its code."""
-        return Diagnosis.of(self.code, str(self.values["case"]), case, **{**self.values, **values})
 
     @classmethod
     def if_any(cls, code: str, why: str) -> Diagnosis | None:

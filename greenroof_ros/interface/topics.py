@@ -7,7 +7,7 @@ import math
 import sys
 from array import array
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from greenroof_ros.base.errors import ConfigurationError
@@ -133,23 +133,6 @@ def _make_topic(name: str, qos: Qos, **entry: Any) -> Topic:
         # Even without limits, a value must be finite.
         low=max(low, -sys.float_info.max), high=min(high, sys.float_info.max), **fields,
     )
-
-
-def read_live_topics() -> dict[str, Topic]:
-    """Return the topics of a live graph, which has no plant."""
-    return {
-        name: replace(
-            topic,
-            publishers=topic.live_publishers or _drop_plant(topic.publishers),
-            subscribers=_drop_plant(topic.subscribers) + topic.live_subscribers,
-        )
-        for name, topic in read_topics().items()
-        if topic.live
-    }
-
-
-def _drop_plant(roles: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(role for role in roles if role != "plant")
 
 
 @functools.cache

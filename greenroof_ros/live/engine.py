@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from greenroof_ros.base.parameter import Parameter
-from greenroof_ros.base.times import boot_time, suspended_time
 from greenroof_ros.interface.topics import read_topics
+from greenroof_ros.live.boot_clock import boot_time, suspended_time
 from greenroof_ros.live.live_diagnostics import ERROR, WARN, LiveDiagnostics
 from greenroof_ros.live.live_input import LiveInput, bad_inputs
 from greenroof_ros.live.pumping.input_rules import (

@@ -15,7 +15,6 @@ from typing import NoReturn
 from rclpy.executors import SingleThreadedExecutor
 
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.times import boot_time
 from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.messages import pass_whole
@@ -24,10 +23,11 @@ from greenroof_ros.graph.peers import group_by_role
 from greenroof_ros.graph.publishers import DISCOVERY_S
 from greenroof_ros.graph.spin import start_receiving
 from greenroof_ros.interface.states import READY
-from greenroof_ros.interface.topics import read_live_topics
+from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.engine import LIMITS, RECOVERY, SampleAndHold
 from greenroof_ros.live.live_diagnostics import LiveDiagnostics
 from greenroof_ros.live.live_input import LiveInput, LivePublishers
+from greenroof_ros.live.live_topics import read_live_topics
 from greenroof_ros.live.pumping.input_rules import InputRules, LevelRule
 from greenroof_ros.live.valve import refuse_valve
 from greenroof_ros.site.site import Site

@@ -19,6 +19,7 @@ since 1970) delivers a volume once, or returns the reason for rejecting the requ
 from __future__ import annotations
 
 from greenroof_ros.graph import begin_node
+from greenroof_ros.live.boot_clock import boot_time, suspended_time
 
 begin_node(__name__)
 
@@ -37,7 +38,6 @@ from std_srvs.srv import SetBool, Trigger
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import state_directory
 from greenroof_ros.base.parameter import Parameter
-from greenroof_ros.base.times import boot_time, suspended_time
 from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.states import DriveState, PumpState

@@ -27,8 +27,8 @@ from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.interface.conditions import Diagnosis, identity_of
+from greenroof_ros.live.live_bag import LiveBag
 from greenroof_ros.live.node import LiveNode, live_command
-from greenroof_ros.results.bag_write import LiveBag
 from greenroof_ros.site.site import Site
 
 # A file of the bag is neither larger than this nor than a tenth of the whole bag.

@@ -10,8 +10,8 @@ from typing import Any
 from greenroof_ros.graph.alarms import Judge, NodeReport, is_starting
 from greenroof_ros.interface.alarm import ALARMS
 from greenroof_ros.interface.states import STARTING
-from greenroof_ros.interface.topics import read_live_topics
 from greenroof_ros.live.alarm_log import AlarmLog
+from greenroof_ros.live.live_topics import read_live_topics
 from greenroof_ros.live.supervisor import ProcessStart
 
 # A longer gap between two updates means that this process was paused (s), so what it has not read

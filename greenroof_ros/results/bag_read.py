@@ -1,11 +1,10 @@
-"""Reading a trajectory from a bag of this package, or of a real site with gaps and outliers."""
+"""Reading a trajectory from a bag of this package, or of a real site with gaps and wrong values."""
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
 from collections.abc import Collection, Sequence
-from dataclasses import replace
 from datetime import tzinfo
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,8 +14,9 @@ from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError, require_extra
 from greenroof_ros.base.files import read_yaml
+from greenroof_ros.base.ranges import Range
 from greenroof_ros.base.times import from_epoch_ns
-from greenroof_ros.interface.topics import Topic, read_topics
+from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.results.bag_write import METADATA
 from greenroof_ros.results.trajectory import COLUMNS, Trajectory, recorded_columns
@@ -33,18 +33,10 @@ _NEEDED = ("/roof/level", "/cistern/level", "/pump/command", "/pump/flow")
 _TYPE = "std_msgs/msg/Float64"
 _CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 
-# A smaller share of wrong values in a topic counts as outliers of a sensor; a larger one is a
-# mistake.
-_MAX_OUTLIERS = 0.01
-
-# Tolerance for a value at the limit that was rounded elsewhere.
-_ROUNDING = 1 + 1e-9
-
 # A time without messages is a gap if it exceeds both: in seconds, and in median spacings.
 _GAP_S, _GAP_SPACINGS = 600, 10
-
-# If there are no messages for longer than this (ns), a clock is wrong.
-_MAX_GAP_NS = 366 * 86400e9
+# A gap this long (h) is probably a change of the clock.
+_CLOCK_GAP_H = 366 * 24
 
 
 def count_ticks(bag: Path) -> int | None:
@@ -89,49 +81,47 @@ def load_bag(
         site: site at which the bag was recorded.
         zone: time zone of the result.
         own: True if the run is known to be a simulation by this package, whose plant rejected
-            implausible values and used 0 instead. In other bags, implausible values are left out or
-            cause an error.
+            values out of their topic's range and used 0 instead. In other bags, values that are out
+            of the topic's or the site's range are left out.
         external_pump: True if a pump driver sent the flow to the plant.
         repair: instruction for repairing a damaged bag, for use in the error message; empty if
             repair is impossible.
 
     Raises:
-        ConfigurationError: if the bag is damaged, lacks a needed topic, or contains implausible
-            values.
+        ConfigurationError: if the bag is damaged, or lacks usable messages on a needed topic.
     """
-    recorded, notes = _keep_one_time(_read_series(bag, repair), zone)
-    if silent := [topic for topic in _NEEDED if topic not in recorded]:
-        raise ConfigurationError(
-            "; ".join([f"contains no messages ({_TYPE}) on {', '.join(silent)}", *notes]), file=bag
-        )
-    of_site = {column.topic: column.attribute for column in recorded_columns(site)}
-    notes += [
-        f"{topic} is not in the bag; its value is assumed to be 0"
-        for topic in of_site if topic not in recorded
-    ]
     interface, highest = read_topics(), {} if own else _compute_maxima(site)
-    series = {}
-    for name, of_topic in recorded.items():
-        topic = replace(
-            interface[name], high=min(interface[name].high, highest.get(name, math.inf))
-        )
+    series, notes = dict[str, _Series](), list[str]()
+    for name, of_topic in _read_series(bag, repair).items():
+        topic = interface[name]
+        limits = Range(topic.low, min(topic.high, highest.get(name, math.inf)), topic.unit)
         # What the plant itself published are the results of the run.
         by_plant = "plant" not in topic.subscribers or (name == "/pump/flow" and not external_pump)
-        fine = (of_topic.values >= topic.low) & (of_topic.values <= topic.high)  # a NaN is neither
-        if own and not by_plant and not fine.all():
-            of_topic = of_topic._replace(values=np.where(fine, of_topic.values, 0.0))
+        wrong = ~((of_topic.values >= limits.low) & (of_topic.values <= limits.high))  # or NaN
+        if wrong.any() and not (own and by_plant):
             notes.append(
-                f"{np.count_nonzero(~fine)} of {len(fine)} values of {name} were rejected in the "
-                f"run and replaced by 0, because a value {topic.range.expected()}"
+                f"{np.count_nonzero(wrong)} of {len(wrong)} values of {name} "
+                + ("were rejected in the run and replaced by 0" if own else "are left out")
+                + f", because a value {limits.expected()}; the first is "
+                f"{of_topic.values[wrong][0]:g} at {_name_time(of_topic.times[wrong][0], zone)}"
             )
-        elif not own and not fine.all():
-            of_topic = _drop_wrong(bag, topic, of_topic, fine)
-            notes.append(
-                f"{np.count_nonzero(~fine)} of {len(fine)} values of {name} are left out because "
-                "they are not finite or are out of range"
+            of_topic = (
+                of_topic._replace(values=np.where(wrong, 0.0, of_topic.values)) if own
+                else _Series(of_topic.times[~wrong], of_topic.values[~wrong])
             )
-        if len(of_topic.times):  # otherwise it was never known
+        if len(of_topic.times):
             series[name] = of_topic
+    if silent := [topic for topic in _NEEDED if topic not in series]:
+        raise ConfigurationError(
+            "; ".join([f"contains no usable messages ({_TYPE}) on {', '.join(silent)}", *notes]),
+            file=bag,
+        )
+    of_site = {column.topic: column.attribute for column in recorded_columns(site)}
+    unknown = {topic: name for topic, name in of_site.items() if topic not in series}
+    notes += [
+        f"{topic} has no usable values in the bag; its value is assumed to be 0"
+        for topic in unknown
+    ]
     stamps = np.unique(np.concatenate([of_topic.times for of_topic in series.values()]))
     samples = stamps[stamps >= max(series[topic].times[0] for topic in _NEEDED)]
     if len(samples) < 2:
@@ -160,34 +150,8 @@ def load_bag(
             start=from_epoch_ns(int(samples[0])).astimezone(zone),
             time=(samples - samples[0]) / 1e9, **columns,
         ),
-        tuple(notes), frozenset(name for topic, name in of_site.items() if topic not in series),
+        tuple(notes), frozenset(unknown.values()),
     )
-
-
-def _keep_one_time(
-    recorded: dict[str, _Series], zone: tzinfo
-) -> tuple[dict[str, _Series], list[str]]:
-    """Remove messages that are more than a year away from most others, and return the rest.
-
-    A clock that is not set yet stamps messages with 0, or with its year of manufacture; no site
-    has a gap of a year in a bag.
-    """
-    every = [series.times for series in recorded.values()]
-    stamps = np.sort(np.concatenate([*every, np.empty(0, dtype=np.int64)]))
-    far = np.flatnonzero(np.diff(stamps.astype(np.float64)) > _MAX_GAP_NS) + 1
-    if not far.size:
-        return recorded, []
-    most = max(np.split(stamps, far), key=len)
-    kept = {}
-    for topic, (times, values) in recorded.items():
-        there = (times >= most[0]) & (times <= most[-1])
-        if there.any():
-            kept[topic] = _Series(times[there], values[there])
-    return kept, [
-        f"{len(stamps) - len(most)} of {len(stamps)} messages are more than a year before or after "
-        f"the other messages, {_name_time(most[0], zone)} to {_name_time(most[-1], zone)}, and "
-        "were left out: was a clock not set?"
-    ]
 
 
 def _name_time(stamp: np.int64, zone: tzinfo) -> str:
@@ -261,7 +225,7 @@ def _compute_maxima(site: Site) -> dict[str, float]:
     pumps, and the most rain and evapotranspiration that a weather file may contain.
     """
     rain, evaporation = (QUANTITIES[name].high for name in (PRECIPITATION, EVAPOTRANSPIRATION))
-    maxima = {
+    return {
         "/roof/level": site.max_roof_level,
         "/cistern/level": site.max_cistern_level,
         "/pump/flow": 3 * maximum_pump_flow(site, site.a1 * site.z_o),
@@ -270,32 +234,6 @@ def _compute_maxima(site: Site) -> dict[str, float]:
         "/weather/evapotranspiration":
             evaporation * max(1.0, site.crop_coefficient) / 8.64e7 * site.a2,
     }
-    return {topic: high * _ROUNDING for topic, high in maxima.items()}
-
-
-def _drop_wrong(
-    bag: Path, topic: Topic, series: _Series, fine: NDArray[np.bool_]
-) -> _Series:
-    """Remove implausible values of a topic, and return the others.
-
-    Raises:
-        ConfigurationError: if the implausible values are too many to be outliers, or if at least
-            half of the non-zero values are too large. The second condition detects a wrong unit of
-            rain, or of a pump that is active for less than a hundredth of the time.
-    """
-    times, values = series
-    unknown = np.isnan(values) & topic.may_be_unknown  # a NaN of a live graph
-    wrong = np.flatnonzero(~fine & ~unknown)
-    large = np.count_nonzero(values > topic.high)
-    if len(wrong) and (
-        len(wrong) >= _MAX_OUTLIERS * len(values) or 2 * large >= np.count_nonzero(values)
-    ):
-        raise ConfigurationError(
-            f"{topic.range.expected()}, but is {values[wrong[0]]:g} {topic.unit} at "
-            f"{from_epoch_ns(int(times[wrong[0]])).isoformat()}; is a unit wrong?",
-            file=bag, key=topic.name,
-        )
-    return _Series(times[fine], values[fine])
 
 
 def _describe_gaps(samples: Stamps, gaps: NDArray[np.intp], zone: tzinfo) -> str:
@@ -306,6 +244,7 @@ def _describe_gaps(samples: Stamps, gaps: NDArray[np.intp], zone: tzinfo) -> str
         f"from {_name_time(samples[longest], zone)} to {_name_time(samples[longest + 1], zone)} "
         f"({hours.max():.3g} h): in gaps, the command, the weather and the flows are unknown and "
         "are treated as 0, and the levels keep their last values"
+        + ("; was a clock not set?" if hours.max() > _CLOCK_GAP_H else "")
     )
 
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError, require_extra
-from greenroof_ros.base.processes import refuse_forked_polars
 from greenroof_ros.base.times import epoch_ns
+from greenroof_ros.results.forked_polars import refuse_forked_polars
 from greenroof_ros.site.site import Site
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from greenroof_ros.base.text import clean_text
-from greenroof_ros.interface.alarm import Alarm
+from greenroof_ros.interface.alarm import Alarm, advise
 from greenroof_ros.interface.states import PUMP
 from greenroof_ros.watch.store import GraphStore
 
@@ -41,7 +41,8 @@ def list_alarms(store: GraphStore) -> list[dict[str, Any]]:
     return [
         {
             "id": alarm.name, "level": alarm.level, "what": clean_text(alarm.sentence),
-            "code": alarm.code, "do": alarm.advice, "plain": alarm.is_known, "since": alarm.since,
+            "code": alarm.code, "do": advise(alarm.code, alarm.role, alarm.node),
+            "plain": alarm.is_known, "since": alarm.since,
             "since_text": store.time_of_day(alarm.since),
             "acknowledged": store.is_acknowledged(alarm), "over": alarm.ended,
             "over_text": "" if alarm.ended is None else store.time_of_day(alarm.ended),

@@ -1,8 +1,7 @@
-"""Lines on standard error delay neither their writer nor its end, whoever reads them; progress."""
+"""Lines on standard error delay neither their writer nor its end, whoever reads them."""
 
 from __future__ import annotations
 
-import io
 import os
 import subprocess
 import sys
@@ -12,7 +11,6 @@ import pytest
 from disks import full_pipe
 from places import CHECKOUT
 
-from greenroof_ros.base.progress import RunProgress
 from greenroof_ros.base.standard_error import Lines
 
 TOO_LONG_S = 60
@@ -52,19 +50,6 @@ def test_the_end_of_a_process(full: bool) -> None:
         assert done.returncode == 0
         printed = _empty(reading).lstrip(b"\0")
     assert printed == (b"" if full else b"line 0\nline 1\nline 2\n")
-
-
-def test_a_line_every_ten_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With progress every second for 35 s, there are lines at 10, 20 and 30 s, and no bar."""
-    now, printed = 1000.0, io.StringIO()
-    monkeypatch.setattr(time, "monotonic", lambda: now)
-    progress = RunProgress(100, 60.0, printed)
-    for second in range(36):
-        now = 1000.0 + second
-        progress.show_tick(second, 3.0, 0.04, 0.5)
-    assert [line.split(", command 0.500")[0] for line in printed.getvalue().splitlines()] == [
-        f"00:{second}:00, cistern 3.000 m, roof 0.0400 m" for second in (10, 20, 30)
-    ]
 
 
 def _empty(reading: int) -> bytes:

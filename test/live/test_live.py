@@ -49,8 +49,8 @@ from ros_rig import (
 from rosbags.highlevel import AnyReader
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
-from greenroof_ros.interface.topics import read_live_topics
 from greenroof_ros.live.devices.sensor_file import QUANTITIES
+from greenroof_ros.live.live_topics import read_live_topics
 from greenroof_ros.site.horizon import growing_steps
 
 

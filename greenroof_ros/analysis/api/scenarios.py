@@ -19,8 +19,8 @@ from greenroof_ros.analysis.api.control import Function
 from greenroof_ros.analysis.api.simulate import Result, simulate
 from greenroof_ros.base.errors import ConfigurationError, describe_choices, require_extra
 from greenroof_ros.base.files import read_lines, read_yaml, shared_directory
-from greenroof_ros.base.processes import refuse_forked_polars
 from greenroof_ros.controllers.protocol import Controller
+from greenroof_ros.results.forked_polars import refuse_forked_polars
 from greenroof_ros.simulation.bound import BLOCK_S, bound_discharge, clairvoyant_bound
 from greenroof_ros.simulation.inputs import INPUTS
 

@@ -20,13 +20,13 @@ from greenroof_ros.analysis.api.control import (
     read_parameters,
 )
 from greenroof_ros.base.errors import ConfigurationError, rename_keys, require_extra
-from greenroof_ros.base.processes import refuse_forked_polars
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.base.times import duration, to_minutes
 from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.soil import layer_outflow, percolation
 from greenroof_ros.physics.storm_water import Event
+from greenroof_ros.results.forked_polars import refuse_forked_polars
 from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.results.trajectory import (
     COLUMNS,

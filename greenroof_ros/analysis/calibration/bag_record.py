@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from datetime import timedelta, timezone
 from pathlib import Path
 
@@ -46,7 +47,7 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
             evapotranspiration.
     """
     offset = timezone(timedelta(hours=site.utc_offset or 0.0))
-    trajectory = load_bag(bag, site, offset, own=False).trajectory
+    trajectory, notes, _ = load_bag(bag, site, offset, own=False)
     steps = int(trajectory.time[-1] // _STEP_S)
     if steps < 2:
         raise ConfigurationError(
@@ -89,16 +90,16 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
         runoff=summed(trajectory.drainage) * mm if np.any(trajectory.drainage > 0) else None,
         level=np.where(gap, np.nan, trajectory.roof[first] / site.a2),
         cistern=np.where(gap, np.nan, trajectory.cistern[first] / site.a1),
-        command=np.where(beyond, np.nan, command),
+        command=np.where(beyond, np.nan, command), notes=notes,
     )
 
 
 def _fill_gaps(reference: Values) -> Values:
     """Fill the gaps in evapotranspiration (mm per step)."""
     day = round(86400 / _STEP_S)
-    filled = reference.copy()
+    filled = reference.tolist()  # a gap can last for years, if a clock was not set
     for step in np.flatnonzero(np.isnan(reference)).tolist():
         # A bag begins with a message, but a gap can begin in its first step.
         before = step - day if step >= day else max(step - 1, 0)
-        filled[step] = np.nan_to_num(filled[before])
-    return filled
+        filled[step] = 0.0 if math.isnan(filled[before]) else filled[before]
+    return np.array(filled)

@@ -29,6 +29,8 @@ Values = NDArray[np.float64]
 
 # A shorter run is over before the compiled function is loaded (ticks).
 _MIN_COMPILED = 500_000
+# A longer time without samples is a change of the clock; only its part of a day is counted (s).
+_CLOCK_GAP_S, _DAY_S = 366 * 86400, 86400
 
 
 class Samples(NamedTuple):
@@ -95,7 +97,8 @@ def compute_results(
     """Return the metrics and the rain events of a recorded run.
 
     The metrics that need more than was recorded are left out. Without the discharge, there are no
-    events.
+    events. A time without samples of more than a year, as after a clock was set, counts as less
+    than a day.
 
     Args:
         site: site of the run.
@@ -112,7 +115,11 @@ def compute_results(
         unknown += s.OVERFLOW, s.OVERFLOW_DAYS
     columns = (getattr(trajectory, name) for name in Samples._fields)
     arrays = Samples(*(np.array(nothing if each is None else each) for each in columns))
-    p, steps = plant_parameters(site), round(float(trajectory.time[-1]) / site.tau)
+    spacings = np.diff(arrays.time, prepend=0.0)
+    if spacings.max() > _CLOCK_GAP_S:
+        spacings = np.where(spacings > _CLOCK_GAP_S, spacings % _DAY_S, spacings)
+        arrays = arrays._replace(time=np.cumsum(spacings))
+    p, steps = plant_parameters(site), round(float(arrays.time[-1]) / site.tau)
     new_day = np.zeros(steps, np.bool_)
     new_day[find_new_days(site, trajectory.start.timestamp(), steps)] = True
     sums: Any = np.zeros(s.count_places(p))

@@ -29,9 +29,9 @@ from greenroof_ros.analysis.sizing.columns import (
 from greenroof_ros.analysis.sizing.designs import NONE, Design, choose_outlet
 from greenroof_ros.base.errors import require_extra
 from greenroof_ros.base.files import add_path_to_errors
-from greenroof_ros.base.processes import refuse_forked_polars
 from greenroof_ros.base.text import number_of
 from greenroof_ros.controllers.outlet import PLAN
+from greenroof_ros.results.forked_polars import refuse_forked_polars
 from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.site.site import Site
 

@@ -10,8 +10,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any
 
-from greenroof_ros.base.times import boot_time
 from greenroof_ros.interface.conditions import Diagnosis
+from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.devices.drive import DriveStatus
 from greenroof_ros.live.devices.drive_file import MAX_RAMP_S
 from greenroof_ros.live.devices.endpoint import Connection, Endpoint
@@ -506,7 +506,9 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             if other is not None:
                 pause_s = SECOND_MASTER_PAUSE_S
                 self._stop_monitor.order_changed()  # the drive may obey the other writer
-                other = other.add_case("pause", pause=pause_s)
+                other = Diagnosis.of(
+                    other.code, str(other.values["case"]), "pause", **other.values, pause=pause_s
+                )
                 self._update(second_master=other)
                 raise DriveError("drive", other.sentence)
             if self._snapshot.second_master and time.monotonic() >= self._paused_until:

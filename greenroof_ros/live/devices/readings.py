@@ -9,8 +9,8 @@ import time
 from collections import deque
 from dataclasses import dataclass, replace
 
-from greenroof_ros.base.times import suspended_time
 from greenroof_ros.interface.conditions import Diagnosis, read_conditions
+from greenroof_ros.live.boot_clock import suspended_time
 from greenroof_ros.live.devices.modbus_line import DeviceSnapshot
 from greenroof_ros.live.devices.sensor_file import Sensor
 from greenroof_ros.live.devices.total import Total

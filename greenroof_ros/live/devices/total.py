@@ -6,7 +6,7 @@ import threading
 import time
 from collections import defaultdict, deque
 
-from greenroof_ros.base.times import boot_time
+from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.devices.sensor_file import Sensor
 
 # A message may be repeated or overtaken within this time (s).

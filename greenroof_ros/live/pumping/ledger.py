@@ -55,9 +55,10 @@ from typing import Any
 from greenroof_ros.base.disk import DISK, PATIENCE_S
 from greenroof_ros.base.processes import LockedError
 from greenroof_ros.base.ranges import Range
-from greenroof_ros.base.times import boot_id, boot_time, to_people
+from greenroof_ros.base.times import to_people
 from greenroof_ros.interface.alarm import ALARMS
 from greenroof_ros.interface.conditions import Diagnosis
+from greenroof_ros.live.boot_clock import boot_id, boot_time
 from greenroof_ros.live.latest_writer import LatestWriter
 
 DAY_S = 86_400.0

@@ -97,7 +97,7 @@ def test_in_a_gap_the_roof_dries_and_nothing_else_is_known(tmp_path: Path) -> No
         lambda now: mm * (0.1 if 6 <= now / hour % 24 < 12 else 0.01),
     )
     record = read_bag_record(bag, TWIN)
-    assert list(record.measured) == ["level"]
+    assert list(record.measured) == ["level"] and "in 2 gaps, 12 h in total" in record.notes[-1]
     for series in (record.rain, record.level, record.pumped):
         gap = np.flatnonzero(np.isnan(series))
         assert gap.tolist() == [*range(2 * 12, 8 * 12), *range(27 * 12, 33 * 12)]

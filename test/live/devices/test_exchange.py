@@ -22,7 +22,7 @@ from modbus_wire import Registers, SerialWire, Wire, acs880, rtu_server
 from places import CHECKOUT
 from simulators import until as wait
 
-from greenroof_ros.base.times import boot_time
+from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.devices import exchange, stop_monitor
 from greenroof_ros.live.devices.drive import DriveEndpoint, DriveStatus
 from greenroof_ros.live.devices.drive_file import (
