@@ -45,7 +45,7 @@ def read_frame(frame: Any, site: Place) -> Records:
     if hasattr(frame, "notna"):  # pandas has several values that stand for a missing one
         frame = frame.astype(object).where(frame.notna(), None)
     series = {str(name): [*frame[name]] for name in frame.columns} | {TIME: times}
-    rows = map(Row, itertools.count(), zip(*series.values(), strict=True))
+    rows = [*map(Row, itertools.count(), zip(*series.values(), strict=True))]
     table = Table(_NAME, [*series], None, rows)
     return make_hours([arrange(table, Description(name="data frame"), site, WEATHER)])
 

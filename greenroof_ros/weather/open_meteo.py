@@ -141,7 +141,7 @@ def read_answer(file: Path, site: Place, answer: bytes | None = None) -> tuple[T
                     f"must be within {far:g} {limits.unit} of the site's {name}, {own:g}",
                     file=file, key=name, value=stated[name],
                 )
-    rows = map(Row, itertools.count(), zip(*columns.values(), strict=True))
+    rows = [*map(Row, itertools.count(), zip(*columns.values(), strict=True))]
     return Table(file, [*columns], None, rows), Description(
         name="Open-Meteo", wind_height=10.0, rain_kind=REANALYSIS, step=3600.0,
         units={name: _find_unit(name, units.get(name)) for name in columns},

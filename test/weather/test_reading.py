@@ -224,6 +224,8 @@ def test_names_and_patterns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     ):
         assert [path.name for path in find_files(names, "--weather")] == expected
     refusal(find_files, ["a.csv", "d-*.csv"], "--weather", match="--weather = .*matches no file")
+    (tmp_path / "empty").mkdir()
+    refusal(find_files, ["empty"], "--weather", match="--weather = 'empty': matches no file .of a")
 
 
 def test_run_directory_keeps_all_files(tmp_path: Path) -> None:
