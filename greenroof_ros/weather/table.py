@@ -542,7 +542,7 @@ def parse_text(text: str, form: str) -> datetime:
     if form.endswith("%p") and text[-1:] in "ap":
         text += "m"
     date, mark, rest = text.partition(" 24")
-    if mark and not rest.lstrip(":0"):
+    if mark and not rest.lstrip(":.h0"):
         return datetime.strptime(f"{date} 00{rest}", form) + timedelta(days=1)  # noqa: DTZ007
     return datetime.strptime(text, form)  # noqa: DTZ007
 
