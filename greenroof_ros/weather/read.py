@@ -16,13 +16,7 @@ from greenroof_ros.site.site import Place
 from greenroof_ros.weather import evapotranspiration, open_meteo, quantities
 from greenroof_ros.weather.description import Description, read_description
 from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
-from greenroof_ros.weather.records import (
-    WEATHER,
-    Records,
-    bridge_gaps,
-    make_hours,
-    write_records,
-)
+from greenroof_ros.weather.records import Records, bridge_gaps, make_hours, write_records
 from greenroof_ros.weather.series import FILL, REFUSE, Weather
 from greenroof_ros.weather.table import Rows, read_rows
 
@@ -56,7 +50,7 @@ def read_file(file: Path, site: Place, described: Description | None = None) -> 
         ConfigurationError: if the file does not conform to its description.
     """
     if file.suffix != ".json":
-        return [read_rows(file, site, WEATHER, described)]
+        return [read_rows(file, site, quantities.WEATHER, described)]
     if described is not None:
         described.check_unused("JSON of Open-Meteo", file)
     return open_meteo.read_weather_rows(file, site)

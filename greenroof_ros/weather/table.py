@@ -39,7 +39,6 @@ _HOUR_S = 3600.0
 # Rows from which the step is taken, the share of a step by which a time may be off, and the share
 # by which a step of whole minutes may be off because of the logger's clock.
 _FIRST_ROWS, _OFF, _CLOCK = 10, 0.25, 0.02
-_LEVELS = "level", "cistern level"
 _OWN = Description()
 
 
@@ -257,8 +256,8 @@ def read_rows(
 
     Without a description, the file is in this project's own form or in that of a service; see
     :mod:`.description`. A row covers the interval that begins (or, with ``rows: end``, ends) at its
-    time, which may be off by a quarter of the interval. Levels are the values at the row's time. An
-    amount is the total in a row's interval; litres and m3 refer to the whole roof of area ``a2``.
+    time, which may be off by a quarter of the interval. An amount is the total in a row's interval;
+    litres and m3 refer to the whole roof of area ``a2``.
 
     Args:
         file: file to read.
@@ -321,8 +320,6 @@ def arrange(table: Table, described: Description, site: Place, wanted: Collectio
         values[name] = _convert(table, name, column, unit, np.array(series), lines)
     if described.rows == END:
         begin -= step_s
-        for level in values.keys() & {*_LEVELS}:
-            values[level] = _move_to_next(values[level], steps)
     used = {*places, *map(table.place, itertools.chain(
         (column for column, _ in columns.values()), described.flags.values(),
         *described.columns.values(),
@@ -589,11 +586,3 @@ def _number_steps(
             f"are missing among the first ten, state the interval in seconds: step: {step_s:g}",
         )
     return begin, step_s, steps
-
-
-def _move_to_next(values: Values, steps: NDArray[np.int64]) -> Values:
-    """Return values at the starts of steps from values at the ends; NaN without a previous row."""
-    moved = np.full(len(values), math.nan)
-    follows = np.flatnonzero(np.diff(steps) == 1)
-    moved[follows + 1] = values[follows]
-    return moved

@@ -16,8 +16,8 @@ from greenroof_ros.base.times import parse_time
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.describe import describe
 from greenroof_ros.weather.description import make_description, service_descriptions
+from greenroof_ros.weather.quantities import WEATHER
 from greenroof_ros.weather.read import read_measured, write_plain
-from greenroof_ros.weather.records import WEATHER
 from greenroof_ros.weather.table import read_rows
 
 SITE = read_site(CONFIG / "site.yaml")

@@ -207,7 +207,6 @@ def test_files_whose_hours_begin_at_different_minutes(tmp_path: Path) -> None:
     )
     assert read.values["evapotranspiration"][:4].tolist() == [1.0] * 4
     assert read.values["evapotranspiration"][5:].tolist() == pytest.approx([2.0] * 3)
-    assert read.left_out[0].startswith(f"{late}: hours begin 20 min after those of {early}; ")
 
 
 def test_names_and_patterns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,8 @@ from zoneinfo import ZoneInfo
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.site.site import Place
 from greenroof_ros.weather.description import TIME, Description
-from greenroof_ros.weather.records import WEATHER, Records, make_hours
+from greenroof_ros.weather.quantities import WEATHER
+from greenroof_ros.weather.records import Records, make_hours
 from greenroof_ros.weather.table import Row, Table, arrange
 
 _NAME = Path("the data frame")
