@@ -172,9 +172,6 @@ def _find_mistakes(made: Description) -> Iterator[tuple[str, str]]:
             yield f"columns.{name}", "must be one column"
     if made.columns and TIME not in made.columns:
         yield f"columns.{TIME}", "must name the column of the times"
-    for key in ("skiprows", "skipfooter"):
-        if getattr(made, key) and not made.columns:
-            yield key, "has an effect only in a description with columns"
     if made.header and made.file:
         yield "header", "has no effect: only the descriptions in config/formats recognise a file"
     if made.time_zone and made.utc_offset is not None:

@@ -336,13 +336,14 @@ def arrange(table: Table, described: Description, site: Place, wanted: Collectio
 
 def _open(file: Path, given: Description) -> tuple[Table, Description]:
     """Return the table of a file, and its description with the statements in its comments."""
-    lines = enumerate(read_lines(file, given.encoding), start=1)
-    if given.columns:
-        skipped = {*given.skiprows}
-        kept = (line for line in lines if line[0] - 1 not in skipped)
-        rows, ahead = itertools.tee(kept)  # one is ahead of the other by the foot of the file
+    skipped, numbered = {*given.skiprows}, enumerate(read_lines(file, given.encoding), start=1)
+    lines = (line for line in numbered if line[0] - 1 not in skipped)
+    if given.skipfooter:
+        rows, ahead = itertools.tee(lines)  # one is ahead of the other by the foot of the file
         ahead = itertools.islice(ahead, given.skipfooter, None)
-        return read_table(file, (row for row, _ in zip(rows, ahead, strict=False)), given), given
+        lines = (row for row, _ in zip(rows, ahead, strict=False))
+    if given.columns:
+        return read_table(file, lines, given), given
     head = list[tuple[int, str]]()
     for number, text in lines:
         service = description.find_service(text)

@@ -181,7 +181,7 @@ def _values(value: object) -> list[object]:
         ("file: a.csv\ncolumns: {time: t, rain: r}", "line 1: 'r': the unit of precipitation must"),
         ("file: a.csv\ncolumns: {time: t, rain: cx}", "line 1: 'cx': must be the name of one"),
         ("file: a.csv\ntime_zone: UTC\nutc_offset: 3", "line 3: utc_offset = 3.0: must not be sta"),
-        ("file: a.csv\nskiprows: 1", "line 2: skiprows = (0,): has an effect only in a"),
+        ("file: a.csv\nskiprows: 1", "a.csv, line 2: '2024-06-01T00:00': must be 'time', or the"),
         ("file: a.csv\nskiprows: -1", "line 2: skiprows = -1: must be a list"),
         ("file: a.csv\ncolumns: {time: t, rain: r}\nunits: {temperature: K}", "has no effect"),
         ("file: a.csv\nheader: t", "line 2: header = ('t',): has no effect: only the descriptions"),
