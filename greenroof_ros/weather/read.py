@@ -226,8 +226,9 @@ def _drop_partial_hours(records: Records) -> Records:
     """
     moved = np.array([name in records.shifted for name in records.values])
     known = ~np.isnan([series[[0, -1]] for series in records.values.values()])
-    rain = list(records.values).index(PRECIPITATION)
-    partial = records.parts_of_hours[[0, -1]] & ~known[rain]
+    rain, partial = list(records.values).index(PRECIPITATION), np.zeros(2, dtype=bool)
+    if records.minutes is not None:
+        partial = ~np.isnan(records.minutes[[0, -1]]).all(axis=1) & ~known[rain]
     if moved.any() and not moved.all():
         partial |= ~known[~moved, 0].any(), ~known[moved, 1].any()
     begin, end = int(partial[0]), records.hours - int(partial[1])

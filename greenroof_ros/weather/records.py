@@ -85,14 +85,6 @@ class Records:
         return len(next(iter(self.values.values())))
 
     @property
-    def parts_of_hours(self) -> NDArray[np.bool_]:
-        """Mask of the hours of which only some minutes are known, shape (hours,)."""
-        if self.minutes is None:
-            return np.zeros(self.hours, dtype=bool)
-        known = ~np.isnan(self.minutes)
-        return np.asarray(known.any(axis=1) & ~known.all(axis=1))
-
-    @property
     def finest_rain(self) -> Array:
         """Rain (mm/h) in every minute, shape (hours, 60), or else in hours, shape (hours, 1)."""
         rain = self.values[PRECIPITATION][:, None]
