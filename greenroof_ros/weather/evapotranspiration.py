@@ -21,10 +21,8 @@ from greenroof_ros.base.ranges import Range
 from greenroof_ros.site.site import Place
 from greenroof_ros.weather.quantities import (
     DEW_POINT,
-    EVAPOTRANSPIRATION,
     FOR_EVAPOTRANSPIRATION,
     PRESSURE,
-    QUANTITIES,
     RADIATION,
     TEMPERATURE,
     WIND,
@@ -167,8 +165,8 @@ def _prepare(site: Place, records: Records, method: str, needed: Collection[str]
     lacking = [name for name in needed if name not in records.values]
     if lacking:
         raise ConfigurationError(
-            f"has no column '{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION].unit}]', and "
-            f"lacks {', '.join(lacking)}, which {method} requires", file=records.source,
+            f"has no column 'evapotranspiration [mm/day]', and lacks {', '.join(lacking)}, which "
+            f"{method} requires", file=records.source,
         )
     check_place(site, method)
     if site.elevation is not None or PRESSURE not in records.values:

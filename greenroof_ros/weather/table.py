@@ -348,7 +348,7 @@ def _open(file: Path, given: Description) -> tuple[Table, Description]:
     for number, text in lines:
         service = description.find_service(text)
         if service is not None:  # its header can be a comment
-            given.check_unused(service.name, file)
+            description.read_comments(file, head, given).check_unused(service.name, file)
             header = number, text.replace("#", " ", 1)
             return read_table(file, itertools.chain([header], lines), service), service
         if text.lstrip()[:1] in ("{", "["):

@@ -186,6 +186,7 @@ def _values(value: object) -> list[object]:
         ("file: a.csv\ncolumns: {time: t, rain: r}\nunits: {temperature: K}", "has no effect"),
         ("file: a.csv\nheader: t", "line 2: header = ('t',): has no effect: only the descriptions"),
         ("file: dwd.txt\nrows: end", "a.yaml: rows: has no effect, because the form of "),
+        ("file: dwd_2.txt", "a.yaml: step: has no effect, because the form of "),
         ("file: a.json\nencoding: cp1252\nstep: 60", "a.yaml: step: has no effect, because "),
         ("file: a.csv\ncolumns: {time: t, rain: r}\nflags: {wind speed: q}", "has no effect"),
         ("file: a.csv\ncolumns: {time: t, rain: r, precipitation: r}", "must name a quantity only"),
@@ -194,6 +195,7 @@ def _values(value: object) -> list[object]:
 def test_wrong_descriptions(tmp_path: Path, text: str, reason: str) -> None:
     (tmp_path / "a.csv").write_text("t,r\n2024-06-01T00:00,0\n2024-06-01T01:00,0\n")
     (tmp_path / "dwd.txt").write_text(DWD_RAIN)
+    (tmp_path / "dwd_2.txt").write_text(f"# step: 60\n{DWD_RAIN}")
     (tmp_path / "a.json").write_text("{}")
     (tmp_path / "a.yaml").write_text(text)
     assert reason in refusal(read_measured, [tmp_path / "a.yaml"], SITE)
