@@ -676,7 +676,8 @@ def _value(action: argparse.Action) -> str:
     if action.choices is not None and action.metavar is None:
         return ", ".join(map(str, action.choices))
     kind = getattr(action.type, "__name__", "")
-    text = f"`{action.metavar or action.dest.upper()}`" + (" ..." if action.nargs == "+" else "")
+    text = f"`{action.metavar or action.dest.upper()}`"
+    text += " ..." if action.nargs in ("+", "*") else ""
     if text.startswith("`{"):  # a choice, which breaks between its values
         text = ", ".join(f"`{each}`" for each in re.findall(r"[^{},|`]+", text))
     unit = text if str(action.metavar).startswith("[") else ""

@@ -65,12 +65,11 @@ def hours_minutes_seconds(seconds: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Format a duration in a readable form, such as ``40 s``, ``27 min``, ``2 h`` or ``120 h``."""
+    """Format a duration in a readable form, such as ``40 s``, ``1.5 min``, ``2 h`` or ``120 h``."""
     if seconds < 90:
         return f"{seconds:.3g} s"
-    if seconds < 5400:
-        return f"{seconds / 60:.0f} min"
-    return f"{seconds / 3600:.1f}".removesuffix(".0") + " h"
+    size, unit = (60, "min") if seconds < 5400 else (3600, "h")
+    return f"{seconds / size:.1f}".removesuffix(".0") + f" {unit}"
 
 
 def epoch_ns(time: datetime) -> int:

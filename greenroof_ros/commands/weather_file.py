@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from argparse import Namespace
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ import numpy as np
 from greenroof_ros.base.command_line import Parser, add_site, command
 from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import ConfigurationError, rename_keys
-from greenroof_ros.base.files import add_path_to_errors
+from greenroof_ros.base.files import add_path_to_errors, parse_yaml
 from greenroof_ros.base.parameter import Parameter, parameters_of
 from greenroof_ros.base.times import to_people
 from greenroof_ros.commands.output_file import refuse_unwritable
@@ -22,7 +21,7 @@ from greenroof_ros.simulation.screen import grid
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site, format_place, measure_distance
 from greenroof_ros.weather.describe import describe
-from greenroof_ros.weather.description import TIME, Description, make_description
+from greenroof_ros.weather.description import Description, make_description
 from greenroof_ros.weather.evapotranspiration import FAO56, HARGREAVES
 from greenroof_ros.weather.read import complete_records, find_files, read_measured
 from greenroof_ros.weather.records import HOUR, Records, write_records
@@ -46,11 +45,13 @@ examples:
   greenroof weather logger.csv --site my_site.yaml
   greenroof weather gauge.csv --describe > gauge.yaml
   greenroof weather gauge.yaml --output gauge_plain.csv
-  greenroof weather gauge.csv --columns time=Datum "rain=Niederschlag [mm]" --rows end
+  greenroof weather gauge.csv --columns "time=[Datum, Uhrzeit]" "rain=Regen [mm]" --rows end
+  greenroof weather gauge.csv --na-values=-99 --na-values=---
   greenroof simulate --weather gauge.yaml --start 2021-07-01
 
 exit codes: 0 done, 2 bad usage, configuration or file
 """
+_DASH = "A value that begins with a dash is written as --na-values=-99"
 _NOT_OPTIONS = "name", "file", "header", "flags", "flag_values"
 
 
@@ -73,13 +74,15 @@ def make_parser() -> Parser:
         "person must replace each question mark",
     )
     group = parser.add_argument_group(
-        "keys of a description", "They apply to files that are not named by a description."
+        "keys of a description", "They apply to files that are not named by a description. "
+        f"{_DASH}."
     )
+    parser.hint = _DASH
     for key in _options():
         group.add_argument(
             _flag(key), help=key.description.replace("%", "%%"), dest=key.name,
             metavar="NAME=VALUE" if _is_mapping(key) else "VALUE",
-            nargs="+" if _is_mapping(key) or "tuple" in str(key.kind) else None,
+            nargs="*" if _has_many(key) else None, action="extend" if _has_many(key) else "store",
         )
     return parser
 
@@ -96,6 +99,10 @@ def _is_mapping(key: Parameter) -> bool:
     return "dict" in str(key.kind)
 
 
+def _has_many(key: Parameter) -> bool:
+    return _is_mapping(key) or "tuple" in str(key.kind)
+
+
 def _read_options(arguments: Namespace) -> Description | None:
     """Return the description that the options state; None without such options."""
     given = dict[str, Any]()
@@ -106,24 +113,15 @@ def _read_options(arguments: Namespace) -> Description | None:
         if _is_mapping(key):
             pairs = [item.partition("=") for item in value]
             value = {
-                name: text.split("+") if name == TIME else text for name, _, text in pairs
+                name: parse_yaml(text, Path(_flag(key))) if text.startswith("[") else text
+                for name, _, text in pairs
             }
-        elif key.name == "skiprows":
-            numbers = [_as_number(text) for text in value]
+        elif "str" not in str(key.kind):  # a number as in a description
+            texts = value if _has_many(key) else [value]
+            numbers = [parse_yaml(text, Path(_flag(key))) for text in texts]
             value = numbers[0] if len(numbers) == 1 else numbers
-        elif key.kind is not str and "tuple" not in str(key.kind):
-            value = _as_number(value)
         given[key.name] = value
-    with rename_keys({key.name: _flag(key) for key in _options()}):
-        return make_description(given) if given else None
-
-
-def _as_number(text: str) -> float | int | str:
-    """Return the number in a text; any other text is refused with the key of the description."""
-    for number in (int, float):
-        with suppress(ValueError):
-            return number(text)
-    return text
+    return make_description(given) if given else None
 
 
 @command
@@ -140,7 +138,8 @@ def main() -> None:
     site = read_site(arguments.site)
     # A file for another place is described, too; a run rejects it, or warns.
     anywhere = replace(site, latitude=None, longitude=None, elevation=None)
-    measured = read_measured(files, anywhere, _read_options(arguments))
+    with rename_keys({key.name: _flag(key) for key in _options()}):
+        measured = read_measured(files, anywhere, _read_options(arguments))
     console = PlainConsole()
     console.print(grid("Weather", _describe(measured, site)))
     if output is not None:

@@ -384,7 +384,7 @@ def read_rain(table: Table, described: Description, names: re.Pattern[str], site
     """
     cells, series = [*table.rows], dict[str, Array]()
     for name in filter(names.fullmatch, table.header):
-        table.rows = iter(cells)
+        table.rows = cells
         of_name = replace(
             described, columns={TIME: (table.header[0],), PRECIPITATION: (name,)},
             units={PRECIPITATION: described.units[name]}, rows=END,

@@ -45,7 +45,6 @@ from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.live_input import LiveInput
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.evapotranspiration import find_monthly_mean
 
 # How long the start waits for the first forecast (s), which is more than most files take.
 _FIRST_READ_S = 1.0
@@ -158,7 +157,7 @@ class LiveWeatherNode(LiveNode):
             rain, evapotranspiration = outlook.rain_now, outlook.evapotranspiration_now
         else:
             at_site = now.astimezone(timezone(timedelta(hours=self._site.utc_offset or 0.0)))
-            evapotranspiration = find_monthly_mean(self._site, at_site.month)
+            evapotranspiration = self._site.monthly_mean(at_site.month)
         if rain is not None:
             self.publish(RAIN, rain)
         if evapotranspiration is not None:

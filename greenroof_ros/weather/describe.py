@@ -7,6 +7,7 @@ question mark stands where a person must decide. Reading uses none of this.
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -22,7 +23,7 @@ from greenroof_ros.base.parameter import parameters_of
 from greenroof_ros.base.ranges import read_number
 from greenroof_ros.base.text import escape
 from greenroof_ros.weather.description import SEPARATORS, TIME, Description
-from greenroof_ros.weather.quantities import QUANTITIES, Unit, find_unit
+from greenroof_ros.weather.quantities import PRECIPITATION, QUANTITIES, Unit, find_unit
 from greenroof_ros.weather.table import parse_text, split, split_unit
 
 _LINES = 2000
@@ -30,10 +31,11 @@ _LINES = 2000
 _FOOT = 4
 _HIGHEST = 1e4  # of any quantity in our unit
 _DATES = "%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y", "%d/%m/%y", "%m/%d/%y", "%Y/%m/%d"
-_CLOCKS = "%H:%M", "%H:%M:%S", "%I:%M %p", "%I:%M:%S %p", "%I:%M%p"
+_CLOCKS = "%H:%M", "%H:%M:%S", "%I:%M %p", "%I:%M:%S %p", "%I:%M%p", "%Hh%M", "%H.%M"
 _FORMS = (
     "", *map(" ".join, itertools.product((*_DATES, "%d-%m-%Y", "%d-%b-%Y"), _CLOCKS)), "%Y%m%d%H%M",
-    "%Y%m%d%H", "%Y%m%d %H%M", "%Y%m%d %H:%M", "%Y%m%d %H", "%Y %m %d %H", "%Y %m %d %H %M",
+    "%Y-%m-%d %Hh%M", "%Y-%m-%d %H.%M", "%Y%m%d%H", "%Y%m%d %H%M", "%Y%m%d %H:%M", "%Y%m%d %H",
+    "%Y %m %d %H", "%Y %m %d %H %M",
 )
 # Words in the names of columns, in lower case, and words of columns that are something else.
 _WORDS = {
@@ -54,7 +56,7 @@ _OTHER = (
     r"sea ?level|relative pressure|altimeter|change|tendenc|vapo|24 h|total|racha|rate|heat|wet"
 )
 _COMMA = re.compile(r"[-+]?\d*,\d+")
-_OFFSET = re.compile(r"(?:UTC|GMT) ?([+-]\d{1,2})(?::?00)?\b")
+_ZONE = re.compile(r"\b(?:UTC|GMT)(?: ?([+-]\d{1,2})(?::?(\d\d))?)?\b")
 _UNKNOWN = "?"
 
 
@@ -66,8 +68,7 @@ def describe(file: Path) -> str:
             found in it.
     """
     encoding, lines = _read(file)
-    separator, cells = _split_lines(lines)
-    header, first, time, forms, last = _find_rows(file, cells)
+    separator, cells, header, first, last, time, forms = _find_rows(file, lines)
     rows = [row for row in cells[first : last + 1] if any(row)]
     full = names = [" ".join(name.split()) for name in cells[header]]
     counts = Counter(names)
@@ -76,10 +77,11 @@ def describe(file: Path) -> str:
     names = [str(n) if counts[name] > 1 else name for n, name in enumerate(names)]
     comma = any(_COMMA.fullmatch(text) for row in rows for text in row)
     columns, units, missing = {TIME: [names[n] for n in time]}, dict[str, str](), list[str]()
-    between = cells[header + 1 : first]
+    between, two_rains = cells[header + 1 : first], False
     for name, title, *texts in itertools.zip_longest(names, full, *between, *rows, fillvalue=""):
         quantity = _quantity_of(title)
         if quantity is None or quantity in columns or name in columns[TIME]:
+            two_rains = two_rains or quantity == PRECIPITATION
             continue
         words = re.split(r"[,_ ]+", re.sub(r"\(.*", "", title))
         unit = _find_unit(quantity, [*texts[: len(between)], split_unit(title)[1], *words])
@@ -88,6 +90,8 @@ def describe(file: Path) -> str:
             text for text in texts[len(between) :]
             if text and not _is_value(quantity, unit, text.replace(",", ".") if comma else text)
         )
+    if two_rains or PRECIPITATION not in columns:
+        columns[PRECIPITATION] = [_UNKNOWN]
     head = " ".join(itertools.chain(names, *cells[:header]))
     used, skipped = {*itertools.chain(*columns.values())}, {*range(first)} - {header}
     stated = {
@@ -122,49 +126,70 @@ def _read(file: Path) -> tuple[str, list[str]]:
     return "", [*read_lines(file)]  # the error of UTF-8
 
 
-def _split_lines(lines: Sequence[str]) -> tuple[str, list[list[str]]]:
-    """Return the name of the separator, and the cells of all lines."""
-    last = [line for line in lines if line.strip()][-20:]
-    name = max(SEPARATORS, key=lambda name: min(line.count(SEPARATORS[name]) for line in last)
-               if name != "space" else 0)
-    return name, [split(line, SEPARATORS[name]) or [line] for line in lines]
-
-
 def _find_rows(
-    file: Path, cells: Sequence[Sequence[str]]
-) -> tuple[int, int, tuple[int, ...], list[str], int]:
-    """Return where the rows of a file are.
+    file: Path, lines: Sequence[str]
+) -> tuple[str, list[list[str]], int, int, int, tuple[int, ...], list[str]]:
+    """Return where the rows of a file are, by the separator that divides its last lines most often.
 
     Returns:
-        The line of the header, the first line of the rows, the positions of the columns with the
-        time, the forms of times that fit all rows, and the last line of the rows.
+        The separator, the cells of all lines, the lines of the header, of the first and of the last
+        row, the positions of the columns with the time, and the forms of times that fit all rows.
 
     Raises:
-        ConfigurationError: if no line begins with a time.
+        ConfigurationError: if no rows contain a time, or no header is before them.
     """
-    for first, row in enumerate(cells[1:], start=1):
-        heads = [n for n in range(first) if len(cells[n]) >= len(row) - 1]
-        rows = [first, *(n for n in range(first + 1, len(cells)) if any(cells[n]))]
-        for begin, count in itertools.product(range(min(8, len(row)) if heads else 0), (4, 2, 1)):
+    end = [line for line in lines if line.strip()][-20:]
+    for separator in sorted(SEPARATORS, key=lambda name: (
+        name == "space", -min(line.count(SEPARATORS[name]) for line in end)
+    )):
+        cells = [split(line, SEPARATORS[separator]) or [line] for line in lines]
+        filled = [n for n, row in enumerate(cells) if any(row)]
+        feet = range(min(_FOOT + 1, len(filled)))
+        for foot, begin, count in itertools.product(feet, range(8), (4, 2, 1)):
             time = tuple(range(begin, begin + count))
-            forms = [form for form in _FORMS if _is_time(row, time, form)]
-            for foot in range(_FOOT + 1):
-                kept = rows[: len(rows) - foot]
-                fits = [form for form in forms if all(_is_time(cells[n], time, form) for n in kept)]
-                if kept and fits:
-                    named = [n for n in heads if any(map(_quantity_of, cells[n]))]
-                    last = kept[-1] if foot else len(cells) - 1
-                    return (named or heads[:1])[-1], first, time, fits, last
+            rows, forms = _find_times(cells, filled[: len(filled) - foot], time)
+            # A date alone is the same in many rows; an hour can occur twice in autumn.
+            if 2 * len({(*cells[n][begin : begin + count],) for n in rows}) > len(rows) > foot:
+                last = rows[-1] if foot else len(cells) - 1
+                header = _find_header(file, cells, rows[0])
+                return separator, cells, header, rows[0], last, time, forms
     raise ConfigurationError(
-        "has no rows that begin with a time in a known form: write its description by hand, or a "
-        "file in the package's own form", file=file,
+        f"has no rows with a time in a known form in its first {_LINES} lines: write its "
+        "description by hand, or a file in the package's own form", file=file,
     )
+
+
+def _find_times(
+    cells: Sequence[Sequence[str]], lines: Sequence[int], time: Iterable[int]
+) -> tuple[list[int], list[str]]:
+    """Return the lines with a time, which must be the last lines, and the forms that fit them."""
+    fits = {
+        form: [n for n in lines if _is_time(cells[n], time, form)]
+        for form in _FORMS if _is_time(cells[lines[-1]], time, form)
+    }
+    rows = max(fits.values(), key=len, default=[])
+    if rows != lines[len(lines) - len(rows) :]:
+        return [], []
+    return rows, [form for form in fits if fits[form] == rows]
+
+
+def _find_header(file: Path, cells: Sequence[Sequence[str]], first: int) -> int:
+    """Return the line of the header, which is one of those before the first row."""
+    heads = [n for n in range(first) if len(cells[n]) >= max(2, len(cells[first]) - 1)]
+    named = [n for n in heads if any(map(_quantity_of, cells[n]))]
+    if not heads:
+        raise ConfigurationError(
+            "is a row, but must be a header with the names of the columns", file=file,
+            line=first + 1,
+        )
+    return (named or heads[:1])[-1]
 
 
 def _is_time(row: Sequence[str], places: Iterable[int], form: str) -> bool:
     with suppress(ValueError, IndexError):
         text = " ".join(row[place] for place in places)
-        return len(text) >= 8 + 2 * (not form) and bool(parse_text(text, form))
+        is_long = text[:1].isdecimal() and len(text) >= 8 + 2 * (not form)
+        return is_long and bool(parse_text(text, form))
     return False
 
 
@@ -176,11 +201,12 @@ def _quantity_of(name: str) -> str | None:
 
 
 def _find_unit(quantity: str, names: Iterable[str]) -> Unit:
-    """Return the first of the names that is a unit of the quantity, or a question mark."""
-    for name in names:
+    """Return the unit of the quantity among the names, or a question mark if there is not one."""
+    units = set[Unit]()
+    for name in filter(None, names):
         with suppress(ValueError):
-            return find_unit(quantity, name, 1.0, 1.0)
-    return Unit(_UNKNOWN)
+            units.add(find_unit(quantity, name, 1.0, 1.0))
+    return units.pop() if len(units) == 1 else Unit(_UNKNOWN)
 
 
 def _is_value(quantity: str, unit: Unit, text: str) -> bool:
@@ -195,6 +221,10 @@ def _find_zone(head: str, time: datetime) -> dict[str, float | str]:
     """Return the key of the zone, unless the times contain their offset."""
     if time.tzinfo is not None:
         return {}
-    if match := _OFFSET.search(head):
-        return {"utc_offset": float(match[1])}
-    return {"time_zone": "UTC" if re.search(r"\b(UTC|GMT)\b", head) else _UNKNOWN}
+    zones = {*_ZONE.findall(head)}
+    if len(zones) != 1:
+        return {"time_zone": _UNKNOWN}
+    hours, minutes = zones.pop()
+    if not hours:
+        return {"time_zone": "UTC"}
+    return {"utc_offset": float(hours) + math.copysign(int(minutes or 0) / 60, float(hours))}

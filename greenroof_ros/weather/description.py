@@ -94,6 +94,25 @@ class Description:
     rain_kind: str = entry("source of rain that no gauge measured", choices=("", *RAIN_KINDS),
                            default="")
 
+    @property
+    def stated(self) -> dict[str, Any]:
+        """The keys with another value than the default."""
+        default = vars(Description())
+        return {key: value for key, value in vars(self).items() if value != default[key]}
+
+    def check_unused(self, form: str, file: Path) -> None:
+        """Reject a description of a file whose form is known, so that the keys have no effect.
+
+        Raises:
+            ConfigurationError: if the description states more than the file and its encoding.
+        """
+        for key in self.stated.keys() - {"name", "file", "encoding"}:
+            raise ConfigurationError(
+                f"has no effect, because the form of {file} is known: {form}", key=key,
+                file=self.name if self.file else None,
+            )
+
+
 def make_description(values: Mapping[str, Any], path: Path | None = None) -> Description:
     """Return the description with the given keys.
 
@@ -153,9 +172,8 @@ def _find_mistakes(made: Description) -> Iterator[tuple[str, str]]:
             yield f"columns.{name}", "must be one column"
     if made.columns and TIME not in made.columns:
         yield f"columns.{TIME}", "must name the column of the times"
-    for key in ("skiprows", "skipfooter"):
-        if getattr(made, key) and not made.columns:
-            yield key, "has an effect only in a description with columns"
+    if made.header and made.file:
+        yield "header", "has no effect: only the descriptions in config/formats recognise a file"
     if made.time_zone and made.utc_offset is not None:
         yield "utc_offset", "must not be stated together with time_zone"
     zone = "UTC" if made.time_zone in ("", STANDARD) else made.time_zone
@@ -216,8 +234,7 @@ def read_comments(
     }
     lines = [f"{stated[n]}," if n in stated else "" for n in range(1, max(stated, default=0) + 1)]
     made = make_description(parse_yaml("{" + "\n".join(lines) + "}", path), path)
-    default = vars(Description())
-    own = {key: value for key, value in vars(given).items() if value != default[key]}
+    own = given.stated
     if own.keys() & {"time_zone", "utc_offset"}:
         made = replace(made, time_zone="", utc_offset=None)
     return replace(made, **own)

@@ -18,13 +18,11 @@ from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.ranges import Range
-from greenroof_ros.site.site import Place, Site
+from greenroof_ros.site.site import Place
 from greenroof_ros.weather.quantities import (
     DEW_POINT,
-    EVAPOTRANSPIRATION,
     FOR_EVAPOTRANSPIRATION,
     PRESSURE,
-    QUANTITIES,
     RADIATION,
     TEMPERATURE,
     WIND,
@@ -167,8 +165,8 @@ def _prepare(site: Place, records: Records, method: str, needed: Collection[str]
     lacking = [name for name in needed if name not in records.values]
     if lacking:
         raise ConfigurationError(
-            f"has no column '{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION].unit}]', and "
-            f"lacks {', '.join(lacking)}, which {method} requires", file=records.source,
+            f"has no column 'evapotranspiration [mm/day]', and lacks {', '.join(lacking)}, which "
+            f"{method} requires", file=records.source,
         )
     check_place(site, method)
     if site.elevation is not None or PRESSURE not in records.values:
@@ -189,14 +187,6 @@ def repeat_monthly(records: Records, site: Place) -> Values | None:
     first = np.datetime64(records.first.replace(tzinfo=None), "h")
     months = (first + np.arange(records.hours)).astype("datetime64[M]").astype(np.int64) % 12
     return site.crop_coefficient * np.array(site.monthly_evapotranspiration)[months]
-
-
-def find_monthly_mean(site: Site, month: int) -> float | None:
-    """Return the mean evapotranspiration of a bed in a month, 1 to 12 (m3/s); None if unknown."""
-    if site.monthly_evapotranspiration is None:
-        return None
-    reference = site.monthly_evapotranspiration[month - 1]
-    return site.crop_coefficient * reference / 1000 / 86400 * site.a2
 
 
 def _find_local_seconds(first: datetime, hours: int, site: Place) -> NDArray[np.int64]:

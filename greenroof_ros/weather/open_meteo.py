@@ -31,7 +31,7 @@ from greenroof_ros.weather.quantities import (
     TEMPERATURE,
     WIND,
 )
-from greenroof_ros.weather.records import HOUR, WEATHER
+from greenroof_ros.weather.records import HOUR
 from greenroof_ros.weather.table import Row, Rows, Table, arrange
 
 VARIABLES = {
@@ -89,7 +89,7 @@ def read_weather_rows(file: Path, site: Place, answer: bytes | None = None) -> l
         described, units={quantity: described.units[name] for quantity, name in used.items()},
         columns={TIME: (TIME,), **{quantity: (name,) for quantity, name in used.items()}},
     )
-    rows = arrange(table, described, site, WEATHER)
+    rows = arrange(table, described, site, used)
     at_ends, at_starts = (
         {name: series for name, series in rows.values.items() if (name in _BEFORE) == before}
         for before in (True, False)
@@ -141,7 +141,7 @@ def read_answer(file: Path, site: Place, answer: bytes | None = None) -> tuple[T
                     f"must be within {far:g} {limits.unit} of the site's {name}, {own:g}",
                     file=file, key=name, value=stated[name],
                 )
-    rows = map(Row, itertools.count(), zip(*columns.values(), strict=True))
+    rows = [*map(Row, itertools.count(), zip(*columns.values(), strict=True))]
     return Table(file, [*columns], None, rows), Description(
         name="Open-Meteo", wind_height=10.0, rain_kind=REANALYSIS, step=3600.0,
         units={name: _find_unit(name, units.get(name)) for name in columns},

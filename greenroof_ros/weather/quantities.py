@@ -51,7 +51,7 @@ class Quantity(NamedTuple):
 
 # More than 2,000 mm/h has never been measured: the record is 31.2 mm in a minute (Unionville, USA,
 # 1956; WMO).
-_WEATHER = {
+WEATHER = {
     PRECIPITATION: Quantity("mm/h", 0.0, 2000.0, ("depth",)),
     EVAPOTRANSPIRATION: Quantity("mm/day", -2.5, 50.0, ("depth",)),
     TEMPERATURE: Quantity("degC", -90.0, 60.0, ("temperature",)),
@@ -70,8 +70,8 @@ ROOF = {
     "cistern level": Quantity("m", -0.1, 100.0, ("length",)),
     "pump state": Quantity("1", -0.02, 1.02, ("share",)),
 }
-"""the quantities of a roof; all others are quantities of weather"""
-QUANTITIES = {**_WEATHER, **ROOF}
+"""the quantities of a roof"""
+QUANTITIES = {**WEATHER, **ROOF}
 
 # Number of each unit in one of this project's; of an amount, the number in an hour.
 _UNITS = {

@@ -16,13 +16,7 @@ from greenroof_ros.site.site import Place
 from greenroof_ros.weather import evapotranspiration, open_meteo, quantities
 from greenroof_ros.weather.description import Description, read_description
 from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
-from greenroof_ros.weather.records import (
-    WEATHER,
-    Records,
-    bridge_gaps,
-    make_hours,
-    write_records,
-)
+from greenroof_ros.weather.records import Records, bridge_gaps, make_hours, write_records
 from greenroof_ros.weather.series import FILL, REFUSE, Weather
 from greenroof_ros.weather.table import Rows, read_rows
 
@@ -37,6 +31,7 @@ MAX_GAP_H = {
     "station pressure": 24,
 }
 
+_SUFFIXES = ".csv", ".txt", ".json"
 # Offsets from a missing hour to the hours at the same time of day whose mean replaces it.
 _SAME_TIME_OF_DAY = 24 * np.array([-3, -2, -1, 1, 2, 3])
 
@@ -54,9 +49,11 @@ def read_file(file: Path, site: Place, described: Description | None = None) -> 
     Raises:
         ConfigurationError: if the file does not conform to its description.
     """
-    if file.suffix == ".json" and described is None:
-        return open_meteo.read_weather_rows(file, site)
-    return [read_rows(file, site, WEATHER, described)]
+    if file.suffix != ".json":
+        return [read_rows(file, site, quantities.WEATHER, described)]
+    if described is not None:
+        described.check_unused("JSON of Open-Meteo", file)
+    return open_meteo.read_weather_rows(file, site)
 
 
 def read_measured(
@@ -158,7 +155,8 @@ def drop_empty(records: Records) -> Records:
     empty = [name for name, series in records.values.items() if np.isnan(series).all()]
     if PRECIPITATION in empty:
         raise ConfigurationError(
-            "has no precipitation: every value is missing", file=records.source
+            "has no precipitation: every value is missing, or no hour has 45 minutes of values",
+            file=records.source,
         )
     notes = [f"{records.source} contains no values of {name}" for name in empty]
     return replace(
@@ -228,8 +226,9 @@ def _drop_partial_hours(records: Records) -> Records:
     """
     moved = np.array([name in records.shifted for name in records.values])
     known = ~np.isnan([series[[0, -1]] for series in records.values.values()])
-    rain = list(records.values).index(PRECIPITATION)
-    partial = records.parts_of_hours[[0, -1]] & ~known[rain]
+    rain, partial = list(records.values).index(PRECIPITATION), np.zeros(2, dtype=bool)
+    if records.minutes is not None:
+        partial = ~np.isnan(records.minutes[[0, -1]]).all(axis=1) & ~known[rain]
     if moved.any() and not moved.all():
         partial |= ~known[~moved, 0].any(), ~known[moved, 1].any()
     begin, end = int(partial[0]), records.hours - int(partial[1])
@@ -257,18 +256,22 @@ def find_files(names: Iterable[str], key: str) -> list[Path]:
         key: option or parameter that contains the names, for messages.
 
     Raises:
-        ConfigurationError: if a pattern matches no file, or if no names are given.
+        ConfigurationError: if a pattern or directory matches no file, or no names are given.
     """
     files = dict[Path, None]()
     for name in names:
         path = Path(name)
         if path.is_dir():
-            ends = ".csv", ".txt", ".json"
-            matches = sorted(file for file in path.iterdir() if file.suffix in ends)
+            matches = sorted(file for file in path.iterdir() if file.suffix in _SUFFIXES)
         elif path.exists() or not glob.has_magic(name):
             matches = [path]
-        elif not (matches := sorted(map(Path, glob.glob(name)))):  # noqa: PTH207
-            raise ConfigurationError("matches no file", key=key, value=name)
+        else:
+            matches = sorted(map(Path, glob.glob(name)))  # noqa: PTH207
+        if not matches:
+            raise ConfigurationError(
+                f"matches no file (of a directory, {', '.join(_SUFFIXES)} are read)", key=key,
+                value=name,
+            )
         files |= dict.fromkeys(matches)
     if not files:
         raise ConfigurationError("must name at least one file", key=key)

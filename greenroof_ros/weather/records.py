@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -22,7 +22,6 @@ from greenroof_ros.weather.quantities import (
     HUMIDITY,
     PRECIPITATION,
     QUANTITIES,
-    ROOF,
     TEMPERATURE,
     WIND,
 )
@@ -32,11 +31,9 @@ Array = NDArray[np.float64]
 HOUR = timedelta(hours=1)
 # Minimum share of an hour for which rain must be known; other quantities need only one value.
 _ENOUGH = 0.75
-_MINUTE, _HOUR_S = timedelta(minutes=1), 3600.0
+_HOUR_S = 3600.0
 # Rounding errors of times (s).
 _ROUNDING_S = 1e-6
-WEATHER = [name for name in QUANTITIES if name not in ROOF]
-"""the quantities of weather"""
 
 
 @dataclass(frozen=True)
@@ -86,14 +83,6 @@ class Records:
     def hours(self) -> int:
         """Number of hours."""
         return len(next(iter(self.values.values())))
-
-    @property
-    def parts_of_hours(self) -> NDArray[np.bool_]:
-        """Mask of the hours of which only some minutes are known, shape (hours,)."""
-        if self.minutes is None:
-            return np.zeros(self.hours, dtype=bool)
-        known = ~np.isnan(self.minutes)
-        return np.asarray(known.any(axis=1) & ~known.all(axis=1))
 
     @property
     def finest_rain(self) -> Array:
@@ -241,7 +230,6 @@ def make_hours(parts: Sequence[Rows]) -> Records:
         max(rows.method for rows in parts),
         shifted=tuple(name for name in values if name in ends),
         rain_late=max(each.rain_late for each in about),
-        left_out=tuple(_note_shifts(parts, first)),
         places={
             rows.table.file: (each.latitude, each.longitude)
             for rows, each in zip(parts, about, strict=True)
@@ -280,17 +268,6 @@ def _count_hours(parts: Sequence[Rows], first: datetime) -> int:
         end = float(rows.begins[-1] - first.timestamp() + rows.step_s) / _HOUR_S
         counts.append(math.ceil(end) if rows.step_s < _HOUR_S else math.floor(end + 1 - _ENOUGH))
     return max(counts)
-
-
-def _note_shifts(parts: Sequence[Rows], first: datetime) -> Iterator[str]:
-    """Yield a sentence about each file whose hours begin at another minute than the first's."""
-    for rows in parts:
-        late = (rows.first - first) % HOUR // _MINUTE
-        if late and rows.step_s == _HOUR_S:
-            yield (
-                f"{rows.table.file}: hours begin {late} min after those of {parts[0].table.file}; "
-                "each value is the mean of the two hours that it overlaps"
-            )
 
 
 def _join(parts: Sequence[Rows], name: str, first: datetime) -> tuple[Array, Array, Array]:

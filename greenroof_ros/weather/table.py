@@ -39,7 +39,6 @@ _HOUR_S = 3600.0
 # Rows from which the step is taken, the share of a step by which a time may be off, and the share
 # by which a step of whole minutes may be off because of the logger's clock.
 _FIRST_ROWS, _OFF, _CLOCK = 10, 0.25, 0.02
-_LEVELS = "level", "cistern level"
 _OWN = Description()
 
 
@@ -59,14 +58,17 @@ class Table:
         file: file that contains the table.
         header: names of the columns.
         line: line number of the header; None for a data frame, whose rows have no lines.
-        rows: the rows.
+        rows: the rows; a list if they have no lines.
+        described: description with the encoding and the separator of the file.
     """
 
     def __init__(
-        self, file: Path, header: Sequence[str], line: int | None, rows: Iterator[Row]
+        self, file: Path, header: Sequence[str], line: int | None, rows: Iterable[Row],
+        described: Description = _OWN,
     ) -> None:
         """Prepare the table."""
         self.file, self.header, self.line, self.rows = file, header, line, rows
+        self.described = described
         counts = Counter(header)
         self._places = {str(place): place for place in range(len(header))} | {
             name: place for place, name in enumerate(header) if counts[name] == 1
@@ -88,6 +90,14 @@ class Table:
     def cell(self, row: Row, column: str) -> str:
         """Return the text of a cell."""
         return str(row.cells[self.place(column)])
+
+    def find_row(self, number: int) -> Row:
+        """Return a row again, by its line or number, for a message."""
+        if self.line is None:
+            return [*self.rows][number]
+        lines = read_lines(self.file, self.described.encoding)
+        text = next(itertools.islice(lines, number - 1, None))
+        return Row(number, split(text, SEPARATORS[self.described.sep]) or [])
 
     def refuse(
         self, expected: str, column: str | None = None, row: Row | None = None, value: object = None
@@ -140,9 +150,11 @@ class Table:
 def split(text: str, separator: str) -> list[str] | None:
     """Return the cells of a line; None if a quote is not closed in it, or is followed by text."""
     if '"' not in text:  # the module csv takes longer
-        return [cell.strip() for cell in text.split(separator)]
+        return [cell.strip() for cell in text.split(None if separator == " " else separator)]
     with suppress(csv.Error):
-        cells = next(csv.reader([text.strip()], delimiter=separator, strict=True))
+        (cells,) = csv.reader(
+            [text.strip()], delimiter=separator, strict=True, skipinitialspace=True
+        )
         return [cell.strip() for cell in cells]
     return None
 
@@ -196,7 +208,7 @@ def read_table(
     count = len(header)
     values = {columns[0] for name, columns in described.columns.items() if name in QUANTITIES}
     first = next((place for place, name in enumerate(header) if name in values), 0)
-    return Table(file, header, head.line, map(fit, itertools.chain([second], rows)))
+    return Table(file, header, head.line, map(fit, itertools.chain([second], rows)), described)
 
 
 def is_comment(text: str) -> bool:
@@ -244,8 +256,8 @@ def read_rows(
 
     Without a description, the file is in this project's own form or in that of a service; see
     :mod:`.description`. A row covers the interval that begins (or, with ``rows: end``, ends) at its
-    time, which may be off by a quarter of the interval. Levels are the values at the row's time. An
-    amount is the total in a row's interval; litres and m3 refer to the whole roof of area ``a2``.
+    time, which may be off by a quarter of the interval. An amount is the total in a row's interval;
+    litres and m3 refer to the whole roof of area ``a2``.
 
     Args:
         file: file to read.
@@ -293,7 +305,8 @@ def arrange(table: Table, described: Description, site: Place, wanted: Collectio
 
     def refuse(place: int, expected: str) -> ConfigurationError:
         """Return an error about the time of a row, as the file has it."""
-        return table.refuse(expected, clock[0], Row(lines[place], ()), f"{times[place]:{form}}")
+        row = table.find_row(lines[place])
+        return table.refuse(expected, clock[0], row, " ".join(str(row.cells[n]) for n in places))
 
     zone = _find_zone(site, described)
     seconds = _find_seconds(times, zone, refuse)
@@ -307,8 +320,6 @@ def arrange(table: Table, described: Description, site: Place, wanted: Collectio
         values[name] = _convert(table, name, column, unit, np.array(series), lines)
     if described.rows == END:
         begin -= step_s
-        for level in values.keys() & {*_LEVELS}:
-            values[level] = _move_to_next(values[level], steps)
     used = {*places, *map(table.place, itertools.chain(
         (column for column, _ in columns.values()), described.flags.values(),
         *described.columns.values(),
@@ -325,19 +336,25 @@ def arrange(table: Table, described: Description, site: Place, wanted: Collectio
 
 def _open(file: Path, given: Description) -> tuple[Table, Description]:
     """Return the table of a file, and its description with the statements in its comments."""
-    lines = enumerate(read_lines(file, given.encoding), start=1)
-    if given.columns:
-        skipped = {*given.skiprows}
-        kept = (line for line in lines if line[0] - 1 not in skipped)
-        rows, ahead = itertools.tee(kept)  # one is ahead of the other by the foot of the file
+    skipped, numbered = {*given.skiprows}, enumerate(read_lines(file, given.encoding), start=1)
+    lines = (line for line in numbered if line[0] - 1 not in skipped)
+    if given.skipfooter:
+        rows, ahead = itertools.tee(lines)  # one is ahead of the other by the foot of the file
         ahead = itertools.islice(ahead, given.skipfooter, None)
-        return read_table(file, (row for row, _ in zip(rows, ahead, strict=False)), given), given
+        lines = (row for row, _ in zip(rows, ahead, strict=False))
+    if given.columns:
+        return read_table(file, lines, given), given
     head = list[tuple[int, str]]()
     for number, text in lines:
         service = description.find_service(text)
         if service is not None:  # its header can be a comment
+            description.read_comments(file, head, given).check_unused(service.name, file)
             header = number, text.replace("#", " ", 1)
             return read_table(file, itertools.chain([header], lines), service), service
+        if text.lstrip()[:1] in ("{", "["):
+            raise ConfigurationError(
+                "contains JSON: the name of an answer of Open-Meteo must end in .json", file=file
+            )
         head.append((number, text))
         if not is_comment(text):
             break
@@ -451,7 +468,7 @@ def _convert(
         raise table.refuse(
             f"{Range(low, high, unit.name).expected()}; is the unit of the column right? "
             "A code for a missing value must be named in na_values", column,
-            Row(lines[wrong[0]], ()), float(numbers[wrong[0]]),
+            table.find_row(lines[wrong[0]]),
         )
     return np.asarray(values)
 
@@ -467,17 +484,19 @@ def _find_seconds(times: Sequence[datetime], zone: tzinfo | None, refuse: _Refus
 
     Raises:
         ConfigurationError: if a time is not later than the previous one, has no offset although
-            nothing states the zone, or is in an hour that is skipped when daylight saving time
-            begins.
+            nothing states the zone or other times have one, or is in an hour that is skipped when
+            daylight saving time begins.
     """
-    seconds, before = array("d"), -math.inf
+    seconds, before, is_local = array("d"), -math.inf, times[0].tzinfo is None
+    if is_local and zone is None:
+        raise refuse(
+            0, f"must include a UTC offset, as in {DEFAULT_START}, unless the site file, a "
+            "description or a comment states time_zone or utc_offset"
+        )
     for place, given in enumerate(times):
-        time = given if given.tzinfo else given.replace(tzinfo=zone)
-        if time.tzinfo is None:
-            raise refuse(
-                place, f"must include a UTC offset, as in {DEFAULT_START}, unless the site file, a "
-                "description or a comment states time_zone or utc_offset"
-            )
+        if (given.tzinfo is None) != is_local:
+            raise refuse(place, "must have a UTC offset either in all rows of the file or in none")
+        time = given.replace(tzinfo=zone) if is_local else given
         if is_skipped(time):
             raise refuse(
                 place, f"is in an hour that the clocks in {zone} skip; if this clock is not "
@@ -486,10 +505,9 @@ def _find_seconds(times: Sequence[datetime], zone: tzinfo | None, refuse: _Refus
         if time.timestamp() <= before:
             time = time.replace(fold=1)
         if time.timestamp() <= before:
-            raise refuse(
-                place, "must be later than the time of the previous row; if this clock is changed "
-                "in summer, state time_zone, such as Europe/Berlin"
-            )
+            advice = "; if this clock is changed in summer, state time_zone, such as Europe/Berlin"
+            expected = "must be later than the time of the previous row"
+            raise refuse(place, expected + advice * is_local)
         before = time.timestamp()
         seconds.append(before)
     return np.array(seconds)
@@ -522,7 +540,7 @@ def parse_text(text: str, form: str) -> datetime:
     if form.endswith("%p") and text[-1:] in "ap":
         text += "m"
     date, mark, rest = text.partition(" 24")
-    if mark and not rest.lstrip(":0"):
+    if mark and not rest.lstrip(":.h0"):
         return datetime.strptime(f"{date} 00{rest}", form) + timedelta(days=1)  # noqa: DTZ007
     return datetime.strptime(text, form)  # noqa: DTZ007
 
@@ -532,9 +550,10 @@ def _number_steps(
 ) -> tuple[float, float, NDArray[np.int64]]:
     """Return the start of step 0 (s since 1970 on the file's clock), the step (s), and every row's.
 
-    Without a statement, the step is that of the first ten rows; a single row covers an hour. Steps
-    that divide an hour or a day begin at multiples of the interval since midnight. Other steps
-    begin at the first row, and so do all steps if the first row is too far from a multiple.
+    Without a statement, the step is that of the first ten rows, in whole minutes if the rows
+    disagree by some seconds; a single row covers an hour. Steps that divide an hour or a day begin
+    at multiples of the interval since midnight. Other steps begin at the first row, and so do all
+    steps if the first row is too far from a multiple.
 
     Raises:
         ConfigurationError: if a row is too far from the beginning of a step, in the same step as
@@ -542,16 +561,19 @@ def _number_steps(
     """
     step_s = stated or _HOUR_S
     if stated is None and len(local) > 1:
-        middle = float(np.median(np.diff(local[:_FIRST_ROWS])))
+        apart = np.diff(local[:_FIRST_ROWS])
+        middle = float(np.median(apart))
         step_s = 60.0 * round(middle / 60)
-        if abs(step_s - middle) > _CLOCK * middle:
+        agreed = len(apart) > 1 and np.ptp(apart) == 0
+        if agreed or abs(step_s - middle) > _CLOCK * middle:
             step_s = float(max(1, round(middle)))
     begin = step_s * math.floor(local[0] / step_s + 0.5)
     if abs(local[0] - begin) > _OFF * step_s or (_HOUR_S % step_s and 24 * _HOUR_S % step_s):
-        whole = 60.0 if step_s >= 60 else 1.0
+        whole = 1.0 if step_s % 60 else 60.0
         begin = whole * round(local[0] / whole)
     steps = np.floor((local - begin) / step_s + 0.5).astype(np.int64)
-    wrong = np.abs(local - begin - steps * step_s) > _OFF * step_s
+    off = np.abs(local - begin - steps * step_s)
+    wrong = off > _OFF * step_s
     wrong[1:] |= np.diff(steps) == 0
     if stated is None:
         wrong[1:_FIRST_ROWS] |= np.diff(steps[:_FIRST_ROWS]) != 1
@@ -559,16 +581,9 @@ def _number_steps(
         row = int(np.argmax(wrong))
         raise refuse(
             row, f"this row is {duration(float(local[row] - local[max(0, row - 1)]))} after the "
-            f"previous row, but rows must be {duration(step_s)} or a multiple apart: where the "
-            "interval changes, split the file; if rows are missing among the first ten, state the "
-            f"interval in seconds, as in step: {step_s:g}",
+            f"previous row, but rows must be {duration(step_s)} or a multiple apart, and at most "
+            f"{duration(_OFF * step_s)} off the boundary of a step (this row: "
+            f"{duration(float(off[row]))}): where the interval changes, split the file; if rows "
+            f"are missing among the first ten, state the interval in seconds: step: {step_s:g}",
         )
     return begin, step_s, steps
-
-
-def _move_to_next(values: Values, steps: NDArray[np.int64]) -> Values:
-    """Return values at the starts of steps from values at the ends; NaN without a previous row."""
-    moved = np.full(len(values), math.nan)
-    follows = np.flatnonzero(np.diff(steps) == 1)
-    moved[follows + 1] = values[follows]
-    return moved

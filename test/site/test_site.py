@@ -17,7 +17,6 @@ from greenroof_ros.base.files import shared_directory
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration
 from greenroof_ros.site.file import format_site, read_site
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.evapotranspiration import find_monthly_mean
 
 FIELD_CAPACITY = {
     "field_capacity": 0.6, "wilting_point": 0.05, "depletion_fraction": 0.5,
@@ -72,9 +71,9 @@ def test_site_climate(tmp_path: Path) -> None:
     path = write(tmp_path, monthly_evapotranspiration=MONTHS, crop_coefficient=0.5)
     site = read_site(path)
     assert site.monthly_evapotranspiration == tuple(MONTHS)
-    assert find_monthly_mean(site, 3) == pytest.approx(0.5 * 0.172 / 86400)
-    assert find_monthly_mean(site, 12) == pytest.approx(0.5 * 1.376 / 86400)
-    assert find_monthly_mean(PAPER_SITE, 3) is None
+    assert site.monthly_mean(3) == pytest.approx(0.5 * 0.172 / 86400)
+    assert site.monthly_mean(12) == pytest.approx(0.5 * 1.376 / 86400)
+    assert PAPER_SITE.monthly_mean(3) is None
 
 
 @pytest.mark.parametrize("key", [key for key in TABLE_I if key not in ("x2_star", "z_cap")])

@@ -385,7 +385,7 @@ def test_the_time_of_a_live_site_goes_on_without_values_and_may_be_set_back() ->
     assert document["tiles"]["roof"]["number"] == QUIET["/roof/level"]
     assert document["tiles"]["pump"]["value"] == "off"
     assert document["events"][0]["what"] == (
-        "The system's clock was set back by 60 min, so the charts start again"
+        "The system's clock was set back by 60.2 min, so the charts start again"
     )
 
 

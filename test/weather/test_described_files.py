@@ -16,8 +16,8 @@ from greenroof_ros.base.times import parse_time
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.describe import describe
 from greenroof_ros.weather.description import make_description, service_descriptions
+from greenroof_ros.weather.quantities import WEATHER
 from greenroof_ros.weather.read import read_measured, write_plain
-from greenroof_ros.weather.records import WEATHER
 from greenroof_ros.weather.table import read_rows
 
 SITE = read_site(CONFIG / "site.yaml")
@@ -83,6 +83,58 @@ def test_a_description_takes_two_edits(
         assert again.values[name].tobytes() == series.tobytes()
 
 
+@pytest.mark.parametrize(
+    ("header", "rows", "expected"),
+    [
+        ("Date;Heure;Pluie (mm)", "15/06/2024;23h00;1\n15/06/2024;24h00;2", {
+            "columns": {"time": ["Date", "Heure"], "precipitation": "Pluie (mm)"},
+            "time_format": "%d/%m/%Y %Hh%M", "units": {"precipitation": "mm"}, "sep": ";",
+        }),
+        ("Zeit,Regen in mm", "15.06.2024 12.00,1\n15.06.2024 13.00,2", {
+            "columns": {"time": "Zeit", "precipitation": "Regen in mm"},
+            "time_format": "%d.%m.%Y %H.%M", "units": {"precipitation": "?"},  # in or mm
+        }),
+        ("date time rain_mm", "2024-06-15 12:00   1\n2024-06-15 13:00  12", {
+            "columns": {"time": ["date", "time"], "precipitation": "rain_mm"},
+            "units": {"precipitation": "mm"}, "sep": "space",
+        }),
+        ("Zeit,N [mm]", "2024-06-15 12:00,1\n2024-06-15 13:00,2",
+         {"columns": {"time": "Zeit", "precipitation": "?"}}),
+        ("Zeit UTC+05:30,rain A (mm),rain B (mm)", "2024-06-15 12:00,1,1\n2024-06-15 13:00,2,1", {
+            "columns": {"time": "Zeit UTC+05:30", "precipitation": "?"}, "utc_offset": 5.5,
+            "units": {"precipitation": "mm"},
+        }),
+    ],
+)
+def test_a_description_leaves_open_what_a_file_does_not_say(
+    tmp_path: Path, header: str, rows: str, expected: dict[str, object]
+) -> None:
+    file = tmp_path / "gauge.csv"
+    file.write_text(f"{header}\n{rows}\n")
+    stated = dict(parse_yaml(describe(file), file))
+    zone = {} if "utc_offset" in expected else {"time_zone": "?"}
+    assert stated == {"file": "gauge.csv", "rows": "?", **zone, **expected}
+    (tmp_path / "gauge.yaml").write_text(
+        "".join(f"{key}: {value!r}\n" for key, value in {
+            **expected, "file": "gauge.csv", "units": {"precipitation": "mm"}, "utc_offset": 0,
+        }.items()).replace("'?'", f"{header.split(',')[-1]!r}")
+    )
+    assert np.nansum(read_measured([tmp_path / "gauge.yaml"], SITE).values["precipitation"]) > 0
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("2024-06-15 12:00,1\n2024-06-15 13:00,2\n", "line 1: is a row, but must be a header"),
+        ("#\n" * 2500 + "Zeit,Regen\n2024-06-15 12:00,1\n", "in its first 2000 lines: write"),
+        ("Dag,Uur,Regen\n2024-06-15,12u00,1\n2024-06-15,13u00,2\n", "no rows with a time in a"),
+    ],
+)
+def test_what_cannot_be_described(tmp_path: Path, text: str, reason: str) -> None:
+    (tmp_path / "gauge.csv").write_text(text)
+    assert reason in refusal(describe, tmp_path / "gauge.csv")
+
+
 MAKERS = read_yaml(DATA / "makers" / "makers.yaml")
 
 
@@ -129,15 +181,22 @@ def _values(value: object) -> list[object]:
         ("file: a.csv\ncolumns: {time: t, rain: r}", "line 1: 'r': the unit of precipitation must"),
         ("file: a.csv\ncolumns: {time: t, rain: cx}", "line 1: 'cx': must be the name of one"),
         ("file: a.csv\ntime_zone: UTC\nutc_offset: 3", "line 3: utc_offset = 3.0: must not be sta"),
-        ("file: a.csv\nskiprows: 1", "line 2: skiprows = (0,): has an effect only in a"),
+        ("file: a.csv\nskiprows: 1", "a.csv, line 2: '2024-06-01T00:00': must be 'time', or the"),
         ("file: a.csv\nskiprows: -1", "line 2: skiprows = -1: must be a list"),
         ("file: a.csv\ncolumns: {time: t, rain: r}\nunits: {temperature: K}", "has no effect"),
+        ("file: a.csv\nheader: t", "line 2: header = ('t',): has no effect: only the descriptions"),
+        ("file: dwd.txt\nrows: end", "a.yaml: rows: has no effect, because the form of "),
+        ("file: dwd_2.txt", "a.yaml: step: has no effect, because the form of "),
+        ("file: a.json\nencoding: cp1252\nstep: 60", "a.yaml: step: has no effect, because "),
         ("file: a.csv\ncolumns: {time: t, rain: r}\nflags: {wind speed: q}", "has no effect"),
         ("file: a.csv\ncolumns: {time: t, rain: r, precipitation: r}", "must name a quantity only"),
     ],
 )
 def test_wrong_descriptions(tmp_path: Path, text: str, reason: str) -> None:
     (tmp_path / "a.csv").write_text("t,r\n2024-06-01T00:00,0\n2024-06-01T01:00,0\n")
+    (tmp_path / "dwd.txt").write_text(DWD_RAIN)
+    (tmp_path / "dwd_2.txt").write_text(f"# step: 60\n{DWD_RAIN}")
+    (tmp_path / "a.json").write_text("{}")
     (tmp_path / "a.yaml").write_text(text)
     assert reason in refusal(read_measured, [tmp_path / "a.yaml"], SITE)
 

@@ -70,6 +70,22 @@ def test_what_the_file_of_a_service_is(tmp_path: Path) -> None:
     assert said[-1][:2] == ("evapotranspiration", "fao56")
 
 
+def test_options_with_lists_and_dashes(tmp_path: Path) -> None:
+    """The time in two columns as in a description, and values that look like options."""
+    (tmp_path / "gauge.csv").write_text(
+        "Datum,Uhrzeit,R+S\n2024-06-01,00:00,1\n2024-06-01,01:00,-99\n2024-06-01,02:00,---\n"
+    )
+    options = (
+        "gauge.csv", "--columns", "time=[Datum, Uhrzeit]", "rain=R+S", "--units", "rain=mm",
+        "--utc-offset", "-5", "--na-values",
+    )
+    said = about(tmp_path, *options, "-99", "--na-values=---")
+    assert ("precipitation", "mm/h", "1 to 1, mean 1; 2 hours missing") in said
+    assert "begins with a dash is written as --na-values=" in weather(
+        tmp_path, *options, "---"
+    ).stderr
+
+
 def test_a_description_is_printed_and_its_keys_are_options(tmp_path: Path) -> None:
     """The same rain by the description and by options."""
     (tmp_path / "gauge.csv").write_text("Zeit;Regen\n" + "".join(

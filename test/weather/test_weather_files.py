@@ -124,7 +124,7 @@ def test_what_is_out_of_range_is_refused(
     if "pressure" in quantity:
         cells[:2] = ["0,100"] * 2
     message = refusal(read, tmp_path, f"time,{both}\n{rows(cells)}")
-    assert f"gauge.csv, line 4: {quantity} = {value:.1f}: must be a number from {limit}" in message
+    assert f"gauge.csv, line 4: {quantity} = '{value}': must be a number from {limit}" in message
 
 
 def test_missing_values_are_declared(tmp_path: Path) -> None:
@@ -187,13 +187,20 @@ def test_a_time_that_the_clocks_skip(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("step_s", [90, 1000])
+def test_a_step_that_is_no_whole_minute(tmp_path: Path, step_s: int) -> None:
+    """Five hours of rows with 1 mm that agree exactly."""
+    text = "time,rain [mm]\n" + rows((18000 // step_s) * [1], step_s)
+    assert rain_of(tmp_path, text) == pytest.approx(5 * [3600 / step_s])
+
+
 def test_missing_rows(tmp_path: Path) -> None:
     """A multiple of the step is missing rows; the first rows must agree, or the step be stated."""
     lines = rows(12 * [1]).splitlines(True)
     text = "time,rain [mm]\n" + "".join(lines[:10] + lines[11:])
     assert np.isnan(rain_of(tmp_path, text)).tolist() == 10 * [False] + [True, False]
     text = "time,rain [mm]\n" + "".join(lines[:1] + lines[3:])
-    assert "line 3: time = '2024-06-01 03:00:00-05:00': this row is 3 h after the previous row" in (
+    assert "line 3: time = '2024-06-01T03:00:00-05:00': this row is 3 h after the previous row" in (
         refusal(read, tmp_path, text)
     )
     assert np.isnan(rain_of(tmp_path, "# step: 3600\n" + text)).sum() == 2
@@ -205,8 +212,10 @@ def test_missing_rows(tmp_path: Path) -> None:
     [
         (13, timedelta(minutes=-5), "must be later than the time of the previous row"),
         (14, timedelta(minutes=2), "this row is 7 min after the previous row, but rows must be "
-         "5 min or a multiple apart: where the interval changes, split the file"),
+         "5 min or a multiple apart, and at most 75 s off the boundary of a step .this row: 2 min.:"
+         " where the interval changes, split the file"),
         (14, timedelta(minutes=-4), "must be 5 min or a multiple apart"),
+        (14, timedelta(seconds=76), "at most 75 s off the boundary of a step .this row: 76 s."),
     ],
 )
 def test_times_that_do_not_fit(
@@ -242,6 +251,15 @@ def test_times_that_do_not_fit(
         ("# latitude: north\ntime,rain [mm]\n", "line 1: latitude = 'north': must be a number"),
         ("time,rain [mm]\n", "has a header but no rows"), ("# nothing\n", "must contain a header"),
         ("time,rain [mm]\n01.06.2024 00:00,1\n", "line 2: time = '01.06.2024 00:00': must be a"),
+        ("time,rain [mm]\n2024-06-01T00:00Z,1\n2024-06-01T01:00,1\n", "line 3: .* must have a UTC"),
+        ("time,rain [mm]\n2024-06-01T00:00,1\n2024-06-01T01:00Z,1\n", "line 3: .* must have a UTC"),
+        ("time,rain [mm]\n2024-06-01T00:00Z,1\n2024-06-01T00:00Z,1\n",
+         "line 3: time = '2024-06-01T00:00Z': must be later than the time of the previous row$"),
+        ("time,rain [mm]\n2024-06-01T00:00Z,99.90\n2024-06-01T00:01Z,1\n",
+         "line 2: rain .mm. = '99.90': must be a number from 0 to 33.33 mm"),
+        ("time,rain [mm]\n2024-06-01T00:00Z,1\n2024-06-01T00:05Z,1\n",
+         "no precipitation: every value is missing, or no hour has 45 minutes of values"),
+        (' {"hourly": 1}', "contains JSON: the name of an answer of Open-Meteo must end in .json"),
     ],
 )
 def test_what_is_no_table(tmp_path: Path, text: str, reason: str) -> None:

@@ -20,6 +20,7 @@ from greenroof_ros.analysis.calibration.step_record import (
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.site.site import Site
+from greenroof_ros.weather.description import END
 from greenroof_ros.weather.evapotranspiration import (
     HARGREAVES,
     check_place,
@@ -38,6 +39,7 @@ from greenroof_ros.weather.summary import as_lines, summarize
 from greenroof_ros.weather.table import Rows, read_rows
 
 _WANTED = (PRECIPITATION, EVAPOTRANSPIRATION, TEMPERATURE, *ROOF)
+_LEVELS = "level", "cistern level"
 _EXTREMES = "minimum temperature", "maximum temperature"
 _MIN_ROWS = 100
 # Temperatures further apart than this (s) miss a day's extremes: three hours apart they show at
@@ -48,7 +50,8 @@ _MAX_STEP_S = 3 * HOUR_S
 def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRecord:
     """Read a measured record from CSV; see :func:`greenroof_ros.weather.table.read_rows`.
 
-    Each row covers the step that begins at the time given; levels are measured at that time. Rows
+    Each row covers the step that begins at the time given (or, with ``rows: end``, ends at it);
+    levels are measured at that time. Rows
     are no more than a day apart. Rain, ``level`` or ``runoff``, and evapotranspiration are
     required. Evapotranspiration is taken from the column ``reference evapotranspiration``, with
     gaps of no more than an hour. Alternatively, it is computed with Hargreaves' equation from
@@ -96,6 +99,8 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
     for quantity, values in rows.values.items():
         series[quantity] = np.full(steps, np.nan)
         series[quantity][rows.steps] = values
+        if rows.described.rows == END and quantity in _LEVELS:
+            series[quantity] = np.append(np.nan, series[quantity][:-1])
     for quantity, hours in (
         (PRECIPITATION, 1), ("runoff", 1), ("pumped", 1), (EVAPOTRANSPIRATION, 24),
     ):

@@ -357,7 +357,7 @@ ROWS: dict[str, list[Any]] = {
 
 @pytest.mark.parametrize(("column", "values", "message"), [
     ("precipitation [mm/h]", [0.0] * 7 + [5e3] * 2 + [0.0] * 15,
-     r"^the data frame, row 7: precipitation \[mm/h\] = 5000.0: must be a number from 0 to 2000"),
+     r"^the data frame, row 7: precipitation \[mm/h\] = '5000.0': must be a number from 0 to 2000"),
     ("time", [*ROWS["time"][:23], "noon"], "^the data frame, row 23: time = 'noon': must be a "),
     ("rain [mm]", [0.0] * 24, r"^the data frame: 'rain \[mm\]': an earlier column already"),
     ("temperature [degC]", [20.0] * 2 + [None] * 22,

@@ -78,6 +78,15 @@ def test_the_last_decimal_of_runoff(runoff: str, last_decimal: float, file: Path
         assert record.last_decimal == pytest.approx(factor * last_decimal)
 
 
+def test_a_level_at_the_end_of_its_row(file: Path) -> None:
+    """The level at the end of a row is the one at the start of the next; rain stays in its row."""
+    header = "rain [mm],level [m],reference evapotranspiration [mm]"
+    cells = [f"{n},{n / 1000},0.1" for n in range(ROWS)]
+    record = read(file, "# rows: end\n" + text_of(header, cells))
+    assert record.rain[:3].tolist() == [0.0, 1.0, 2.0]
+    assert record.level[:3] == pytest.approx([np.nan, 0.0, 0.001], nan_ok=True)
+
+
 def test_a_pump_state_is_a_share_of_the_flow_at_the_cistern_level(file: Path) -> None:
     """At 3 m the paper's pumps deliver sqrt((3 + 55.2 - 16) / 1 / b^-2), Eq. 3e.
 
@@ -133,7 +142,7 @@ WRONG = {
     "rain in micrometres": (
         "T00:30,0.1,0.2,0.03,5,15\n2021-06-01T00:35,0.1",
         "T00:30,169,0.2,0.03,5,15\n2021-06-01T00:35,169",
-        "line 8: rain [mm] = 169.0: must be a number from 0 to 166.7 mm; is the unit of the column",
+        "line 8: rain [mm] = '169': must be a number from 0 to 166.7 mm; is the unit of the column",
     ),
 }
 
@@ -155,7 +164,7 @@ def test_wrong_files_are_refused(name: str, file: Path) -> None:
         (2 * 1440 * np.arange(120),
          "line 1: the rows are 2 days apart; they must be no more than a day apart"),
         (np.cumsum(np.resize([5, 5, 7], 200)),
-         "line 4: time = '2021-06-01 00:17:00': this row is 7 min after the previous row, but rows "
+         "line 4: time = '2021-06-01T00:17': this row is 7 min after the previous row, but rows "
          "must be 5 min or a multiple apart"),
     ],
 )

@@ -118,8 +118,8 @@ def test_a_run_without_a_break() -> None:
     rig = Rig(x2=0.0, settings=settings_for(PAPER_SITE, max_run=99.5))
     rig.run(200, 0.3, until=lambda decision: decision.state == "held")
     assert rig.decisions[-1].why.startswith(
-        "the pump has run for 2 min without a break, and now rests for 2 min or until the command "
-        "is 0"
+        "the pump has run for 1.7 min without a break, and now rests for 1.7 min or until the "
+        "command is 0"
     )
     begun = rig.now
     rig.run(200, 0.3, until=lambda decision: decision.speed is not None)

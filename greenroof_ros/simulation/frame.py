@@ -11,7 +11,8 @@ from zoneinfo import ZoneInfo
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.site.site import Place
 from greenroof_ros.weather.description import TIME, Description
-from greenroof_ros.weather.records import WEATHER, Records, make_hours
+from greenroof_ros.weather.quantities import WEATHER
+from greenroof_ros.weather.records import Records, make_hours
 from greenroof_ros.weather.table import Row, Table, arrange
 
 _NAME = Path("the data frame")
@@ -45,7 +46,7 @@ def read_frame(frame: Any, site: Place) -> Records:
     if hasattr(frame, "notna"):  # pandas has several values that stand for a missing one
         frame = frame.astype(object).where(frame.notna(), None)
     series = {str(name): [*frame[name]] for name in frame.columns} | {TIME: times}
-    rows = map(Row, itertools.count(), zip(*series.values(), strict=True))
+    rows = [*map(Row, itertools.count(), zip(*series.values(), strict=True))]
     table = Table(_NAME, [*series], None, rows)
     return make_hours([arrange(table, Description(name="data frame"), site, WEATHER)])
 
