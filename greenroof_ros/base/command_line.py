@@ -120,10 +120,14 @@ class Parser(argparse.ArgumentParser):
     Options must be written in full, because an abbreviation that is unambiguous now would become
     ambiguous if a later version added an option that begins with the same letters. In a description
     or an epilog, indented lines, such as examples, stay unchanged; all other lines are wrapped.
+
+    Attributes:
+        hint: text added to the message about an unknown option; empty for none.
     """
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(allow_abbrev=False, formatter_class=_HelpFormatter, **settings)
+        self.hint = ""
 
     def parse_args(self, args: Iterable[str] | None = None, namespace: Any = None) -> Any:
         """Parse a command line; for an unknown option, suggest the likely options."""
@@ -132,7 +136,8 @@ class Parser(argparse.ArgumentParser):
             option = next((word for word in unknown if word.startswith("--")), "")
             similar = find_similar(option.partition("=")[0], self._option_string_actions)
             meant = f"; did you mean {' or '.join(similar)}?" if similar else ""
-            self.error(f"unrecognized arguments: {' '.join(unknown)}{meant}")
+            hint = f" ({self.hint})" if self.hint else ""
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{meant}{hint}")
         return parsed
 
     def error(self, message: str) -> NoReturn:

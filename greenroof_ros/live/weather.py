@@ -157,7 +157,7 @@ class LiveWeatherNode(LiveNode):
             rain, evapotranspiration = outlook.rain_now, outlook.evapotranspiration_now
         else:
             at_site = now.astimezone(timezone(timedelta(hours=self._site.utc_offset or 0.0)))
-            evapotranspiration = self._site.monthly_mean(at_site.month)
+            evapotranspiration = _find_monthly_mean(self._site, at_site.month)
         if rain is not None:
             self.publish(RAIN, rain)
         if evapotranspiration is not None:
@@ -264,6 +264,14 @@ class LiveWeatherNode(LiveNode):
                 "gauge_bad", problem=diagnosis, instead=instead, topic=gauge.publishers.full_name
             )
         self.reports.diagnose(part, bad, well, WARN, diagnosis.code if diagnosis else "")
+
+
+def _find_monthly_mean(site: Site, month: int) -> float | None:
+    """Return the mean evapotranspiration of the bed in a month, 1 to 12 (m3/s), if known."""
+    if site.monthly_evapotranspiration is None:
+        return None
+    reference = site.monthly_evapotranspiration[month - 1]
+    return site.crop_coefficient * reference / 1000 / 86400 * site.a2
 
 
 main = live_command(LiveWeatherNode, "live.weather", __doc__, parameters)

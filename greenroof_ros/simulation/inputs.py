@@ -26,10 +26,10 @@ from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.physics import sensor_and_pump
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.physics.start import INITIAL_STATES, find_state
-from greenroof_ros.simulation.frame import find_zone, is_frame, read_frame
 from greenroof_ros.simulation.run import Run, count_ticks
 from greenroof_ros.site.file import check_site, read_site
 from greenroof_ros.site.site import Site
+from greenroof_ros.weather.frame import find_zone, is_frame, read_frame
 from greenroof_ros.weather.read import (
     complete_records,
     default_weather,

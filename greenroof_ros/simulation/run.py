@@ -24,7 +24,7 @@ from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.physics.storm_water import HOUR_S, time_without_rain
-from greenroof_ros.site.site import Site, format_place, measure_distance
+from greenroof_ros.site.site import Site
 from greenroof_ros.weather.records import Records
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
@@ -34,9 +34,6 @@ Values = NDArray[np.float64]
 _BEFORE_H = 72
 # Maximum share of the target that the pumps should lift in a tick.
 _MAX_SHARE = 0.1
-# Weather from this distance or further does not represent the site (km): rain and wind differ even
-# within a city.
-_FAR_KM = 50.0
 
 
 @dataclass(frozen=True)
@@ -114,8 +111,7 @@ class Run:
 
     def notes(self) -> list[str]:
         """Return notes that a reader should see before the results."""
-        remark = filter(None, [self.weather.rain_note])
-        return [*note_distance(self.weather, self.site), *remark, *note_pumps(self.site)]
+        return [*self.weather.warnings(self.site), *note_pumps(self.site)]
 
     def weather_notes(self) -> list[str]:
         """Return sentences about weather and forecasts that were not used as they were found."""
@@ -151,18 +147,6 @@ class Run:
         return self.controller.make_outlet(
             self.site, self.parameters, controller, self.without_rain_s
         )
-
-
-def note_distance(weather: Records, site: Site) -> Iterator[str]:
-    """Yield a warning about each weather file from a place too far from the site."""
-    own: Any = site.latitude, site.longitude
-    for file, place in weather.places.items() if None not in own else ():
-        away = measure_distance(place, own)
-        if away > _FAR_KM:
-            yield (
-                f"{file} is from {format_place(*place)}, {away:.0f} km from the site at "
-                f"{format_place(*own)}; check that this weather applies to the site"
-            )
 
 
 def note_pumps(site: Site) -> Iterator[str]:

@@ -319,13 +319,6 @@ class Site(Place, Pump, Roof, Cistern):
         """The place alone, for readers of weather."""
         return Place(**{field.name: getattr(self, field.name) for field in fields(Place)})
 
-    def monthly_mean(self, month: int) -> float | None:
-        """Return the mean evapotranspiration of the bed in a month, 1 to 12 (m3/s), if known."""
-        if self.monthly_evapotranspiration is None:
-            return None
-        reference = self.monthly_evapotranspiration[month - 1]
-        return self.crop_coefficient * reference / 1000 / 86400 * self.a2
-
     @property
     def max_volumes(self) -> dict[str, float]:
         """The most water with which ``cistern`` and ``roof`` can start (m3).

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from functools import cached_property
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import duration, to_minutes
-from greenroof_ros.site.site import Site
+from greenroof_ros.site.site import Place, Site, format_place, measure_distance
 from greenroof_ros.weather.evapotranspiration import COMPUTED, FAO56
 from greenroof_ros.weather.quantities import (
     EVAPOTRANSPIRATION,
@@ -33,6 +33,9 @@ from greenroof_ros.weather.summary import summarize
 
 _HOUR_NS = 3_600_000_000_000
 _MINUTE_NS = _HOUR_NS // 60
+# Weather from this distance or further does not represent the site (km): rain and wind differ even
+# within a city.
+_FAR_KM = 50.0
 # At or below this temperature there is frost, and nothing is pumped (degC).
 _FREEZING = 0.0
 
@@ -71,6 +74,18 @@ class Weather(Records):
     def end(self) -> datetime:
         """End of the last hour."""
         return self.first + self.hours * HOUR
+
+    def warnings(self, site: Place) -> Iterator[str]:
+        """Yield sentences that a reader should see before any result at a site."""
+        own: Any = site.latitude, site.longitude
+        for file, place in self.places.items() if None not in own else ():
+            away = measure_distance(place, own)
+            if away > _FAR_KM:
+                yield (
+                    f"{file} is from {format_place(*place)}, {away:.0f} km from the site at "
+                    f"{format_place(*own)}; check that this weather applies to the site"
+                )
+        yield from filter(None, [self.rain_note])
 
 
 @dataclass(frozen=True, eq=False)

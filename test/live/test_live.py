@@ -15,6 +15,7 @@ import time
 from array import array
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from itertools import cycle, pairwise
@@ -26,6 +27,7 @@ import pytest
 from disks import disk_that_hangs, fill, small_disk
 from forecast_service import started_service
 from modbus_wire import Wire
+from paper import PAPER_SITE
 from places import CONFIG
 from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
@@ -51,6 +53,7 @@ from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiA
 
 from greenroof_ros.live.devices.sensor_file import QUANTITIES
 from greenroof_ros.live.live_topics import read_live_topics
+from greenroof_ros.live.weather import _find_monthly_mean
 from greenroof_ros.site.horizon import growing_steps
 
 
@@ -597,6 +600,15 @@ def test_the_noise_of_a_sensor_at_zero_is_treated_as_zero(observer: Observer) ->
         ), LATE, "values")
     for name, (_, _, published) in AT_ZERO.items():
         assert {float(f"{value:.6g}") for value in values[name]} == set(published), name
+
+
+def test_monthly_means_are_of_the_whole_bed_with_its_crop() -> None:
+    """2.5 mm/day from 68.8 m2 are 172 litres a day; of them, the crop has half."""
+    months = (0.0, 1.0, *[2.5] * 9, 20.0)
+    site = replace(PAPER_SITE, monthly_evapotranspiration=months, crop_coefficient=0.5)
+    assert _find_monthly_mean(site, 3) == pytest.approx(0.5 * 0.172 / 86400)
+    assert _find_monthly_mean(site, 12) == pytest.approx(0.5 * 1.376 / 86400)
+    assert _find_monthly_mean(PAPER_SITE, 3) is None
 
 
 def test_live_weather(site: Site) -> None:
