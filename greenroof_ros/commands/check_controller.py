@@ -91,8 +91,8 @@ def main() -> int:
     site = read_site(arguments.site)
     if arguments.node is not None:
         with require_ros():
-            from greenroof_ros.commands.checks.controller import ControllerCheck
-            from greenroof_ros.commands.checks.node import check_node
+            from greenroof_ros.nodes.check import check_node
+            from greenroof_ros.nodes.check_controller import ControllerCheck
         results = check_node("check_controller", arguments.node, lambda node, name: ControllerCheck(
             node, name, site, horizon=arguments.horizon
         ))

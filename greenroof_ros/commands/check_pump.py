@@ -72,8 +72,8 @@ def main() -> int:
     """Check the driver named on the command line."""
     arguments = make_parser().parse_args()
     with require_ros():
-        from greenroof_ros.commands.checks.node import check_node
-        from greenroof_ros.commands.checks.pump_driver import PumpCheck
+        from greenroof_ros.nodes.check import check_node
+        from greenroof_ros.nodes.check_pump import PumpCheck
     site = read_site(arguments.site)
     results = check_node("check_pump", arguments.node, lambda node, name: PumpCheck(
         node, name, site, command=arguments.command, period=arguments.period, live=arguments.live,

@@ -12,8 +12,8 @@ from typing import ClassVar
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from greenroof_ros.commands.checks.node import NodeCheck, require
 from greenroof_ros.interface.states import PumpState
+from greenroof_ros.nodes.check import NodeCheck, require
 from greenroof_ros.physics.start import initial_states
 from greenroof_ros.site.site import Site
 

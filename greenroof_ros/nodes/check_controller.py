@@ -10,11 +10,11 @@ from typing import Any, ClassVar
 
 from rclpy.node import Node
 
-from greenroof_ros.commands.checks.node import SETTLE_S, BrokenRuleError, NodeCheck, require
 from greenroof_ros.controllers.check import trial_values
 from greenroof_ros.controllers.outlet import SHARE
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.messages import WithFront
+from greenroof_ros.nodes.check import SETTLE_S, BrokenRuleError, NodeCheck, require
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
 
