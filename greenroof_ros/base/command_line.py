@@ -10,8 +10,7 @@ import os
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -190,28 +189,6 @@ def refuse(*rules: tuple[object, str, object, str]) -> None:
             raise ConfigurationError(expected, key=option, value=value)
 
 
-def parse_namespace(text: str) -> str:
-    """Return a namespace in ROS notation, such as ``/site1``; empty for no namespace."""
-    name = text.strip("/")
-    if name and not re.fullmatch(r"([A-Za-z_]\w*/)*[A-Za-z_]\w*", name, re.ASCII):
-        raise ValueError
-    return f"/{name}" if name else ""
-
-
-# argparse shows this in its error message
-parse_namespace.__name__ = (
-    "namespace of letters, digits and _ that does not begin with a digit, such as site1"
-)
-
-
-def add_namespace(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """Add the option for the namespace of the graph that a command joins."""
-    parser.add_argument(
-        "--namespace", type=parse_namespace, default="", metavar="NAME",
-        help=f"namespace of the graph, as passed to greenroof run or live{more} (default: none)",
-    )
-
-
 def add_site(parser: argparse._ActionsContainer, about: str = "site file") -> None:
     """Add the option for the site file."""
     from greenroof_ros.base.files import default_site_file  # reads YAML: not for every --help
@@ -241,39 +218,3 @@ def add_option(group: argparse._ArgumentGroup, parameter: Parameter, **settings:
 def option_of(name: str) -> str:
     """Return the name of the option for an input."""
     return f"--{name.replace('_', '-')}"
-
-
-def add_foxglove(parser: argparse._ActionsContainer, about: str) -> None:
-    """Add the option to serve a graph to Foxglove, with the default port of Foxglove's viewers."""
-    parser.add_argument(
-        "--foxglove", nargs="?", const=8765, type=make_number_type(0, 65535, int), metavar="PORT",
-        help=f"{about} PORT is 8765 if omitted; 0 selects any free port. Requires the extra "
-        "[foxglove]",
-    )
-
-
-@dataclass(frozen=True)
-class CheckResult:
-    """The result of one check.
-
-    Attributes:
-        check: the requirement that is checked.
-        problem: description of the deviation from the requirement; empty if the check passed.
-        result: result to show for a passed check; empty for none.
-    """
-
-    check: str
-    problem: str
-    result: str = ""
-
-
-def print_check_results(title: str, results: Sequence[CheckResult]) -> int:
-    """Print results, and return exit code 0 if every check passed, otherwise 1."""
-    print(title)
-    for result in results:
-        outcome = "failed" if result.problem else "passed"
-        shown = ": ".join(filter(None, (result.check, result.problem or result.result)))
-        print(f"  {outcome}: {shown}")
-    passed = sum(not result.problem for result in results)
-    print(f"{passed} of {len(results)} checks passed")
-    return EXIT_DONE if passed == len(results) else EXIT_FAILED

@@ -4,17 +4,11 @@ from __future__ import annotations
 
 import argparse
 
-from greenroof_ros.base.command_line import (
-    CheckResult,
-    Parser,
-    add_site,
-    command,
-    make_number_type,
-    print_check_results,
-)
+from greenroof_ros.base.command_line import Parser, add_site, command, make_number_type
 from greenroof_ros.controllers.check import check_controller
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.graph.domain import require_ros
+from greenroof_ros.nodes.check_results import CheckResult, print_check_results
 from greenroof_ros.simulation.options import add_output_arguments, add_run_arguments
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import MAX_HORIZON
@@ -98,5 +92,6 @@ def main() -> int:
         ))
         return print_check_results(f"controller node {arguments.node}", results)
     choice = find_controller(arguments.controller)
-    results = [*check_controller(choice, site), _options(arguments.controller)]
+    results = [CheckResult(*each) for each in check_controller(choice, site).items()]
+    results.append(_options(arguments.controller))
     return print_check_results(f"{choice.name}, {choice.path}", results)

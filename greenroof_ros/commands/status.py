@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-from greenroof_ros.base.command_line import EXIT_DONE, Parser, add_namespace, command
+from greenroof_ros.base.command_line import EXIT_DONE, Parser, command
+from greenroof_ros.graph.domain import add_namespace
 from greenroof_ros.watch.document import join_summary, list_present, make_document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.store import GraphStore

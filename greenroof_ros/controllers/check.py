@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from greenroof_ros.base.command_line import CheckResult
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.decide import COMMANDS, ControllerError, TickTimes, locate_error
 from greenroof_ros.controllers.outlet import requested_share
@@ -82,7 +81,7 @@ class _Trial:
         return controller
 
 
-def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
+def check_controller(choice: ControllerChoice, site: Site) -> dict[str, str]:
     """Check a controller against :class:`~greenroof_ros.controllers.protocol.Controller`.
 
     Each check requests commands from new controller objects, for levels and forecasts that range
@@ -94,14 +93,15 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
         site: site for which the controller is tested.
 
     Returns:
-        One result for each check, in the order in which a user should fix failures.
+        The problem that each check found, in the order in which a user should fix failures; empty
+        for a check that passed. The keys are the requirements.
 
     Raises:
         ConfigurationError: if the class cannot be imported, or lacks an attribute that every
             controller needs.
     """
     _ = choice.kind
-    results, reported = [], set[str]()
+    results, reported = dict[str, str](), set[str]()
     for name, check in _CHECKS.items():
         problem = ""
         try:
@@ -112,7 +112,7 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
             if problem in reported:  # one fault often fails many checks
                 problem = "fails as above"
             reported.add(problem)
-        results.append(CheckResult(name, problem))
+        results[name] = problem
     return results
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from greenroof_ros.base.command_line import add_foxglove, make_number_type, parse_namespace
+from greenroof_ros.base.command_line import make_number_type
 from greenroof_ros.controllers.registry import EXTERNAL
+from greenroof_ros.graph.domain import parse_namespace
 
 
 def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None:
@@ -47,4 +48,13 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
         help="ROS 2 parameter file for the parameters that bringup does not set, such as the "
         "limits of the pump node; --help of each node lists the node's parameters, and unknown "
         "parameters are rejected",
+    )
+
+
+def add_foxglove(parser: argparse._ActionsContainer, about: str) -> None:
+    """Add the option to serve a graph to Foxglove, with the default port of Foxglove's viewers."""
+    parser.add_argument(
+        "--foxglove", nargs="?", const=8765, type=make_number_type(0, 65535, int), metavar="PORT",
+        help=f"{about} PORT is 8765 if omitted; 0 selects any free port. Requires the extra "
+        "[foxglove]",
     )

@@ -11,6 +11,7 @@ neither problem, but makes each tick a little longer.
 
 from __future__ import annotations
 
+import argparse
 import importlib.util
 import os
 import re
@@ -96,6 +97,28 @@ def read_domain() -> int:
             Range(0, _LAST_DOMAIN, whole=True).expected(), key="ROS_DOMAIN_ID", value=text
         )
     return int(text)
+
+
+def parse_namespace(text: str) -> str:
+    """Return a namespace in ROS notation, such as ``/site1``; empty for no namespace."""
+    name = text.strip("/")
+    if name and not re.fullmatch(r"([A-Za-z_]\w*/)*[A-Za-z_]\w*", name, re.ASCII):
+        raise ValueError
+    return f"/{name}" if name else ""
+
+
+# argparse shows this in its error message
+parse_namespace.__name__ = (
+    "namespace of letters, digits and _ that does not begin with a digit, such as site1"
+)
+
+
+def add_namespace(parser: argparse.ArgumentParser, more: str = "") -> None:
+    """Add the option for the namespace of the graph that a command joins."""
+    parser.add_argument(
+        "--namespace", type=parse_namespace, default="", metavar="NAME",
+        help=f"namespace of the graph, as passed to greenroof run or live{more} (default: none)",
+    )
 
 
 @contextmanager

@@ -18,7 +18,6 @@ import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from greenroof_ros.base.command_line import CheckResult
 from greenroof_ros.base.errors import ConfigurationError, OccupiedError
 from greenroof_ros.base.processes import Signals
 from greenroof_ros.base.standard_error import ProgressLines
@@ -36,6 +35,7 @@ from greenroof_ros.graph.messages import (
 from greenroof_ros.graph.publishers import display_name
 from greenroof_ros.graph.spin import make_executor
 from greenroof_ros.interface.topics import read_topics
+from greenroof_ros.nodes.check_results import CheckResult
 
 # More ticks than a check ever takes.
 _LAST_TICK = 1e9
