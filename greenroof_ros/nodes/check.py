@@ -1,7 +1,7 @@
 """Check of a running node, using topics only, in which the check plays all other nodes.
 
-The check demands no more from a node than a graph does, and works with nodes written in any
-language.
+A check is a story, whose lines say what is sent, what must come, and within which time. The check
+demands no more from a node than a graph does, and works with nodes written in any language.
 """
 
 from __future__ import annotations
@@ -9,330 +9,347 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
-from typing import Any, ClassVar
+from itertools import permutations
+from typing import Any
 
-import rclpy
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
+from rclpy.publisher import Publisher
 
 from greenroof_ros.base.errors import ConfigurationError, OccupiedError
 from greenroof_ros.base.processes import Signals
-from greenroof_ros.base.standard_error import ProgressLines
-from greenroof_ros.graph.domain import prepare_ros
+from greenroof_ros.graph import messages
 from greenroof_ros.graph.errors import MalformedMessageError
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
-from greenroof_ros.graph.messages import (
-    decoder,
-    describe_qos,
-    encoder,
-    find_lacking,
-    message_class,
-    qos_profile,
-)
 from greenroof_ros.graph.publishers import display_name
-from greenroof_ros.graph.spin import make_executor
+from greenroof_ros.graph.spin import make_executor, ros
 from greenroof_ros.interface.topics import read_topics
-from greenroof_ros.nodes.check_results import CheckResult
+from greenroof_ros.site.site import Site
 
 # More ticks than a check ever takes.
 _LAST_TICK = 1e9
 # Simulated time of the first tick (ns since 1970), on a summer's day.
 _EPOCH_NS = 1_751_371_200_000_000_000
-# Time within which the endpoints of topics discover each other on one machine (s).
-_DISCOVERY_S = 2.0
+# How long the tested node may take to join the graph, and its topics to be discovered (s).
+ARRIVAL_S, _DISCOVERY_S = 10.0, 2.0
+# How long an answer may take after the last input of a tick (s).
+ANSWER_S = 5.0
 # Time within which a second answer would follow the first (s), awaited in the first and last ticks.
 SETTLE_S = 0.5
-# How long the tested node may take to join the graph (s).
-ARRIVAL_S = 10.0
+# How long the last input of a tick is held back (s): a node that does not wait for it answers by
+# then.
+_DELAY_S = 0.05
+# How long a node may take to leave the graph after the plant (s).
+_END_S = 10.0
+
+Values = Mapping[str, float]
+"""Values by topic."""
+USUAL: Values = {}
+Result = tuple[str, str, str]
+"""A line, its problem, and what was measured; each of the last two may be empty."""
+Story = Iterator[tuple[Any, ...]]
+"""The lines of a check: what is shown; the function that shows it, and its arguments."""
 
 
 class BrokenRuleError(Exception):
     """Error for a tested node that breaks a rule; the message describes the fault."""
 
 
-def require(right: bool, problem: str) -> None:
-    """Raise a BrokenRuleError that describes the problem unless a condition holds."""
+class StoryEndError(BrokenRuleError):
+    """Error for a broken rule after which the rest of the story would prove nothing."""
+
+
+def require(right: bool, problem: str, error: type[BrokenRuleError] = BrokenRuleError) -> None:
+    """Raise an error that describes the problem unless a condition holds."""
     if not right:
-        raise BrokenRuleError(problem)
+        raise error(problem)
+
+
+def describe(values: Values) -> str:
+    """Return the values that make a tick unusual, or the answers, for a message."""
+    return ", ".join(f"{value:.3g} on {topic}" for topic, value in values.items()) or "usual inputs"
 
 
 class NodeCheck(ABC):
-    """Base class for the check of one node; a subclass defines the topics and the rules.
+    """Base class for the check of one node; a subclass defines the topics and tells the story.
 
     Attributes:
-        kind: name for the kind of node in messages, such as ``driver``.
-        answer: name for the node's answer in messages, such as ``flow``.
-        output: topic on which the node responds to each tick with a number.
-        further: additional topics on which the node publishes a number in every tick.
-        inputs: topics to which the node must subscribe.
-        optional: topics to which the node may subscribe, provided that it uses the right quality of
-            service.
-        played: topics that the check publishes, in the order of a tick.
-        peers: names, for messages, of the nodes that the check plays.
-        answers: values received on ``output`` but not counted yet.
-        surplus: message about the first tick with too many answers; empty if there is none.
-        results: results of the checks so far.
-        result: measurement of the current check, as text for the table; empty if there is none.
-        hindered: reason why no more ticks can be published; empty if there is none.
-        ticks: number of ticks published.
-        live: whether the node belongs to a live graph.
+        required: topics to which the node must subscribe.
+        optional: topics to which the node may subscribe.
+        received: values received on each output since the last tick.
+        remark: text that is added to the description of a fault.
     """
 
-    kind: ClassVar[str]
-    answer: ClassVar[str]
-    output: ClassVar[str]
-    inputs: ClassVar[tuple[str, ...]]
-    optional: ClassVar[tuple[str, ...]] = ()
-    played: ClassVar[tuple[str, ...]]
-    peers: ClassVar[str]
-    live = False
-    further: tuple[str, ...] = ()
+    required: tuple[str, ...]
+    optional: tuple[str, ...]
 
-    def __init__(self, node: Node, tested: str, tau: float, speed: float) -> None:
-        """Prepare a check, in the namespace of the node that plays the peers.
+    def __init__(
+        self, tested: str, site: Site, outputs: Sequence[str], usual: dict[str, float], *,
+        period: float = 0.0, live: bool = False,
+    ) -> None:
+        """Prepare a check; ROS must be running.
 
         Args:
-            node: node that plays the peers.
-            tested: name of the node under test, without namespace.
-            tau: simulated time of a tick (s).
-            speed: ratio of simulated time to wall time; 0 to run as fast as possible.
+            tested: name of the node under test, with its namespace if there is one: /site1/pump.
+            site: site for which the node is checked.
+            outputs: topics on which the node responds to each tick with a number.
+            usual: values of an undisturbed tick, in the order of their publication.
+            period: minimum duration of a tick (s); 0 to run as fast as possible.
+            live: whether the node belongs to a live graph, where it publishes at its own rate.
         """
-        self.node = node
-        self.interface = read_topics()
-        self.answers: list[float] = []
-        self.surplus = ""
-        self.results: list[CheckResult] = []
-        self.result = ""
-        self.hindered = ""
-        self.ticks = 0
-        self._tested, self._tau, self._speed = tested, tau, speed
+        namespace, _, self._tested = tested.rpartition("/")
+        self.node = Node("check", namespace=namespace or "/")
+        self.site, self.outputs, self.usual = site, outputs, usual
+        self.period, self.live = period, live
+        self.received: dict[str, list[float]] = {topic: [] for topic in outputs}
+        self.remark = ""
+        self._publishers: dict[str, Publisher] = {}
+        self._ticks = 0
         self._executor = make_executor()
-        self._executor.add_node(node)
-        self._current_check = f"waiting for the {self.kind}"
-        self._lines = ProgressLines()
-        self._publishers: dict[str, Callable[[Any], None]] = {}
+        self._executor.add_node(self.node)
 
-    def run(self) -> list[CheckResult]:
-        """Run all checks, or only the first if the topics are wrong, and return the results.
+    @abstractmethod
+    def story(self) -> Story:
+        """Tell what is checked in ticks; a line is told once the lines before it are."""
+
+    def run(self) -> Iterator[Result]:
+        """Yield each line of the story, with the problem, and what was measured if there is none.
 
         Raises:
             ConfigurationError: if the node under test is not found.
             OccupiedError: if other nodes already publish the topics that the check publishes.
         """
-        self._wait_for_node()
-        unfit = self._unfit()
-        self.results.append(CheckResult("its topics match the interface", unfit))
-        if not unfit:
-            self.join()
-            self.run_checks()
-        return self.results
+        self._find_node()
+        for title, act, *arguments in self._whole_story():
+            try:
+                yield title, "", act(*arguments) or ""
+            except StoryEndError as error:
+                yield title, f"{error}{self.remark}; nothing else was checked", ""
+                return
+            except BrokenRuleError as error:
+                yield title, f"{error}{self.remark}", ""
 
-    @abstractmethod
-    def run_checks(self) -> None:
-        """Run all checks except the check of the topics."""
-
-    @contextmanager
-    def check(self, title: str) -> Iterator[None]:
-        """Run a check, and store its result."""
-        self._current_check = f"check {len(self.results) + 1}: {title}"
-        problem, self.result = "", ""
-        try:
-            yield
-        except BrokenRuleError as error:
-            problem = str(error)
-        self.results.append(CheckResult(title, problem, self.result))
+    def _whole_story(self) -> Story:
+        yield "its topics match the interface", self._match_topics
+        yield "sends nothing before the first tick", self._wait_for_tick
+        yield from self.story()
 
     # --- the graph ------------------------------------------------------------------------------
 
-    def endpoints(self, name: str) -> list[Any]:
+    def _endpoints(self, topic: str) -> list[Any]:
         """Return the tested node's publishers of an output, or its subscriptions to an input."""
         tested = self._tested, self.node.get_namespace()
-        return [
-            info for info in self._all_endpoints(name)
-            if (info.node_name, info.node_namespace) == tested
-        ]
-
-    def _all_endpoints(self, name: str) -> list[Any]:
         find = (
-            self.node.get_publishers_info_by_topic if name in (self.output, *self.further)
+            self.node.get_publishers_info_by_topic if topic in self.outputs
             else self.node.get_subscriptions_info_by_topic
         )
-        return list(find(self._name(name)))
+        infos = find(read_topics()[topic].graph_name)
+        return [info for info in infos if (info.node_name, info.node_namespace) == tested]
 
-    def _name(self, topic: str) -> str:
-        return self.node.resolve_topic_name(self.interface[topic].graph_name)
-
-    def _wait_for_node(self) -> None:
+    def _find_node(self) -> None:
         """Wait until the node has all its topics; raise an error if its inputs have publishers."""
-        until, needed = time.monotonic() + ARRIVAL_S, (self.output, *self.further, *self.inputs)
-        while not any(map(self.endpoints, needed)):
-            if time.monotonic() > until:
-                raise ConfigurationError(self._absent())
-            self.spin(0.1)
-        until = time.monotonic() + _DISCOVERY_S
-        while not all(map(self.endpoints, needed)) and time.monotonic() < until:
-            self.spin(0.1)
-        for topic in self.played:
-            publishers = self.node.get_publishers_info_by_topic(self._name(topic))
-            if publishers:
+        needed = (*self.outputs, *self.required)
+        if not self.wait(ARRIVAL_S, lambda: any(map(self._endpoints, needed))):
+            others = sorted({*self.node.get_node_names()} - {self.node.get_name()})
+            raise ConfigurationError(
+                f"no node {self._tested} that publishes {needed[0]} was found within "
+                f"{ARRIVAL_S:g} s; found: {', '.join(others) or 'no node'}. Start it first, with "
+                "the same ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE"
+            )
+        self.wait(_DISCOVERY_S, lambda: all(map(self._endpoints, needed)))
+        for topic in (CLOCK, *self.usual):
+            for info in self.node.get_publishers_info_by_topic(read_topics()[topic].graph_name):
                 raise OccupiedError(
-                    f"{self._name(topic)} already has a publisher "
-                    f"({display_name(publishers[0].node_name)}): the check itself takes the "
-                    f"place of {self.peers}, so stop the graph first"
+                    f"{topic} already has a publisher ({display_name(info.node_name)}); the check "
+                    "publishes this topic itself, so stop the graph first"
                 )
 
-    def _absent(self) -> str:
-        names = {
-            display_name(info.node_name) for topic in (self.output, *self.inputs)
-            for info in self._all_endpoints(topic)
-        }
-        return (
-            f"no node {self._tested} that publishes {self._name(self.output)} and subscribes to "
-            f"{', '.join(map(self._name, self.inputs))} was found within {ARRIVAL_S:g} s; found: "
-            f"{', '.join(sorted(names)) or 'no node'}. Start the {self.kind} first, with the same "
-            "ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE"
-        )
-
-    def _unfit(self) -> str:
-        """Return a description of the faults in the node's endpoints; empty if there are none."""
+    def _match_topics(self) -> None:
         problems = []
-        for topic in (self.output, *self.further, *self.inputs, *self.optional):
-            is_output = topic in (self.output, *self.further)
-            end = f"{'publisher of' if is_output else 'subscription to'} {topic}"
-            infos = self.endpoints(topic)
+        for topic in (*self.outputs, *self.required, *self.optional):
+            qos, infos, end = read_topics()[topic].qos, self._endpoints(topic), "publisher of"
+            if topic not in self.outputs:  # only publishers must have a lease
+                qos, end = replace(qos, lease_s=math.inf), "subscription to"
             if not infos and topic not in self.optional:
-                problems.append(f"the node has no {end}")
-            if self.live and not is_output:
+                problems.append(f"the node has no {end} {topic}")
+            if self.live and topic not in self.outputs:
                 continue  # it needs no messages from before it joined
-            qos = self.interface[topic].qos
-            if not is_output:  # only publishers must have a lease
-                qos = replace(qos, lease_s=math.inf)
-            problems += [
-                f"its {end} {' and '.join(lacking)}; it must be {describe_qos(qos)}"
-                for info in infos if (lacking := find_lacking(info.qos_profile, qos))
-            ]
-        return "; ".join(problems)
+            for info in infos:
+                if lacking := " and ".join(messages.find_lacking(info.qos_profile, qos)):
+                    needs = messages.describe_qos(qos)
+                    problems.append(f"its {end} {topic} {lacking}; it must be {needs}")
+        require(not problems, "; ".join(problems), StoryEndError)
 
-    def join(self) -> None:
-        """Open the topics, and wait until the node has discovered them."""
-        self.listen(self.output, self.answers.append)
-        for name in (RUN, *self.played):
-            self._publishers[name] = self.open_publisher(self.node, name)
+    def _wait_for_tick(self) -> None:
+        """Open the topics, wait until the node has discovered them, and require its silence."""
+        for topic, values in self.received.items():
+            self.listen(topic, values.append)
+        self._publishers = {topic: self.open(topic) for topic in (RUN, CLOCK, *self.usual)}
         # The identity is fixed, so a node can be checked twice.
-        self._publishers[RUN](RunIdentity(0.0, _LAST_TICK, self._speed).values)
-        self.spin(_DISCOVERY_S)
+        speed = self.site.tau / self.period if self.period else 0.0
+        self.publish(RUN, RunIdentity(0.0, _LAST_TICK, speed).values)
+        self.wait(_DISCOVERY_S)
+        # A live pump publishes that it is off.
+        early = [
+            value for values in self.received.values() for value in values
+            if not (self.live and value <= 0)
+        ]
+        for values in self.received.values():
+            values.clear()
+        require(not early, f"{len(early)} messages arrived before any input: {early[:3]}")
 
-    def listen(self, name: str, callback: Callable[[Any], None]) -> None:
+    def listen(self, topic: str, callback: Callable[[Any], None]) -> None:
         """Pass each value received on a topic to a callback; malformed messages are ignored."""
-        topic = self.interface[name]
-        decode = decoder(topic.type)
+        entry = read_topics()[topic]
+        decode = messages.decoder(entry.type)
 
         def receive(message: bytes) -> None:
             with suppress(MalformedMessageError):
                 callback(decode(message))
 
         self.node.create_subscription(
-            message_class(topic.type), topic.graph_name, receive, qos_profile(topic.qos), raw=True
+            messages.message_class(entry.type), entry.graph_name, receive,
+            messages.qos_profile(entry.qos), raw=True,
         )
 
-    def close_publishers(self) -> None:
-        """Close the publishers of all topics of a tick, as nodes do when they stop."""
-        names = set(map(self._name, self.played))
-        for publisher in list(self.node.publishers):
-            if publisher.topic_name in names:
-                self.node.destroy_publisher(publisher)
-
-    def open_publisher(self, node: Node, name: str) -> Callable[[Any], None]:
-        """Open a topic, and return a function that publishes a value on it."""
-        topic = self.interface[name]
-        encode = encoder(topic.type)
-        publisher = node.create_publisher(
-            message_class(topic.type), topic.graph_name, qos_profile(topic.qos)
+    def open(self, topic: str) -> Publisher:
+        """Return a new publisher of a topic."""
+        entry = read_topics()[topic]
+        return self.node.create_publisher(
+            messages.message_class(entry.type), entry.graph_name, messages.qos_profile(entry.qos)
         )
-        return lambda value: publisher.publish(encode(value))
-
-    # --- ticks ----------------------------------------------------------------------------------
-
-    def start_tick(self) -> None:
-        """Publish the time of the next tick.
-
-        Raises:
-            BrokenRuleError: if no more ticks are published, for the reason in ``hindered``.
-        """
-        require(not self.hindered, self.hindered)
-        self._lines.update(self._current_check)
-        self.publish(CLOCK, _EPOCH_NS + round(self.ticks * self._tau * 1e9))
-        self.ticks += 1
 
     def publish(self, topic: str, value: Any) -> None:
         """Publish a value."""
-        self._publishers[topic](value)
+        self._publishers[topic].publish(messages.encoder(read_topics()[topic].type)(value))
 
-    def wait_for_answer(self, until: float) -> bool:
-        """Wait for an answer until a time (s, `time.monotonic`); return whether it has arrived."""
-        while not self.answered():
-            remaining = until - time.monotonic()
-            if remaining < 0:
-                self.hindered = f"not checked: the {self.kind} does not answer"
-                return False
-            self._executor.spin_once(timeout_sec=remaining)
-        return True
-
-    def answered(self) -> bool:
-        """Return whether the node has answered the tick."""
-        return bool(self.answers)
-
-    def count_answers(self, expected: int) -> None:
-        """Record any surplus answers, and discard all answers, since they could mask later ones."""
-        if len(self.answers) > expected and not self.surplus:
-            self.surplus = (
-                f"{len(self.answers)} {self.answer}s instead of {expected} after tick "
-                f"{self.ticks - 1}"
-            )
-        self.answers.clear()
-
-    def check_count(self) -> None:
-        """Check that no tick, including the last, had more than one answer."""
-        with self.check(f"publishes exactly one {self.answer} for each tick"):
-            self.spin(SETTLE_S)
-            self.count_answers(0)
-            require(not self.surplus, self.surplus)
-
-    def spin(self, seconds: float) -> None:
-        """Receive messages for a given duration (s), and show the progress."""
+    def wait(self, seconds: float, done: Callable[[], bool] = lambda: False) -> bool:
+        """Receive messages for a time (s), or until something is done; return whether it is."""
         until = time.monotonic() + seconds
-        while (remaining := until - time.monotonic()) > 0:
-            self._executor.spin_once(timeout_sec=remaining)
-        self._lines.update(self._current_check)
+        while not (over := done()) and (remaining := until - time.monotonic()) > 0:
+            self._executor.spin_once(timeout_sec=min(remaining, 0.1))
+        return over
+
+    # --- ticks ----------------------------------------------------------------------------------
+
+    def tick(self, unusual: Values = USUAL, order: Sequence[str] = ()) -> dict[str, float]:
+        """Publish a tick, and return the answer on each output.
+
+        Args:
+            unusual: values that replace the usual ones.
+            order: topics to publish after all others, the last of them after a delay.
+
+        Raises:
+            StoryEndError: if no answer arrives in time, or more than one.
+            BrokenRuleError: if an answer arrives before the last input, or is out of its range.
+        """
+        self.require_one_answer()
+        began, values = time.monotonic(), {**self.usual, **unusual}
+        self.publish(CLOCK, _EPOCH_NS + round(self._ticks * self.site.tau * 1e9))
+        self._ticks += 1
+        *first, last = [*(topic for topic in values if topic not in order), *order]
+        for topic in first:
+            self.publish(topic, values[topic])
+        if order:
+            self.wait(_DELAY_S)
+        early = bool(order) and any(self.received.values())
+        self.publish(last, values[last])
+        self.wait(ANSWER_S, lambda: all(self.received.values()))
+        self.wait(began + self.period - time.monotonic())
+        if self._ticks == 1:
+            self.wait(SETTLE_S)
+        require(not early, f"an answer came before the last input in {', '.join(order)}")
+        for topic, answers in self.received.items():
+            require(
+                bool(answers), f"nothing came on {topic} within {ANSWER_S:g} s in tick "
+                f"{self._ticks - 1}, with {describe(unusual)}", StoryEndError,
+            )
+            allowed = read_topics()[topic].range
+            require(
+                answers[-1] in allowed,
+                f"{answers[-1]:g} on {topic} with {describe(unusual)}; it {allowed.expected()}",
+            )
+        return {topic: answers[-1] for topic, answers in self.received.items()}
+
+    def require_one_answer(self, settle_s: float = 0.0) -> str:
+        """Discard the answers, and require that none was superfluous, if the node is not live.
+
+        Args:
+            settle_s: how long to wait for superfluous answers (s).
+        """
+        self.wait(settle_s)
+        for topic, answers in self.received.items():
+            number = len(answers)
+            answers.clear()
+            require(
+                self.live or number <= 1,
+                f"{number} messages on {topic} in tick {self._ticks - 1}", StoryEndError,
+            )
+        return f"{self._ticks} ticks"
+
+    # --- what must come -------------------------------------------------------------------------
+
+    @property
+    def _now(self) -> float:
+        """The time of the ticks (s): that of the wall unless they are as fast as possible."""
+        return time.monotonic() if self.period else self._ticks * self.site.tau
+
+    def until(
+        self, right: Callable[[Values], bool], sent: Values = USUAL, *, within: float,
+        stays: int = 0, error: type[BrokenRuleError] = BrokenRuleError,
+    ) -> str:
+        """Send a tick again and again until the answers are right, and return what was measured.
+
+        Args:
+            right: whether answers are right.
+            sent: values that replace the usual ones.
+            within: time within which the answers must be right (s).
+            stays: number of further ticks in which they must stay so.
+            error: what to raise if they are not.
+        """
+        began = self._now
+        while not right(answers := self.tick(sent)):
+            problem = f"{describe(answers)} after {within:g} s with {describe(sent)}"
+            require(self._now <= began + within, problem, error)
+        measured = f"{describe(answers)} after {self._now - began:.1f} s"
+        for _ in range(stays):
+            answers = self.tick(sent)
+            require(right(answers), f"{describe(answers)} again with {describe(sent)}", error)
+        return measured
+
+    def answer_in_any_order(self, tolerance: float) -> None:
+        """Send the same tick in every order of the inputs, and require the same answers.
+
+        For a node with memory, an answer may lie between those of the ticks before and after.
+        """
+        before = self.tick()
+        for order in permutations(filter(self._endpoints, (*self.required, *self.optional))):
+            answers, after = self.tick(order=order), self.tick()
+            for topic, answer in answers.items():
+                low, high = sorted((before[topic], after[topic]))
+                require(
+                    low - tolerance <= answer <= high + tolerance,
+                    f"{answer:g} on {topic} if the inputs come in the order {', '.join(order)}, "
+                    f"but {low:g} to {high:g} with the same inputs in the ticks before and after",
+                )
+            before = after
+
+    def end_with_peers(self) -> None:
+        """Close the topics, as ending nodes do, and require that the node leaves the graph."""
+        for publisher in self._publishers.values():
+            self.node.destroy_publisher(publisher)
+        ended = self.wait(_END_S, lambda: not self._endpoints(self.outputs[0]))
+        require(ended, f"the node still runs {_END_S:g} s after {CLOCK} has lost its publisher")
 
 
-def check_node(
-    name: str, tested: str, make: Callable[[Node, str], NodeCheck]
-) -> list[CheckResult]:
-    """Join the graph of a running node, check the node, and return the result of each check.
-
-    Args:
-        name: name of the node that plays the peers.
-        tested: name of the node under test, with its namespace if there is one: ``/site1/pump``.
-        make: function that returns the check; it receives the node that plays the peers, and the
-            name of the tested node without namespace.
-
-    Raises:
-        ConfigurationError: if the node under test is not found.
-        OccupiedError: if other nodes already publish the topics that the check publishes.
-    """
-    prepare_ros()
+def check_node(make: Callable[[], NodeCheck]) -> Iterator[Result]:
+    """Run ROS and the check that a function makes, and yield the results as they come."""
     Signals(interrupt=True)  # the node leaves the graph
-    namespace, _, tested_name = tested.rpartition("/")
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        node = Node(name, namespace=namespace or "/")
+    with ros([]):
+        check = make()
         try:
-            return make(node, tested_name).run()
+            yield from check.run()
         finally:
-            node.destroy_node()
-    finally:
-        rclpy.try_shutdown()
+            check.node.destroy_node()

@@ -1,35 +1,24 @@
-"""The results of a check, and how they are printed."""
+"""The results of a check, as they are printed."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
 
 from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED
 
 
-@dataclass(frozen=True)
-class CheckResult:
-    """The result of one check.
+def print_results(title: str, results: Iterable[tuple[str, str, str]]) -> int:
+    """Print results as they come, and return exit code 0 if every check passed, otherwise 1.
 
-    Attributes:
-        check: the requirement that is checked.
-        problem: description of the deviation from the requirement; empty if the check passed.
-        result: result to show for a passed check; empty for none.
+    Args:
+        title: the first line.
+        results: for each check what it requires, the problem (empty if it passed), and what was
+            measured (may be empty).
     """
-
-    check: str
-    problem: str
-    result: str = ""
-
-
-def print_check_results(title: str, results: Sequence[CheckResult]) -> int:
-    """Print results, and return exit code 0 if every check passed, otherwise 1."""
     print(title)
-    for result in results:
-        outcome = "failed" if result.problem else "passed"
-        shown = ": ".join(filter(None, (result.check, result.problem or result.result)))
-        print(f"  {outcome}: {shown}")
-    passed = sum(not result.problem for result in results)
-    print(f"{passed} of {len(results)} checks passed")
-    return EXIT_DONE if passed == len(results) else EXIT_FAILED
+    outcomes = []
+    for check, problem, measured in results:
+        outcomes.append("failed" if problem else "passed")
+        print(f"  {outcomes[-1]}: {': '.join(filter(None, (check, problem or measured)))}")
+    print(f"{outcomes.count('passed')} of {len(outcomes)} checks passed")
+    return EXIT_FAILED if "failed" in outcomes else EXIT_DONE
