@@ -37,7 +37,7 @@ ARRIVAL_S, _DISCOVERY_S = 10.0, 2.0
 # How long an answer may take after the last input of a tick (s).
 ANSWER_S = 5.0
 # Time within which a second answer would follow the first (s), awaited in the first and last ticks.
-SETTLE_S = 0.5
+_SETTLE_S = 0.5
 # How long the last input of a tick is held back (s): a node that does not wait for it answers by
 # then.
 _DELAY_S = 0.05
@@ -245,7 +245,7 @@ class NodeCheck(ABC):
             StoryEndError: if no answer arrives in time, or more than one.
             BrokenRuleError: if an answer arrives before the last input, or is out of its range.
         """
-        self.require_one_answer()
+        self._discard_answers()
         began, values = time.monotonic(), {**self.usual, **unusual}
         self.publish(CLOCK, _EPOCH_NS + round(self._ticks * self.site.tau * 1e9))
         self._ticks += 1
@@ -259,7 +259,7 @@ class NodeCheck(ABC):
         self.wait(ANSWER_S, lambda: all(self.received.values()))
         self.wait(began + self.period - time.monotonic())
         if self._ticks == 1:
-            self.wait(SETTLE_S)
+            self.wait(_SETTLE_S)
         require(not early, f"an answer came before the last input in {', '.join(order)}")
         for topic, answers in self.received.items():
             require(
@@ -273,13 +273,8 @@ class NodeCheck(ABC):
             )
         return {topic: answers[-1] for topic, answers in self.received.items()}
 
-    def require_one_answer(self, settle_s: float = 0.0) -> str:
-        """Discard the answers, and require that none was superfluous, if the node is not live.
-
-        Args:
-            settle_s: how long to wait for superfluous answers (s).
-        """
-        self.wait(settle_s)
+    def _discard_answers(self) -> None:
+        """Discard the answers, and require that none was superfluous, if the node is not live."""
         for topic, answers in self.received.items():
             number = len(answers)
             answers.clear()
@@ -287,7 +282,6 @@ class NodeCheck(ABC):
                 self.live or number <= 1,
                 f"{number} messages on {topic} in tick {self._ticks - 1}", StoryEndError,
             )
-        return f"{self._ticks} ticks"
 
     # --- what must come -------------------------------------------------------------------------
 
@@ -335,6 +329,12 @@ class NodeCheck(ABC):
                     f"but {low:g} to {high:g} with the same inputs in the ticks before and after",
                 )
             before = after
+
+    def answer_once(self) -> str:
+        """Require that no answer follows that to the last tick; earlier ones have been counted."""
+        self.wait(_SETTLE_S)
+        self._discard_answers()
+        return f"{self._ticks} ticks"
 
     def end_with_peers(self) -> None:
         """Close the topics, as ending nodes do, and require that the node leaves the graph."""

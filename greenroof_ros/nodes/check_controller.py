@@ -9,7 +9,7 @@ from typing import Any
 
 from greenroof_ros.controllers.check import trial_values
 from greenroof_ros.graph.messages import WithFront
-from greenroof_ros.nodes.check import SETTLE_S, NodeCheck, Story, StoryEndError, Values, describe
+from greenroof_ros.nodes.check import NodeCheck, Story, StoryEndError, Values, describe
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
 
@@ -66,7 +66,7 @@ class ControllerCheck(NodeCheck):
         yield "its commands are valid while a forecast is not", self._answer, hidden
         yield "waits for its inputs in any order", self.answer_in_any_order, _EQUAL
         yield "its commands are valid at all levels", self._answer, self._trials
-        yield "sends exactly one command for each tick", self.require_one_answer, SETTLE_S
+        yield "sends exactly one command for each tick", self.answer_once
         yield "ends when the plant has ended", self.end_with_peers
 
     def _find_watering(self) -> str:

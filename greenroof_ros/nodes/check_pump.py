@@ -9,15 +9,7 @@ from collections.abc import Sequence
 from std_msgs.msg import String
 
 from greenroof_ros.interface.states import PumpState
-from greenroof_ros.nodes.check import (
-    SETTLE_S,
-    USUAL,
-    NodeCheck,
-    Story,
-    StoryEndError,
-    Values,
-    require,
-)
+from greenroof_ros.nodes.check import USUAL, NodeCheck, Story, StoryEndError, Values, require
 from greenroof_ros.physics.start import initial_states
 from greenroof_ros.site.site import Site
 
@@ -125,7 +117,7 @@ class PumpCheck(NodeCheck):
             yield "runs steadily again", self._run
         yield "stops at command 0", self._stop, STOP_S, {COMMAND: 0.0}
         if not self.live:
-            yield "sends exactly one flow for each tick", self.require_one_answer, SETTLE_S
+            yield "sends exactly one flow for each tick", self.answer_once
 
     def tick(self, unusual: Values = USUAL, order: Sequence[str] = ()) -> dict[str, float]:
         """Publish a tick, and move the water that is pumped."""
