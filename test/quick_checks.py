@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from greenroof_ros.__main__ import main
-from greenroof_ros.commands.checks import controller, node, pump_driver
+from greenroof_ros.nodes import check, check_pump
 
 if __name__ == "__main__":
-    node.ARRIVAL_S, controller.ANSWER_S = 60.0, 2.0
-    pump_driver.START_S, pump_driver.STOP_S, pump_driver.SILENCE_S = 12.0, 3.0, 1.5
+    check.ARRIVAL_S = 60.0
+    check_pump.START_S, check_pump.STOP_S, check_pump.SILENCE_S = 12.0, 3.0, 1.5
     main()

@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 
 from greenroof_ros.base.command_line import Parser, add_site, command, make_number_type
-from greenroof_ros.commands.checks.results import CheckResult, print_check_results
 from greenroof_ros.controllers.check import check_controller
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.graph.domain import require_ros
+from greenroof_ros.nodes.check_results import print_results
 from greenroof_ros.simulation.options import add_output_arguments, add_run_arguments
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import MAX_HORIZON
@@ -21,30 +21,24 @@ _CLASS = (
 )
 _NODE = (
     "With --node, check a running node, written in any language, for use with 'greenroof run "
-    "--controller external'. The node must obey four rules. (1) Every topic uses reliable, "
-    "transient-local quality of service with a history depth of 64, and its publisher has a "
-    "liveliness lease of 1 s. (2) For each tick, once all inputs of the tick have arrived, the "
-    "node publishes exactly one message on /pump/command and, at a site with an outlet valve, "
-    "exactly one on /outlet/command. (3) The node answers every tick. All commands are finite and "
-    "not negative, and commands to the valve are at most 1. Commands are 0 if a level or frost is "
-    "not finite, and the pump's command is also 0 in frost. (4) The node stops when /clock no "
+    "--controller external'. Once all inputs of a tick have arrived, in whatever order, the node "
+    "must publish exactly one command to the pump and, if the site has an outlet valve, one to the "
+    "valve. They must be 0 while a level or frost is not finite, and that to the pump also in "
+    "frost. The node must use the quality of service of the interface, and stop when /clock no "
     "longer has a publisher. The check takes the place of the plant node and the weather node, so "
     "do not start a run. At the end, the check stops the node."
 )
 
 
-def _options(reference: str) -> CheckResult:
-    """Check that no parameter has the same name as an option of the commands."""
+def _check_options(reference: str) -> str:
+    """Return which parameter has the same name as an option of the commands; empty for none."""
     parser = Parser()
-    problem = ""
     try:
         add_run_arguments(parser, ["--controller", reference])
         add_output_arguments(parser)
     except argparse.ArgumentError as error:
-        problem = f"{error}; rename the parameter"
-    return CheckResult(
-        "none of its parameters has the same name as an option of the commands", problem
-    )
+        return f"{error}; rename the parameter"
+    return ""
 
 
 def make_parser() -> Parser:
@@ -85,13 +79,16 @@ def main() -> int:
     site = read_site(arguments.site)
     if arguments.node is not None:
         with require_ros():
-            from greenroof_ros.commands.checks.controller import ControllerCheck
-            from greenroof_ros.commands.checks.node import check_node
-        results = check_node("check_controller", arguments.node, lambda node, name: ControllerCheck(
-            node, name, site, horizon=arguments.horizon
-        ))
-        return print_check_results(f"controller node {arguments.node}", results)
+            from greenroof_ros.nodes.check import check_node
+            from greenroof_ros.nodes.check_controller import ControllerCheck
+        return print_results(
+            f"controller node {arguments.node}",
+            check_node(lambda: ControllerCheck(arguments.node, site, horizon=arguments.horizon)),
+        )
     choice = find_controller(arguments.controller)
-    results = [CheckResult(*each) for each in check_controller(choice, site).items()]
-    results.append(_options(arguments.controller))
-    return print_check_results(f"{choice.name}, {choice.path}", results)
+    problems = check_controller(choice, site)
+    problems["none of its parameters has the same name as an option of the commands"] = (
+        _check_options(arguments.controller)
+    )
+    results = [(check, problem, "") for check, problem in problems.items()]
+    return print_results(f"{choice.name}, {choice.path}", results)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from greenroof_ros.base.command_line import Parser, add_site, command, make_number_type
-from greenroof_ros.commands.checks.results import print_check_results
 from greenroof_ros.graph.domain import require_ros
+from greenroof_ros.nodes.check_results import print_results
 from greenroof_ros.site.file import read_site
 
 _INVENTED = (
@@ -12,16 +12,15 @@ _INVENTED = (
     "pump run a cistern dry, or pump into a frozen pipe. With a real pump, make sure that there is "
     "water in the cistern, room on the roof and no frost, and set --period to the site's tau (1). "
     "With a period of 0.1, the motor's actual minimum on and off times are only a tenth of those "
-    "configured, and the motor is started ten times."
+    "configured, and the motor is started ten times. The first line says how long the check takes."
 )
 _SUBJECT = (
-    "Check through topics whether a running pump driver follows the interface. The driver can be "
-    "this package's or your own in any language. The check covers a stopped pump at the start, "
-    "one flow for each command, rejected values, the watchdog, a second publisher, frost, "
-    "unknown levels, unknown frost, a cistern at the suction level, and the restart of the pump "
-    "after each of these. The check takes the place of the plant node, the weather node and the "
-    "controller, so do not start a run. Use --live for the driver of a live graph, such as this "
-    "package's pump node, which publishes its flow every tau without waiting for a command."
+    "Check through topics whether a running pump driver, in any language, follows the interface: "
+    "when the pump must stop, that it runs again afterwards, and that the driver publishes one "
+    "flow for each command, in whatever order its inputs come. The check takes the place of the "
+    "plant node, the weather node and the controller, so do not start a run. Use --live for the "
+    "driver of a live graph, such as this package's pump node, which publishes its flow every tau "
+    "without waiting for a command."
 )
 _LIMIT = (
     "The flows that the driver reports are the only evidence: topics cannot show whether the "
@@ -67,12 +66,13 @@ def main() -> int:
     """Check the driver named on the command line."""
     arguments = make_parser().parse_args()
     with require_ros():
-        from greenroof_ros.commands.checks.node import check_node
-        from greenroof_ros.commands.checks.pump_driver import PumpCheck
+        from greenroof_ros.nodes.check import check_node
+        from greenroof_ros.nodes.check_pump import PumpCheck, describe_duration
     site = read_site(arguments.site)
-    results = check_node("check_pump", arguments.node, lambda node, name: PumpCheck(
-        node, name, site, command=arguments.command, period=arguments.period, live=arguments.live,
-    ))
-    code = print_check_results(f"pump driver {arguments.node}", results)
+    print(f"THE PUMP WILL RUN. The check takes {describe_duration(arguments.period)}.")
+    code = print_results(f"pump driver {arguments.node}", check_node(lambda: PumpCheck(
+        arguments.node, site, command=arguments.command, period=arguments.period,
+        live=arguments.live,
+    )))
     print(_LIMIT)
     return code

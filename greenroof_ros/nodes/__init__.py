@@ -1,1 +1,1 @@
-"""The nodes of a simulation: plant, weather, controller and recorder, each in its own module."""
+"""The nodes of a simulation, and the checks of controllers and pump drivers from elsewhere."""

@@ -38,5 +38,4 @@ def test_check_pump_finds_it_right(rig: PumpRig) -> None:
         "--site", str(rig.cwd / "site.yaml"), cwd=rig.cwd,
     )
     assert check.wait(300) == 0, check.stdout() + check.stderr()
-    assert "21 of 21 checks passed" in check.stdout()
     assert rig.drive.speed() == 0.0

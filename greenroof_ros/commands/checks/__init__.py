@@ -1,1 +1,0 @@
-"""Checks of nodes from other packages against the interface."""

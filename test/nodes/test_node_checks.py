@@ -1,0 +1,227 @@
+"""Nodes of others under check-controller and check-pump, which name each broken rule."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from checked_nodes import changed, start_node
+from commands import Forked
+from graphs import Process, environment, wait_for
+from peers import Peer, in_domain
+from places import CHECKOUT, CONFIG
+from std_msgs.msg import Float64
+
+CONTROLLER = (CHECKOUT / "examples" / "controller_node.py").read_text()
+DRIVER = changed(
+    changed(
+        (CHECKOUT / "examples" / "pump_driver.py").read_text(),
+        "0.008, 30.0, 1.0", "0.008, 4.0, 1.0",  # faster than the example's
+    ),
+    "SILENCE = 3.0", "SILENCE = 1.0; last = [0.0]",
+)
+ANSWER = "        publisher.publish(Float64(data=command()))\n"
+COMMAND = "GAIN * (TARGET - roof)"
+VALVE = ("--site", str(CONFIG / "site_valve.yaml"))
+
+
+class Case(NamedTuple):
+    """Changes that break a node, and what is in the lines that must fail: title and problem."""
+
+    changes: dict[str, str]
+    failures: dict[str, str]
+    node: tuple[str, ...] = ()
+    check: tuple[str, ...] = ()
+
+
+CONTROLLERS = {
+    "example": Case({}, {}),
+    "valve": Case({}, {}, ("-p", "valve:=true"), VALVE),
+    # This package's lookahead has a memory and limits the starts.
+    "lookahead": Case({}, {}, check=("--horizon", "120")),
+    "obeys_too_much": Case({
+        'tick["weather/frost"] != 0': 'tick["weather/frost"] not in (0.0, 1.0)',
+        " or not math.isfinite(roof)": "",
+        "SUCTION <= cistern < math.inf": "SUCTION <= cistern",
+        COMMAND: f'{COMMAND} + 0.0 * sum(tick["forecast/precipitation"][-10:])',
+    }, {
+        "0 in frost": r"0\.9\d+ on /pump/command after 0 s with 1 on /weather/frost",
+        "while the cistern's level": r"0\.9\d+ on /pump/command .* inf on /cistern/level",
+        "while the roof's level": "nan on /pump/command with nan on /roof/level; it must be",
+        "while a forecast is not": "nan on /pump/command with nan on /forecast/precipitation",
+    }),
+    "careless": Case({
+        'tick["weather/frost"] != 0': 'tick["weather/frost"] == 1',
+        f"max({COMMAND}, 0.0)": COMMAND,
+        "    if topic in tick:\n": "    if False:\n",
+        "len(tick) == len(INPUTS)": 'topic == "forecast/evapotranspiration"',
+        "tick.clear()": "pass",
+        "node.create_timer": "publisher.publish(Float64())\nnode.create_timer",
+        "        raise SystemExit\n": "        pass\n",
+    }, {
+        "before the first tick": "1 messages arrived before any input",
+        "valid at all levels": r"-0\.\d+ on /pump/command with .* on /roof/level",
+        "while frost is not finite": r"0\.9\d+ on /pump/command .* nan on /weather/frost",
+        "in any order": "before the last input in /cistern/level, .*/forecast/precipitation$",
+        "ends when": "still runs 10 s after /clock",
+    }),
+    "by_arrival": Case({  # takes the first level of a tick for that of the cistern
+        ANSWER: "        levels = [tick[topic] for topic in tick if 'level' in topic]\n"
+        f"        tick.update(zip(INPUTS, levels))\n{ANSWER}",
+    }, {"in any order": r"0 on /pump/command if the inputs come in the order /.*, but 0\.9"}),
+    "opens": Case({"    finite = all": "    finite = True or all"}, {
+        "while frost is not finite": "1 on /outlet/command .* nan on /weather/frost",
+        "while the roof's level": "1 on /outlet/command .* nan on /roof/level",
+    }, ("-p", "valve:=true"), VALVE),
+    "silent": Case(
+        {"        publisher.": '        tick["weather/frost"] == 1 or publisher.'},
+        {"0 in frost": "on /pump/command within 5 s in tick 2, with 1 on /weather/frost;"},
+    ),
+    "doubled": Case({ANSWER: 2 * ANSWER}, {"frost": "2 messages on /pump/command in tick 0"}),
+    "never_waters": Case({"GAIN = 20.0": "GAIN = 0.0"}, {"waters": "0 at all levels"}),
+    "volatile": Case({
+        ", durability=DurabilityPolicy.TRANSIENT_LOCAL": "",
+        '"weather/frost": Float64,': "", 'tick["weather/frost"] != 0 or ': "",
+    }, {
+        "topics match": "its publisher of /pump/command is volatile; it must be reliable, transient"
+        " local, keep last 64, with a liveliness lease of 1 s; its subscription to /cistern/level "
+        "is volatile.*node has no subscription to /weather/frost",
+    }),
+}
+# The rules for topics and messages are those of controllers, in the same code.
+DRIVERS = {
+    "example": Case({}, {}),
+    "obeys_too_much": Case({
+        "else 0.0  # not a NaN":
+            "else last[0] if math.isnan(command) else 0.0\n    last[0] = command",
+        "    flow.data = 0.0\n": "    pass\n",
+        "node.commanders > 1 or": "node.commanders > 9 or",
+        "not cistern > SUCTION": "math.isnan(cistern)",
+    }, {
+        "command nan": r"0\.00\d+ on /pump/flow after 3 s with nan on /pump/command",
+        "of the last command": r"0\.00\d+ m3/s after the silence, .* had not stopped",
+        "second publisher": r"0\.00\d+ on /pump/flow after 3 s with usual inputs",
+        "at the suction level": "after 3 s with 0.749 on /cistern/level",
+    }),
+    "hears_too_little": Case({
+        "min(command, 1.0)": "command",
+        "watchdog = node.create_timer(SILENCE, on_silence,":
+            "from std_msgs.msg import String\n"
+            "states = node.create_publisher(String, 'pump/state', qos)\n"
+            "said = lambda: states.publish(String(data='{\"state\": \"running\"}'))\n"
+            "watchdog = node.create_timer(SILENCE, lambda: (on_silence(), said()),",
+        "frost != 0": "math.isnan(frost)",
+        "SUCTION  # an unknown level": "SUCTION + last[0]; last[0] += cistern <= SUCTION  #",
+    }, {
+        "above 1 as 1": r"0\.02\d+ on /pump/flow .*; 0\.00\d+ at command 1",
+        "of the last command": "/pump/state reports 'running' at the end of the silence",
+        "stops in frost": "after 3 s with 1 on /weather/frost",
+        "runs steadily again": "on /pump/flow after 12 s with usual inputs .*running",
+    }),
+    "acts_at_the_command": Case({
+        "    tick[topic] = message.data\n    if len(tick) < len(INPUTS):\n        return\n":
+            "    node.seen = getattr(node, 'seen', {}) | {topic: message.data}\n"
+            "    if topic != INPUTS[0] or len(node.seen) < len(INPUTS):\n        return\n"
+            "    tick.update(node.seen)\n",
+    }, {"in any order": "an answer came before the last input in /pump/command, /"}),
+}
+
+
+def start(domain: int, cwd: Path, name: str, text: str, case: Case) -> subprocess.Popen[bytes]:
+    """Start a node in a namespace of its own, as its user would."""
+    for old, new in case.changes.items():
+        text = changed(text, old, new)
+    if name != "lookahead":
+        return start_node(domain, cwd, name, text, "--ros-args", "-r", f"__ns:=/{name}", *case.node)
+    return Forked(
+        [sys.executable, "-m", "greenroof_ros.nodes.controller", "--controller", name,
+         "--ros-args", "-r", f"__ns:=/{name}", "-r", "__node:=controller"],
+        cwd=cwd, env=environment(domain),
+    )
+
+
+def check(domain: int, cwd: Path, name: str, kind: str, *options: str) -> Process:
+    options = (*options, "--period", "0.01") if kind == "pump" else options
+    return Process(domain, f"quick_check_{kind}", "--node", f"/{name}/{kind}", *options, cwd=cwd)
+
+
+def wrong_verdict(process: Process, case: Case) -> str:
+    """Return the verdict of a check unless exactly the right lines failed; empty if they did."""
+    code, lines = process.wait(180), process.stdout().splitlines()
+    failed = [line for line in lines if line.startswith("  failed: ")]
+    right = code == bool(case.failures) and len(failed) == len(case.failures) and all(
+        any(re.search(f"{title}.*{problem}", line) for line in failed)
+        for title, problem in case.failures.items()
+    )
+    return "" if right else f"{process.process.args}: {code}, {lines}, {process.stderr()}"
+
+
+def wrong_verdicts(
+    domain: int, cwd: Path, kind: str, text: str, cases: dict[str, Case]
+) -> list[str]:
+    """Check some nodes side by side, and return the verdicts that are wrong."""
+    cwd.mkdir()
+    nodes = {name: start(domain, cwd, name, text, case) for name, case in cases.items()}
+    try:
+        checks = {name: check(domain, cwd, name, kind, *cases[name].check) for name in cases}
+        wrong = [wrong_verdict(checks[name], cases[name]) for name in cases]
+        if kind == "pump":
+            said = checks["example"].stdout()
+            assert re.match(r"THE PUMP WILL RUN\. .* takes 1 to 3 minutes", said)
+            assert "are the only evidence" in said
+            assert nodes["example"].wait(300) == 0  # as the controller, the check, has gone
+    finally:
+        for node in nodes.values():
+            node.kill()
+            node.wait(300)
+    return list(filter(None, wrong))
+
+
+@pytest.mark.parametrize(("kind", "some"), [
+    ("controller", slice(0, None, 2)), ("controller", slice(1, None, 2)), ("pump", slice(None)),
+], ids=["controllers", "more controllers", "pumps"])
+def test_examples_pass_and_broken_nodes_fail_for_what_is_broken(
+    domain: int, tmp_path: Path, kind: str, some: slice
+) -> None:
+    """Nodes are checked in real time; as the machine can stall, failed checks are repeated."""
+    text, cases = (DRIVER, DRIVERS) if kind == "pump" else (CONTROLLER, CONTROLLERS)
+    cases = dict([*cases.items()][some])
+    wrong = wrong_verdicts(domain, tmp_path / "once", kind, text, cases)
+    assert not wrong or not wrong_verdicts(domain, tmp_path / "again", kind, text, cases), wrong
+
+
+def test_without_a_node_or_with_a_second_graph_it_explains(domain: int, tmp_path: Path) -> None:
+    """The example of a driver needs nothing of this package."""
+    assert "greenroof" not in DRIVER and len(DRIVER.splitlines()) <= 67
+    absent = Process(domain, "check_pump", "--node", "pumpe", cwd=tmp_path)
+    publisher = 'node.create_publisher(Float64, "pump/command", qos)\nwatchdog = '
+    driver = start(domain, tmp_path, "taken", DRIVER, Case({"\nwatchdog = ": f"\n{publisher}"}, {}))
+    try:
+        again = check(domain, tmp_path, "taken", "pump")
+        assert absent.wait(300) == 2
+        assert "no node pumpe that publishes /pump/flow" in absent.stderr()
+        assert again.wait(300) == 3
+        assert "/pump/command already has a publisher (pump)" in again.stderr()
+    finally:
+        driver.terminate()
+        assert driver.wait(300) == 0  # no traceback and no failure at SIGTERM
+
+
+def test_publisher_that_does_not_fit_is_named_at_once(domain: int, tmp_path: Path) -> None:
+    """In one line: the node, its settings, and all that are required."""
+    with in_domain(domain), closing(Peer(domain, "pump")) as driver:
+        driver.node.create_publisher(Float64, "/pump/flow", 10)  # with rclpy's default settings
+        process = Process(domain, "bringup", "--pump", "external", "--output", "run", cwd=tmp_path)
+        wait_for(lambda: "warning" in process.stderr(), 60, "a warning")
+        process.process.terminate()
+        assert process.wait(300) == 130
+    warnings = [line for line in process.stderr().splitlines() if "warning" in line]
+    assert warnings == [
+        "warning: /pump/flow has a publisher with an incompatible QoS (pump): it is volatile, but "
+        "must be reliable, transient local, keep last 64; change its QoS, or stop it"
+    ]
