@@ -46,7 +46,7 @@ class PumpReports:
             dose: dose that is waiting, is running or has just ended; None if there is no dose.
             unsaved: reason why the state would be lost at a restart; empty if it would be
                 preserved.
-            changed: whether another program has just changed the record.
+            changed: whether another program has just changed the state file.
             second_pump: diagnosis of a second pump node; None if there is only one pump node.
         """
         diagnose = self._reports.diagnose
