@@ -79,7 +79,7 @@ class PumpReports:
         )
         diagnosis, level = Diagnosis.if_any("state_not_kept", unsaved), ERROR
         if diagnosis is None and changed:
-            diagnosis, level = Diagnosis.of("record_changed"), WARN
+            diagnosis, level = Diagnosis.of("state_changed"), WARN
         diagnose("state file", diagnosis, "holds and faults are being saved", level)
         self._diagnose_drive(now)
 

@@ -350,8 +350,7 @@ def test_a_hold_is_kept_over_restarts_and_ends_automatically(rig: PumpRig) -> No
 
     Its times are those of the site's clock. A request that does not shorten it says so.
     """
-    site = rig.site("utc_offset: -5")
-    node = rig.start(site_file=site)
+    node = rig.start()
     rig.run()
     until = datetime.now().astimezone() + timedelta(hours=1)
     for wrong in ("2020-01-01T00:00", "tomorrow"):
@@ -377,7 +376,7 @@ def test_a_hold_is_kept_over_restarts_and_ends_automatically(rig: PumpRig) -> No
     assert 0 < time.time() - report["since"] < LATE
     node.kill()
     node.wait()
-    rig.start(site_file=site)
+    rig.start()
     rig.join()
     assert [rig.tick(0.5) for _ in range(10)] == [0.0] * 10
     assert held.fullmatch(rig.state)
@@ -446,7 +445,7 @@ def test_a_broken_state_needs_a_reset(rig: PumpRig) -> None:
     for _ in range(2):
         node = rig.start(state_file=file)
         rig.join()
-        rig.until_code("pump", "record_unknown")
+        rig.until_code("pump", "state_unknown")
         assert rig.call(SetBool, "stop", data=False).success
         assert not rig.call(Trigger, "clear").success
         assert [rig.tick(0.5) for _ in range(10)] == [0.0] * 10
@@ -473,7 +472,7 @@ def test_a_state_file_that_is_removed(rig: PumpRig) -> None:
     rig.join()
     assert rig.call(SetBool, "stop", data=True).success
     file.unlink()
-    rig.until_code("state file", "record_changed")
+    rig.until_code("state file", "state_changed")
     # A thread writes it.
     wait_for(lambda: file.exists() and "the operator" in file.read_text(), 30, "the file")
     node.kill()
@@ -481,7 +480,7 @@ def test_a_state_file_that_is_removed(rig: PumpRig) -> None:
     file.unlink()
     rig.start(state_file=file)
     rig.join()
-    rig.until_code("pump", "record_unknown")
+    rig.until_code("pump", "state_unknown")
     assert [rig.tick(0.5) for _ in range(5)] == [0.0] * 5
     assert rig.call(Trigger, "reset").success
     rig.run()

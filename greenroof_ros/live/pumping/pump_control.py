@@ -444,7 +444,7 @@ class PumpControl:
             self._state_file.fault(latched[worst].sentence, worst)
         stored = self._state_file.state
         persistent = (
-            Diagnosis.if_any("record_unknown", stored.unknown), self._state_file.active_hold
+            Diagnosis.if_any("state_unknown", stored.unknown), self._state_file.active_hold
         )
         reasons += [reason for reason in persistent if reason is not None]
         if stored.fault:

@@ -44,7 +44,7 @@ CAUSES: dict[str, dict[str, Any]] = {
     "delivery": {"command": 1.0, "arriving": 0.0, "leaving": 0.0},
     # Another code of the table, as in a record from another version of this package.
     "fault_unknown": {"record": {"fault": "it was so", "fault_code": "frost"}},
-    "record_unknown": {"record": {"unknown": "whether there was a hold or a fault is unknown"}},
+    "state_unknown": {"record": {"unknown": "whether there was a hold or a fault is unknown"}},
     "hold": {"record": {"hold_owner": "the page", "hold_until": 4_000_000_000.0}},
     "cistern_level_unknown": {"change": {"cistern_level": math.nan}},
     "cistern_low": {"change": {"cistern_level": 0.1}},

@@ -582,7 +582,7 @@ def test_what_shows_that_a_file_existed_is_an_unknown_state(
     for _ in range(2):
         rig = Rig(file=file)
         decision = rig.run(30, 1.0)
-        assert (decision.speed, list(decision.interlocks)) == (None, ["record_unknown"])
+        assert (decision.speed, list(decision.interlocks)) == (None, ["state_unknown"])
         rig.state_file.close()
 
 
@@ -606,7 +606,7 @@ def test_a_hold_is_not_forgotten_with_its_file(how: str, tmp_path: Path) -> None
     for _ in range(2):  # likewise at the next start
         rig = Rig(file=file)
         decision = rig.run(30, 1.0)
-        assert next(iter(decision.interlocks)) == "record_unknown" and words in decision.why
+        assert next(iter(decision.interlocks)) == "state_unknown" and words in decision.why
         rig.state_file.close()
     rig = Rig(file=file)
     rig.control.reset()
