@@ -333,7 +333,8 @@ class StateFile:
         except Exception as error:  # whatever it is, the next state is still tried
             self._problem = self._explain(error)
             if not (self._content or state.hold_owner or state.fault or state.unknown):
-                self.file.unlink(missing_ok=True)  # so the next start is a first one, too
+                for path in (self.file, _number_file(self.file)):  # the next start is a first, too
+                    path.unlink(missing_ok=True)
 
     def _write(self, file: Path, state: StoredState, lines: int) -> None:
         """Write the state into the next lines.

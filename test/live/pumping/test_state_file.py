@@ -132,63 +132,49 @@ def test_a_second_process_erases_nothing(file: Path, clock: Clock) -> None:
 # --- the sliding 24 hours -------------------------------------------------------------------------
 
 
-def test_use_of_the_day(file: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is written every 10 s of use; time without the node counts, and the last 24 h slide.
-
-    A system clock that is set, as by NTP without a battery, frees nothing, nor does a new start of
-    the machine.
-    """
-    state_file = StateFile(file, UTC, clock)
+def test_use_is_written_every_10_s(file: Path) -> None:
+    state_file = StateFile(file)
     state_file.flush(20.0)
     for _ in range(19):
         state_file.count(1.0, 0.5, 0.01)
     assert DISK.wait(20.0)
     assert written(file)["use"] == [[5.0, 0.1]]
-    for _ in range(81):
-        state_file.count(1.0, 0.5, 0.01)
     state_file.close()
-    began, clock.now = clock.now, 1e6
-    with monkeypatch.context() as rebooted:
-        rebooted.setattr(module, "boot_id", lambda: "another")
-        assert (stored(file).elapsed, stored(file).day_run) == pytest.approx((100, 50))
-    clock.now = began + 3600
-    assert stored(file, lambda: 1000.0).elapsed == stored(file, lambda: 9e9).elapsed
-    again = stored(file)
-    assert again.day_volume == pytest.approx(1.0)
-    assert again.day_run == pytest.approx(50)
-    assert again.elapsed == pytest.approx(3700)
-    # 100 s after the start the first slot of 1800 s is in use, until it is 24 h old as a whole.
-    assert again.clears_in(run=50.0) == pytest.approx(1800 + 86_400 - 3700)
-    clock.now = began + 1800 + 86_400 - 101
-    assert stored(file).day_run == pytest.approx(50)
-    clock.now += 2
-    after = stored(file)
-    assert (after.day_volume, after.day_run, after.clears_in(run=50.0)) == (0, 0, 0)
 
 
 class Use(NamedTuple):
-    """A stretch of time: how long (s), whether the pump is wanted, and what happens at its end."""
+    """A stretch of time: how long (s), and whether the pump is wanted.
+
+    At its end the node may be restarted, after some time (s), which does not count if the machine
+    was started again, too.
+    """
 
     seconds: int
     wanted: bool
     restarts: bool
     down: int
+    boots: bool
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.builds(
     Use, st.integers(1, 30_000), st.booleans(), st.booleans(), st.integers(0, 90_000),
+    st.booleans(),
 ), max_size=20), st.sampled_from([0.5, 3.0]), st.sampled_from([600.0, 20_000.0]))
 def test_no_24_h_have_more_use_than_the_limits(
     uses: list[Use], max_volume: float, max_run: float
 ) -> None:
-    """By more than a tick's, in any window, also over restarts; and it is never off for a day."""
+    """By more than a tick's, in any window, also over restarts; and it is never off for a day.
+
+    Whatever the system clock shows, which may be set at any time.
+    """
     tick, flow = 100.0, 1.5e-3
-    clock = Clock()
+    clock, boots = Clock(), 0
     with TemporaryDirectory(dir=IN_MEMORY) as directory, pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "boot_time", clock)
+        patch.setattr(module, "boot_time", lambda: clock.now - 1e6 * boots)
+        patch.setattr(module, "boot_id", lambda: f"boot {boots}")
         file = Path(directory) / "pump.json"
-        state_file = StateFile(file, UTC, clock)
+        state_file = StateFile(file, UTC, lambda: -7.0 * clock.now)
         pumped: list[float] = []  # when each tick of pumping ended
         for use in uses:
             for _ in range(max(1, use.seconds // 100)):
@@ -204,8 +190,13 @@ def test_no_24_h_have_more_use_than_the_limits(
                     pumped.append(clock.now)
             if use.restarts:
                 assert state_file.close() == ""
+                before = state_file.state
                 clock.now += use.down
+                boots += use.boots
                 state_file = StateFile(file, UTC, clock)
+                passed = 0 if use.boots else use.down
+                assert state_file.state.elapsed == pytest.approx(before.elapsed + passed, abs=0.1)
+                assert state_file.state.day_run <= before.day_run + 0.1
         assert state_file.close() == ""
     first = 0
     for number, end in enumerate(pumped):
@@ -214,6 +205,19 @@ def test_no_24_h_have_more_use_than_the_limits(
         ticks = number - first + 1
         assert ticks * tick <= max_run + tick
         assert ticks * tick * flow <= max_volume + tick * flow
+
+
+def test_the_last_24_h_slide(clock: Clock) -> None:
+    """100 s after the start the first slot of 1800 s is in use, until it is 24 h old as a whole."""
+    state_file = StateFile(None, UTC, clock)
+    state_file.count(100.0, 50.0, 1.0)
+    state_file.count(3600.0, 0.0, 0.0)
+    assert state_file.state.clears_in(run=50.0) == pytest.approx(1800 + 86_400 - 3700)
+    state_file.count(1800 + 86_400 - 3701, 0.0, 0.0)
+    assert state_file.state.day_run == 50.0
+    state_file.count(1.0, 0.0, 0.0)
+    state = state_file.state
+    assert (state.day_volume, state.day_run, state.clears_in(run=50.0)) == (0, 0, 0)
 
 
 @pytest.mark.parametrize(
@@ -388,8 +392,8 @@ def lines_of(**changes: Any) -> bytes:
     return lines
 
 
-@pytest.mark.parametrize("content", [None, b"torn", lines_of(hold_owner="the page")],
-                         ids=["first start", "broken", "held"])
+@pytest.mark.parametrize("content", [None, lines_of(hold_owner="the page")],
+                         ids=["first start", "held"])
 def test_killed_at_each_step_it_forgets_no_hold(content: bytes | None, tmp_path: Path) -> None:
     """A first start begins fresh, or knows that it was begun; with any file there, it is off."""
     files = [tmp_path / str(number) / "pump.json" for number in range(50)]
@@ -496,10 +500,8 @@ def test_any_state_fits_in_its_line(file: Path) -> None:
 @pytest.mark.parametrize(("changes", "problem"), [
     # A stop under another key, as in an older version, is not forgotten.
     ({"hold_owner": ..., "stopped": "by someone"}, "'hold_owner'"),
-    ({"fault": ...}, "'fault'"),
     ({"version": 2}, "its format is 2, but this version reads 1"),
     ({"elapsed": math.nan}, "must be a number from 0 to 1e+11"),
-    ({"use": [[10**400, 0.0]]}, "must be a number from 0 to 1e+11"),
     ({"use": [[1.0]]}, "not enough values"),
     ({"fault": None}, "must be text"),
     ({"hold_until": "never"}, "must be a number from 0 to 1e+11"),
@@ -513,7 +515,7 @@ def test_a_wrong_key_is_an_unknown_state(
     assert (state := stored(file)).unknown == ""
     assert (state.day_run, state.day_volume, state.starts) == (30.0, 0.2, (10.0,))
     file.write_bytes(lines_of(**changes))
-    assert f"line 1: {problem}" in stored(file).unknown or problem in stored(file).unknown
+    assert problem in stored(file).unknown
 
 
 # What a site of 30 November 2026 left, each line padded with blanks.
@@ -562,6 +564,9 @@ def test_empty_disk_mounted_for_the_bag_is_a_fresh_start(
 
 
 @pytest.mark.parametrize("make", [
+    lambda file: file.write_bytes(b""),
+    lambda file: file.write_bytes(b"\xff" * 8192),
+    lambda file: file.write_bytes(b"[" * 100_000),
     lambda file: file.mkdir(),
     lambda file: file.symlink_to("unmounted/pump.json"),
     lambda file: file.symlink_to(file),
@@ -571,9 +576,9 @@ def test_empty_disk_mounted_for_the_bag_is_a_fresh_start(
     lambda file: (file.with_name("bag") / "bag_0.mcap").mkdir(parents=True),
     lambda file: (file.with_name("configuration") / "site.yaml").mkdir(parents=True),
     lambda file: file.with_name("bag").symlink_to("unmounted"),
-], ids=["directory", "link to nothing", "loop of links", "number", "summary", "alarms", "bag",
-        "configuration", "link to a missing bag"])
-def test_what_shows_that_a_file_existed_is_an_unknown_state(
+], ids=["empty", "broken", "long", "directory", "link to nothing", "loop of links", "number",
+        "summary", "alarms", "bag", "configuration", "link to a missing bag"])
+def test_what_is_broken_or_shows_that_a_file_existed_is_an_unknown_state(
     make: Callable[[Path], Any], tmp_path: Path
 ) -> None:
     """No such state is a fresh start, also at the next start."""
@@ -662,16 +667,14 @@ def test_a_directory_in_place_of_the_file_is_reported(file: Path) -> None:
     assert state_file.close() == ""
 
 
-@pytest.mark.parametrize("content", [b"", b"\xff" * 8192, b"[" * 100_000])
-def test_a_broken_file_stops_the_pump(content: bytes, file: Path) -> None:
+def test_a_broken_file_stops_the_pump(file: Path) -> None:
     """Until someone resets it, who must look at the pump first; then all is well."""
     file.parent.mkdir()
-    file.write_bytes(content)
+    file.write_bytes(b"")
     rig = Rig(file=file)
     decision = rig.run(30, 1.0)
     assert (decision.speed, decision.state) == (None, "fault")
-    assert decision.why.startswith(f"{file} cannot be read (")
-    assert ("it must be 8192 bytes long" in decision.why) == (len(content) != 8192)
+    assert decision.why.startswith(f"{file} cannot be read (it must be 8192 bytes long), ")
     assert decision.why.endswith("check the pump, then reset the fault")
     assert rig.state_file.close() == ""
     rig = Rig(file=file)
