@@ -178,7 +178,7 @@ class StateFile:
             return False
         try:
             self._lock = acquire_name_lock(os.path.realpath(self.file))
-        except LockedError as error:
+        except (LockedError, OSError) as error:
             self._problem = self._explain(error)
             return False
         requested, self._problem = self.state, ""
@@ -194,15 +194,15 @@ class StateFile:
     @property
     def active_hold(self) -> Diagnosis | None:
         """Owner, start, end and reason of the hold as a diagnosis; None if there is no hold."""
-        state = self.state
-        ends, since = state.hold_until, state.hold_since
+        state, ends = self.state, self.state.hold_until
         if not state.hold_owner or (ends is not None and self._clock() >= ends):
             return None
-        times = {"since": since and since // 60 * 60, "until": ends}
-        known = {"owner": state.hold_owner} | {
-            name: to_people(datetime.fromtimestamp(at, self._zone))
-            for name, at in times.items() if at is not None
-        } | ({"reason": state.hold_reason} if state.hold_reason else {})
+        known = {"owner": state.hold_owner}
+        for name, at in ("since", state.hold_since), ("until", ends):
+            if at is not None:
+                known[name] = to_people(datetime.fromtimestamp(at, self._zone))
+        if state.hold_reason:
+            known["reason"] = state.hold_reason
         return Diagnosis.of("hold", *known, **known)
 
     def hold(self, owner: str, reason: str = "", until: float | None = None) -> bool:

@@ -262,7 +262,7 @@ def test_a_hold_ends_at_its_end_or_when_it_is_released(file: Path, clock: Clock)
     state_file = StateFile(file, ZoneInfo("America/Chicago"), clock)
     assert state_file.active_hold is not None
     assert state_file.active_hold.sentence == (
-        "a hold by the command line since 2027-01-15 02:00-06:00 until 2027-01-15 03:01-06:00: "
+        "a hold by the command line since 2027-01-15 02:00:59-06:00 until 2027-01-15 03:01-06:00: "
         "painting"
     )
     clock.now += 1
