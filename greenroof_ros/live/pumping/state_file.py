@@ -48,6 +48,7 @@ from socket import socket
 from typing import Any
 
 from greenroof_ros.base.disk import DISK, PATIENCE_S
+from greenroof_ros.base.files import replace_file
 from greenroof_ros.base.processes import LockedError, acquire_name_lock
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.base.times import boot_id, boot_time, to_people
@@ -76,6 +77,8 @@ _TEXTS = "hold_owner", "hold_reason", "unknown", "fault", "fault_code", "boot"
 _MAX_TEXT = 350
 # The format of the file. In another one, a key has another meaning; a new key does not change it.
 _VERSION = 1
+# The number next to the file may be behind by this much: each kill between the two adds up to 2.
+_UNNOTED = 10_000
 # A service waits this long for the disk (s), well below the silence after which a node is killed.
 _WAIT_S = 0.5
 
@@ -332,28 +335,27 @@ class StateFile:
             self._written, self._problem = state, ""
         except Exception as error:  # whatever it is, the next state is still tried
             self._problem = self._explain(error)
-            if not (self._content or state.hold_owner or state.fault or state.unknown):
-                for path in (self.file, _number_file(self.file)):  # the next start is a first, too
-                    path.unlink(missing_ok=True)
 
     def _write(self, file: Path, state: StoredState, lines: int) -> None:
-        """Write the state into the next lines.
+        """Write the state into the next line in place, or into both lines of a new file.
 
         Raises:
             OSError: if the disk is full or fails.
         """
-        file.parent.mkdir(parents=True, exist_ok=True)
         content, last = bytearray(self._content.ljust(2 * _LINE)), self._number + lines
         for number in range(self._number + 1, last + 1):
             start = _LINE * ((number + 1) % 2)
             content[start : start + _LINE] = line = _format(number, state)
+        if lines == 1:
             _overwrite(file, start, line)
-        _overwrite(_number_file(file), 0, b"%-24d\n" % last)
-        if lines == 2:
-            os.truncate(file, 2 * _LINE)
+        elif os.path.lexists(file) and not file.is_file():  # such as a link to a missing disk
+            raise FileExistsError(errno.EEXIST, "it exists but is not a file")
+        else:
+            replace_file(file, lambda stream: stream.write(content), parents=True)
             directory = os.open(file.parent, os.O_RDONLY)
             os.fsync(directory)
             os.close(directory)
+        _overwrite(_number_file(file), 0, b"%-24d\n" % last)
         self._number, self._content = last, bytes(content)
 
     def _explain(self, error: Exception) -> str:
@@ -383,7 +385,7 @@ class StateFile:
         # The next line that is written replaces the broken one.
         self._number = max(lines, default=noted or secrets.randbelow(2**44))
         state = lines.get(self._number, StoredState())
-        if noted and not problems and not noted <= self._number <= noted + 2:
+        if noted and not problems and not noted <= self._number <= noted + _UNNOTED:
             problems, self._number = ["it is an older copy, or belongs to another site"], noted
         if problems and not state.unknown:
             state = replace(state, unknown=(
@@ -448,12 +450,20 @@ def _read(file: Path) -> bytes:
 
 
 def _overwrite(file: Path, start: int, content: bytes) -> None:
-    """Write bytes at a place in a file, which is created if it is missing."""
-    with os.fdopen(os.open(file, os.O_RDWR | os.O_CREAT, 0o644), "r+b") as stream:
-        stream.seek(start)
-        stream.write(content)
-        stream.flush()
-        os.fdatasync(stream.fileno())
+    """Write bytes at a place in a file, which is created if it is missing.
+
+    They are written by one call, which is not interrupted by a kill.
+
+    Raises:
+        OSError: if the disk is full or fails.
+    """
+    descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        if os.pwrite(descriptor, content, start) < len(content):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        os.fdatasync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def _parse(line: bytes) -> dict[int, StoredState]:
