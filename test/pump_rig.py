@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from paper import PAPER_SITE
 
-from greenroof_ros.live.pumping.ledger import Ledger
 from greenroof_ros.live.pumping.limits import PumpSettings, pump_parameters
 from greenroof_ros.live.pumping.pump_control import Decision, PumpControl
 from greenroof_ros.live.pumping.pump_inputs import Observation
+from greenroof_ros.live.pumping.state_file import StateFile
 from greenroof_ros.physics.parameters import State, plant_parameters
 from greenroof_ros.physics.tick import step
 from greenroof_ros.site.site import Site
@@ -61,8 +60,8 @@ class Rig:
         self.settings = settings or settings_for(self.site)
         self.plant = plant_parameters(self.site)
         self.x1, self.x2, self._layer = x1, x2, self.site.initial_layer
-        self.ledger = Ledger(file, time.time)
-        self.control = PumpControl(self.site, self.settings, self.ledger, 15.0)
+        self.state_file = StateFile(file)
+        self.control = PumpControl(self.site, self.settings, self.state_file, 15.0)
         self.tau = tau
         self.now = 1000.0
         self.speed = 0.0

@@ -29,7 +29,7 @@ SITE: Sample = {f"site:danfoss_fc202/{fault}": outcome for fault, outcome in {
     # Only the drive's own timeout can stop the pump.
     "kill both/pump and bringup": (None, "ended"),
     "drive/refused": (("pump: drive", "drive_lost"), "ran again"),
-    "state file/moved away": (("pump: pump", "record_unknown"), "ran again after ~/reset"),
+    "state file/moved away": (("pump: pump", "state_unknown"), "ran again after ~/reset"),
     "intruder/pump.flow": (("pump: flow", "two_pumps"), "ran again"),
 }.items()}
 MQTT: Sample = {

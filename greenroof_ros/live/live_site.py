@@ -19,7 +19,7 @@ from greenroof_ros.live.devices.drive import DriveEndpoint
 from greenroof_ros.live.devices.modbus_line import parse_address
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, ModbusSensor, Sensors, read_sensors
 from greenroof_ros.live.drive_choice import DriveChoice, add_drive_arguments, read_drive_choice
-from greenroof_ros.live.pumping.ledger import RECORD
+from greenroof_ros.live.pumping.state_file import STATE_FILE
 from greenroof_ros.live.supervisor import STATION, NodeSetup, ProcessStart
 from greenroof_ros.live.valve import refuse_valve
 from greenroof_ros.simulation.options import (
@@ -171,7 +171,7 @@ class LiveSite:
         if self.drive is not None:
             yield ProcessStart(PUMP, "greenroof_ros.live.pump", (), {
                 PUMP: NodeSetup("greenroof_ros.live.pump", {
-                    **common, **vars(self.drive), "state_file": str(state / RECORD),
+                    **common, **vars(self.drive), "state_file": str(state / STATE_FILE),
                 }),
             })
 

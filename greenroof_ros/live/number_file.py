@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import math
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,9 +11,11 @@ from typing import Any
 from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import replace_text
+from greenroof_ros.base.ranges import Range
 from greenroof_ros.live.latest_writer import LatestWriter
 
 _CLOSE_S = 2.0
+_FINITE = Range(-sys.float_info.max, sys.float_info.max)
 
 
 class NumberFile:
@@ -42,17 +44,12 @@ class NumberFile:
                 numbers.
         """
         try:
-            content: Any = json.loads(self._file.read_text(encoding="utf-8"))
+            content: dict[str, Any] = json.loads(self._file.read_text(encoding="utf-8"))
+            return {name: _FINITE.check(value) for name, value in content.items()}
         except FileNotFoundError:
             return {}
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, AttributeError) as error:
             raise ConfigurationError(f"cannot be read: {error}", file=self._file) from error
-        if not isinstance(content, dict) or not all(
-            isinstance(value, float) and math.isfinite(value) for value in content.values()
-        ):
-            raise ConfigurationError("must be a mapping of names to finite floating-point "
-            "numbers", file=self._file)
-        return content
 
     def write(self, values: Mapping[str, float]) -> None:
         """Queue numbers for writing."""

@@ -48,7 +48,6 @@ from greenroof_ros.live.devices.exchange import RESET_S, UNREAD_S, DriveExchange
 from greenroof_ros.live.engine import LIMITS, PAUSE_S, Levels, live_parameters
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.live.pump_reports import PumpReports
-from greenroof_ros.live.pumping.ledger import MAX_NUMBER, Ledger
 from greenroof_ros.live.pumping.limits import (
     PumpSettings,
     check_command_limit,
@@ -56,10 +55,11 @@ from greenroof_ros.live.pumping.limits import (
 )
 from greenroof_ros.live.pumping.pump_control import Decision, PumpControl
 from greenroof_ros.live.pumping.pump_inputs import INPUTS, Observation
+from greenroof_ros.live.pumping.state_file import MAX_NUMBER, StateFile
 from greenroof_ros.site.site import Site
 
 COMMAND_LIMIT = LIMITS["/pump/command"]
-# For how long a suspension of the machine, or a changed record, is reported (s).
+# For how long a suspension of the machine, or a changed state file, is reported (s).
 _REPORTED_S = 60.0
 # Interval at which a state that could not be saved is written again, and at which the node reports
 # on the drive (s).
@@ -119,8 +119,9 @@ class PumpNode(LiveNode):
         # Time after which a drive that does not respond is stopped (s).
         self._drive_stops_after = UNREAD_S + values["drive_timeout_limit"] + MAX_RAMP_S
         own_name = self.get_fully_qualified_name().strip("/").replace("/", "-")
-        self._state_file = Path(values["state_file"] or state_directory() / f"{own_name}.json")
-        self._ledger = Ledger(self._state_file, time.time)
+        self._state_file = StateFile(
+            Path(values["state_file"] or state_directory() / f"{own_name}.json"), site.zone
+        )
         # Why a stop would be forgotten at a restart; empty once the state has been saved.
         self._unsaved, self._saved_at = "the state is not saved yet", -math.inf
         self._start_control()
@@ -133,7 +134,7 @@ class PumpNode(LiveNode):
         self._resetting_until = self._reported_at = -math.inf
         self._stepped, self._watched = boot_time(), time.monotonic()
         self._suspended, self._suspended_at = suspended_time(), -math.inf
-        self._changed_at = -math.inf  # when another program was found to have changed the record
+        self._changed_at = -math.inf  # when the state file was found to be changed
         self._levels = Levels(site, values, self.subscribe)
         of_levels = {"cistern_level": self._levels.cistern, "roof_level": self._levels.roof}
         self._by_name = {
@@ -156,18 +157,17 @@ class PumpNode(LiveNode):
     # --- state kept across restarts ---------------------------------------------------------------
 
     def _start_control(self) -> None:
-        """Create the pump control, with the state from the ledger."""
+        """Create the pump control, with the state from the state file."""
         self._control = PumpControl(
-            self._site, self._settings, self._ledger, self._drive_stops_after
+            self._site, self._settings, self._state_file, self._drive_stops_after
         )
-        record = self._ledger.record
-        active_hold = self._ledger.active_hold
-        if why := record.fault or record.unknown or (active_hold and active_hold.sentence):
-            self.get_logger().warning(f"{self._state_file} keeps the pump off: {why}")
+        stored, active_hold = self._state_file.state, self._state_file.active_hold
+        if why := stored.fault or stored.unknown or (active_hold and active_hold.sentence):
+            self.get_logger().warning(f"{self._state_file.file} keeps the pump off: {why}")
 
     def _acquire_state(self) -> None:
-        """Acquire the state file if another process held it, or if it could not be created."""
-        if self._ledger.acquire():
+        """Acquire the state file if another process held it."""
+        if self._state_file.acquire():
             self._start_control()
             self._reasons = ()  # decide again
 
@@ -198,19 +198,20 @@ class PumpNode(LiveNode):
 
     def _saved(self, said: str) -> tuple[bool, str]:
         """Save the state after a request; return whether this succeeded, and the response."""
-        problem = self._ledger.flush()
+        problem = self._state_file.flush()
         return not problem, f"{said}; but {problem}" if problem else said
 
     def _hold(self, **fields: Any) -> tuple[bool, str]:
-        self._ledger.hold(**fields)
+        as_requested = self._state_file.hold(**fields)
         self._step()
         self._exchange.stop()
-        return self._saved(str(self._state))
+        remark = "" if as_requested else "; the earlier hold lasts longer and was not shortened"
+        return self._saved(f"{self._state}{remark}")
 
     def _stop_or_release(self, request: SetBool.Request) -> tuple[bool, str]:
         if request.data:
             return self._hold(owner="the operator")
-        self._ledger.release()
+        self._state_file.release()
         self._step()
         return self._saved(str(self._state))
 
@@ -254,7 +255,7 @@ class PumpNode(LiveNode):
         self._check_suspend(now)
         if self._unsaved and now - self._saved_at > _AGAIN_S:
             # The state must be saved once before the pump may run.
-            self._unsaved = self._ledger.flush()
+            self._unsaved = self._state_file.flush()
             self._saved_at = boot_time()
         command, snapshot = self._by_name["command"], self._exchange.snapshot
         status = snapshot.status_at(now)
@@ -274,11 +275,11 @@ class PumpNode(LiveNode):
         if now - self._reported_at > _REPORT_S:
             self._reported_at = now
             self._acquire_state()
-            if self._ledger.check_file():
+            if self._state_file.check():
                 self._changed_at = now
             self._pump_reports.update(
                 now, self._site, self._state, self._decision, self._control.doses.last,
-                self._ledger.problem, now - self._changed_at < _REPORTED_S, self._second_pump(),
+                self._state_file.problem, now - self._changed_at < _REPORTED_S, self._second_pump(),
             )
 
     def on_stop(self) -> None:
@@ -293,7 +294,7 @@ class PumpNode(LiveNode):
                 self._exchange.close()
                 self.get_logger().info(self._exchange.outcome())
         finally:
-            problem = self._ledger.close()
+            problem = self._state_file.close()
             if problem:
                 self.get_logger().error(problem)
 
@@ -312,14 +313,14 @@ class PumpNode(LiveNode):
 
     @property
     def _drive_state(self) -> DriveState:
-        record, snapshot = self._ledger.record, self._exchange.snapshot
-        if record.fault or record.unknown:
+        stored, snapshot = self._state_file.state, self._exchange.snapshot
+        if stored.fault or stored.unknown:
             return DriveState.FAULT
         if snapshot.absence_at(boot_time()):
             return DriveState.CONNECTING
         if any(self._unfit_drive(snapshot)):
             return DriveState.REFUSED
-        return DriveState.STOPPED if self._ledger.active_hold else DriveState.READY
+        return DriveState.STOPPED if self._state_file.active_hold else DriveState.READY
 
     def _unfit_drive(self, snapshot: DriveSnapshot) -> Iterator[Diagnosis]:
         """Yield the reasons why a responding drive must not run yet, as nothing might stop it."""
@@ -407,20 +408,21 @@ class PumpNode(LiveNode):
 
     def progress(self) -> dict[str, Any]:
         """Return the values that bringup shows and waits for."""
-        record, decision, dose = self._ledger.record, self._decision, self._control.doses.last
-        active_hold = self._ledger.active_hold
+        stored, active_hold = self._state_file.state, self._state_file.active_hold
+        decision, dose = self._decision, self._control.doses.last
         return {
             "pump_state": self._state.state, "pump_why": self._state.why,
             "stands": decision.at_rest,
             "speed": decision.reported_speed,
             "flow": decision.flow if decision.flow_known else None,
             "drive_state": self._drive_state.value,
-            "fault": record.fault,
+            "fault": stored.fault,
             "no_clear": self._control.clear_refusal,
-            "unknown": record.unknown,
+            "unknown": stored.unknown,
             "hold": {
-                "owner": record.hold_owner, "reason": record.hold_reason,
-                "until": record.hold_until, "said": active_hold.sentence,
+                "owner": stored.hold_owner, "reason": stored.hold_reason,
+                "since": stored.hold_since, "until": stored.hold_until,
+                "said": active_hold.sentence,
             } if active_hold else None,
             "max_dose": self._site.max_dose,
             "min_dose": self._control.min_pulse,

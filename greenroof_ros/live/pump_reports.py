@@ -46,7 +46,7 @@ class PumpReports:
             dose: dose that is waiting, is running or has just ended; None if there is no dose.
             unsaved: reason why the state would be lost at a restart; empty if it would be
                 preserved.
-            changed: whether another program has just changed the record.
+            changed: whether another program has just changed the state file.
             second_pump: diagnosis of a second pump node; None if there is only one pump node.
         """
         diagnose = self._reports.diagnose
@@ -79,7 +79,7 @@ class PumpReports:
         )
         diagnosis, level = Diagnosis.if_any("state_not_kept", unsaved), ERROR
         if diagnosis is None and changed:
-            diagnosis, level = Diagnosis.of("record_changed"), WARN
+            diagnosis, level = Diagnosis.of("state_changed"), WARN
         diagnose("state file", diagnosis, "holds and faults are being saved", level)
         self._diagnose_drive(now)
 

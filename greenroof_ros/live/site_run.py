@@ -38,8 +38,8 @@ from greenroof_ros.interface.alarm import WARN, advise
 from greenroof_ros.interface.states import PUMP, DriveState, PumpState
 from greenroof_ros.live.latest_writer import LatestWriter
 from greenroof_ros.live.live_site import MIN_BAG_MB, LiveSite
-from greenroof_ros.live.pumping.ledger import RECORD, make_record
 from greenroof_ros.live.pumping.limits import check_command_limit
+from greenroof_ros.live.pumping.state_file import STATE_FILE, create_state_file
 from greenroof_ros.live.service_manager import notify
 from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, ProcessStart
@@ -88,7 +88,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         scratch_directory(IN_MEMORY) as memory,
     ):
         if site.drive is not None:
-            make_record(state / RECORD)
+            create_state_file(state / STATE_FILE)
         _fit_bag(site, state / "bag")
         processes = list(site.processes(state))
         configuration = _Configuration(memory, site, user_files, processes)

@@ -20,6 +20,7 @@ from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from disks import disk_that_hangs
 from graphs import Process, free_ports, wait_for
 from places import CONFIG
 from pump_node_rig import PumpRig, state_in
@@ -37,7 +38,7 @@ from greenroof_ros.commands.pump_requests import _parse_future_time
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.endpoint import read_endpoint
 from greenroof_ros.live.devices.exchange import DriveExchange, DriveSnapshot
-from greenroof_ros.live.pumping.ledger import Ledger
+from greenroof_ros.live.pumping.state_file import StateFile
 
 
 @pytest.fixture
@@ -180,9 +181,9 @@ def test_a_state_that_another_program_keeps(rig: PumpRig) -> None:
     the node, the whole site would end with it.
     """
     file = rig.cwd / "pump.json"
-    with closing(Ledger(file, time.time)) as holder:
+    with closing(StateFile(file)) as holder:
         assert holder.flush(20.0) == ""
-        words = f"process {os.getpid()} is already using it"
+        words = f"process {os.getpid()} holds the lock"
         before = file.read_bytes()
         node = rig.start(state_file=file)
         rig.join()
@@ -194,7 +195,7 @@ def test_a_state_that_another_program_keeps(rig: PumpRig) -> None:
         assert rig.state.startswith(STOPPED)
         assert file.read_bytes() == before
         holder.fault("burst pipe", "delivery")
-    rig.until_state("fault: burst pipe; a hold by the operator")
+    rig.until_state("fault: burst pipe; a hold by the operator since ")
     assert rig.call(Trigger, "reset").success
     assert rig.drive.speed() == 0.0
     assert rig.call(SetBool, "stop", data=True).success
@@ -205,29 +206,29 @@ def test_a_state_that_another_program_keeps(rig: PumpRig) -> None:
 
 
 def test_a_disk_that_hangs_undoes_no_stop(rig: PumpRig) -> None:
-    """A pipe without a reader: the stop is answered in time, and written when the disk is back.
+    """The stop is answered in time, and written when the disk is back.
 
     Meanwhile the node keeps reporting.
     """
-    file, pipe = rig.cwd / "state.json", rig.cwd / "state.json.new"
-    rig.start()
-    rig.run()
-    file.unlink()  # it is written again, as state.json.new
-    os.mkfifo(pipe)
-    answer = rig.call(SetBool, "stop", data=True)
-    assert not answer.success and answer.message.startswith(STOPPED)
-    assert answer.message.endswith((
-        f"but {file} is not yet on the disk; writing continues",
-        f"but {file} could not be written within 2 s",  # on a busy machine
-    ))
-    rig.until_at_rest()
-    rig.until_reported("state file", ERROR, "within 2 s")
-    assert rig.state.startswith(STOPPED)
-    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
-    pipe.unlink()
-    wait_for(lambda: rig.call(SetBool, "stop", data=True).success, LATE, "the disk")
-    os.close(reader)
-    assert b'"hold_owner":"the operator"' in file.read_bytes()
+    with disk_that_hangs(rig.cwd / "disk") as hang:
+        file = rig.cwd / "disk" / "state.json"
+        node = rig.start(state_file=file)
+        rig.run()
+        hang(True)
+        answer = rig.call(SetBool, "stop", data=True)
+        assert not answer.success and answer.message.startswith(STOPPED)
+        assert answer.message.endswith((
+            f"but {file} is not yet on the disk; writing continues",
+            f"but {file} could not be written within 2 s",  # on a busy machine
+        ))
+        rig.until_at_rest()
+        rig.until_reported("state file", ERROR, "within 2 s")
+        assert rig.state.startswith(STOPPED)
+        hang(False)
+        wait_for(lambda: rig.call(SetBool, "stop", data=True).success, LATE, "the disk")
+        assert b'"hold_owner":"the operator"' in file.read_bytes()
+        node.kill()
+        node.wait()
 
 
 def test_commands_that_must_not_pump(rig: PumpRig) -> None:
@@ -345,7 +346,10 @@ def test_quiet_hours_are_of_the_sites_time(rig: PumpRig) -> None:
 
 
 def test_a_hold_is_kept_over_restarts_and_ends_automatically(rig: PumpRig) -> None:
-    """By the command, with its end and its reason; who releases it need not be its owner."""
+    """By the command, with its end and its reason; who releases it need not be its owner.
+
+    Its times are those of the site's clock. A request that does not shorten it says so.
+    """
     node = rig.start()
     rig.run()
     until = datetime.now().astimezone() + timedelta(hours=1)
@@ -357,20 +361,25 @@ def test_a_hold_is_kept_over_restarts_and_ends_automatically(rig: PumpRig) -> No
     code, output = command(
         rig, "hold", "--until", f"{until:%Y-%m-%dT%H:%M:%S}", "--reason", "painting",
     )
-    held = f"held: a hold by the command line until {to_people(until)}: painting"
-    assert (code, output.startswith(held)) == (0, True), output
+    at_site = until.replace(microsecond=0).astimezone(timezone(timedelta(hours=-5)))
+    held = re.compile(
+        r"held: a hold by the command line since [-\d]+ [:\d]+-05:00 until "
+        f"{re.escape(to_people(at_site))}: painting"
+    )
+    assert (code, bool(held.match(output))) == (0, True), output
     rig.until_at_rest()
-    assert rig.state == held
+    assert held.fullmatch(rig.state)
     rig.until_code("pump", "hold")
     report = rig.observer.values("/pump")["hold"]
     assert (report["owner"], report["reason"]) == ("the command line", "painting")
     assert report["until"] == int(until.timestamp())
+    assert 0 < time.time() - report["since"] < LATE
     node.kill()
     node.wait()
     rig.start()
     rig.join()
     assert [rig.tick(0.5) for _ in range(10)] == [0.0] * 10
-    assert rig.state.startswith(held)
+    assert held.fullmatch(rig.state)
     assert rig.call(SetBool, "stop", data=False).success
     rig.run()
     assert rig.observer.values("/pump")["hold"] is None
@@ -381,7 +390,9 @@ def test_a_hold_is_kept_over_restarts_and_ends_automatically(rig: PumpRig) -> No
     assert time.time() >= soon - 1
     assert command(rig, "hold")[0] == 0
     rig.until_at_rest()
-    assert rig.state == "held: a hold by the command line"
+    assert re.fullmatch(r"held: a hold by the command line since [-\d]+ [:\d]+-05:00", rig.state)
+    code, output = command(rig, "hold", "--for", "1")
+    assert (code, "the earlier hold lasts longer and was not shortened" in output) == (0, True)
     code, output = command(rig, "release")
     assert (code, "hold" in output) == (0, False), output
     rig.run()
@@ -430,15 +441,15 @@ def test_what_is_no_hold_is_refused(rig: PumpRig) -> None:
 def test_a_broken_state_needs_a_reset(rig: PumpRig) -> None:
     """Neither a release nor the page clears it, and it is kept over a restart."""
     file = rig.cwd / "pump.json"
-    file.with_name("pump.json.broken").write_bytes(b"torn")
+    file.write_bytes(b"torn")
     for _ in range(2):
         node = rig.start(state_file=file)
         rig.join()
-        rig.until_code("pump", "record_unknown")
+        rig.until_code("pump", "state_unknown")
         assert rig.call(SetBool, "stop", data=False).success
         assert not rig.call(Trigger, "clear").success
         assert [rig.tick(0.5) for _ in range(10)] == [0.0] * 10
-        assert "pump.json.broken exists" in rig.state
+        assert "pump.json cannot be read" in rig.state
         node.kill()
         node.wait()
     rig.start(state_file=file)
@@ -446,14 +457,14 @@ def test_a_broken_state_needs_a_reset(rig: PumpRig) -> None:
     with forged(rig, fault='"another"', unknown='""'):
         code, output = command(rig, "reset")
     assert code == 1 and "not cleared: the request was not confirmed" in output
-    assert re.search("The fault: .* pump.json.broken exists", output) and "another" not in output
+    assert re.search("The fault: .*pump.json cannot be read", output) and "another" not in output
     assert [rig.tick(0.5) for _ in range(5)] == [0.0] * 5
     code, output = command(rig, "reset", "--yes")
-    assert code == 0 and "pump.json.broken exists" in output
+    assert code == 0 and "pump.json cannot be read" in output
     rig.run()
 
 
-def test_a_record_that_is_removed(rig: PumpRig) -> None:
+def test_a_state_file_that_is_removed(rig: PumpRig) -> None:
     """The node writes it again and warns; removed while it is down, the pump stays off."""
     rig.simulate()
     file = rig.cwd / "pump.json"
@@ -461,15 +472,15 @@ def test_a_record_that_is_removed(rig: PumpRig) -> None:
     rig.join()
     assert rig.call(SetBool, "stop", data=True).success
     file.unlink()
-    rig.until_code("state file", "record_changed")
+    rig.until_code("state file", "state_changed")
     # A thread writes it.
-    wait_for(lambda: file.exists() and "the operator" in file.read_text(), 30, "the record")
+    wait_for(lambda: file.exists() and "the operator" in file.read_text(), 30, "the file")
     node.kill()
     node.wait()
     file.unlink()
     rig.start(state_file=file)
     rig.join()
-    rig.until_code("pump", "record_unknown")
+    rig.until_code("pump", "state_unknown")
     assert [rig.tick(0.5) for _ in range(5)] == [0.0] * 5
     assert rig.call(Trigger, "reset").success
     rig.run()

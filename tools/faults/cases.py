@@ -322,9 +322,9 @@ def _records() -> Iterator[Case]:
     """Yield the cases of a full disk, and of a killed pump node whose state file is spoilt."""
     for target in ("moved away", "torn"):
         yield Case(SITE, "state file", target, Expected(
-            bound="drive", signs=_pump("record_unknown"), recovery="latches"))
+            bound="drive", signs=_pump("state_unknown"), recovery="latches"))
     # A record that cannot be read keeps the pump off, and so does one that cannot be written.
-    for how, code in (("EIO", "record_unknown"), ("EROFS", "state_not_kept")):
+    for how, code in (("EIO", "state_unknown"), ("EROFS", "state_not_kept")):
         yield Case(f"failing disk:{DRIVES[0]}", "failing disk", f"{how}, then kill", Expected(
             bound="drive", signs=_pump(code), recovery="stays"))
     yield Case(f"full disk:{DRIVES[0]}", "full disk", "recorder", Expected(

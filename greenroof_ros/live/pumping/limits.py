@@ -13,8 +13,8 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.parameter import Parameter, entry, parameters_of
 from greenroof_ros.base.times import to_people
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.live.pumping.ledger import DAY_S, Ledger
 from greenroof_ros.live.pumping.pump_inputs import Observation
+from greenroof_ros.live.pumping.state_file import DAY_S, StateFile
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import flow_at, maximum_pump_flow, speed_for
 from greenroof_ros.physics.soil import retained_share, water_to_raise
@@ -168,11 +168,11 @@ class PumpLimits:
     long it has been off.
     """
 
-    def __init__(self, site: Site, settings: PumpSettings, ledger: Ledger) -> None:
+    def __init__(self, site: Site, settings: PumpSettings, state_file: StateFile) -> None:
         self._site = site
         self._settings = settings
-        self._ledger = ledger
-        self._off_since = ledger.record.elapsed
+        self._state_file = state_file
+        self._off_since = state_file.state.elapsed
         self._dry = False
         self._on_for = 0.0
         self._rests_for = 0.0
@@ -180,18 +180,18 @@ class PumpLimits:
     @property
     def since_start(self) -> float:
         """Time since the last start (s)."""
-        record = self._ledger.record
-        return record.elapsed - record.starts[-1] if record.starts else math.inf
+        stored = self._state_file.state
+        return stored.elapsed - stored.starts[-1] if stored.starts else math.inf
 
     def switch(self, on: bool) -> None:
         """Count a start or a stop."""
-        self._ledger.switch(on)
+        self._state_file.switch(on)
         if not on:
-            self._off_since = self._ledger.record.elapsed
+            self._off_since = self._state_file.state.elapsed
 
     def wait(self) -> tuple[float, str]:
         """Return the time until a pump that is off may start (s), and the reason."""
-        now, starts = self._ledger.record.elapsed, self._ledger.record.starts
+        now, starts = self._state_file.state.elapsed, self._state_file.state.starts
         min_off, allowed = self._settings.min_off, int(self._settings.starts_per_hour)
         waits = [
             (0.0, ""),
@@ -220,7 +220,7 @@ class PumpLimits:
                 whereas None (no valid command) does not.
             observed: present observations.
         """
-        settings, record = self._settings, self._ledger.record
+        settings, stored = self._settings, self._state_file.state
         cistern_level, time_ns = observed.cistern_level, observed.time_ns
         if cistern_level is None:
             yield Diagnosis.of("cistern_level_unknown")
@@ -247,15 +247,15 @@ class PumpLimits:
             self._rests_for = 0.0
         if self._rests_for > 0:
             yield Diagnosis.of("max_run", max=settings.max_run, rest=self._rests_for)
-        if record.day_volume >= settings.max_volume_per_day:
+        if stored.day_volume >= settings.max_volume_per_day:
             yield Diagnosis.of(
-                "daily_volume", volume=record.day_volume, limit=settings.max_volume_per_day,
-                again=record.clears_in(volume=settings.max_volume_per_day),
+                "daily_volume", volume=stored.day_volume, limit=settings.max_volume_per_day,
+                again=stored.clears_in(volume=settings.max_volume_per_day),
             )
-        if record.day_run >= settings.max_run_per_day:
+        if stored.day_run >= settings.max_run_per_day:
             yield Diagnosis.of(
-                "daily_run", run=record.day_run, limit=settings.max_run_per_day,
-                again=record.clears_in(run=settings.max_run_per_day),
+                "daily_run", run=stored.day_run, limit=settings.max_run_per_day,
+                again=stored.clears_in(run=settings.max_run_per_day),
             )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -16,9 +17,9 @@ from greenroof_ros.interface.conditions import (
 from greenroof_ros.live.pumping.delivery import DeliveryCheck
 from greenroof_ros.live.pumping.dose import FULL, INTERLOCK, UNSEEN, Doses
 from greenroof_ros.live.pumping.interlocks import evaluate
-from greenroof_ros.live.pumping.ledger import SAVE_EVERY_S, Ledger
 from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings
 from greenroof_ros.live.pumping.pump_inputs import Observation
+from greenroof_ros.live.pumping.state_file import SAVE_EVERY_S, StateFile
 from greenroof_ros.physics.pump import STANDSTILL, flow_at
 from greenroof_ros.site.site import Site
 
@@ -88,26 +89,27 @@ class PumpControl:
     """
 
     def __init__(
-        self, site: Site, settings: PumpSettings, ledger: Ledger, drive_stops_after: float
+        self, site: Site, settings: PumpSettings, state_file: StateFile,
+        drive_stops_after: float,
     ) -> None:
-        """Add the worst-case usage since the last record, and start with the pump off.
+        """Add the worst-case usage since the state was saved, and start with the pump off.
 
         Args:
             site: the site.
             settings: the pump's limits.
-            ledger: ledger with the state before this start.
+            state_file: state file, with the state before this start.
             drive_stops_after: time after which a drive that does not respond has stopped (s);
                 infinite if it may run on.
         """
         self._site = site
         self._settings = settings
-        self._ledger = ledger
+        self._state_file = state_file
         self._drive_stops_after = drive_stops_after
-        ledger.count_unseen(drive_stops_after + SAVE_EVERY_S, flow_at(site, 1.0, site.z_o))
-        self._limits = PumpLimits(site, settings, ledger)
+        state_file.count_unseen(drive_stops_after + SAVE_EVERY_S, flow_at(site, 1.0, site.z_o))
+        self._limits = PumpLimits(site, settings, state_file)
         self._pulses = Pulses(site, settings)
         self._delivery = DeliveryCheck(site, settings)
-        self.doses = Doses(site, ledger.now)
+        self.doses = Doses(site, time.time())
         # Why the pump must not run, at the last step.
         self._inhibit_reason = "the pump has not been checked yet"
         self.min_pulse = math.inf
@@ -137,7 +139,7 @@ class PumpControl:
             volume: requested volume (m3).
         """
         return self.doses.request(
-            request, volume, self._ledger.now, self.min_pulse, self._inhibit_reason
+            request, volume, time.time(), self.min_pulse, self._inhibit_reason
         )
 
     def reset(self) -> str:
@@ -145,26 +147,26 @@ class PumpControl:
 
         If the cause of the fault persists, the fault latches again.
         """
-        record = self._ledger.record
-        self._ledger.clear_unknown()
+        stored = self._state_file.state
+        self._state_file.clear_unknown()
         self.clear()
-        return "; ".join(filter(None, (record.fault, record.unknown)))
+        return "; ".join(filter(None, (stored.fault, stored.unknown)))
 
     @property
     def clear_refusal(self) -> str:
         """Reason why the latched fault cannot be cleared from the page; empty if it can."""
-        record = self._ledger.record
-        if not record.fault:
+        stored = self._state_file.state
+        if not stored.fault:
             return "there is no fault"
-        row = read_interlocks().get(record.fault_code)
+        row = read_interlocks().get(stored.fault_code)
         if row is None or not row.on_page:
             return "someone who has checked the pump must reset this fault at the pump node"
         return ""
 
     def clear(self) -> None:
         """Clear the latched fault, if any, and discard the evidence that led to it."""
-        if self._ledger.record.fault:
-            self._ledger.fault("", "")
+        if self._state_file.state.fault:
+            self._state_file.fault("", "")
             self._delivery = DeliveryCheck(self._site, self._settings)
             self._follow_error_for = self._flowed_for = 0.0
             self._failed_starts = 0
@@ -186,7 +188,7 @@ class PumpControl:
         volume = ran * self._unseen_flow(Observation())
         self._limits.count(ran, ran > 0)
         self._limits.count(dt - ran, ran == dt)
-        self._ledger.count(dt, ran, volume)
+        self._state_file.count(dt, ran, volume)
         self._delivery.step(dt, None, None, 0.0, volume)
         self._blind_for += dt
         self._pulses.clear()
@@ -352,7 +354,7 @@ class PumpControl:
         turns = speed is not None and speed > STANDSTILL
         on = self._setpoint is not None or turns or unseen > measured
         self._limits.count(dt, on)
-        self._ledger.count(dt, dt if on else 0.0, max(measured, unseen) * dt)
+        self._state_file.count(dt, dt if on else 0.0, max(measured, unseen) * dt)
 
     def _has_follow_error(self, speed: float | None) -> bool:
         """Whether the speed differs from the requested speed by more than the tolerance."""
@@ -406,8 +408,7 @@ class PumpControl:
     ) -> list[Diagnosis]:
         """Return the current faults, and the latched fault until it is reset.
 
-        The result includes the other reasons stored in the ledger: a hold, and an unreadable
-        record.
+        The result includes the other stored reasons: a hold, and an unreadable state file.
         """
         failed_start = next(
             (reason for reason in observed.reasons if reason.code == "start_failed"), None
@@ -437,21 +438,23 @@ class PumpControl:
         # The first fault is kept, except that one that may be cleared on the page gives way to one
         # that may not.
         worst = next((code for code in latched if not interlocks[code].on_page), "")
-        interlock = interlocks.get(self._ledger.record.fault_code)
-        if not self._ledger.record.fault:
+        interlock = interlocks.get(self._state_file.state.fault_code)
+        if not self._state_file.state.fault:
             worst = worst or next(iter(latched), "")
         elif interlock is None or not interlock.on_page:
             worst = ""
         if worst:
-            self._ledger.fault(latched[worst].sentence, worst)
-        record = self._ledger.record
-        persistent = Diagnosis.if_any("record_unknown", record.unknown), self._ledger.active_hold
+            self._state_file.fault(latched[worst].sentence, worst)
+        stored = self._state_file.state
+        persistent = (
+            Diagnosis.if_any("state_unknown", stored.unknown), self._state_file.active_hold
+        )
         reasons += [reason for reason in persistent if reason is not None]
-        if record.fault:
-            row = interlocks.get(record.fault_code)
+        if stored.fault:
+            row = interlocks.get(stored.fault_code)
             known = row is not None and row.kind == LATCHED
-            code = record.fault_code if known else "fault_unknown"
-            reasons.append(Diagnosis(code, record.fault))  # the sentence as it was when it latched
+            code = stored.fault_code if known else "fault_unknown"
+            reasons.append(Diagnosis(code, stored.fault))  # the sentence as it was when it latched
         return reasons
 
     def _follow(

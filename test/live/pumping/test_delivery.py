@@ -316,7 +316,7 @@ def test_levels_that_are_unknown_now_and_then_hide_no_fault(
         if rig.step(command).state == "fault":
             break
     assert rig.decisions[-1].state == "fault"
-    assert rig.ledger.record.day_volume < 2.0
+    assert rig.state_file.state.day_volume < 2.0
 
 
 @pytest.mark.parametrize(

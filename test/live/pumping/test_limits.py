@@ -13,8 +13,8 @@ from pump_rig import Rig, settings_for
 
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.devices.drive_file import MAX_RAMP_S
-from greenroof_ros.live.pumping.ledger import Ledger
 from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings
+from greenroof_ros.live.pumping.state_file import StateFile
 from greenroof_ros.physics.pump import maximum_pump_flow, pump_flow
 
 # A fifth of the maximum flow at 3 m, 0.00842205 m3/s, for 10 s.
@@ -61,16 +61,16 @@ def test_the_minimum_speed_is_never_within_the_tolerance_of_rest(
 @given(times=st.lists(st.integers(1, 2000), min_size=1, max_size=200), allowed=st.integers(1, 50))
 def test_as_many_starts_in_any_hour_as_are_allowed(times: list[int], allowed: int) -> None:
     """With starts wanted at any times: never more, and no start waits longer than necessary."""
-    ledger = Ledger(None, lambda: 0.0)
+    state_file = StateFile(None)
     settings = settings_for(PAPER_SITE, starts_per_hour=allowed, min_off=0.0)
-    limits = PumpLimits(PAPER_SITE, settings, ledger)
+    limits = PumpLimits(PAPER_SITE, settings, state_file)
     starts: list[float] = []
     for passed in times:
-        ledger.count(passed, 0.0, 0.0)
+        state_file.count(passed, 0.0, 0.0)
         wait, why = limits.wait()
         assert why == (f"it may start at most {allowed} times an hour" if wait else "")
-        ledger.count(wait, 0.0, 0.0)
-        starts.append(ledger.record.elapsed)
+        state_file.count(wait, 0.0, 0.0)
+        starts.append(state_file.state.elapsed)
         assert sum(starts[-1] - 3600 < start for start in starts) <= allowed
         assert not wait or starts[-1] - 3600 in starts
         limits.switch(True)
@@ -108,7 +108,7 @@ def test_volume_per_day() -> None:
     assert "the limit is 1 m3, and the pump may run again in 24.3 h" in rig.decisions[-1].why
     # Beyond it: a step at maximum flow, and what flows while the pump comes to rest.
     assert 1.0 <= rig.delivered <= 1.03
-    rig.ledger.count(1800 + 86_400 - 600 - 10, 0.0, 0.0)
+    rig.state_file.count(1800 + 86_400 - 600 - 10, 0.0, 0.0)
     assert rig.run(8, 1.0).state == "held"
     assert rig.run(4, 1.0).speed is not None
 

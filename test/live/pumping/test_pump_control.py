@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
-import time
 
 import pytest
 from paper import PAPER_SITE
 from pump_rig import Rig, settings_for
 
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.live.pumping.ledger import Ledger
 from greenroof_ros.live.pumping.pump_control import Decision, Observation, PumpControl
+from greenroof_ros.live.pumping.state_file import StateFile
 from greenroof_ros.physics.pump import maximum_pump_flow
 
 
@@ -228,7 +227,7 @@ def test_a_drive_has_its_own_time() -> None:
 
     3 s of that are for its ramp. By then 900 s have been simulated.
     """
-    control = PumpControl(PAPER_SITE, settings_for(PAPER_SITE), Ledger(None, time.time), 15.0)
+    control = PumpControl(PAPER_SITE, settings_for(PAPER_SITE), StateFile(None), 15.0)
     observed = Observation(
         command=1.0, cistern_level=2.8, roof_level=0.01, frost=False, speed=0.05, flow=0.0,
         drive_flow=None, drive_ready=True, drive_fault="",
@@ -311,7 +310,7 @@ def test_a_flow_while_the_pump_stands_is_a_contact_that_is_welded(
     assert (decision.state, [*decision.interlocks]) == ("fault", ["runs_on"])
     assert "perhaps a contact is welded" in decision.why
     assert (decision.at_rest, decision.disbelieved) == (False, True)
-    assert rig.ledger.record.day_volume == pytest.approx(1.05 * minimum * 23)
+    assert rig.state_file.state.day_volume == pytest.approx(1.05 * minimum * 23)
     rig.change = {}
     assert rig.run(60, 1.0).state == "fault"
     rig.control.reset()
@@ -323,12 +322,12 @@ def test_what_may_be_pumped_in_a_suspend_counts_at_worst(seconds: float, counted
     """As from a full cistern, until the drive must have stopped: 15 s; then it is seen again."""
     rig = Rig(x1=70.0, settings=settings_for(PAPER_SITE, max_run=3600.0))
     rig.run(60, 0.5)
-    before, volume = rig.ledger.record, rig.x1
+    before, volume = rig.state_file.state, rig.x1
     rig.x1 = rig.site.a1 * rig.site.z_o
     most = counted * rig.plant_flow(rig.speed)
     rig.x1 = volume
     rig.suspend(seconds, runs_on=10.0)
-    after = rig.ledger.record
+    after = rig.state_file.state
     assert after.elapsed - before.elapsed == seconds
     assert after.day_run - before.day_run == counted
     assert after.day_volume - before.day_volume == pytest.approx(most, rel=1e-3)
@@ -339,9 +338,9 @@ def test_what_may_be_pumped_in_a_suspend_counts_at_worst(seconds: float, counted
     rig.run(60, 0.0)
     assert rig.decisions[-1].why == "the command is 0"
     # A pump that stands cannot have run.
-    before = rig.ledger.record
+    before = rig.state_file.state
     rig.suspend(3600.0)
-    after = rig.ledger.record
+    after = rig.state_file.state
     assert (after.day_run, after.day_volume) == (before.day_run, before.day_volume)
     assert rig.run(15, 0.5).state in ("starting", "running")
 
@@ -367,13 +366,13 @@ def test_what_is_not_responding_counts_at_worst() -> None:
     rig.step(0.0)
     rig.change = no_drive
     rig.run(60, 1.0)
-    assert (rig.ledger.record.day_run, rig.ledger.record.day_volume) == (0, 0)
+    assert (rig.state_file.state.day_run, rig.state_file.state.day_volume) == (0, 0)
     rig.change = {}
     rig.run(60, 1.0)
-    before = rig.ledger.record
+    before = rig.state_file.state
     rig.change = no_drive
     rig.run(75, 1.0)
-    after = rig.ledger.record
+    after = rig.state_file.state
     assert after.day_run - before.day_run == pytest.approx(15, abs=1)
     assert after.day_volume - before.day_volume == pytest.approx(15 * flow, rel=0.08)
     assert {decision.flow for decision in rig.decisions[-75:]} == {0.0}
