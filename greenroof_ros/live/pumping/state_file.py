@@ -21,7 +21,8 @@ file ``.number`` next to it contains the number of the last line; the first numb
 numbers differ between sites.
 
 The disk thread writes the file, so a slow disk does not delay the control of the pump. Only one
-process of a machine uses the file. If another program changes it, both lines are written again.
+process of a machine uses the file. It is created under another name, then renamed, also if another
+program has removed or changed it.
 
 Usage is counted in half-hour slots over the last 24 h of a clock that follows the computer's steady
 clock, whether or not the node is running. Time before the computer's start is not added, since it
