@@ -29,8 +29,11 @@ class Adversary:
         self._kind = kind
         self._weather = weather
 
-    def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
-        """Return rain (mm/h), shape (members, hours), and the true evapotranspiration (mm/day)."""
+    def forecast(self, hour: int, hours: int) -> tuple[Array, Array, None]:
+        """Return rain (mm/h), shape (members, hours), the true evapotranspiration (mm/day), None.
+
+        The last says that these forecasts have no times of issue.
+        """
         last = len(self._weather.precipitation) - 1
         ahead = hour + np.arange(hours)
         now = np.minimum(ahead, last)
@@ -46,13 +49,10 @@ class Adversary:
             "a false alarm each week": records[now] + np.where(ahead % 168 < 6, 8.0, 0.0),
         }
         members = kinds.values() if self._kind == TOGETHER else [kinds[self._kind]]
-        return np.stack([*members]), self._weather.evapotranspiration[now]
+        return np.stack([*members]), self._weather.evapotranspiration[now], None
 
     def check(self, hours: range) -> None:
         """Accept all hours: these forecasts lack nothing."""
-
-    def issued(self, hour: int) -> None:
-        """Return None: these forecasts have no issues."""
 
     def end(self, hour: int) -> datetime:
         """Return a time after every run: these forecasts have no end."""

@@ -77,6 +77,8 @@ def add_controller_arguments(
     given = name.parse_known_args(arguments)[0].controller or default
     with rename_keys(_OPTIONS):
         controller = find_controller(given)
+    options = ", ".join(map(option_of, controller.parameters))
+    parser.hint = f"the parameters of {controller.name} are {options}"
     of_controller = parser.add_argument_group(
         f"parameters of {controller.name}",
         "To see the parameters of another controller, add --controller to --help.",

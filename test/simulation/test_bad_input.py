@@ -31,7 +31,6 @@ OPTIONS = {
     "--start 2021-07-06T23:00-05:00": "2021-07-07T00:00-05:00",
     "--site nowhere.yaml": "nowhere.yaml: cannot be read: No such file",
     "--output full": "never overwrites",
-    "--output /proc/greenroof --trajectory": "/proc/greenroof",
     "--forecast perfekt": "did you mean perfect?",
     "--forecast file": "a file (.csv, ",
     "--forecast late.csv": "before 2021-07-07T03:00-05:00",
@@ -91,3 +90,14 @@ def test_refused_forecasts(tmp_path: Path, lines: list[str], line: int, words: s
         read_forecasts(file)
     assert str(refused.value).startswith(f"{file}, line {line}: ")
     assert words in str(refused.value)
+
+
+def test_an_output_that_cannot_be_written(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As for any file that cannot be written, the exit code is 1."""
+    monkeypatch.setattr(sys, "argv", ["simulate", "--output", "/proc/greenroof", "--trajectory"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 1
+    assert capsys.readouterr().err.startswith("error: /proc/greenroof: ")
