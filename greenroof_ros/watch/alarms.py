@@ -22,20 +22,19 @@ def list_alarms(store: GraphStore) -> list[dict[str, Any]]:
     """Return the alarms: causes, then their consequences, other devices and past alarms.
 
     Within each group, the alarms of the pump node and of the pump's state come first. The others
-    are sorted by acknowledgement (unacknowledged first), severity (worst first) and time (newest
-    first), since operators already know about older and acknowledged alarms.
+    are sorted by severity (worst first) and time (newest first), since operators already know about
+    older alarms.
 
     ``plain`` states whether the alarm's code has an advice text, ``do``. If so, the page shows
     ``do`` more prominently than ``what``, which is the node's own wording.
     """
 
-    def order(alarm: Alarm) -> tuple[bool, bool, int, bool, int, float]:
+    def order(alarm: Alarm) -> tuple[bool, bool, int, int, float]:
         # The pump node comes first (without it, no one knows whether the pump runs), then its
         # state.
         rank = {(PUMP, ""): 0, (PUMP, PUMP): 1}.get((alarm.role, alarm.part), 2)
         return (
-            not alarm.role, bool(alarm.follows), rank, store.is_acknowledged(alarm),
-            _SEVERITY[alarm.level], -alarm.since,
+            not alarm.role, bool(alarm.follows), rank, _SEVERITY[alarm.level], -alarm.since,
         )
 
     return [
@@ -43,7 +42,7 @@ def list_alarms(store: GraphStore) -> list[dict[str, Any]]:
             "id": alarm.name, "level": alarm.level, "what": clean_text(alarm.sentence),
             "code": alarm.code, "do": alarm.advice, "plain": alarm.is_known, "since": alarm.since,
             "since_text": store.time_of_day(alarm.since),
-            "acknowledged": store.is_acknowledged(alarm), "over": alarm.ended,
+            "over": alarm.ended,
             "over_text": "" if alarm.ended is None else store.time_of_day(alarm.ended),
             "follows": alarm.follows or None,
         }
@@ -74,17 +73,16 @@ def count_alarms(store: GraphStore) -> tuple[int, int, int]:
 
 
 def choose_advice(present: Sequence[Mapping[str, Any]]) -> str:
-    """Return the advice for the cause of the first unacknowledged alarm.
+    """Return the advice for the cause of the first alarm.
 
     If this cause is only a hold, which is intentional, the advice for a second alarm is added.
 
     Args:
         present: the current alarms as returned by :func:`list_alarms`; at least one.
     """
-    rows = sorted(present, key=lambda row: row["acknowledged"])
-    first = next((row for row in rows if row["id"] == rows[0]["follows"]), rows[0])
+    first = next((row for row in present if row["id"] == present[0]["follows"]), present[0])
     second = next((
-        row["do"] for row in rows
+        row["do"] for row in present
         if row is not first and row["level"] != "warn" and not row["follows"]
     ), "")
     more = f" In addition: {second}" if first["code"] == "hold" and second else ""

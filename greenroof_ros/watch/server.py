@@ -1,7 +1,7 @@
 """HTTP server for the page: files, pushed events, and the actions that the page can request.
 
 Anyone who can reach the address can view the page and stop the pump. If a token has been set, it is
-required for both actions. The page can release a hold only if releasing was allowed when the server
+required for both. The page can release a hold only if releasing was allowed when the server
 was started; this requires a token. The page can then also clear a fault that does not require a
 person at the pump and, if the site file allows doses, request a dose.
 
@@ -291,7 +291,6 @@ class _PageApplication:
         self.app.router.add_get("/events", self._events, allow_head=False)
         for action in ("stop", "release", "clear", "dose"):
             self.app.router.add_post(f"/{action}", self._act)
-        self.app.router.add_post("/acknowledge", self._acknowledge)
 
     # --- access ---------------------------------------------------------------------------------
 
@@ -360,13 +359,6 @@ class _PageApplication:
         finally:
             await events.aclose()
         return answer
-
-    async def _acknowledge(self, request: web.Request) -> web.Response:
-        identity = (await _read_body(request)).get("id")
-        if not isinstance(identity, str):
-            raise web.HTTPBadRequest(reason="id must be a string")
-        known = await asyncio.to_thread(self._store.acknowledge, identity)
-        return _make_response(known, "" if known else "This alarm is no longer listed.")
 
     async def _act(self, request: web.Request) -> web.Response:
         """Carry out an action on the pump; a request repeated meanwhile gets the same answer.

@@ -147,8 +147,6 @@ class GraphStore:
         with self.lock:
             self.judge = Judge()
             self.events: deque[tuple[float, str]] = deque(maxlen=_MAX_EVENTS)
-            # By name: number, level and subjects of the alarm that someone has acknowledged.
-            self._acknowledged: dict[str, tuple[int, str, tuple[str, ...]]] = {}
             self._forget_values()
 
     def _forget_values(self) -> None:
@@ -385,21 +383,6 @@ class GraphStore:
         """Add an event that has just happened."""
         with self.lock:
             self.events.append((self._event_time, clean_text(text)))
-
-    def acknowledge(self, alarm_id: str) -> bool:
-        """Acknowledge an alarm until it changes; return False if there is no such alarm."""
-        with self.lock:
-            alarm = self.judge.alarms.get(alarm_id)
-            if alarm is not None:
-                self._acknowledged = {
-                    name: known for name, known in self._acknowledged.items()
-                    if name in self.judge.alarms
-                } | {alarm_id: (alarm.number, alarm.level, alarm.about)}
-            return alarm is not None
-
-    def is_acknowledged(self, alarm: Alarm) -> bool:
-        """Return whether an alarm, with its current level and subjects, has been acknowledged."""
-        return self._acknowledged.get(alarm.name) == (alarm.number, alarm.level, alarm.about)
 
     # --- time -----------------------------------------------------------------------------------
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from graphs import wait_for
-from page_inputs import ERROR, SECOND, add_series
+from page_inputs import SECOND, add_series
 from page_server import Answer, Stream, request, send, served
 
 from greenroof_ros.watch import feed, server
@@ -26,9 +26,7 @@ from greenroof_ros.watch.document import make_series as read_series
 from greenroof_ros.watch.listening import LOOPBACK
 from greenroof_ros.watch.server import GZIP_HEAD, ServerEvent
 from greenroof_ros.watch.store import GraphStore
-from greenroof_ros.watch.wire import WireStatus
 
-ALARM = WireStatus("/mpc", ERROR, "cannot solve <b>", {"role": '"controller"'})
 ACT = {"X_Greenroof": "1"}
 RIGHT = {**ACT, "Authorization": "Bearer secret"}
 GET, POST = (
@@ -141,24 +139,20 @@ def test_only_the_page_itself_acts(
     watched: GraphStore,
 ) -> None:
     """With a token nothing is shown without it; the page itself contains no secret."""
-    watched.add_statuses(time.monotonic(), [ALARM])
-    body = json.dumps({"id": shown(watched)["alarms"][0]["id"]}).encode()
     with served(watched, token) as port:
         for headers in refused:
-            for action in ("/stop", "/acknowledge"):
-                answer = request(port, "POST", action, body, **headers)
-                assert (answer.status, answer.json()["ok"]) == (status, False), headers
+            answer = request(port, "POST", "/stop", b"{}", **headers)
+            assert (answer.status, answer.json()["ok"]) == (status, False), headers
             if token:
                 with closing(Stream(port, **headers)) as stream:
                     assert f" {status} " in stream.head()
-        assert not shown(watched)["alarms"][0]["acknowledged"]
+        assert shown(watched)["events"] == []
         assert request(port, "GET", "/").status == 200
         with closing(Stream(port, **right)) as stream:
             assert " 200 " in stream.head()
-        for said, ok in ((b'{"id": "/unknown"}', False), (body, True)):
-            answer = request(port, "POST", "/acknowledge", said, **right)
-            assert (answer.status, answer.json()["ok"]) == (200, ok)
-        assert shown(watched)["alarms"][0]["acknowledged"]
+        assert request(port, "POST", "/stop", b"{}", **right).status == 200
+    (event,) = shown(watched)["events"]
+    assert event["what"].startswith("Stop, from ")
 
 
 def test_a_stop_that_did_not_take_hold_reports_it_and_many_are_one(
@@ -235,8 +229,8 @@ def test_what_reports_nothing_is_refused(port: int) -> None:
         answer = request(port, method, "/stop", **ACT, Origin="http://evil.example")
         assert answer.status in (400, 404, 405)
         assert not any(name.startswith("access-control") for name in answer.headers)
-    for body in (b"", b"{", b"[]", b'{"id": 1}', b"\xff\xfe", b"[" * 9000, b"1" * 9000):
-        assert request(port, "POST", "/acknowledge", body, **ACT).status == 400, body[:20]
+    for body in (b"", b"{", b"[]", b"\xff\xfe", b"[" * 9000, b"1" * 9000):
+        assert request(port, "POST", "/stop", body, **ACT).status == 400, body[:20]
     for hours in ("-1", "nan", "1e9", "1_0", "x", ""):
         assert request(port, "GET", f"/events?hours={hours}").status == 400, hours
     assert_goes_on(port)
@@ -258,7 +252,7 @@ def test_a_body_of_100_megabytes_is_refused_unread(port: int) -> None:
         with suppress(ConnectionError, TimeoutError):
             for _ in range(100):
                 connection.sendall(chunk)
-    answer = request(port, "POST", "/acknowledge", packed, **ACT, Content_Encoding="gzip")
+    answer = request(port, "POST", "/stop", packed, **ACT, Content_Encoding="gzip")
     assert answer.status == 400
     assert _memory() - before < 9e6
     assert_goes_on(port)

@@ -72,29 +72,6 @@ def happened(alarms: GraphStore) -> list[str]:
 WRONG, RIGHT = ("drive", ERROR, "no connection", "drive_lost"), ("drive", OK, "connected")
 
 
-def test_an_acknowledged_alarm_stays_listed_until_it_is_another_one() -> None:
-    """More serious, or about something else: a node that waits for another node now."""
-    alarms = GraphStore()
-    receive(alarms, 0.0, pump(RIGHT))
-    assert (list_alarms(alarms), count_alarms(alarms)) == ([], (0, 0, 0))
-    assert not alarms.acknowledge("/pump: levels")
-    for level, what, acknowledged in (
-        (WARN, "5 m3 are outstanding", False), (WARN, "6 m3 are outstanding", True),
-        (ERROR, "6 m3 are outstanding", False),
-    ):
-        receive(alarms, 0.0, pump(("limits", level, what, "limited")))
-        assert present(alarms) == ["/pump: limits"]
-        assert list_alarms(alarms)[0]["acknowledged"] == acknowledged
-        alarms.acknowledge("/pump: limits")
-    alarms = heard(*each_quarter(6, STARTING))
-    alarms.acknowledge("/mpc")
-    since = rows(alarms)["/mpc"]["since"]
-    assert rows(alarms)["/mpc"]["acknowledged"]
-    for at, said in each_quarter(1, mpc(state="starting", waiting=["plant"]), begin=6.0):
-        receive(alarms, at, said)
-    assert (rows(alarms)["/mpc"]["acknowledged"], rows(alarms)["/mpc"]["since"]) == (False, since)
-
-
 def test_what_is_over_is_kept_for_a_while() -> None:
     """The last 20, the newest first, after the present alarms."""
     parts = [("p" + str(number), ERROR, "bad") for number in range(24)]
@@ -217,15 +194,11 @@ def test_the_order_of_alarms() -> None:
 
 
 def test_advice_is_on_what_is_new() -> None:
-    """Acknowledged alarms come after the others; among equals, the newest is first."""
+    """Among equals, the newest is first."""
     file = ("drive file", WARN, "have not been verified", "drive_file_unverified")
     blind = ("delivery", WARN, "blind for 3 s", "delivery_blind")
     alarms = heard((0.0, pump(file)), (0.1, pump(file, blind)))
     assert present(alarms) == ["/pump: delivery", "/pump: drive file"]
-    alarms.acknowledge("/pump: delivery")
-    assert present(alarms) == ["/pump: drive file", "/pump: delivery"]
-    assert advice(alarms) == rows(alarms)["/pump: drive file"]["do"]
-    alarms.acknowledge("/pump: drive file")
     assert advice(alarms) == rows(alarms)["/pump: delivery"]["do"]
 
 
@@ -295,8 +268,6 @@ def test_nothing_that_is_reported_raises(messages: list[tuple[float, list[WireSt
         wall += passed
         receive(alarms, wall, statuses)
         alarms.update(wall, wall)
-        for row in list_alarms(alarms):
-            alarms.acknowledge(row["id"])
         shown = [list_alarms(alarms), list_events(alarms), count_alarms(alarms),
                  advice(alarms) if present(alarms) else "",
                  alarms.graph.mode(wall), alarms.graph.two_pumps(wall)]

@@ -171,7 +171,7 @@ def test_beyond_loopback_and_to_release_it_needs_its_token(domain: int, tmp_path
             assert not warning or said in process.stderr()
             for headers, status in (({}, 401), ({"Authorization": f"Bearer {token[1]}"}, 200)):
                 assert request(
-                    port, "POST", "/acknowledge", b'{"id": "x"}',
+                    port, "POST", "/stop", b"{}",
                     host="a.name" if "--host" in options else "localhost", X_Greenroof="1",
                     **headers,
                 ).status == status

@@ -154,9 +154,7 @@ const makeAlarm = () => {
   const when = element("p", "when");
   when.append(element("span", "word"), " ", element("span"));
   text.append(element("p", "what"), element("p", "do"), when);
-  const button = element("button", "", "Acknowledge");
-  button.type = "button";
-  row.append(shape("stale"), text, button);
+  row.append(shape("stale"), text);
   return row;
 };
 
@@ -181,12 +179,7 @@ const fillAlarm = (row, alarm) => {
   const since = `since ${alarm.since_text}`;
   const when = alarm.over === null ? since : `${since}, over at ${alarm.over_text}`;
   const follows = alarm.follows ? `; caused by ${alarm.follows}` : "";
-  const seen = alarm.acknowledged ? "; acknowledged" : "";
-  setText(row.querySelector(".when").lastChild, `${alarm.id}, ${when}${follows}${seen}`);
-  const button = row.querySelector("button");
-  button.hidden = alarm.acknowledged || alarm.over !== null;
-  button.setAttribute("aria-label", `Acknowledge: ${alarm.what}`);
-  button.onclick = () => acknowledge(alarm.id);
+  setText(row.querySelector(".when").lastChild, `${alarm.id}, ${when}${follows}`);
 };
 
 // The document
@@ -364,18 +357,6 @@ const act = async (name, body) => {
     answer(`It is unknown whether ${ACTIONS[name].doubt}: ${error.message}.${how}`, true);
   } finally {
     button.disabled = false;
-    stream.open();
-  }
-};
-
-const acknowledge = async (id) => {
-  stream.close();
-  try {
-    const { ok, sentence } = await post("/acknowledge", { id });
-    if (!ok) answer(sentence, true);
-  } catch (error) {
-    answer(`The alarm was not acknowledged: ${error.message}.`, true);
-  } finally {
     stream.open();
   }
 };
