@@ -151,6 +151,12 @@ def clean_sentence(text: str) -> str:
     return _CUBIC.sub("m³", _PARAMETERS.sub("", clean_text(text)))
 
 
+def name_source(status: str) -> str:
+    """Return a plain name for the source of a status: ``Roof sensor`` for ``/roof_sensor: x``."""
+    name = status.partition(": ")[0].rpartition("/")[2].replace("_", " ")
+    return f"{name[:1].upper()}{name[1:]}"
+
+
 def list_names(names: Iterable[str]) -> str:
     """List only the first few node names, since the number of reported nodes is unlimited."""
     listed = sorted({*names})

@@ -10,7 +10,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -24,7 +24,7 @@ from graphs import (
     udp_addresses_of,
     wait_for,
 )
-from page_server import Stream, request
+from page_server import read_state, request
 from simulators import Simulator
 
 from greenroof_ros.base.errors import ConfigurationError
@@ -48,12 +48,6 @@ def watcher(domain: int, cwd: Path, *arguments: str) -> tuple[Process, int]:
         return port_of(process.stdout())
 
     return process, wait_for(ready, 60, "an address")
-
-
-def document(port: int) -> dict:
-    """Return the newest document."""
-    with closing(Stream(port)) as stream:
-        return next(content for name, content in stream.events() if name == "state")
 
 
 def tcp_addresses_of(pid: int) -> set[str]:
@@ -102,14 +96,11 @@ def test_it_waits_for_a_graph_on_loopback_and_ends_soon(domain: int, tmp_path: P
     assert f"error: --port = '{ports[0]}': cannot be used: Address already in" in taken.stderr
     for (process, port), number in zip(watchers, (signal.SIGINT, signal.SIGHUP), strict=True):
         assert ("port 8080 is in use" in process.stderr()) == (port != 8080)
-        assert document(port)["mode"] == "none"
+        assert read_state(port)["mode"] == "none"
         pid = process.process.pid
         assert tcp_addresses_of(pid) == {"0100007F"}
         assert {*udp_addresses_of(pid)} <= {"127.0.0.1", "239.255.0.1"}
-        with (
-            closing(Stream(port)) as stream, socket.create_connection(("127.0.0.1", port)),
-        ):
-            stream.head()
+        with socket.create_connection(("127.0.0.1", port)):
             end(process, number)
 
 
@@ -242,27 +233,27 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
         port = wait_for(lambda: port_of(process.stderr()), 60, "an address")
 
         def tile() -> dict:
-            return document(port)["tiles"]["pump"]
+            return read_state(port)["tiles"]["pump"]
 
         wait_for(lambda: tile()["state"] == "running", 60, "a running pump")
         drive.inject("refused")
         # At first the pump only falls silent; /diagnostics reports why within a second.
         alarms = wait_for(
-            lambda: (now := document(port))["tiles"]["pump"]["alarm"] and now["alarms"],
+            lambda: (now := read_state(port))["tiles"]["pump"]["alarm"] and now["alarms"],
             60, "an alarm",
         )
         assert alarms[0]["id"] == "/site1/pump: pump"
         drive.inject("none")
         wait_for(lambda: not tile()["alarm"], 60, "the drive again")
-        wait_for(lambda: document(port)["stop"]["possible"], 60, "a pump that can be stopped")
-        assert document(port)["stop"]["release"] == ""
+        wait_for(lambda: read_state(port)["stop"]["possible"], 60, "a pump that can be stopped")
+        assert read_state(port)["stop"]["hold"] == ""
         answer = request(port, "POST", "/stop", b"{}", X_Greenroof="1")
         assert answer.status == 200 and answer.json()["ok"], answer.json()
-        wait_for(
-            lambda: document(port)["stop"]["stopped"] and tile()["state"] == "held", 60, "the stop"
-        )
-        greenroof, *release = shlex.split(document(port)["stop"]["release"])
-        assert greenroof == "greenroof"
+        wait_for(lambda: read_state(port)["stop"]["stopped"], 60, "the stop")
+        assert tile()["state"] == "held"
+        advice = read_state(port)["advice"]
+        greenroof, *release = shlex.split(advice.partition("release it with: ")[2])
+        assert greenroof == "greenroof" and advice.startswith("The pump is held off by the page s")
         held = wait_for(
             lambda: (seen := status_of(domain, tmp_path))[0] == 1
             and "stopped, according to the drive" in seen[1] and seen[1], 90, "a warning",
@@ -271,13 +262,13 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
         assert "\nWarning: /site1/pump: pump: held: " in held and "\nAlarm: " not in held
         os.kill(child_of(process, b"greenroof_ros.live.controller"), signal.SIGKILL)
         wait_for(
-            lambda: "/site1/onoff was restarted" in str(document(port)["events"]), 60,
+            lambda: "Onoff was restarted" in str(read_state(port)["events"]), 60,
             "another controller",
         )
-        wait_for(lambda: document(port)["tiles"]["controller"]["state"] == "good", 60, "a command")
+        wait_for(lambda: read_state(port)["tiles"]["watering"]["state"] == "good", 60, "a command")
         assert tile()["state"] == "held" and drive.speed() < 0.005
         assert Process(domain, *release, cwd=tmp_path).wait(300) == 0
-        wait_for(lambda: not document(port)["stop"]["release"], 60, "the pump released")
+        wait_for(lambda: not read_state(port)["stop"]["hold"], 60, "the pump released")
         assert "stopped" not in tile()["why"]
         drive.inject("drive_fault")
         fault = wait_for(
