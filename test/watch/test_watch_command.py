@@ -70,7 +70,7 @@ def end(process: Process, number: signal.Signals = signal.SIGINT) -> None:
 
 @contextmanager
 def running_pump(
-    domain: int, cwd: Path, *options: str
+    domain: int, cwd: Path, *options: str, code: int = 0
 ) -> Iterator[tuple[Process, Simulator]]:
     """Run a live site in the namespace site1; its pump soon runs, for minutes."""
     pytest.importorskip("rclpy", reason="nodes need ROS 2")
@@ -80,7 +80,7 @@ def running_pump(
     with Hardware(domain, cwd) as hardware:
         chosen = hardware.be_a_site()
         hardware.begin()
-        with live(domain, cwd, *chosen, "--namespace", "site1", *options) as process:
+        with live(domain, cwd, *chosen, "--namespace", "site1", *options, code=code) as process:
             yield process, hardware
 
 
@@ -279,3 +279,25 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
         page = child_of(process)
     assert page and not alive(page)
     assert "the watcher has exited" not in process.stderr()
+
+
+def test_a_killed_site_is_told_first(domain: int, tmp_path: Path) -> None:
+    """Nothing reads as running, by a page that is not part of the site."""
+    with running_pump(domain, tmp_path, code=-signal.SIGKILL) as (process, _):
+        page, port = watcher(domain, tmp_path, "--namespace", "site1")
+        wait_for(
+            lambda: read_state(port)["tiles"]["pump"]["state"] == "running", 60, "a running pump"
+        )
+        process.process.kill()
+        told = wait_for(
+            lambda: "nobody waters the roof" in (
+                (state := read_state(port))["tiles"]["summary"]["sentence"]
+            ) and state, 30, "the end of the site",
+        )
+        assert told["tiles"]["summary"]["level"] == "error"
+        assert "greenroof live --namespace site1" in told["advice"]
+        assert [row["id"] for row in told["alarms"]] == ["site"]
+        states = {name: told["tiles"][name]["state"] for name in ("roof", "pump", "watering")}
+        assert {*states.values()} <= {"unknown", "alarm"}, states
+        assert told["events"][0]["what"] == "The site's program no longer runs"
+        end(page)
