@@ -222,7 +222,7 @@ def _advise(
     if stop["warning"]:
         return " ".join(filter(None, (stop["warning"], first)))
     if stop["hold"]:
-        return " ".join(filter(None, (stop["hold"], explain_release(store, stop), first)))
+        return " ".join(filter(None, (stop["hold"], first, explain_release(store, stop))))
     return " ".join(filter(None, (stop["dose"], first or _explain(store, shown, waits))))
 
 

@@ -321,7 +321,7 @@ SENDS_NOTHING = f"{read_conditions()['sensor_lost'].meaning}: no answer"
     ([node("/roof_sensor", "roof_sensor", DEAD)], f"no values arrive; {SENDS_NOTHING}"),
     ([node("/cistern_sensor", "cistern_sensor", DEAD)], "no value received yet"),
     # Another program publishes the level, and has died: only its readers report that.
-    ([node("/pump", "pump", ("levels", ERROR, "/roof/level is older than 5 s (level_limit)",
+    ([node("/pump", "pump", ("levels", ERROR, "/roof/level is older than 5 s",
                              "input_silent", {"topics": "/roof/level"}))],
      "no values arrive; /roof/level is older than 5 s"),
 ], ids=["no report", "waited for", "dead", "another is dead", "dead by its reader"])

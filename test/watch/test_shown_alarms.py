@@ -274,25 +274,14 @@ def test_a_watcher_that_stood_still_takes_no_one_for_silent() -> None:
     assert {row["id"] for row in list_alarms(alarms)} == {"/pump", "/mpc"}
 
 
-# --- the start of a site ----------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("said", "shown"), [
-    ("/roof/level is older than 5 s (level_limit)", "/roof/level is older than 5 s"),
-    ("2.5 m3 (today) are too much (set with max_dose)", "2.5 m³ (today) are too much"),
-])
-def test_a_sentence_has_no_names_of_parameters(said: str, shown: str) -> None:
-    assert rows(heard((0.0, pump(("levels", ERROR, said, "x")))))["/pump: levels"]["what"] == shown
-
-
 def test_a_stop_hides_no_other_alarm() -> None:
     hold = ("pump", WARN, f"held: {HELD}", "hold")
     wrong = "sensor", ERROR, "wrong", "sensor_lost", {"age_s": "3.0"}
     alarms = heard((0.0, pump(hold, wrong, hold=HOLD, stands=True)))
     do = read_conditions()["sensor_lost"].advise("/pump", "pump")
     assert advice(alarms) == (
-        "The pump is held off by the operator, until someone releases it. If it may run again, "
-        f"release it with: greenroof release {do}"
+        f"The pump is held off by the operator, until someone releases it. {do} If it may run "
+        "again, release it with: greenroof release"
     )
 
 
