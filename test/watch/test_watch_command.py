@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 import re
+import resource
 import shlex
 import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -25,6 +27,7 @@ from graphs import (
     wait_for,
 )
 from page_server import read_state, request
+from peers import in_domain
 from simulators import Simulator
 
 from greenroof_ros.base.errors import ConfigurationError
@@ -279,6 +282,65 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
         page = child_of(process)
     assert page and not alive(page)
     assert "the watcher has exited" not in process.stderr()
+
+
+# Clients that pipeline requests, read no answer, and connect again soon after they were dropped.
+ATTACK = """
+import asyncio, os, sys
+
+async def attack(data):
+    while True:
+        try:
+            _, writer = await asyncio.open_connection("127.0.0.1", int(sys.argv[1]))
+            writer.write(100 * data)
+            while not writer.transport.is_closing():
+                await asyncio.sleep(0.5)
+                writer.write(data)
+        except OSError:
+            pass
+        await asyncio.sleep(2)
+
+async def main():
+    paths = ("/uPlot.js", "/state", "/charts?hours=168", "/nowhere")
+    await asyncio.gather(*(
+        attack(f"GET {paths[i % 4]} HTTP/1.1\\r\\nHost: localhost\\r\\n\\r\\n".encode())
+        for i in range(1300)
+    ))
+
+os.nice(19)
+asyncio.run(main())
+"""
+
+
+def test_1300_pipelining_clients_keep_no_stop_away(domain: int, tmp_path: Path) -> None:
+    """Not even a watcher that may open only 1024 files; ten stops of ten, each within 3 s."""
+    pytest.importorskip("rclpy", reason="nodes need ROS 2")
+    from test_graph_client import Pump
+
+    with in_domain(domain), closing(Pump(domain)) as pump:
+        page, port = watcher(domain, tmp_path)
+        _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.prlimit(page.process.pid, resource.RLIMIT_NOFILE, (1024, 1024))
+        wait_for(lambda: read_state(port)["stop"]["possible"], 60, "the pump node")
+        attackers = subprocess.Popen(
+            [sys.executable, "-c", ATTACK, str(port)],
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (min(most, 4096), most)),
+        )
+        try:
+            time.sleep(5.0)
+            lasted = []
+            for _ in range(10):
+                begun = time.monotonic()
+                answer = request(port, "POST", "/stop", b"{}", X_Greenroof="1")
+                lasted.append(time.monotonic() - begun)
+                assert answer.json() == {"ok": True, "sentence": "held: a hold by the page"}
+            assert attackers.poll() is None
+        finally:
+            attackers.kill()
+            attackers.wait()
+        assert len(pump.requests) == 10
+        assert max(lasted) < 3.0, lasted
+        end(page)
 
 
 def test_a_killed_site_is_told_first(domain: int, tmp_path: Path) -> None:
