@@ -174,6 +174,8 @@ def _write_sentence(store: GraphStore, shown: dict[str, Tile], waits: str) -> st
             f"The site's program has not run since {store.time_of_day(since)}; nobody waters the "
             "roof."
         )
+    if store.pump is not None and store.pump.runs_on and not store.ended:
+        return "Water is leaving the cistern although the pump is off. Open the main switch."
     if store.ended:
         doubt = f"; {_write_pump_clause(shown['pump'])}" if shown["pump"]["alarm"] else ""
         return f"The run has ended, and its last state is shown{doubt}."
@@ -223,7 +225,7 @@ def _advise(
         return " ".join(filter(None, (stop["warning"], first)))
     if stop["hold"]:
         return " ".join(filter(None, (stop["hold"], first, explain_release(store, stop))))
-    return " ".join(filter(None, (stop["dose"], first or _explain(store, shown, waits))))
+    return " ".join(filter(None, (stop["dose"]["text"], first or _explain(store, shown, waits))))
 
 
 def _explain(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:

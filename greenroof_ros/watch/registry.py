@@ -75,11 +75,15 @@ class Node(NodeReport):
         return "run_length" in self.values
 
     @property
+    def runs_on(self) -> bool:
+        """Whether a pump node reports that the pump turns or delivers water although it is off."""
+        return any(part.diagnosis.code == "runs_on" for part in self.parts.values())
+
+    @property
     def may_turn(self) -> bool:
-        """Whether a pump node does not know that the pump is stopped, or knows that it runs on."""
-        values = self.values
-        unknown = "speed" in values and values["speed"] is None
-        return self.code_of(PUMP) == "runs_on" or (unknown and values.get("stands") is not True)
+        """Whether a pump that should be off may be turning, according to its node."""
+        unknown = "speed" in self.values and self.values["speed"] is None
+        return self.runs_on or (unknown and self.values.get("stands") is not True)
 
     def is_present(self, wall: float) -> bool:
         """Return whether the node has reported within the last 10 s and has not ended."""

@@ -44,7 +44,8 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
     pump = None if two else store.graph.pump(store.wall)
     node = None if store.is_lost(pump) else pump
     values = {} if node is None else node.values
-    hold, at_rest = "" if node is None else describe_hold(store, node), values.get("stands") is True
+    hold = "" if node is None else describe_hold(store, node)
+    at_rest = node is not None and values.get("stands") is True and not node.runs_on
     warning = two
     if hold and not at_rest:
         warning = (
@@ -54,17 +55,18 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
     report = store.pump_report
     off = report is not None and report.state in ("off", "held", "fault") and at_rest
     stopped = bool(hold) and at_rest
-    offered = node if store.allow_release else None
+    dose = _describe_dose(values, store.allow_release, store.site.a2)
     return {
         "possible": bool(store.graph.pumps(store.wall)), "stopped": stopped, "hold": hold,
-        "warning": warning,
+        "warning": warning, "dose": dose, "asked_at": time.time(),
         "label": "Stop again" if stopped else "Keep the pump off" if off else "Stop the pump",
-        "actions": {"stop": _STOP, **_list_others(offered, hold, at_rest)},
+        "actions": {"stop": _STOP, **(
+            {} if node is None or not store.allow_release
+            else _list_others(node, hold, at_rest, dose)
+        )},
         "situation": [bool(hold), at_rest, *(
             node is not None and bool(node.text(key)) for key in ("fault", "unknown", "no_dose")
         )],
-        "dose": _describe_dose(values), "dosing": _is_dosing(values), "asked_at": time.time(),
-        **_limit_doses(offered, store.site.a2),
     }
 
 
@@ -72,9 +74,8 @@ def make_bare_stop() -> dict[str, Any]:
     """Return the stop action to offer while the pump node is unknown: any pump node may answer."""
     return {
         "possible": True, "stopped": False, "hold": "", "warning": "", "label": "Stop the pump",
-        "actions": {"stop": _STOP}, "situation": [], "dose": "", "dosing": False,
-        "asked_at": None,
-        **_limit_doses(None, 0.0),
+        "dose": _describe_dose({}, False, 0.0), "asked_at": None, "actions": {"stop": _STOP},
+        "situation": [],
     }
 
 
@@ -104,16 +105,17 @@ def explain_release(store: GraphStore, stop: Mapping[str, Any]) -> str:
     return f"If it may run again, release it with: {command_for(store.pump.name, 'release')}"
 
 
-def _list_others(node: Node | None, hold: str, at_rest: bool) -> dict[str, str]:
-    """Return the questions of the actions other than a stop.
+def _list_others(
+    node: Node, hold: str, at_rest: bool, dose: Mapping[str, Any]
+) -> dict[str, str]:
+    """Return the questions of the possible actions other than a stop.
 
     Args:
-        node: the pump node, if it is online and such actions are allowed; otherwise None.
+        node: the pump node.
         hold: description of the hold; empty if there is none.
         at_rest: whether the pump is at standstill.
+        dose: what is known of doses.
     """
-    if node is None:
-        return {}
     fault, unknown = node.text("fault"), node.text("unknown")
     questions = {}
     if hold and at_rest:
@@ -123,7 +125,7 @@ def _list_others(node: Node | None, hold: str, at_rest: bool) -> dict[str, str]:
         questions["clear"] = (
             f"The fault is cleared: {fault}. {_write_then(stays, unknown)}{LOCK_OUT}"
         )
-    if _find_largest_dose(node) is not None and not node.text("no_dose"):
+    if dose["max"] is not None and not dose["refusal"]:
         questions["dose"] = _DOSE
     return questions
 
@@ -134,43 +136,35 @@ def _write_then(*others: str) -> str:
     return f"The pump nevertheless stays off: {remain}. " if remain else _THEN
 
 
-def _find_largest_dose(node: Node | None) -> float | None:
-    largest = None if node is None else node.values.get("max_dose")
-    return float(largest) if isinstance(largest, (int, float)) else None
-
-
-def _limit_doses(node: Node | None, area: float) -> dict[str, Any]:
-    """Return the limits of a dose, also in words, and the reason why none is possible now.
+def _describe_dose(values: Mapping[str, Any], allowed: bool, area: float) -> dict[str, Any]:
+    """Return the latest dose in words, the limits of a dose, and why none is possible now.
 
     Args:
-        node: the pump node, if it is online and doses are allowed; otherwise None.
+        values: values that the pump node reports.
+        allowed: whether doses may be requested here.
         area: area of the roof (m2).
     """
-    largest = _find_largest_dose(node)
-    if node is None or largest is None:
-        return {"max_dose": None, "min_dose": None, "dose_limits": "", "no_dose": ""}
-    least = float(node.values.get("min_dose") or 0.0)
-    volumes = " to ".join(write_litres(volume) for volume in (least, largest) if volume)
-    depths = " to ".join(
-        words.write_rain(volume / area) for volume in (least, largest) if volume and area
-    )
+    least, largest = float(values.get("min_dose") or 0.0), values.get("max_dose")
+    if not allowed or not isinstance(largest, (int, float)):
+        largest = None
+    last = values.get("dose")
+    runs = isinstance(last, dict) and not last.get("over")
+    volumes = [volume for volume in (least, largest) if volume]
+    depths = [words.write_rain(volume / area) for volume in volumes if area]
     return {
-        "max_dose": largest, "min_dose": least, "no_dose": node.text("no_dose"),
-        "dose_limits": f"{volumes}, which is {depths} of water on the roof" if depths else volumes,
+        "text": _write_dose(last, values.get("flow")) if isinstance(last, dict) else "",
+        "min": least, "max": largest,
+        "limits": f"{' to '.join(map(write_litres, volumes))}, which is {' to '.join(depths)} of "
+        "water on the roof",
+        "refusal": "" if runs or largest is None else words.clean_sentence(
+            str(values.get("no_dose") or "")
+        ),
     }
 
 
-def _is_dosing(values: Mapping[str, Any]) -> bool:
-    dose = values.get("dose")
-    return isinstance(dose, dict) and not dose.get("over")
-
-
-def _describe_dose(values: Mapping[str, Any]) -> str:
-    """Describe the latest dose, as in ``A dose: 12 of 20 L, 4 min left.``; empty for none."""
-    dose, flow = values.get("dose"), values.get("flow")
-    if not isinstance(dose, dict):
-        return ""
-    if not _is_dosing(values):
+def _write_dose(dose: Mapping[str, Any], flow: Any) -> str:
+    """Write the progress or the outcome of a dose: ``A dose: 12 of 20 L, 4 min left.``."""
+    if dose.get("over"):
         said = words.clean_sentence(str(dose.get("said", "")))
         return f"{said[:1].upper()}{said[1:]}."
     volume, delivered = dose.get("volume"), dose.get("delivered")

@@ -524,9 +524,9 @@ def test_where_a_dose_may_be_given(
     assert "dose" not in shown(graph)["stop"]["actions"]
     graph.allow_release = True
     stop = shown(graph)["stop"]
-    assert (stop["max_dose"], "dose" in stop["actions"]) == (maximum, here)
-    assert stop["no_dose"] == (said["no_dose"] if maximum else "")
-    assert not here or stop["dose_limits"] == limits
+    assert (stop["dose"]["max"], "dose" in stop["actions"]) == (maximum, here)
+    assert stop["dose"]["refusal"] == (said["no_dose"] if maximum else "")
+    assert not here or stop["dose"]["limits"] == limits
     assert "dose" not in shown(graph, 105.0)["stop"]["actions"]  # it no longer responds
 
 
@@ -582,6 +582,21 @@ def test_a_pump_that_may_turn_is_unknown_and_an_alarm() -> None:
     first = document["alarms"][0]
     assert (first["id"], first["level"]) == ("/pump: pump", "error")
     assert "Go and see" in document["advice"]
+
+
+def test_a_welded_contactor_is_told_first_and_offers_no_release() -> None:
+    graph = watched("live", pump_flow=1e-3)
+    graph.allow_release = True
+    document = with_pump(
+        graph, f"held: {HELD}", ERROR, "runs_on", stands=True, speed=0.0, flow=1e-3, hold=HOLD
+    )
+    summary, stop = document["tiles"]["summary"], document["stop"]
+    assert (summary["level"], summary["sentence"]) == (
+        "error", "Water is leaving the cistern although the pump is off. Open the main switch."
+    )
+    assert document["tiles"]["pump"]["value"] == "may be running"
+    assert (stop["label"], stop["actions"].keys()) == ("Stop the pump", {"stop"})
+    assert "its drive's panel or main switch" in document["advice"]
 
 
 @pytest.mark.parametrize(("said", "value", "alarm"), [

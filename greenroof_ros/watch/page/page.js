@@ -85,10 +85,11 @@ const showStop = ({ mode, stop }) => {
   setText("stop-button", stop.label);
   for (const name of ["release", "clear"]) byId(`${name}-button`).hidden = !(name in stop.actions);
   byId("dose").hidden = !("dose" in stop.actions);
-  byId("litres").min = 1000 * (stop.min_dose || 1e-6);
-  byId("litres").max = 1000 * stop.max_dose;
-  setText("dose-limits", stop.dose_limits);
-  setText("no-dose", stop.no_dose && !stop.dosing ? `No dose is possible now: ${stop.no_dose}.` : "");
+  const { min, max, limits, refusal } = stop.dose;
+  byId("litres").min = 1000 * (min || 1e-6);
+  byId("litres").max = 1000 * max;
+  setText("dose-limits", limits);
+  setText("no-dose", refusal && `No dose is possible now: ${refusal}.`);
   // A question becomes outdated, except the one about a stop.
   if (byId("ask").open && asked.name !== "stop" && asked.situation !== situation()) {
     byId("ask").close();
