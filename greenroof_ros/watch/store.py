@@ -357,6 +357,7 @@ class GraphStore:
             number: number of the message, as counted by its publisher; None if unknown.
         """
         with self.lock:
+            self.wall = wall
             self.graph.receive(
                 wall, statuses, now=self._event_time, stamp_ns=stamp_ns, number=number
             )

@@ -70,8 +70,11 @@ def _make_tile(
 def _find_reason(store: GraphStore, topic: str) -> str:
     """Return the reason, reported by its publisher or readers, why a topic has no values.
 
-    The reason is empty if no fault is reported, since the first value may still arrive.
+    The reason is empty if no fault is reported, since the first value may still arrive, and if the
+    site's program no longer runs.
     """
+    if store.gone_since is not None:
+        return ""
     diagnoses = store.judge.diagnoses
     own = {name: found for name, found in diagnoses.items() if found.role and found.level != WARN}
     readers = (
@@ -171,9 +174,9 @@ def make_pump_tile(store: GraphStore) -> Tile:
     parts = []
     if stale and state != "unknown":
         parts.append(f"{state} at last contact")
-    if may_turn:
+    if may_turn and not (node is not None and node.runs_on):
         parts.append("it is unknown whether the pump is stopped")
-    elif not speed_known:
+    elif not speed_known and not may_turn:
         parts.append(
             "the drive is not responding: stopped at last contact, or by the drive's timeout"
         )
