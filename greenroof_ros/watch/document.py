@@ -192,19 +192,12 @@ def _write_sentence(store: GraphStore, shown: dict[str, Tile], waits: str) -> st
 
 
 def _write_pump_clause(pump: Tile) -> str:
-    state, why = pump["state"], pump["why"]
-    if pump["alarm"]:
-        return "the pump may be running"
-    if state == "unknown":
-        return "the state of the pump is unknown"
-    if state in ("running", "starting", "stopping"):
-        clause = f"the pump is {state}"
+    clause, why = tiles.write_pump(pump["value"]), pump["why"]
+    if pump["state"] in ("running", "starting", "stopping"):
         return f"{clause} at {tiles.write_flow(pump['number'])}" if pump["number"] else clause
-    if state == "fault":
-        return f"the pump has a fault: {why}"
-    if state == "held":
-        return "the pump is held off" + (f": {why}" if why else "")
-    return "the pump is off" + (f", since {why}" if why else "")
+    if not why or pump["state"] not in ("off", "held", "fault"):
+        return clause
+    return f"{clause}, since {why}" if pump["state"] == "off" else f"{clause}: {why}"
 
 
 def _advise(

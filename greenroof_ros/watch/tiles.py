@@ -205,6 +205,14 @@ def make_pump_tile(store: GraphStore) -> Tile:
     }
 
 
+def write_pump(value: str) -> str:
+    """Write the value of the pump's tile as a clause: ``the pump is held off``."""
+    if value in ("may be running", "unknown"):
+        return f"the pump {value}" if value != "unknown" else "the state of the pump is unknown"
+    named = {"fault": "has a fault", "held": "is held off"}
+    return f"the pump {named.get(value, f'is {value}')}"
+
+
 def _write_command(store: GraphStore) -> str:
     """Write the command that a pump follows; empty if it is 0 or old."""
     command = store.newest.get(_COMMAND)
@@ -300,13 +308,14 @@ def make_watering_tile(store: GraphStore, pump: Tile) -> Tile:
         sentence = f"{words.write_command(share)} of the pump's maximum flow" if share else ""
     if share and not fault:
         runs = pump["state"] in ("running", "starting")
-        value, kept = ("now", "") if runs else ("wanted", f"the pump is {pump['value']}")
+        value, kept = ("now", "") if runs else ("wanted", write_pump(pump["value"]))
         aims = "" if aim is None else f"up to {words.write_value(_FILL_TO, aim)} now"
         sentence = "; ".join(filter(None, (kept, aims, sentence)))
     known = value not in ("alarm", words.UNKNOWN) and share is not None
     return {
         "label": "Watering", "value": value, "number": None,
-        "state": "alarm" if fault else "good" if known else "unknown", "sentence": sentence,
+        "state": "alarm" if fault else "held" if value == "wanted" else "good" if known
+        else "unknown", "sentence": sentence,
         "stale": command is not None and command.stale,
     }
 

@@ -42,11 +42,13 @@ const quantity = (name) => (name === "target" ? "roof" : name.split("_")[0]);
 const options = (chart, width) => {
   const { display } = shown;
   const axis = (name, side) => ({
-    scale: name, side, size: 46, gap: 3, labelSize: 16, label: `${display[name].label} (${display[name].unit})`,
+    scale: name, side, size: 52, gap: 3, labelSize: 16, label: `${display[name].label} (${display[name].unit})`,
     font: FONT, labelFont: FONT, stroke: colour("--ink"), space: 28, grid: { show: side === 3, stroke: colour("--grid") },
   });
-  const range = chart.steps ? (_, low, high) => [0, high > 0 ? 1.1 * high : 1] : (_, low, high) => (
-    low === null ? [0, 1] : uPlot.rangeNum(low, high, 0.1, true));
+  const range = chart.steps ? (_, low, high) => [0, high > 0 ? 1.1 * high : 1] : (_, low, high) => {
+    const margin = Math.max(0.1 * (high - low), 0.05 * high, 1); // of levels that hardly change, too (mm)
+    return [Math.max(0, low - margin), high + margin];
+  };
   return {
     width, height: chart.height,
     tzDate: (at) => uPlot.tzDate(local(at), "Etc/UTC"),
