@@ -9,7 +9,7 @@ from typing import Any
 
 from greenroof_ros.base.command_line import EXIT_DONE, Parser, command
 from greenroof_ros.graph.domain import add_namespace
-from greenroof_ros.watch.document import join_summary, list_present, make_document
+from greenroof_ros.watch.document import join_summary, make_document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.words import SPACE
@@ -21,7 +21,7 @@ WARNING, ALARM, NOTHING = 1, 2, 3
 _SETTLED_S, _MAX_S = 2.0, 5.0
 _POLL_S = 0.1
 _MAX_LINES = 15
-_TILES = "roof", "cistern", "pump", "rain", "controller"
+_TILES = "roof", "cistern", "pump", "rain", "watering"
 # For a pump that should be off: its drive reports standstill, or its timeout must have stopped it.
 _STANDS = {
     True: "stopped, according to the drive",
@@ -108,7 +108,7 @@ def _judge(shown: Mapping[str, Any]) -> int:
         or (unknown and mode == "live")
     ):
         return ALARM
-    return WARNING if unknown or list_present(shown) else EXIT_DONE
+    return WARNING if unknown or shown["alarms"] else EXIT_DONE
 
 
 def _write_lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> list[str]:
@@ -119,20 +119,16 @@ def _write_lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> li
     lines = [summary, f"What to do: {advice}", "; ".join(where)]
     for name in _TILES:
         tile = tiles[name]
-        why = tile.get("why", "")
         is_off = name == "pump" and tile["state"] in ("off", "held", "fault", "stopping")
         sentence = "; ".join(filter(None, (
-            tile["sentence"], "" if why in tile["sentence"] else why,
-            _STANDS[stands] if is_off else "",
+            tile["sentence"], _STANDS[stands] if is_off else "",
         )))
         lines.append(f"{tile['label']:14} {tile['value']:14} {sentence}".rstrip())
-    warning = filter(None, [shown["stop"]["warning"]])
-    lines += [*warning, *map(_write_alarm, list_present(shown)), *shown["notes"]]
+    lines += [*map(_write_alarm, shown["alarms"]), *shown["notes"]]
     if (hidden := len(lines) - _MAX_LINES + 1) > 1:
         lines[-hidden:] = [f"and {hidden} more lines; see 'greenroof watch'"]
     return lines
 
 
 def _write_alarm(row: Mapping[str, Any]) -> str:
-    follows = f"; caused by {row['follows']}" if row["follows"] else ""
-    return f"{_LEVELS[row['level']]}: {row['id']}: {row['what']}{follows}"
+    return f"{_LEVELS[row['level']]}: {row['id']}: {row['what']}"

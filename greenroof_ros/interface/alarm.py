@@ -84,11 +84,6 @@ class Alarm:
         """Whether this is an alarm rather than a warning; other devices cause only warnings."""
         return bool(self.role) and self.level != LEVELS[WARN]
 
-    @property
-    def is_known(self) -> bool:
-        """Whether there is advice for the alarm's code."""
-        return bool(self.role) and self.code in read_conditions()
-
 
 def to_record(alarm: Alarm) -> dict[str, Any]:
     """Return the record of an alarm for the file and for a summary."""

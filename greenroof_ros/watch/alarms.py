@@ -1,4 +1,4 @@
-"""Alarms and events of a graph, as shown by the page, the status command and the bridge.
+"""Alarms of a graph, as shown by the page, the status command and the bridge.
 
 :mod:`greenroof_ros.graph.alarms` decides which conditions are alarms, as it does for the
 supervisor of a live site.
@@ -6,87 +6,60 @@ supervisor of a live site.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 from greenroof_ros.base.text import clean_text
 from greenroof_ros.interface.alarm import Alarm, advise
 from greenroof_ros.interface.states import PUMP
 from greenroof_ros.watch.store import GraphStore
+from greenroof_ros.watch.words import name_source
 
 _MAX_ROWS = 100
 _SEVERITY = {"error": 0, "stale": 1, "warn": 2}
 
 
 def list_alarms(store: GraphStore) -> list[dict[str, Any]]:
-    """Return the alarms: causes, then their consequences, other devices and past alarms.
+    """Return the present alarms, the most important one first.
 
-    Within each group, the alarms of the pump node and of the pump's state come first. The others
-    are sorted by acknowledgement (unacknowledged first), severity (worst first) and time (newest
-    first), since operators already know about older and acknowledged alarms.
-
-    ``plain`` states whether the alarm's code has an advice text, ``do``. If so, the page shows
-    ``do`` more prominently than ``what``, which is the node's own wording.
+    An alarm that follows from another one is not listed, but makes its cause as serious as itself.
+    If the site's program as a whole no longer runs, that is the only alarm.
     """
+    if (since := store.gone_since) is not None:
+        return [{
+            "id": "site", "name": "Site", "level": "error", "code": "not_heard",
+            "what": "the site's program no longer runs", "do": explain_start(store),
+            "since": since, "since_text": store.time_of_day(since),
+        }]
+    present = store.judge.present.values()
+    serious = {alarm.follows or alarm.name for alarm in present if alarm.is_serious}
 
-    def order(alarm: Alarm) -> tuple[bool, bool, int, bool, int, float]:
+    def level(alarm: Alarm) -> str:
+        if alarm.name not in serious:
+            return "warn"
+        return "error" if alarm.level == "warn" else alarm.level
+
+    def order(alarm: Alarm) -> tuple[bool, int, int, float]:
         # The pump node comes first (without it, no one knows whether the pump runs), then its
-        # state.
+        # state; other devices come last.
         rank = {(PUMP, ""): 0, (PUMP, PUMP): 1}.get((alarm.role, alarm.part), 2)
-        return (
-            not alarm.role, bool(alarm.follows), rank, store.is_acknowledged(alarm),
-            _SEVERITY[alarm.level], -alarm.since,
-        )
+        return not alarm.role, rank, _SEVERITY[level(alarm)], -alarm.since
 
     return [
         {
-            "id": alarm.name, "level": alarm.level, "what": clean_text(alarm.sentence),
-            "code": alarm.code, "do": advise(alarm.code, alarm.role, alarm.node),
-            "plain": alarm.is_known, "since": alarm.since,
-            "since_text": store.time_of_day(alarm.since),
-            "acknowledged": store.is_acknowledged(alarm), "over": alarm.ended,
-            "over_text": "" if alarm.ended is None else store.time_of_day(alarm.ended),
-            "follows": alarm.follows or None,
+            "id": alarm.name, "name": name_source(alarm.name), "level": level(alarm),
+            "code": alarm.code, "what": clean_text(alarm.sentence),
+            "do": advise(alarm.code, alarm.role, alarm.node),
+            "since": alarm.since, "since_text": store.time_of_day(alarm.since),
         }
-        for alarm in [
-            *sorted(store.judge.present.values(), key=order), *store.judge.over
-        ][:_MAX_ROWS]
-    ]
+        for alarm in sorted((alarm for alarm in present if not alarm.follows), key=order)
+    ][:_MAX_ROWS]
 
 
-def list_events(store: GraphStore) -> list[dict[str, Any]]:
-    """Return the events, newest first."""
-    return [
-        {"at": at, "what": what, "at_text": store.time_of_day(at)}
-        for at, what in reversed(store.events)
-    ]
-
-
-def count_alarms(store: GraphStore) -> tuple[int, int, int]:
-    """Return the numbers of causes at alarm level, causes at warning level, and consequences.
-
-    The level of a cause is the most severe of the levels of the cause itself and of its
-    consequences.
-    """
-    present = store.judge.present.values()
-    following = sum(bool(alarm.follows) for alarm in present)
-    serious = {alarm.follows or alarm.name for alarm in present if alarm.is_serious}
-    return len(serious), len(present) - following - len(serious), following
-
-
-def choose_advice(present: Sequence[Mapping[str, Any]]) -> str:
-    """Return the advice for the cause of the first unacknowledged alarm.
-
-    If this cause is only a hold, which is intentional, the advice for a second alarm is added.
-
-    Args:
-        present: the current alarms as returned by :func:`list_alarms`; at least one.
-    """
-    rows = sorted(present, key=lambda row: row["acknowledged"])
-    first = next((row for row in rows if row["id"] == rows[0]["follows"]), rows[0])
-    second = next((
-        row["do"] for row in rows
-        if row is not first and row["level"] != "warn" and not row["follows"]
-    ), "")
-    more = f" In addition: {second}" if first["code"] == "hold" and second else ""
-    return f"{first['do']}{more}"
+def explain_start(store: GraphStore) -> str:
+    """Explain how to start the program of a live site that no longer runs."""
+    space = f" --namespace {store.namespace.strip('/')}" if store.namespace else ""
+    return (
+        "Start it with: sudo systemctl start greenroof, if it is a service, or else with greenroof "
+        f"live{space} and its options. If the pump is still turning, stop it at its drive's panel "
+        "or at the main switch."
+    )

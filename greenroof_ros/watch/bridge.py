@@ -14,7 +14,7 @@ from typing import Any
 from greenroof_ros.base.mqtt import Broker, make_client
 from greenroof_ros.base.processes import Signals
 from greenroof_ros.base.standard_error import print_seldom
-from greenroof_ros.watch.document import join_summary, list_present, make_document
+from greenroof_ros.watch.document import join_summary, make_document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.graph_client import PumpRequestError
 from greenroof_ros.watch.home_assistant import (
@@ -256,13 +256,13 @@ def make_state(store: GraphStore, shown: Mapping[str, Any]) -> dict[str, Any]:
         "command": store.present_value("/pump/command"),
     }
     frost, serious = store.present_value("/weather/frost"), tiles["summary"]["level"] == "error"
-    present = list_present(shown)
+    present = shown["alarms"]
     return {
         "mode": store.mode,
         **{key: _round_number(topic, numbers[key] if here else None)
            for key, (topic, _) in NUMBERS.items()},
-        "pump": pump["value"] if here else UNKNOWN,
-        "plan": tiles["controller"]["sentence"][:_MAX_TEXT] if here else UNKNOWN,
+        "pump": pump["state"] if here and not pump["alarm"] else UNKNOWN,
+        "plan": _write_plan(tiles["watering"]) if here else UNKNOWN,
         "planned_volume": None if volume is None else round(volume * 1e3),
         "planned_start": None if begin is None or begin == now  # it is pumping now
         else datetime.fromtimestamp(begin, timezone.utc).isoformat(timespec="seconds"),
@@ -270,8 +270,13 @@ def make_state(store: GraphStore, shown: Mapping[str, Any]) -> dict[str, Any]:
         "condition": (present[0]["code"] or UNKNOWN) if present else "none" if here else UNKNOWN,
         "problem": ON if serious else OFF if here else None,
         "can_stop": shown["stop"]["possible"],
-        "hold": shown["stop"]["hold"],
+        "hold": shown["stop"]["hold"] if shown["stop"]["possible"] else None,
     }
+
+
+def _write_plan(tile: Mapping[str, Any]) -> str:
+    """Write when it is watered next, in as many characters as Home Assistant accepts."""
+    return "; ".join(filter(None, (tile["value"], tile["sentence"])))[:_MAX_TEXT]
 
 
 def _round_number(topic: str, value: float | None) -> float | None:
@@ -281,10 +286,10 @@ def _round_number(topic: str, value: float | None) -> float | None:
 
 def make_alarms(shown: Mapping[str, Any]) -> dict[str, Any]:
     """Return the summary, the advice and the current alarms, as in the document."""
-    keys = "code", "level", "id", "what", "do", "follows", "since"
+    keys = "code", "level", "id", "what", "do", "since"
     return {
         "summary": join_summary(shown),
         "advice": shown["advice"],
-        "alarms": [{key: row[key] for key in keys} for row in list_present(shown)[:_MAX_ALARMS]],
-        "notes": [*filter(None, [shown["stop"]["warning"]]), *shown["notes"]],
+        "alarms": [{key: row[key] for key in keys} for row in shown["alarms"][:_MAX_ALARMS]],
+        "notes": shown["notes"],
     }

@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Callable, Collection
 from functools import partial
 from pathlib import Path
@@ -19,6 +20,7 @@ from typing import Any
 from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import default_site_file
+from greenroof_ros.base.standard_error import print_seldom
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.site.file import read_site
 from greenroof_ros.watch import wire
@@ -151,10 +153,11 @@ class Feed:
         self._client.close()
 
     def _fails(self, act: Callable[[], None]) -> bool:
-        """Carry out a step; if it fails, show the error and return True."""
+        """Carry out a step; if it fails, print and show the error, and return True."""
         try:
             act()
         except Exception as error:  # whatever the error, the others go on
+            print_seldom("step", traceback.format_exc())
             self._problem = (
                 f"A step of the watcher failed; everything else continues "
                 f"({type(error).__name__}: {error})."

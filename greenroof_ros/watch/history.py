@@ -30,6 +30,9 @@ ROW = np.dtype([
     ("changed", "<i8"), ("ended", "<i8"), ("low", "<f8"), ("high", "<f8"), ("last", "<f8"),
     ("change", "<f8"),
 ])
+END_S = 1e-3
+"""Time (s) between two points of a line at the same time, or from a point to the line's end."""
+
 _FORMAT = "format"
 _VERSION = 1
 
@@ -82,41 +85,44 @@ class History:
         row["low"], row["high"] = np.fmin(row["low"], value), np.fmax(row["high"], value)
         row["ended"], row["last"] = time_ns, value
 
-    def window(
-        self, first: int, last: int, stretch_ns: int, *, steps: bool
-    ) -> list[list[Any]]:
-        """Return the values from ``first`` to ``last``, inclusive.
+    def line(self, first: int, last: int, stretch_ns: int, gap_s: float) -> list[list[Any]]:
+        """Return the line of the values from ``first`` to ``last``, inclusive.
+
+        Every stretch has a point for its last value and, if it has several values, points for its
+        lowest and highest, at the time of its greatest change; so no short run of a pump is lost,
+        and a step is shown where it happened.
 
         Args:
             first: beginning (ns).
             last: end (ns).
-            stretch_ns: time that each row covers (ns), from :func:`choose_stretch`.
-            steps: whether the value changes in steps rather than gradually.
+            stretch_ns: length of a stretch (ns), from :func:`choose_stretch`.
+            gap_s: longest time between two points that belong together (s).
 
         Returns:
-            Rows, each with a time (s) and the minimum, the maximum and the last value of a stretch.
-            All three values are None if the last value is unknown. The time of a row is that of the
-            last value or, for steps, that of the greatest change, so that a step is shown where it
-            happened. For steps, there are additional rows for the last value before a stretch
-            without values, and for the very last value.
+            Points, each with a time (s) and a value, or None from where the value is unknown.
         """
         rows = self.rows
         rows = rows[slice(*np.searchsorted(rows["ended"], (first, last + 1)))]
-        if not len(rows):
-            return []
+        points: list[list[Any]] = []
         # Whole stretches, which begin at the same times in every call, so a redrawn line does not
         # jitter.
-        rows = _condense(rows, stretch_ns)
-        ended, value = rows["ended"], rows["last"]
-        at = rows["changed"] if steps else ended
-        lines = np.column_stack((at / 1e9, rows["low"], rows["high"], value))
-        alone = (np.diff(ended // stretch_ns, append=2**62) > 1) & (at < ended)
-        ends = np.column_stack((ended / 1e9, value, value, value))[alone]
-        lines = np.concatenate((lines, ends))
-        ordered: list[list[Any]] = lines[np.argsort(lines[:, 0], kind="stable")].tolist()
-        return [
-            [row[0], None, None, None] if math.isnan(row[3]) else row for row in ordered
-        ]
+        for changed, ended, low, high, value, _ in (
+            _condense(rows, stretch_ns).tolist() if len(rows) else ()
+        ):
+            at, (until, before) = changed / 1e9, points[-1] if points else (math.inf, None)
+            if ended / 1e9 - until > gap_s and before is not None:
+                points.append([until + END_S, None])
+            if math.isnan(value):
+                points.append([at, None])
+                continue
+            if low < high:
+                extremes = (low, high) if high - value < value - low else (high, low)
+                points += [[at, extremes[0]], [at + END_S, extremes[1]]]
+            elif not points or value != before:
+                points.append([at, value])
+            if ended / 1e9 > points[-1][0] or value != points[-1][1]:
+                points.append([max(ended / 1e9, points[-1][0] + END_S), value])
+        return points
 
 
 def _condense(rows: NDArray[np.void], stretch_ns: int) -> NDArray[np.void]:

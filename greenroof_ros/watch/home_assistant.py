@@ -88,7 +88,7 @@ def _list_entities(base: str) -> dict[tuple[str, str], dict[str, Any]]:
         ("sensor", "pump"): {
             "name": "Pump", "device_class": "enum", "options": list(PUMP_STATES),
         },
-        ("sensor", "plan"): {"name": "Controller"},
+        ("sensor", "plan"): {"name": "Watering"},
         ("sensor", "planned_volume"): {
             "name": "Planned volume", "unit_of_measurement": "L", "state_class": "measurement",
         },

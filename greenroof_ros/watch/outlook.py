@@ -59,6 +59,15 @@ class _Steps:
         """Beginnings of the steps (s since 1970), shape (steps,)."""
         return np.append(self.at, self.ends[:-1])
 
+    def coming(self, now: float) -> list[tuple[int, float, float]]:
+        """Return each step that has not ended: its number, start, and end (s since 1970)."""
+        return [
+            (step, max(now, begin), end)
+            for step, (begin, end) in enumerate(
+                zip(self.begins.tolist(), self.ends.tolist(), strict=True)
+            ) if end > now
+        ]
+
     def lengths(self, now: float) -> Values:
         """Return the part of each step that is between now and 12 h ahead (s), shape (steps,)."""
         until = now + AHEAD_S
@@ -87,22 +96,16 @@ class Forecast(_Steps):
         fallen = np.cumsum(self.rain.mean(axis=0) * lengths)
         last = int(np.searchsorted(fallen, 0.9 * fallen[-1]))
         fallen_at = min(float(self.ends[last]), until)
-        low, high = (float(end[0]) for end in _compute_ranges(amounts[:, None]))
+        # 10th to 90th percentile, or minimum to maximum for few members.
+        low, high = map(float, np.percentile(
+            amounts, (10, 90) if len(amounts) >= _TENTHS else (0, 100)
+        ))
         return RainAmount(float(amounts.mean()), low, high, reach, fallen_at, len(amounts))
 
-    def rows(self) -> list[list[float]]:
-        """Return each step's start and end (s since 1970) and mean, low and high rain (m/s)."""
-        columns = (self.begins, self.ends, self.rain.mean(axis=0), *_compute_ranges(self.rain))
-        rows: list[list[float]] = np.column_stack(columns).tolist()
-        return rows
-
-
-def _compute_ranges(values: Values) -> tuple[Values, Values]:
-    """Return the members' range: 10th to 90th percentile, or minimum to maximum for few members."""
-    if len(values) < _TENTHS:
-        return values.min(axis=0), values.max(axis=0)
-    low, high = np.percentile(values, (10, 90), axis=0)
-    return low, high
+    def rows(self, now: float) -> list[tuple[float, float, float]]:
+        """Return the start, end (s since 1970) and mean rain (m/s) of each future step."""
+        rain = self.rain.mean(axis=0)
+        return [(begin, end, float(rain[step])) for step, begin, end in self.coming(now)]
 
 
 @dataclass(frozen=True)
@@ -126,8 +129,9 @@ class Plan(_Steps):
         begin = max(now, float(self.begins[pumps[0]]))
         return PlannedPumping(float(self.flow @ lengths), begin, float(self.level[pumps].max()))
 
-    def rows(self, now: float) -> list[list[float]]:
+    def rows(self, now: float) -> list[tuple[float, float, float, float]]:
         """Return the start, end (s since 1970), flow and final roof level of each future step."""
-        columns = np.column_stack((self.begins, self.ends, self.flow, self.level))
-        rows: list[list[float]] = columns[self.ends > now].tolist()
-        return rows
+        return [
+            (begin, end, float(self.flow[step]), float(self.level[step]))
+            for step, begin, end in self.coming(now)
+        ]

@@ -31,7 +31,7 @@ from greenroof_ros.interface.alarm import ERROR, OK, STALE
 from greenroof_ros.interface.states import ENDED, FINISHED, PLANT, PUMP, STATES
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.watch.wire import WireStatus
-from greenroof_ros.watch.words import clean_sentence, list_names
+from greenroof_ros.watch.words import clean_sentence, list_names, name_source
 
 # Other devices may be slower than this package's nodes: they are lost after this silence (s).
 _FOREIGN_SILENT_S = 5.0
@@ -70,20 +70,20 @@ class Node(NodeReport):
         self.number = number
 
     @property
-    def hold(self) -> str:
-        """Description of the pump's hold: owner, end and reason; empty if there is no hold."""
-        return _read_hold(self.values)
-
-    @property
     def lockstep(self) -> bool:
         """Whether the node runs in lockstep; nodes in a live graph do not number their ticks."""
         return "run_length" in self.values
 
     @property
+    def runs_on(self) -> bool:
+        """Whether a pump node reports that the pump turns or delivers water although it is off."""
+        return any(part.diagnosis.code == "runs_on" for part in self.parts.values())
+
+    @property
     def may_turn(self) -> bool:
-        """Whether a pump node knows neither the pump's speed nor that the pump is stopped."""
-        values = self.values
-        return values.get("stands") is not True and "speed" in values and values["speed"] is None
+        """Whether a pump that should be off may be turning, according to its node."""
+        unknown = "speed" in self.values and self.values["speed"] is None
+        return self.runs_on or (unknown and self.values.get("stands") is not True)
 
     def is_present(self, wall: float) -> bool:
         """Return whether the node has reported within the last 10 s and has not ended."""
@@ -174,6 +174,9 @@ class Registry:
     def _receive_other(self, wall: float, name: str, status: WireStatus) -> None:
         """Receive the status of a part of a node, or of another device."""
         node_name, _, part = name.partition(": ")
+        if "process" in status.values and status.message in (FINISHED, ENDED):
+            self._forget(name)  # a node of another graph, which may now be silent
+            return
         node = self._latest.get(node_name) if part else None
         report = (
             wall, status.level, clean_sentence(status.message) or "reports nothing",
@@ -207,21 +210,25 @@ class Registry:
             node = Node(name, role, process, state, values, wall)
             node.replace_process(self._latest.get(name))
             if name in self._latest:
-                self._on_event(f"{name} was restarted")
+                self._on_event(f"{name_source(name)} was restarted")
             self._nodes[name, process] = node
-            for part in [other for other in self._foreign if other.startswith(f"{name}: ")]:
-                del self._foreign[part]
+            self._forget(name)
         elif node.role != role:
             return None
         # When a run is over, its nodes finish and then end, which is one event.
         elif state == ENDED and not node.has_ended:
-            self._on_event(f"{name} ended")
+            self._on_event(f"{name_source(name)} ended")
         before = node.values
         node.receive(wall, now, state, values)
         self._report_changes(node, before)
         self._latest[name] = node
         self._assign_role(wall, node)
         return node
+
+    def _forget(self, name: str) -> None:
+        """Remove another device, and its parts."""
+        for other in [other for other in self._foreign if other.partition(": ")[0] == name]:
+            del self._foreign[other]
 
     def _make_room(self, wall: float, role: str) -> bool:
         """Return whether a role can accept a node, after dropping a silent node if necessary."""
@@ -248,18 +255,18 @@ class Registry:
             if before is node or (before.began > node.began if again else before.is_online(wall)):
                 return
         self._by_role[node.role] = node
-        if node.role == PLANT and before is not None:
-            self.runs += 1
+        if node.role == PLANT:
+            self.runs += before is not None
             self.time_ns = 0
             self._ticks.clear()
-            # Reports of silent nodes are about the previous run.
+            # Reports of silent nodes are about the previous run or site.
             for other in list(self._nodes.values()):
                 if not other.is_online(wall):
                     self._remove(other)
 
     def _report_changes(self, node: Node, before: Mapping[str, Any]) -> None:
         """Report the changes in a node's values as events."""
-        values, name = node.values, node.name
+        values, name = node.values, name_source(node.name)
         changes, left_out = _find_changes(before, values)
         if left_out:
             self._on_event(
@@ -274,13 +281,13 @@ class Registry:
             for warning in warnings[:_NEWEST]:
                 if warning not in known:
                     self._on_event(f"{name} warns: {clean_sentence(str(warning))}")
-        hold, fault = node.hold, node.text("fault")
-        if _read_hold(before) != hold:
-            self._on_event(f"the pump is held: {hold}" if hold else "the hold has ended")
+        holder, fault = _find_holder(values), node.text("fault")
+        if _find_holder(before) != holder:
+            self._on_event(f"The pump is held off by {holder}" if holder else "The hold has ended")
         if before.get("fault", "") != values.get("fault", ""):
             self._on_event(
-                "the pump is off until the fault is reset: "
-                f"{fault}" if fault else "the fault was reset"
+                "The pump is off until the fault is reset: "
+                f"{fault}" if fault else "The fault was reset"
             )
 
     def _receive_plant(self, wall: float, node: Node, stamp_ns: int) -> None:
@@ -329,10 +336,17 @@ class Registry:
             return "live"
         if here and plant is None:
             return "none"  # they are waiting for their plant
-        # A node that fell silent without reporting its end may still be running, and so may a pump.
-        if any(not node.lockstep and not node.has_ended for node in nodes):
+        # A live site is not over: if its program ends or falls silent, nobody waters the roof.
+        if any(not node.lockstep for node in nodes):
             return "live"
         return "ended" if nodes else "none"
+
+    def gone_since(self, wall: float) -> float | None:
+        """Return when the last node of a live site reported (s since 1970); None while one does."""
+        nodes = self._by_role.values()
+        if not nodes or any(node.lockstep or node.is_online(wall) for node in nodes):
+            return None
+        return max(node.heard for node in nodes)
 
     def pump(self, wall: float) -> Node | None:
         """Return the pump node if it is present; otherwise None."""
@@ -404,7 +418,7 @@ class Registry:
         for name, part in self._foreign.items():
             silent = wall - part.received_at > _FOREIGN_SILENT_S
             # A device that has reported only once may not be meant to report regularly.
-            if silent and part.again and not self._has_ended(name, part):
+            if silent and part.again:
                 silence = make_diagnosis(STALE, "", "not_heard", "silent", time=_FOREIGN_SILENT_S)
                 diagnoses[name] = replace(silence, code="")
             elif part.diagnosis.level != OK and not silent:
@@ -428,19 +442,12 @@ class Registry:
             )
         return diagnoses
 
-    def _has_ended(self, name: str, part: PartReport) -> bool:
-        """Return whether a node outside this graph, or a part's node, has reported its end."""
-        node = self._foreign.get(name.partition(": ")[0])
-        if node is None or node.diagnosis.sentence not in (FINISHED, ENDED):
-            return False
-        return part.received_at <= node.received_at
 
-
-def _read_hold(values: Mapping[str, Any]) -> str:
-    """Return the hold of the pump in a node's values, in words; empty if there is none."""
+def _find_holder(values: Mapping[str, Any]) -> str:
+    """Return who holds the pump, from a node's values; empty if no one does."""
     hold = values.get("hold")
-    text = hold.get("said") if isinstance(hold, dict) else None
-    return text if isinstance(text, str) else ""
+    owner = hold.get("owner") if isinstance(hold, dict) else None
+    return clean_text(owner) if isinstance(owner, str) else ""
 
 
 def _read_value(text: str) -> Any:

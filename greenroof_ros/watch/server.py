@@ -1,53 +1,46 @@
-"""HTTP server for the page: files, pushed events, and the actions that the page can request.
+"""HTTP server for the page: its files, two documents that it polls, and the actions it can request.
 
 Anyone who can reach the address can view the page and stop the pump. If a token has been set, it is
-required for both actions. The page can release a hold only if releasing was allowed when the server
+required for both. The page can release a hold only if releasing was allowed when the server
 was started; this requires a token. The page can then also clear a fault that does not require a
 person at the pump and, if the site file allows doses, request a dose.
 
 Every path is a fixed route; no path is looked up in the file system. Other pages in the same
 browser cannot make requests: a request must name this host (and not another name that resolves to
 its address), and an action needs a header that only this page can send. No connection can block the
-others: the number of connections is limited, each has a time limit, and a browser that does not
-read its data is skipped.
+others: the number of connections is limited, and each has a time limit. Each of the two documents,
+the state and the charts, is made once for all browsers, and has an ETag, so that what has not
+changed is not sent again.
 """
 
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import hmac
 import json
 import logging
 import math
-import select
 import socket
 import time
 import traceback
-import zlib
-from collections.abc import (
-    AsyncGenerator,
-    AsyncIterator,
-    Awaitable,
-    Callable,
-    Iterator,
-    Mapping,
-)
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping
 from contextlib import asynccontextmanager, contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
-from aiohttp import web
+from aiohttp import ETag, web
 
 from greenroof_ros.base.processes import InterruptedRun, Signals
-from greenroof_ros.base.ranges import Range, read_number
+from greenroof_ros.base.ranges import Range
 from greenroof_ros.base.standard_error import print_seldom
+from greenroof_ros.base.text import clean_text
 from greenroof_ros.watch import words
 from greenroof_ros.watch.document import HOURS, make_document, make_series
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.graph_client import PumpRequestError
 from greenroof_ros.watch.listening import Listener, listen
-from greenroof_ros.watch.parts import Parts
 from greenroof_ros.watch.store import GraphStore
 
 _PAGE = Path(__file__).resolve().parent / "page"
@@ -63,130 +56,65 @@ _HEADERS = {
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store",
 }
-# Maximum number of connections at a time, and of streams among them. A browser opens up to six.
+# Maximum number of connections at a time. A browser opens up to six.
 _MAX_CONNECTIONS = 128
-_MAX_STREAMS = 32
 # Longest time in which a connection may send its request and read the whole answer (s).
 _ANSWER_S = 30.0
 # For how long the server rests if no connection can be accepted (s).
 _RETRY_S = 0.5
-# For how long a stream's reader may take nothing before it is disconnected (s).
-_UNREAD_S = 30.0
-# Interval at which that is checked (s).
-_DRAIN_S = 0.05
 _BODY_S = 5.0
 _MAX_BODY = 10_000
-_HOURS = "12"
-# Intervals at which the document and the series are made, and at which they are sent even if
-# unchanged (s): a page that receives nothing for longer than that has lost its connection.
-_STATE_S, _SERIES_S, _RENEW_S = 0.5, 2.0, 5.0
-# The head of a gzip file without name and time (RFC 1952).
-GZIP_HEAD = b"\x1f\x8b\x08\0\0\0\0\0\0\xff"
+# For how long a document is current (s).
+_STATE_S, _CHARTS_S = 0.5, 2.0
+
+_STATE, _CHARTS = _DOCUMENTS = "/state", "/charts"
 
 _Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
-# --- what is pushed: made once for all readers, and never queued for a slow one ------------------
+# --- the documents -------------------------------------------------------------------------------
 
 
-class ServerEvent:
-    """One server-sent event, both plain and compressed.
+class _Document(NamedTuple):
+    """A document as JSON, and the tag that changes with its content."""
 
-    Each event is compressed once for all readers. Compressed events can follow a :data:`GZIP_HEAD`
-    in any order, since no event refers to an earlier event and each event ends with a full flush.
-
-    Attributes:
-        plain: the event without compression.
-        compressed: the event as raw deflate data.
-        made_at: time at which the event was made (steady clock, s).
-        checked_at: time at which the event was last found unchanged (steady clock, s).
-    """
-
-    def __init__(self, name: str, content: dict[str, Any]) -> None:
-        # Broken UTF-8 is escaped; a number that JSON does not know would be a bug of this package.
-        text = json.dumps(content, separators=(",", ":"), allow_nan=False)
-        self.plain = f"event: {name}\ndata: {text}\n\n".encode()
-        press = zlib.compressobj(wbits=-zlib.MAX_WBITS)
-        self.compressed = press.compress(self.plain) + press.flush(zlib.Z_FULL_FLUSH)
-        self.made_at = self.checked_at = time.monotonic()
+    body: bytes
+    tag: ETag
 
 
-class EventStream:
-    """A stream of events with the document and the series, updated while there are readers.
-
-    A reader receives the latest event as soon as it has read the previous one. Intermediate events
-    are dropped, so a thousand slow readers need no more memory than a single reader.
-
-    Attributes:
-        readers: number of readers.
-    """
+class _Documents:
+    """The state, and the charts for each length of their history, made once for all browsers."""
 
     def __init__(self, store: GraphStore) -> None:
-        """Start without events.
-
-        Args:
-            store: state of the graph to show.
-        """
-        self.readers = 0
         self._store = store
-        self._newest: dict[str | float, ServerEvent] = {}  # by name; series by their hours
-        self._making = asyncio.Lock()
+        self._newest: dict[float | None, tuple[float, asyncio.Task[_Document]]] = {}
 
-    async def events(self, hours: float) -> AsyncGenerator[ServerEvent, None]:
-        """Yield new events as they are made, skipping all but the latest.
+    async def read(self, hours: float | None = None) -> _Document:
+        """Return the current state or, if the length of the history (h) is given, the charts."""
+        made_at, task = self._newest.get(hours, (-math.inf, None))
+        age = time.monotonic() - made_at
+        if task is None or (task.done() and age >= (_STATE_S if hours is None else _CHARTS_S)):
+            task = asyncio.create_task(asyncio.to_thread(self._make, hours))
+            self._newest[hours] = time.monotonic(), task
+        return await asyncio.shield(task)  # others wait for it as well
 
-        Charts that cannot be made are replaced by an error message. If no document can be made at
-        all, the error is printed and every stream ends. The page then keeps its stop button, and
-        reports that it is not connected, rather than presenting old values as current.
+    def _make(self, hours: float | None) -> _Document:
+        """Make a document; if that fails, print why, and answer requests for it with the reason.
 
-        Args:
-            hours: length of the history in the series (h).
+        The page then keeps its stop button, and does not present old values as current.
         """
-        wanted: tuple[str | float, ...] = ("state", hours)
-        sent: dict[str | float, ServerEvent] = {}
-        self.readers += 1
         try:
-            while True:
-                for key in wanted:
-                    event = await self._newest_event(key)
-                    if event is None:
-                        return
-                    if sent.get(key) is not event:
-                        sent[key] = event
-                        yield event
-                await asyncio.sleep(_STATE_S)
-        finally:
-            self.readers -= 1
-
-    async def _newest_event(self, key: str | float) -> ServerEvent | None:
-        """Return the latest event, made once for all readers; None if it cannot be made."""
-        async with self._making:
-            now, lifetime = time.monotonic(), _STATE_S if isinstance(key, str) else _SERIES_S
-            self._newest = {  # events for readers who have gone are dropped
-                name: event for name, event in self._newest.items()
-                if now - event.checked_at < _RENEW_S
-            }
-            old = self._newest.get(key)
-            if old is not None and now - old.checked_at < lifetime:
-                return old
-            try:
-                new = await asyncio.to_thread(self._build_event, key)
-            except Exception:
-                print_seldom("event", traceback.format_exc())
-                return None
-            if old is not None and old.plain == new.plain and (
-                new.made_at - old.made_at < _RENEW_S
-            ):
-                old.checked_at, new = new.made_at, old  # nothing has changed
-            self._newest[key] = new
-            return new
-
-    def _build_event(self, key: str | float) -> ServerEvent:
-        if not isinstance(key, str):
-            parts = Parts()
-            content = parts.make("Series", lambda: make_series(self._store, key), {})
-            return ServerEvent("series", content or {"problem": parts.failed["Series"]})
-        return ServerEvent(key, make_document(self._store, time.monotonic()))
+            content = (
+                make_document(self._store, time.monotonic()) if hours is None
+                else make_series(self._store, hours)
+            )
+            # Broken UTF-8 is escaped; a number that JSON does not know would be a bug.
+            body = json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
+        except Exception as error:
+            print_seldom("document", traceback.format_exc())
+            reason = clean_text(f"{type(error).__name__}: {error}", 200)
+            raise web.HTTPInternalServerError(reason=reason) from error
+        return _Document(body, ETag(hashlib.sha256(body).hexdigest()))
 
 
 # --- connections ---------------------------------------------------------------------------------
@@ -252,19 +180,6 @@ class _Connections:
         for handler in list(self._until):
             self._drop(handler)
 
-    def drop_gone(self) -> bool:
-        """Close one open connection whose reader is gone or reads nothing; return False if none."""
-        for handler, until in self._until.items():
-            transport = handler.transport
-            if until < math.inf or transport is None:
-                continue
-            poll = select.poll()
-            poll.register(transport.get_extra_info("socket"), select.POLLRDHUP)
-            if poll.poll(0) or transport.get_write_buffer_size():
-                self._drop(handler)
-                return True
-        return False
-
     def _drop(self, handler: web.RequestHandler) -> None:
         del self._until[handler]
         if handler.transport is not None:
@@ -280,7 +195,7 @@ class _PageApplication:
         self._acting: dict[str, asyncio.Task[tuple[bool, str]]] = {}
         self._newest: asyncio.Task[tuple[bool, str]] | None = None
         self.connections: _Connections  # once it is served
-        self.event_stream = EventStream(store)
+        self._documents = _Documents(store)
         self.app = web.Application(
             middlewares=[self._refusals, self._check_origin], client_max_size=_MAX_BODY
         )
@@ -288,10 +203,10 @@ class _PageApplication:
             if file.suffix in _TYPES:
                 path = "/" if file.name == "index.html" else f"/{file.name}"
                 self.app.router.add_get(path, _make_file_handler(file), allow_head=False)
-        self.app.router.add_get("/events", self._events, allow_head=False)
+        for document in _DOCUMENTS:
+            self.app.router.add_get(document, self._read_document, allow_head=False)
         for action in ("stop", "release", "clear", "dose"):
             self.app.router.add_post(f"/{action}", self._act)
-        self.app.router.add_post("/acknowledge", self._acknowledge)
 
     # --- access ---------------------------------------------------------------------------------
 
@@ -318,7 +233,7 @@ class _PageApplication:
             raise web.HTTPForbidden(
                 reason="the host name in the address is not recognized; use localhost"
             )
-        if request.method == "POST" or request.path == "/events":
+        if request.method == "POST" or request.path in _DOCUMENTS:
             given = request.headers.get("Authorization", "")
             if self._token is not None and not hmac.compare_digest(
                 given.encode(errors="replace"), f"Bearer {self._token}".encode()
@@ -333,40 +248,17 @@ class _PageApplication:
 
     # --- answers --------------------------------------------------------------------------------
 
-    async def _events(self, request: web.Request) -> web.StreamResponse:
-        """Push events to one browser until it disconnects or stops reading."""
-        hours = _read_hours(request.query.get("hours", _HOURS))
-        if self.event_stream.readers >= _MAX_STREAMS and not self.connections.drop_gone():
-            raise web.HTTPServiceUnavailable(reason="too many pages are open; close one")
-        compressed = "gzip" in request.headers.get("Accept-Encoding", "")
-        answer = web.StreamResponse(headers={
-            **_HEADERS,
-            "Content-Type": "text/event-stream; charset=utf-8",
-            "X-Accel-Buffering": "no",  # nginx: pass on immediately
-            **({"Content-Encoding": "gzip"} if compressed else {}),
-        })
-        transport, events = request.transport, self.event_stream.events(hours)
-        try:
-            await answer.prepare(request)
-            if compressed:
-                await answer.write(GZIP_HEAD)
-            with self.connections.keep(request):
-                async for event in events:
-                    data = event.compressed if compressed else event.plain
-                    await asyncio.wait_for(_send(answer, data, transport), _UNREAD_S)
-        except (TimeoutError, ConnectionError):
-            if transport is not None:
-                transport.abort()
-        finally:
-            await events.aclose()
+    async def _read_document(self, request: web.Request) -> web.Response:
+        """Send a document, unless the browser has already received it as it is."""
+        hours = None if request.path == _STATE else _read_hours(request.query.get("hours", ""))
+        document = await self._documents.read(hours)
+        known = document.tag in (request.if_none_match or ())
+        answer = web.Response(
+            status=304 if known else 200, body=None if known else document.body,
+            content_type="application/json", headers=_HEADERS | {"Cache-Control": "no-cache"},
+        )
+        answer.etag = document.tag
         return answer
-
-    async def _acknowledge(self, request: web.Request) -> web.Response:
-        identity = (await _read_body(request)).get("id")
-        if not isinstance(identity, str):
-            raise web.HTTPBadRequest(reason="id must be a string")
-        known = await asyncio.to_thread(self._store.acknowledge, identity)
-        return _make_response(known, "" if known else "This alarm is no longer listed.")
 
     async def _act(self, request: web.Request) -> web.Response:
         """Carry out an action on the pump; a request repeated meanwhile gets the same answer.
@@ -453,15 +345,6 @@ def _is_of_another_page(request: web.Request) -> bool:
     return origin is not None and origin.partition("://")[2] != request.headers.get("Host")
 
 
-async def _send(
-    answer: web.StreamResponse, data: bytes, transport: asyncio.Transport | None
-) -> None:
-    """Send data, and wait until the buffer, where data would become outdated, is empty."""
-    await answer.write(data)
-    while transport is not None and transport.get_write_buffer_size():
-        await asyncio.sleep(_DRAIN_S)
-
-
 def _read_number(body: Mapping[str, object], name: str, unit: str) -> float:
     """Return a number from a request for a dose; the pump node checks the range."""
     try:
@@ -470,13 +353,11 @@ def _read_number(body: Mapping[str, object], name: str, unit: str) -> float:
         raise web.HTTPBadRequest(reason=f"{name} {error} ({unit})") from None
 
 
-def _read_hours(text: str) -> float:
+def _read_hours(text: str) -> int:
     """Return the requested length of the history (h)."""
-    with suppress(ValueError):
-        hours = read_number(text)
-        if hours in HOURS:
-            return hours
-    raise web.HTTPBadRequest(reason=f"hours {HOURS.expected()}")
+    if text not in map(str, HOURS):
+        raise web.HTTPBadRequest(reason=f"hours must be one of {', '.join(map(str, HOURS))}")
+    return int(text)
 
 
 async def _read_body(request: web.Request) -> dict[str, Any]:

@@ -6,111 +6,128 @@ be shown.
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Mapping
 from typing import Any
 
 from greenroof_ros.interface.conditions import command_for
 from greenroof_ros.watch import words
 from greenroof_ros.watch.registry import Node
 from greenroof_ros.watch.store import GraphStore
-from greenroof_ros.watch.words import clean_sentence
 
 LOCK_OUT = (
     "Anyone working on the pump must lock it out at the pump itself; this page does not lock it "
     "out."
 )
+_STOP = f"A stop holds the pump off until someone releases it. {LOCK_OUT}"
 _THEN = (
     "The pump then starts automatically when the controller requires it and nothing else keeps it "
     "off, but not before its minimum time off has passed. "
 )
+_DOSE = (
+    "The pump then delivers this volume once, regardless of the controller's command, but only up "
+    f"to the roof's target. The dose ends early if anything keeps the pump off. {LOCK_OUT}"
+)
 
 
 def describe_stop(store: GraphStore) -> dict[str, Any]:
-    """Return whether the pump can be stopped here, whether it is stopped, and any warning.
+    """Return the actions on the pump that are possible here, and what the pump node says of them.
 
-    The pump can be stopped if any node may control it, regardless of what the nodes report. The
-    pump counts as stopped if it is held and at standstill; a hold alone only means that the pump
-    should be stopped. ``release`` is the command that releases the pump; empty if it would have no
-    effect. Entries that end in ``_here`` state whether an action is allowed here, and entries that
-    end in ``_then`` describe the effect of an action. A request for a dose includes ``asked_at``,
-    so that a delayed request is recognized.
+    The pump can be stopped if any node may control it, regardless of what the nodes report. It
+    counts as stopped if it is held and at standstill; a hold alone only means that the pump should
+    be stopped. ``actions`` contains the question to ask before each action. A question is outdated
+    as soon as ``situation`` changes. A request for a dose includes ``asked_at``, so that a delayed
+    request is recognized.
     """
     two = store.graph.two_pumps(store.wall)
-    node = None if two else store.graph.pump(store.wall)
+    pump = None if two else store.graph.pump(store.wall)
+    node = None if store.is_lost(pump) else pump
     values = {} if node is None else node.values
-    hold, is_silent = "" if node is None else node.hold, store.is_lost(node)
-    possible = bool(store.graph.pumps(store.wall))
-    at_rest = not is_silent and values.get("stands") is True
-    stopped, warning = bool(hold) and at_rest, two
-    if hold and not at_rest and not is_silent:
+    hold = "" if node is None else describe_hold(store, node)
+    at_rest = node is not None and values.get("stands") is True and not node.runs_on
+    warning = two
+    if hold and not at_rest:
         warning = (
             "The stop was accepted, but the pump is still turning, or it is unknown whether it has "
             "stopped. If it does not stop within seconds, stop it at its drive's panel."
         )
     report = store.pump_report
     off = report is not None and report.state in ("off", "held", "fault") and at_rest
+    stopped = bool(hold) and at_rest
+    dose = _describe_dose(values, store.allow_release, store.site.a2)
     return {
-        "possible": possible, "stopped": stopped,
-        "label": "The pump is held off: stop again" if stopped
-        else "Keep the pump off" if off else "Stop the pump",
-        "sentence": "There is no pump node through which the pump could be stopped."
-        if not possible
-        else ("The pump was held off at last contact. " if hold and is_silent else "")
-        + ("The pump is held" if stopped else "A stop holds the pump")
-        + " off until someone releases it. " + LOCK_OUT,
-        "warning": warning,
-        "release": "" if node is None or not hold else command_for(node.name, "release"),
-        "hold": None if node is None or is_silent else hold and f"{hold[0].upper()}{hold[1:]}.",
-        "clear_call": command_for(node.name, "reset")
-        if node is not None and node.text("fault") else "",
-        **_allow(None if is_silent or not store.allow_release else node, at_rest, store.site.a2),
+        "possible": bool(store.graph.pumps(store.wall)), "stopped": stopped, "hold": hold,
+        "warning": warning, "dose": dose, "asked_at": time.time(),
+        "label": "Stop again" if stopped else "Keep the pump off" if off else "Stop the pump",
+        "actions": {"stop": _STOP, **(
+            {} if node is None or not store.allow_release
+            else _list_others(node, hold, at_rest, dose)
+        )},
+        "situation": [bool(hold), at_rest, *(
+            node is not None and bool(node.text(key)) for key in ("fault", "unknown", "no_dose")
+        )],
     }
 
 
-def _allow(node: Node | None, at_rest: bool, area: float = 0.0) -> dict[str, Any]:
-    """Return the actions, other than a stop, that are allowed here, with their effects.
+def make_bare_stop() -> dict[str, Any]:
+    """Return the stop action to offer while the pump node is unknown: any pump node may answer."""
+    return {
+        "possible": True, "stopped": False, "hold": "", "warning": "", "label": "Stop the pump",
+        "dose": _describe_dose({}, False, 0.0), "asked_at": None, "actions": {"stop": _STOP},
+        "situation": [],
+    }
+
+
+def describe_hold(store: GraphStore, node: Node) -> str:
+    """Describe who holds the pump, since when, until when and why; empty if no one does."""
+    hold = node.values.get("hold")
+    owner = hold.get("owner") if isinstance(hold, dict) else None
+    if not isinstance(hold, dict) or not isinstance(owner, str):
+        return ""
+    part, until, reason = node.parts.get("pump"), hold.get("until"), hold.get("reason")
+    known = part is not None and part.diagnosis.code == "hold"
+    since = part.diagnosis.since if part is not None and known else None
+    begin = "" if since is None else f" since {store.time_of_day(since)}"
+    end = "someone releases it"
+    if isinstance(until, (int, float)) and math.isfinite(until):
+        end = store.hour(until)
+    why = f" ({reason})" if isinstance(reason, str) and reason else ""
+    return words.clean_sentence(f"The pump is held off by {owner}{begin}, until {end}{why}.")
+
+
+def explain_release(store: GraphStore, stop: Mapping[str, Any]) -> str:
+    """Explain how to release the pump; empty if it cannot be released now."""
+    if "release" in stop["actions"]:
+        return "If it may run again, release it with the button below."
+    if store.pump is None or not stop["stopped"]:
+        return ""
+    return f"If it may run again, release it with: {command_for(store.pump.name, 'release')}"
+
+
+def _list_others(
+    node: Node, hold: str, at_rest: bool, dose: Mapping[str, Any]
+) -> dict[str, str]:
+    """Return the questions of the possible actions other than a stop.
 
     Args:
-        node: the pump node, if it is online and releasing is allowed; otherwise None.
-        at_rest: whether the pump is stopped.
-        area: area of the roof (m2).
+        node: the pump node.
+        hold: description of the hold; empty if there is none.
+        at_rest: whether the pump is at standstill.
+        dose: what is known of doses.
     """
-    maximum = None if node is None else node.values.get("max_dose")
-    hold = "" if node is None else node.hold
-    fault, unknown, refusal, no_dose = (
-        "" if node is None else node.text(key)
-        for key in ("fault", "unknown", "no_clear", "no_dose")
-    )
-    doses = isinstance(maximum, (int, float))
-    dose = {} if node is None else node.values.get("dose") or {}
-    minimum = 0.0 if node is None else float(node.values.get("min_dose") or 0.0)
-    return {
-        "release_here": bool(hold) and at_rest,
-        "release_then": _write_then(fault, unknown) + LOCK_OUT,
-        "clear_here": bool(fault) and not refusal and at_rest,
-        "clear_then": f"The fault is cleared: {fault}. " + _write_then(hold, unknown) + LOCK_OUT,
-        "no_clear": refusal if fault else "",
-        "max_dose": maximum if doses else None,
-        "min_dose": minimum if doses else None,
-        "dose_limits": _write_limits(minimum, float(maximum or 0.0), area) if doses else "",
-        "dose": clean_sentence(str(dose.get("said", ""))) if isinstance(dose, dict) else "",
-        "dose_here": doses and not no_dose,
-        "asked_at": time.time() if doses and not no_dose else None,
-        "dose_then": "The pump then delivers this volume once, regardless of the controller's "
-        "command, but only up to the roof's target. The dose ends early if anything keeps the pump "
-        "off. "
-        + LOCK_OUT,
-        "no_dose": no_dose if doses else "",
-    }
-
-
-def _write_limits(minimum: float, maximum: float, area: float) -> str:
-    """Write the range of a dose (m3) and the resulting water depth on a roof of an area (m2)."""
-    volumes = f"from {minimum:.3f} to {maximum:g} m³" if minimum else f"at most {maximum:g} m³"
-    depths = [words.write_rain(volume / area) for volume in (minimum, maximum) if volume and area]
-    return volumes + (
-        f", equivalent to {' to '.join(depths)} of water on the roof" if depths else ""
-    )
+    fault, unknown = node.text("fault"), node.text("unknown")
+    questions = {}
+    if hold and at_rest:
+        questions["release"] = _write_then(fault, unknown) + LOCK_OUT
+    if fault and not node.text("no_clear") and at_rest:
+        stays = hold.removesuffix(".")
+        questions["clear"] = (
+            f"The fault is cleared: {fault}. {_write_then(stays, unknown)}{LOCK_OUT}"
+        )
+    if dose["max"] is not None and not dose["refusal"]:
+        questions["dose"] = _DOSE
+    return questions
 
 
 def _write_then(*others: str) -> str:
@@ -119,11 +136,46 @@ def _write_then(*others: str) -> str:
     return f"The pump nevertheless stays off: {remain}. " if remain else _THEN
 
 
-def make_bare_stop() -> dict[str, Any]:
-    """Return the stop action to offer while the pump node is unknown: any pump node may answer."""
+def _describe_dose(values: Mapping[str, Any], allowed: bool, area: float) -> dict[str, Any]:
+    """Return the latest dose in words, the limits of a dose, and why none is possible now.
+
+    Args:
+        values: values that the pump node reports.
+        allowed: whether doses may be requested here.
+        area: area of the roof (m2).
+    """
+    least, largest = float(values.get("min_dose") or 0.0), values.get("max_dose")
+    if not allowed or not isinstance(largest, (int, float)):
+        largest = None
+    last = values.get("dose")
+    runs = isinstance(last, dict) and not last.get("over")
+    volumes = [volume for volume in (least, largest) if volume]
+    depths = [words.write_rain(volume / area) for volume in volumes if area]
     return {
-        "possible": True, "stopped": False, "label": "Stop the pump",
-        "sentence": "A stop holds the pump off until someone releases it. " + LOCK_OUT,
-        "warning": "", "release": "", "hold": None, "clear_call": "",
-        **_allow(None, at_rest=False),
+        "text": _write_dose(last, values.get("flow")) if isinstance(last, dict) else "",
+        "min": least, "max": largest,
+        "limits": f"{' to '.join(map(write_litres, volumes))}, which is {' to '.join(depths)} of "
+        "water on the roof",
+        "refusal": "" if runs or largest is None else words.clean_sentence(
+            str(values.get("no_dose") or "")
+        ),
     }
+
+
+def _write_dose(dose: Mapping[str, Any], flow: Any) -> str:
+    """Write the progress or the outcome of a dose: ``A dose: 12 of 20 L, 4 min left.``."""
+    if dose.get("over"):
+        said = words.clean_sentence(str(dose.get("said", "")))
+        return f"{said[:1].upper()}{said[1:]}."
+    volume, delivered = dose.get("volume"), dose.get("delivered")
+    if not isinstance(volume, (int, float)) or not isinstance(delivered, (int, float)):
+        return ""
+    progress = f"A dose: {words.write_number(delivered * 1e3, 0)} of {write_litres(volume)}"
+    if not isinstance(flow, (int, float)) or flow <= 0:
+        return f"{progress}; it is waiting."
+    return f"{progress}, {max(1, math.ceil((volume - delivered) / flow / 60))} min left."
+
+
+def write_litres(volume: float) -> str:
+    """Write a volume (m3) in litres."""
+    return words.write_quantity(volume, "L", 0, 1e3)

@@ -19,7 +19,6 @@ from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.text import clean_text
 from greenroof_ros.base.times import duration
 from greenroof_ros.graph.alarms import Judge
-from greenroof_ros.interface.alarm import Alarm
 from greenroof_ros.interface.states import PUMP, PUMP_STATES, PumpState
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.site.file import read_site
@@ -30,15 +29,12 @@ from greenroof_ros.watch.history import History, Values
 from greenroof_ros.watch.outlook import Forecast, Plan
 from greenroof_ros.watch.registry import Node, Registry
 from greenroof_ros.watch.wire import WireStatus
+from greenroof_ros.watch.words import name_source
 
 FLOW, RAIN_FORECAST, PLAN = "/pump/flow", "/forecast/precipitation", "/controller/plan"
 LINES = {
-    "roof": "/roof/level",
-    "cistern": "/cistern/level",
-    "command": "/pump/command",
-    "flow": FLOW,
+    "roof": "/roof/level", "cistern": "/cistern/level", "flow": FLOW,
     "rain": "/weather/precipitation",
-    "evapotranspiration": "/weather/evapotranspiration",
 }
 """Lines of the charts, each with its topic."""
 EXPECTED = "roof_expected"
@@ -147,8 +143,7 @@ class GraphStore:
         with self.lock:
             self.judge = Judge()
             self.events: deque[tuple[float, str]] = deque(maxlen=_MAX_EVENTS)
-            # By name: number, level and subjects of the alarm that someone has acknowledged.
-            self._acknowledged: dict[str, tuple[int, str, tuple[str, ...]]] = {}
+            self._was_gone = False
             self._forget_values()
 
     def _forget_values(self) -> None:
@@ -212,14 +207,20 @@ class GraphStore:
                     "start again"
                 )
             self.wall = wall
+            self._judge(wall)
             for newest in self.newest.values():
                 newest.update(wall, ended=self.ended)
-            self._judge(wall)
+                newest.stale |= self.gone_since is not None
 
     @property
     def ended(self) -> bool:
         """Whether the run is over, so that no more messages will arrive."""
         return self.mode == "ended"
+
+    @property
+    def gone_since(self) -> float | None:
+        """When the program of a live site last reported (s since 1970); None while it runs."""
+        return self.graph.gone_since(self.wall) if self.mode == "live" else None
 
     def is_lost(self, node: Node | None) -> bool:
         """Return whether a node was present and is now silent; False if the run is over."""
@@ -356,6 +357,7 @@ class GraphStore:
             number: number of the message, as counted by its publisher; None if unknown.
         """
         with self.lock:
+            self.wall = wall
             self.graph.receive(
                 wall, statuses, now=self._event_time, stamp_ns=stamp_ns, number=number
             )
@@ -373,33 +375,22 @@ class GraphStore:
             self._controller, self._controller_at = controller, self._event_time
 
     def _judge(self, wall: float) -> None:
+        gone = self.gone_since is not None
+        if gone != self._was_gone:
+            self._was_gone = gone
+            self.add_event(f"The site's program {'no longer runs' if gone else 'runs again'}")
+        if gone:
+            return  # this explains everything else
         diagnoses, starting = self.graph.diagnoses(wall), self.graph.starting(wall)
-        ended: dict[str, Alarm] = {}
         for what, alarm in self.judge.update(wall, self._event_time, diagnoses, starting=starting):
-            if what == "ends":
-                ended[alarm.name] = alarm
-            elif what == "begins" and (before := ended.get(alarm.name)):
-                self.add_event(f"{alarm.name}: {alarm.sentence}; previously: {before.sentence}")
+            if what in ("begins", "ends") and not alarm.follows:
+                over = "Over: " if what == "ends" else ""
+                self.add_event(f"{over}{name_source(alarm.name)}: {alarm.sentence}")
 
     def add_event(self, text: str) -> None:
         """Add an event that has just happened."""
         with self.lock:
             self.events.append((self._event_time, clean_text(text)))
-
-    def acknowledge(self, alarm_id: str) -> bool:
-        """Acknowledge an alarm until it changes; return False if there is no such alarm."""
-        with self.lock:
-            alarm = self.judge.alarms.get(alarm_id)
-            if alarm is not None:
-                self._acknowledged = {
-                    name: known for name, known in self._acknowledged.items()
-                    if name in self.judge.alarms
-                } | {alarm_id: (alarm.number, alarm.level, alarm.about)}
-            return alarm is not None
-
-    def is_acknowledged(self, alarm: Alarm) -> bool:
-        """Return whether an alarm, with its current level and subjects, has been acknowledged."""
-        return self._acknowledged.get(alarm.name) == (alarm.number, alarm.level, alarm.about)
 
     # --- time -----------------------------------------------------------------------------------
 

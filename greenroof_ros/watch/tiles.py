@@ -1,4 +1,4 @@
-"""The five tiles to read at a glance: roof level, cistern level, pump, rain and controller.
+"""The five values to read at a glance: roof, cistern, pump, rain, and when it is watered next.
 
 Every tile has a ``label``, a ``value`` in words, this value as a ``number``, a ``state`` that rates
 the value, and a ``sentence`` with details. The flag ``stale`` states whether the value is overdue
@@ -7,7 +7,7 @@ and therefore unknown.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -42,39 +42,39 @@ Tile = dict[str, Any]
 
 def _make_tile(
     store: GraphStore, label: str, topic: str, judged: Callable[[float], tuple[str, str]],
-    **more: Any,
 ) -> Tile:
     """Return the tile for a topic; ``judged`` returns the state and the sentence for a value.
 
     A missing or stale value is shown as unknown; for a stale value, the sentence states the last
-    value and its time. ``why`` is the reported reason for a missing value, if any. An implausible
-    value is shown as an alarm.
+    value and its time, and the reported reason, if any. An implausible value is shown as an alarm.
     """
     newest = store.newest.get(topic)
     number = None if newest is None else newest.value
+    stale = newest is not None and newest.stale
+    why = _find_reason(store, topic) if newest is None or stale else ""
     if number is not None:
         text, (state, sentence) = words.write_value(topic, number), judged(number)
     elif newest is None:
-        text, state, sentence = words.UNKNOWN, "unknown", _NOT_YET
+        text, state, sentence = words.UNKNOWN, "unknown", _NONE_NOW if why else _NOT_YET
     else:
         text, state, sentence = words.NOT_PLAUSIBLE, "alarm", "the sensor's value is impossible"
-    stale = newest is not None and newest.stale
-    if newest is not None and newest.stale:
+    if newest is not None and stale:
         sentence = f"{text} at last contact, {store.time_of_day(newest.time_ns / 1e9)}"
         text, number, state = words.UNKNOWN, None, "unknown"
-    why = _find_reason(store, topic) if newest is None or stale else ""
     return {
         "label": label, "value": text, "number": number, "state": state,
-        "sentence": _NONE_NOW if why and newest is None else sentence, "why": why,
-        "stale": stale, **more,
+        "sentence": "; ".join(filter(None, (sentence, why))), "stale": stale,
     }
 
 
 def _find_reason(store: GraphStore, topic: str) -> str:
     """Return the reason, reported by its publisher or readers, why a topic has no values.
 
-    The reason is empty if no fault is reported, since the first value may still arrive.
+    The reason is empty if no fault is reported, since the first value may still arrive, and if the
+    site's program no longer runs.
     """
+    if store.gone_since is not None:
+        return ""
     diagnoses = store.judge.diagnoses
     own = {name: found for name, found in diagnoses.items() if found.role and found.level != WARN}
     readers = (
@@ -104,24 +104,15 @@ def find_band(site: Site) -> list[float]:
 
 def make_roof_tile(store: GraphStore) -> Tile:
     """Return the tile of the roof's level."""
-    site, newest = store.site, store.newest.get(_ROOF)
-    # The paper's soil is ten times as deep as the target level. Only if the level is above twice
-    # the target, the whole soil is shown.
+    site = store.site
     full, (low, high) = site.roof_level(site.z_cap), find_band(site)
-    shown = 0.0 if newest is None else newest.value or 0.0
-    top = max(full, shown) if shown > 2 * site.z_veg else 2 * site.z_veg
-    marks = [{"at": site.z_veg, "label": f"target {write_level(site.z_veg)}"}]
-    if full <= top:
-        marks.append({"at": full, "label": f"soil full at {write_level(full)}"})
 
     def judged(level: float) -> tuple[str, str]:
         state = "low" if level < low else "high" if level > high else "good"
         drains = "; the soil is full, and water is draining off" if level >= full else ""
         return state, _write_difference(level - site.z_veg) + drains
 
-    return _make_tile(
-        store, "Roof level", _ROOF, judged, low=0.0, high=top, marks=marks, band=[low, high]
-    )
+    return _make_tile(store, "Roof level", _ROOF, judged)
 
 
 def _write_difference(difference: float) -> str:
@@ -134,14 +125,7 @@ def _write_difference(difference: float) -> str:
 
 def make_cistern_tile(store: GraphStore) -> Tile:
     """Return the tile of the cistern's level."""
-    site, newest = store.site, store.newest.get(_CISTERN)
-    marks = [
-        {"at": at, "label": f"{name} {words.write_value(_CISTERN, at)}"}
-        for name, at in (
-            ("suction level", site.suction_level), ("low outlet", site.low_outlet_level),
-            ("overflow", site.z_o),
-        ) if at is not None
-    ]
+    site = store.site
 
     def judged(level: float) -> tuple[str, str]:
         usable = site.cistern_volume(level - site.suction_level)
@@ -157,11 +141,7 @@ def make_cistern_tile(store: GraphStore) -> Tile:
         drains = "; the low outlet is draining the cistern" if level > site.min_outlet_level else ""
         return "good", text + drains
 
-    shown = 0.0 if newest is None else newest.value or 0.0
-    return _make_tile(
-        store, "Cistern level", _CISTERN, judged, low=0.0, high=max(1.1 * site.z_o, shown),
-        marks=marks, band=[site.suction_level, site.z_o],
-    )
+    return _make_tile(store, "Cistern level", _CISTERN, judged)
 
 
 def _write_opened(share: float | None) -> str:
@@ -173,15 +153,11 @@ def _write_opened(share: float | None) -> str:
     return f"; the outlet valve is {words.write_value(_VALVE, share)} open"
 
 
-def make_pump_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
-    """Return the tile of the pump: its state and, below it, the flow, the command and the reason.
+def make_pump_tile(store: GraphStore) -> Tile:
+    """Return the tile of the pump: its state, flow and command, and why it is in this state.
 
-    ``alarm`` states whether the pump might be turning unnoticed, and ``idle`` whether the pump is
-    off only because the controller commands a flow of 0.
-
-    Args:
-        store: state of the graph.
-        wrong: the current alarms.
+    ``alarm`` states whether the pump might be turning unnoticed, ``idle`` whether the pump is off
+    only because the controller commands a flow of 0, and ``why`` repeats the reason.
     """
     node, report = store.pump, store.pump_report
     values = {} if node is None else node.values
@@ -191,53 +167,60 @@ def make_pump_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Til
     )
     speed_known = values.get("speed", 0.0) is not None  # even if its node never reports a speed
     pumped = store.newest.get(_FLOW) if flow_known and (speed_known or may_turn) else None
-    command = store.newest.get(_COMMAND)
     state, why = _read_pump_state(store, report)
+    old = pumped is not None and pumped.stale
+    # The node reports its state in a different way from the flow.
+    stale = not may_turn and (is_silent or (old and report is None))
     parts = []
-    if may_turn:
+    if stale and state != "unknown":
+        parts.append(f"{state} at last contact")
+    if may_turn and not (node is not None and node.runs_on):
         parts.append("it is unknown whether the pump is stopped")
-        state, why = "unknown", why if report is not None else ""
-    elif not speed_known:
+    elif not speed_known and not may_turn:
         parts.append(
             "the drive is not responding: stopped at last contact, or by the drive's timeout"
         )
     if pumped is not None:
-        parts.append(words.NOT_PLAUSIBLE if pumped.value is None else write_flow(pumped.value))
+        text = words.NOT_PLAUSIBLE if pumped.value is None else write_flow(pumped.value)
+        parts.append(f"last known {text}" if old else text)
     elif not flow_known and not may_turn:
         parts.append("the flow is unknown")
-    if command is not None:
-        parts.append(_write_commanded(command.value))
-    newest = pumped if pumped is not None else command
-    old = newest is not None and newest.stale
-    # The node reports its state in a different way from the flow.
-    stale = not may_turn and (is_silent or (old and report is None))
-    if old and not stale:
-        place = -1 if pumped is None or command is None else -2
-        parts[place] = f"last known {parts[place]}"
+    runs = state in ("running", "starting") and not stale and not may_turn
+    parts += filter(None, (
+        _write_command(store) if runs else "", "" if may_turn and is_silent else why,
+    ))
     if not parts and state == "unknown":
         parts.append(_NOT_YET)
-    if stale and state != words.UNKNOWN:
-        parts.insert(0, f"{state} at last contact")
     name = "" if node is None else node.name
-    kept_off = store.present_value(_FROST) or any(row["id"] == f"{name}: {PUMP}" for row in wrong)
+    kept_off = store.present_value(_FROST) or f"{name}: {PUMP}" in store.judge.present
     quiet = state == "held" and node is not None and node.code_of(PUMP) == "quiet_hours"
-    state = "unknown" if stale else "off" if quiet else state  # as intended
+    state = "unknown" if stale or may_turn else "off" if quiet else state  # as intended
     return {
-        "label": "Pump", "value": state,
-        "number": None if pumped is None or pumped.stale else pumped.value,
-        "state": state, "alarm": may_turn,
+        "label": "Pump", "value": "may be running" if may_turn else state,
+        "number": None if pumped is None or old else pumped.value,
+        "state": "alarm" if may_turn else state, "alarm": may_turn,
         "idle": state == "off" and not kept_off and not quiet
         and store.present_value(_COMMAND) == 0,
-        "sentence": "; ".join(parts), "why": why, "stale": stale,
+        "sentence": "; ".join(parts), "why": "" if may_turn else why, "stale": stale,
     }
 
 
-def _write_commanded(share: float | None) -> str:
-    if share is None:
+def write_pump(value: str) -> str:
+    """Write the value of the pump's tile as a clause: ``the pump is held off``."""
+    if value in ("may be running", "unknown"):
+        return f"the pump {value}" if value != "unknown" else "the state of the pump is unknown"
+    named = {"fault": "has a fault", "held": "is held off"}
+    return f"the pump {named.get(value, f'is {value}')}"
+
+
+def _write_command(store: GraphStore) -> str:
+    """Write the command that a pump follows; empty if it is 0 or old."""
+    command = store.newest.get(_COMMAND)
+    if command is None or command.stale or command.value == 0:
+        return ""
+    if command.value is None:
         return f"the command is {words.NOT_PLAUSIBLE}"
-    if not share:
-        return "nothing is commanded"
-    return f"commanded {words.write_command(share)} of its maximum flow"
+    return f"commanded {words.write_command(command.value)} of its maximum flow"
 
 
 def _read_pump_state(store: GraphStore, report: PumpState | None) -> tuple[str, str]:
@@ -265,8 +248,7 @@ def _is_quiet(store: GraphStore) -> bool:
 def make_rain_tile(store: GraphStore) -> Tile:
     """Return the tile of the rain, with the current and the forecast rain."""
     topic = _GAUGE if store.newest.get(_RAIN) is None else _RAIN
-    tile = _make_tile(store, "Rain", topic, lambda _: ("good", ""))
-    return tile if tile["stale"] else {**tile, "sentence": _write_coming_rain(store)}
+    return _make_tile(store, "Rain", topic, lambda _: ("good", _write_coming_rain(store)))
 
 
 def _write_coming_rain(store: GraphStore) -> str:
@@ -297,41 +279,43 @@ def _write_range(amount: RainAmount) -> str:
     return f" ({low} to {high})"
 
 
-def make_controller_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
-    """Return the tile of the controller.
+def make_watering_tile(store: GraphStore, pump: Tile) -> Tile:
+    """Return the tile of what the controller intends: when it waters next, and how much.
 
     Args:
         store: state of the graph.
-        wrong: the current alarms.
+        pump: tile of the pump, which may be kept off although the controller commands a flow.
     """
-    node = store.graph.node("controller")
-    name = None if node is None else node.name.rpartition("/")[2]
-    alarm = next((
-        row["what"] for row in wrong
-        if node is not None and row["level"] in ("error", "stale")
-        and row["id"].partition(": ")[0] == node.name
+    node, command = store.graph.node("controller"), store.newest.get(_COMMAND)
+    share, aim = store.present_value(_COMMAND), store.present_value(_FILL_TO)
+    gone, now = store.gone_since is not None, store.now
+    plan = None if gone else store.plan
+    fault = next((
+        alarm.sentence for alarm in store.judge.present.values()
+        if node is not None and alarm.node == node.name and alarm.is_serious and not gone
     ), "")
-    command, plan, now = store.newest.get(_COMMAND), store.plan, store.now
-    known = name is not None and store.present_value(_COMMAND) is not None
-    if alarm:
-        sentence = alarm
+    if fault:
+        value, sentence = "alarm", fault
+    elif share is None and plan is None:
+        value = words.UNKNOWN
+        sentence = "no controller found" if node is None and command is None else (
+            "the controller's command is unknown"
+        )
     elif plan is not None and now is not None:
-        sentence = _write_plan(store, plan, now)
-    elif name is None and command is None:
-        sentence = "no controller found"
-    elif command is None or command.value is None:
-        sentence = "the controller's command is unknown"
-    elif command.value:
-        sentence = f"commands {words.write_command(command.value)} of the pump's maximum flow"
+        value, sentence = _write_plan(store, plan, now)
     else:
-        sentence = "commands no pumping now"
-    if not alarm:
-        aim = store.present_value(_FILL_TO)
-        text = "" if aim is None else f"fills the roof to {words.write_value(_FILL_TO, aim)} now"
-        sentence = "; ".join(filter(None, (text, sentence)))
+        value = "now" if share else "not now"
+        sentence = f"{words.write_command(share)} of the pump's maximum flow" if share else ""
+    if share and not fault:
+        runs = pump["state"] in ("running", "starting")
+        value, kept = ("now", "") if runs else ("wanted", write_pump(pump["value"]))
+        aims = "" if aim is None else f"up to {words.write_value(_FILL_TO, aim)} now"
+        sentence = "; ".join(filter(None, (kept, aims, sentence)))
+    known = value not in ("alarm", words.UNKNOWN) and share is not None
     return {
-        "label": "Controller", "value": name or words.UNKNOWN, "number": None,
-        "state": "alarm" if alarm else "good" if known else "unknown", "sentence": sentence,
+        "label": "Watering", "value": value, "number": None,
+        "state": "alarm" if fault else "held" if value == "wanted" else "good" if known
+        else "unknown", "sentence": sentence,
         "stale": command is not None and command.stale,
     }
 
@@ -345,18 +329,18 @@ def _has_forecast(store: GraphStore) -> bool:
     )
 
 
-def _write_plan(store: GraphStore, plan: Plan, now: float) -> str:
+def _write_plan(store: GraphStore, plan: Plan, now: float) -> tuple[str, str]:
+    """Return when the pump runs next according to the plan, and the plan in words."""
     right = " if the forecast is right" if _has_forecast(store) else ""
     if now >= plan.ends[-1]:
-        return "has reached the end of its plan"
+        return words.UNKNOWN, "the controller has reached the end of its plan"
     pumped = plan.pumped(now)
     reach = words.write_horizon(min(12 * 3600.0, float(plan.ends[-1]) - now))
     if pumped is None:
-        return f"will not pump in the next {reach}{right}"
-    start = "from now on" if pumped.begin <= now else f"from {store.hour(pumped.begin)} on"
-    return (
-        f"will pump {words.write_quantity(pumped.volume, 'm³', 2)} in the next {reach}, {start}, "
-        f"up to {write_level(pumped.level)}{right}"
+        return f"not in the next {reach}", f"no pumping is planned{right}"
+    return "now" if pumped.begin <= now else f"from {store.hour(pumped.begin)}", (
+        f"{words.write_quantity(pumped.volume, 'm³', 2)} in the next {reach}, up to "
+        f"{write_level(pumped.level)}{right}"
     )
 
 

@@ -15,8 +15,7 @@ from greenroof_ros.interface.topics import Display, read_topics
 
 NOT_PLAUSIBLE = "not a plausible value"
 UNKNOWN = "unknown"
-# Brackets with the name of a parameter after what it explains, and the unit as written in logs.
-_PARAMETERS = re.compile(r" \([^()]*\b[a-z]+_[a-z][^()]*\)")
+# The unit as it is written in logs.
 _CUBIC = re.compile(r"\bm3\b")
 SPACE = "\N{NO-BREAK SPACE}"
 """Space between a number and its unit, where no line may end."""
@@ -147,8 +146,14 @@ def write_coming_time(seconds: float, zone: tzinfo, now: float) -> str:
 
 
 def clean_sentence(text: str) -> str:
-    """Return a node's sentence for lay readers, without parameter names and with m³ for m3."""
-    return _CUBIC.sub("m³", _PARAMETERS.sub("", clean_text(text)))
+    """Return a node's sentence with m³ for m3, in printable characters."""
+    return _CUBIC.sub("m³", clean_text(text))
+
+
+def name_source(status: str) -> str:
+    """Return a plain name for the source of a status: ``Roof sensor`` for ``/roof_sensor: x``."""
+    name = status.partition(": ")[0].rpartition("/")[2].replace("_", " ")
+    return f"{name[:1].upper()}{name[1:]}"
 
 
 def list_names(names: Iterable[str]) -> str:

@@ -80,7 +80,7 @@ GUARDS = DriveSnapshot(timeout_known=True, timeout_s=3.0)
         ("abb_acs880", "gateway://127.0.0.1", GUARDS, False, None),
         ("abb_acs880", "gateway://127.0.0.1",
          DriveSnapshot(timeout_known=True, timeout_s=10.5), False,
-         "is 10.5 s, but must be at most 10 s (drive_timeout_limit); to set it: "),
+         "is 10.5 s, but must be at most 10 s; to set it: "),
         ("abb_acs880", "gateway://127.0.0.1",
          DriveSnapshot(timeout_known=True, timeout_note="0"), False,
          "is not effective (0); to set it: "),

@@ -23,7 +23,6 @@ from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.supervisor import NodeSetup, ProcessStart
 from greenroof_ros.live.supervisor_socket import read_report
 from greenroof_ros.results.alarm_file import read_alarms
-from greenroof_ros.watch.alarms import list_alarms
 from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.wire import WireStatus
 
@@ -115,8 +114,7 @@ def test_console_record_summary_and_page_have_the_same_alarms(
                     )
                 ])
             of_pages[begins] |= {
-                (row["id"], row["code"]): row["since"]
-                for row in list_alarms(page) if not row["over"]
+                (alarm.name, alarm.code): alarm.since for alarm in page.judge.present.values()
             }
     assert DISK.wait(60)
     expected = {

@@ -28,7 +28,7 @@ def test_a_run_under_the_eyes_of_four_is_the_same_run(domain: int, tmp_path: Pat
     options = ("--controller", "onoff", "--hours", "0.15")
     process, port = watcher(domain, tmp_path)
     viewer = Process(domain, "watch", "--foxglove", "0", cwd=tmp_path)
-    request = b"GET /events?hours=12 HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    request = b"GET /uPlot.js HTTP/1.1\r\nHost: localhost\r\n\r\n"
     with (
         started_browser() as browser, deaf_client(port_of(viewer.stdout)),
         socket.create_connection(("127.0.0.1", port)) as deaf,

@@ -33,70 +33,58 @@ def filled(times: np.ndarray, values: np.ndarray) -> History:
     return history
 
 
-def in_plain_python(
-    times: np.ndarray, values: np.ndarray, stretch: int, steps: bool
-) -> list[list[float]]:
-    """Return of each stretch (ns) the time of its maximum change or its end (s), and its values.
-
-    After them is the last value.
-    """
-    rows: dict[int, list[float]] = {}
-    maximum, before = {times[0] // stretch: math.inf}, values[0]
-    for at, value in zip(times.tolist(), values.tolist(), strict=True):
-        key, change = at // stretch, abs(value - before)
-        row = rows.setdefault(key, [at / 1e9, value, value, value])
-        time = at / 1e9 if not steps or change > maximum.get(key, -1.0) else row[0]
-        rows[key] = [time, min(row[1], value), max(row[2], value), value]
-        maximum[key], before = max(change, maximum.get(key, -1.0)), value
-    last = [times[-1] / 1e9, *[values[-1]] * 3]
-    stretches = list(rows.values())
-    return [*stretches, *([last] if last[0] > stretches[-1][0] else [])]
-
-
 @pytest.mark.parametrize("decimals", [9, 0])
-def test_every_extreme_is_in_the_rows(decimals: int) -> None:
-    """Also if a value lasts for long, so that many changes of a stretch are equal."""
+def test_every_extreme_is_in_the_line(decimals: int) -> None:
+    """Of each stretch its lowest, highest and last value, and times that rise."""
     times, values = ticks(5000)
     values = values.round(decimals)
-    for count in (3, 1207, 5000):
-        known = times[:count], values[:count]
-        history = filled(*known)
-        for stretch, steps in ((STRETCH_NS, False), (STRETCH_NS, True), (25 * STRETCH_NS, True)):
-            rows = history.window(START, int(known[0][-1]), stretch, steps=steps)
-            assert rows == in_plain_python(*known, stretch, steps)
+    history = filled(times, values)
+    for stretch in (STRETCH_NS, 25 * STRETCH_NS):
+        line = history.line(START, int(times[-1]), stretch, 600.0)
+        assert np.all(np.diff([at for at, _ in line]) > 0)
+        for number in np.unique(times // stretch):
+            there = values[times // stretch == number]
+            shown = [value for at, value in line if int(at * 1e9) // stretch == number]
+            assert (min(shown), max(shown), shown[-1]) == (there.min(), there.max(), there[-1])
 
 
-def test_a_line_goes_to_its_last_value_before_a_gap() -> None:
-    """Also if that has held for some seconds; stretches of 20 s that follow each other go on."""
+@pytest.mark.parametrize(("values", "line"), [
+    # A short run is seen when it was, and a step where it happened.
+    ([0, 0, 0, 7, 0, 0, 0, 0], [(10, 0), (30, 0), (30.001, 7), (40, 0), (50, 0), (70, 0)]),
+    ([0, 0, 3, 3, 3, 3, 3, 3], [(10, 0), (20, 3), (30, 3), (50, 3), (70, 3)]),
+    # What is unknown is a gap from when it became unknown.
+    ([5, 5, 5, math.nan, math.nan, 5, 5, 5], [(10, 5), (30, None), (50, 5), (70, 5)]),
+])
+def test_a_line_is_where_the_values_were(
+    values: list[float], line: list[tuple[float, float | None]]
+) -> None:
+    """Values every 10 s, in stretches of 20 s."""
+    seconds = np.arange(0, 80, 10)
+    history = filled(START + SECOND * seconds, np.array(values, float))
+    shown = history.line(START, START + 80 * SECOND, STRETCH_NS, 600.0)
+    known = [(round(at - START / 1e9, 3), value) for at, value in shown]
+    # Between points of the same value, others may stand.
+    assert [point for point in known if point in line] == line
+
+
+def test_a_line_ends_at_its_last_value_before_a_gap() -> None:
     seconds = np.array([*range(0, 100, 10), 3615, 3625])
     history = filled(START + SECOND * seconds, np.full(len(seconds), 5.0))
-    for steps, at in ((True, [0, 20, 40, 60, 80, 90]), (False, [10, 30, 50, 70, 90])):
-        rows = history.window(START, START + 2 * 3600 * SECOND, STRETCH_NS, steps=steps)
-        assert [row[0] - START / 1e9 for row in rows] == [*at, 3615, 3625]
+    line = history.line(START, START + 2 * 3600 * SECOND, STRETCH_NS, 600.0)
+    shown = [(round(at - START / 1e9, 3), value) for at, value in line]
+    assert shown[-4:] == [(90, 5.0), (90.001, None), (3615, 5.0), (3625, 5.0)]
 
 
-def test_what_is_unknown_is_a_gap_from_when_it_became_unknown() -> None:
-    values = np.full(100, 5.0)
-    values[31:73] = math.nan
-    values[85] = math.nan  # a stretch that is known again by its end
-    history = filled(START + SECOND * np.arange(100), values)
-    nothing, known = [None, None, None], [5.0, 5.0, 5.0]
-    rows = history.window(START, START + 100 * SECOND, STRETCH_NS, steps=True)
-    assert [[row[0] - START / 1e9, *row[1:]] for row in rows] == [
-        [0, *known], [31, *nothing], [40, *nothing], [73, *known], [85, *known], [99, *known],
-    ]
-
-
-def test_rows_stand_still_while_the_window_moves() -> None:
-    """A chart is redrawn every 2 s: the past must not flicker."""
+def test_a_line_stands_still_while_the_window_moves() -> None:
+    """A chart is redrawn often: the past must not flicker."""
     times, values = ticks(20_000)
     history, stretch = filled(times[:18_000], values[:18_000]), 5 * STRETCH_NS
-    before = history.window(int(times[8000]), int(times[17_999]), stretch, steps=False)
+    before = history.line(int(times[8000]), int(times[17_999]), stretch, 600.0)
     for place in (18_000, 18_001):
         history.add(int(times[place]), float(values[place]))
-    after = history.window(int(times[8002]), int(times[18_001]), stretch, steps=False)
-    assert before[1:-1] == after[1:-2]
-    assert after[-1] == [times[18_001] / 1e9, *sorted(values[18_000:18_002]), values[18_001]]
+    after = history.line(int(times[8002]), int(times[18_001]), stretch, 600.0)
+    assert before[3:-3] == after[3:len(before) - 3]
+    assert after[-1] == [times[18_001] / 1e9, values[18_001]]
 
 
 def test_a_week_is_kept_and_memory_is_bounded() -> None:
@@ -105,8 +93,8 @@ def test_a_week_is_kept_and_memory_is_bounded() -> None:
     history = filled(times, np.arange(3.0 * MAX_STRETCHES))
     assert history.rows.nbytes <= 48 * MAX_STRETCHES
     end = int(times[-1])
-    rows = history.window(end - 2 * WEEK_NS, end, STRETCH_NS, steps=False)
-    assert [row[3] for row in rows] == list(range(2 * MAX_STRETCHES, 3 * MAX_STRETCHES))
+    line = history.line(end - 2 * WEEK_NS, end, STRETCH_NS, 600.0)
+    assert [value for _, value in line] == list(range(2 * MAX_STRETCHES, 3 * MAX_STRETCHES))
 
 
 # --- the file -------------------------------------------------------------------------------------
@@ -124,7 +112,7 @@ def test_a_restart_keeps_the_past(tmp_path: Path) -> None:
     assert read.keys() == {"roof", "flow"} and not len(read["flow"].rows)
     np.testing.assert_array_equal(read["roof"].rows, history.rows[:20])
     read["roof"].add(START + 401 * SECOND, 7.0)
-    assert read["roof"].window(START, START + WEEK_NS, STRETCH_NS, steps=False)[-1][3] == 7.0
+    assert read["roof"].line(START, START + WEEK_NS, STRETCH_NS, 600.0)[-1][1] == 7.0
 
 
 def _with(**content: object) -> bytes:

@@ -3,37 +3,30 @@
 from __future__ import annotations
 
 import gzip
-import json
 import resource
 import socket
 import time
-import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from graphs import wait_for
-from page_inputs import ERROR, SECOND, add_series
-from page_server import Answer, Stream, request, send, served
+from page_inputs import SECOND, fail
+from page_server import Answer, read_state, request, send, served
 
 from greenroof_ros.watch import feed, server
-from greenroof_ros.watch.document import make_document as read_document
-from greenroof_ros.watch.document import make_series as read_series
+from greenroof_ros.watch.document import make_document, make_series
 from greenroof_ros.watch.listening import LOOPBACK
-from greenroof_ros.watch.server import GZIP_HEAD, ServerEvent
 from greenroof_ros.watch.store import GraphStore
-from greenroof_ros.watch.wire import WireStatus
 
-ALARM = WireStatus("/mpc", ERROR, "cannot solve <b>", {"role": '"controller"'})
 ACT = {"X_Greenroof": "1"}
 RIGHT = {**ACT, "Authorization": "Bearer secret"}
 GET, POST = (
     f"{method} HTTP/1.1\r\nHost: localhost\r\nX-Greenroof: 1\r\n".encode()
-    for method in ("GET /events", "POST /stop")
+    for method in ("GET /state", "POST /stop")
 )
 
 
@@ -54,25 +47,8 @@ def port(watched: GraphStore) -> Iterator[int]:
         yield number
 
 
-@pytest.fixture
-def look(port: int) -> Iterator[Callable[..., Stream]]:
-    """Open event streams, which are closed at the end."""
-    with ExitStack() as stack:
-        yield lambda *given, **more: stack.enter_context(closing(Stream(port, *given, **more)))
-
-
 def shown(watched: GraphStore) -> dict[str, Any]:
-    return read_document(watched, time.monotonic())
-
-
-def set_level(watched: GraphStore, metres: float, seconds: int) -> None:
-    watched.add("/roof/level", seconds * SECOND, metres)
-
-
-def level_in(content: dict[str, Any]) -> float | None:
-    """Return the roof's level in a pushed message; None for a series."""
-    level: float | None = content.get("tiles", {}).get("roof", {}).get("number")
-    return level
+    return make_document(watched, time.monotonic())
 
 
 def assert_goes_on(port: int) -> None:
@@ -141,24 +117,18 @@ def test_only_the_page_itself_acts(
     watched: GraphStore,
 ) -> None:
     """With a token nothing is shown without it; the page itself contains no secret."""
-    watched.add_statuses(time.monotonic(), [ALARM])
-    body = json.dumps({"id": shown(watched)["alarms"][0]["id"]}).encode()
     with served(watched, token) as port:
         for headers in refused:
-            for action in ("/stop", "/acknowledge"):
-                answer = request(port, "POST", action, body, **headers)
-                assert (answer.status, answer.json()["ok"]) == (status, False), headers
+            answer = request(port, "POST", "/stop", b"{}", **headers)
+            assert (answer.status, answer.json()["ok"]) == (status, False), headers
             if token:
-                with closing(Stream(port, **headers)) as stream:
-                    assert f" {status} " in stream.head()
-        assert not shown(watched)["alarms"][0]["acknowledged"]
+                assert request(port, "GET", "/state", **headers).status == status
+        assert shown(watched)["events"] == []
         assert request(port, "GET", "/").status == 200
-        with closing(Stream(port, **right)) as stream:
-            assert " 200 " in stream.head()
-        for said, ok in ((b'{"id": "/unknown"}', False), (body, True)):
-            answer = request(port, "POST", "/acknowledge", said, **right)
-            assert (answer.status, answer.json()["ok"]) == (200, ok)
-        assert shown(watched)["alarms"][0]["acknowledged"]
+        assert request(port, "GET", "/state", **right).status == 200
+        assert request(port, "POST", "/stop", b"{}", **right).status == 200
+    (event,) = shown(watched)["events"]
+    assert event["what"].startswith("Stop, from ")
 
 
 def test_a_stop_that_did_not_take_hold_reports_it_and_many_are_one(
@@ -235,10 +205,10 @@ def test_what_reports_nothing_is_refused(port: int) -> None:
         answer = request(port, method, "/stop", **ACT, Origin="http://evil.example")
         assert answer.status in (400, 404, 405)
         assert not any(name.startswith("access-control") for name in answer.headers)
-    for body in (b"", b"{", b"[]", b'{"id": 1}', b"\xff\xfe", b"[" * 9000, b"1" * 9000):
-        assert request(port, "POST", "/acknowledge", body, **ACT).status == 400, body[:20]
-    for hours in ("-1", "nan", "1e9", "1_0", "x", ""):
-        assert request(port, "GET", f"/events?hours={hours}").status == 400, hours
+    for body in (b"", b"{", b"[]", b"\xff\xfe", b"[" * 9000, b"1" * 9000):
+        assert request(port, "POST", "/stop", body, **ACT).status == 400, body[:20]
+    for hours in ("-1", "nan", "5", "1_2", "x", ""):
+        assert request(port, "GET", f"/charts?hours={hours}").status == 400, hours
     assert_goes_on(port)
 
 
@@ -258,7 +228,7 @@ def test_a_body_of_100_megabytes_is_refused_unread(port: int) -> None:
         with suppress(ConnectionError, TimeoutError):
             for _ in range(100):
                 connection.sendall(chunk)
-    answer = request(port, "POST", "/acknowledge", packed, **ACT, Content_Encoding="gzip")
+    answer = request(port, "POST", "/stop", packed, **ACT, Content_Encoding="gzip")
     assert answer.status == 400
     assert _memory() - before < 9e6
     assert_goes_on(port)
@@ -311,19 +281,16 @@ HOSTILE = {
     "silent": b"", "half a request": b"GET / HT",
     "endless body": POST + b"Content-Length: 9\r\n\r\n{",
     "unread answers": 300 * b"GET /uPlot.js HTTP/1.1\r\nHost: localhost\r\n\r\n",
-    "unread streams": GET + b"\r\n", "broken": b"GET\r\n\r\n",
+    "unread states": 300 * (GET + b"\r\n"), "broken": b"GET\r\n\r\n",
 }
 
 
 @pytest.mark.parametrize("data", HOSTILE.values(), ids=HOSTILE)
 def test_hostile_connections_keep_no_stop_away(
-    data: bytes, port: int, look: Callable[..., Stream], watched: GraphStore,
-    monkeypatch: pytest.MonkeyPatch,
+    data: bytes, port: int, watched: GraphStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Three times the permitted number, none of which reads; an open page continues."""
     monkeypatch.setattr(server, "_ANSWER_S", 1.0)
-    events = look().events()
-    next(events)
     before, memory = _open_files(), _memory()
     with ExitStack() as stack:
         hostile = []
@@ -339,12 +306,11 @@ def test_hostile_connections_keep_no_stop_away(
                 assert time.monotonic() - began < 5  # 1.5 s of them without a pump node
         assert _open_files() - before - len(hostile) <= server._MAX_CONNECTIONS + 10
         assert _memory() - memory < 50e6
-        set_level(watched, 0.03, 1)
-        for _, content in events:
-            if level_in(content) == 0.03:
-                break
-        if b"events" not in data:  # the remaining connections are ended, too
-            wait_for(lambda: not _count_open(port, hostile), 60, "the end of all")
+        watched.add("/roof/level", SECOND, 0.03)
+        wait_for(
+            lambda: read_state(port)["tiles"]["roof"]["number"] == 0.03, 60, "the newest level"
+        )
+        wait_for(lambda: not _count_open(port, hostile), 60, "the end of all")
 
 
 def test_too_many_open_files_are_one_line(port: int, capfd: pytest.CaptureFixture[str]) -> None:
@@ -361,105 +327,57 @@ def test_too_many_open_files_are_one_line(port: int, capfd: pytest.CaptureFixtur
     assert capfd.readouterr().err == "no connection can be accepted: Too many open files\n"
 
 
-def test_there_is_a_most_of_streams(port: int, look: Callable[..., Stream]) -> None:
-    streams = [look() for _ in range(server._MAX_STREAMS)]
-    for stream in streams:
-        assert "200 OK" in stream.head()
-    answer = request(port, "GET", "/events")
-    assert answer.status == 503 and "too many pages" in answer.json()["sentence"]
-    assert_goes_on(port)
-    for _ in range(3):  # a page that is closed makes room at once
-        streams.pop(0).close()
-        streams.append(look())
-        assert "200 OK" in streams[-1].head()
+# ---------------------------------------------------------------------------------- the documents
 
 
-# ------------------------------------------------------------------------------------- the stream
-
-
-def test_what_is_pushed_is_made_once_for_all_pages(
-    look: Callable[..., Stream], watched: GraphStore, monkeypatch: pytest.MonkeyPatch
+def test_documents_are_made_once_for_all_and_sent_only_if_they_have_changed(
+    watched: GraphStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The document twice a second, and the series every 2 s, while the level changes."""
-    made: list[str] = []
+    """The state at most twice a second, and the charts every 2 s, whoever asks."""
+    made: list[Any] = []
 
     def document(store: GraphStore, wall: float) -> dict[str, Any]:
         made.append("state")
-        return read_document(store, wall)
+        return make_document(store, wall)
 
     def series(store: GraphStore, hours: float) -> dict[str, Any]:
-        made.append("series")
-        return read_series(store, hours)
+        made.append("charts")
+        return make_series(store, hours)
 
     monkeypatch.setattr(server, "make_document", document)
     monkeypatch.setattr(server, "make_series", series)
-    begun = time.monotonic()
-    pages = [look("3").events() for _ in range(5)]
-    for step in range(8):
-        set_level(watched, 0.02, 1 + step)
-        for page in pages:
-            next(page)
-    lasted = time.monotonic() - begun
-    assert 5 <= made.count("state") <= lasted / 0.5 + 2
-    assert made.count("series") <= lasted / 2 + 2
-def test_each_message_is_compressed_for_all_and_read_by_any(look: Callable[..., Stream]) -> None:
-    """As a browser reads gzip: one stream, from any first message on."""
-    hostile = "</script><img src=x onerror=alert(1)>\n\nevent: state\ndata: {}\n\n\ud800\0\u2028"
-    messages = [ServerEvent("state", {"n": n, "text": hostile * 10}) for n in range(20)]
-    name, data, *rest = messages[0].plain.split(b"\n")  # one event, with any text
-    assert (name, json.loads(data[6:])["text"], rest) == (b"event: state", hostile * 10, [b"", b""])
-    for first in (0, 7):
-        unpacking = zlib.decompressobj(wbits=31)
-        assert unpacking.decompress(GZIP_HEAD) == b""
-        for message in messages[first::2]:
-            assert unpacking.decompress(message.compressed) == message.plain
-    assert len(messages[0].compressed) < len(messages[0].plain) / 3
-    stream = look(Accept_Encoding="gzip, deflate, br")
-    for said in ("Content-Encoding: gzip", "text/event-stream", "no-store"):
-        assert said in stream.head()
-    unpacking, text = zlib.decompressobj(wbits=31), b""
-    for chunk in stream.chunks():
-        text += unpacking.decompress(chunk)
-        if text.count(b"event: state\n") == 2:
-            break
-    assert text.startswith(b"event: state\ndata: {")
+    with served(watched) as port, ThreadPoolExecutor(8) as pages:
+        begun = time.monotonic()
+        asked = ["/state", "/charts?hours=3"] * 40
+        first, *others = pages.map(lambda path: request(port, "GET", path), asked)
+        lasted = time.monotonic() - begun
+        assert {answer.status for answer in (first, *others)} == {200}
+        assert made.count("state") <= lasted / 0.5 + 1
+        assert made.count("charts") <= lasted / 2 + 1
+        tag = first.headers["etag"]
+        known = request(port, "GET", "/state", If_None_Match=f'"other", {tag}')
+        assert (known.status, known.body, known.headers["etag"]) == (304, b"", tag)
+        watched.add("/roof/level", SECOND, 0.03)
+        changed = wait_for(
+            lambda: (answer := request(port, "GET", "/state", If_None_Match=tag)).status == 200
+            and answer, 60, "a new state",
+        )
+        assert changed.json()["tiles"]["roof"]["number"] == 0.03
+        assert (changed.headers["cache-control"], changed.headers["etag"] == tag) == (
+            "no-cache", False
+        )
 
 
-def test_who_does_not_read_is_skipped_and_costs_no_one_anything(
-    port: int, look: Callable[..., Stream], watched: GraphStore, monkeypatch: pytest.MonkeyPatch
+def test_a_document_that_cannot_be_made_is_reported(
+    port: int, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """It gets no queue; when it reads again, it soon has the newest state."""
-    monkeypatch.setattr(server, "_UNREAD_S", 8.0)
-    times = np.arange(7 * 24 * 360, dtype=np.int64) * 10 * SECOND
-    noise = np.random.default_rng(0).random(len(times))
-    for topic, scale in (("/roof/level", 0.05), ("/cistern/level", 2.0), ("/pump/flow", 1e-3)):
-        add_series(watched, topic, times, noise * scale)
-    assert len(json.dumps(read_series(watched, 168.0))) > 60_000
-    deaf = [look("168", receiving=4096) for _ in range(3)]
-    events = look("168").events()
-    next(events)
-    before = _memory()
-    gaps = [time.monotonic()]
-    for step in range(8):
-        set_level(watched, 0.02 + step / 1000, 700_000 + step)
-        while level_in(next(events)[1]) != 0.02 + step / 1000:
-            pass
-        gaps.append(time.monotonic())
-        assert_goes_on(port)
-    assert np.diff(gaps).max() < 3
-    assert _memory() - before < 30e6
-    # A client that reads again first gets what was on its way, then the newest.
-    deaf[0].socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-    states = []
-    for name, content in deaf[0].events():
-        if name == "state":
-            states.append(level_in(content))
-            if states[-1] == 0.027:
-                break
-    assert len(states) < 8  # those in between were not kept
-    # The others are ended after a while, and make room.
-    ended = [stream.socket for stream in deaf[1:]]
-    wait_for(lambda: not _count_open(port, ended), 60, "the end of the deaf ones")
+    """Rather than an old one being sent; the stop and the other document go on."""
+    monkeypatch.setattr(server, "make_series", fail)
+    answer = request(port, "GET", "/charts?hours=12")
+    assert (answer.status, answer.json()["sentence"]) == (500, "ZeroDivisionError: a bug")
+    assert "a bug" in capfd.readouterr().err
+    assert read_state(port)["mode"] == "none"
+    assert request(port, "POST", "/stop", b"{}", **ACT).status == 200
 
 
 def _count_open(port: int, connections: Iterable[socket.socket]) -> int:

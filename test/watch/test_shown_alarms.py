@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from page_inputs import ERROR, HELD, HOLD, OK, STALE, WARN, node
 
-from greenroof_ros.interface.alarm import advise
 from greenroof_ros.interface.conditions import read_conditions
-from greenroof_ros.watch.alarms import choose_advice, count_alarms, list_alarms, list_events
+from greenroof_ros.watch.alarms import list_alarms
 from greenroof_ros.watch.document import make_document
 from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.wire import WireStatus
@@ -43,7 +42,8 @@ def receive(alarms: GraphStore, at: float, statuses: list[WireStatus]) -> None:
 
 
 def advice(alarms: GraphStore) -> str:
-    return choose_advice([row for row in list_alarms(alarms) if row["over"] is None])
+    text: str = make_document(alarms, alarms.wall)["advice"]
+    return text
 
 
 def each_quarter(seconds: float, *statuses: list[WireStatus], begin: float = 0.0) -> Steps:
@@ -55,55 +55,16 @@ def rows(alarms: GraphStore) -> dict[str, dict[str, Any]]:
     return {row["id"]: row for row in list_alarms(alarms)}
 
 
-def follows(alarms: GraphStore) -> dict[str, str | None]:
-    """Return for each present alarm the alarm it follows from, in the list's order."""
-    return {row["id"]: row["follows"] for row in list_alarms(alarms) if row["over"] is None}
-
-
 def present(alarms: GraphStore) -> list[str]:
-    return list(follows(alarms))
+    return list(rows(alarms))
 
 
 def happened(alarms: GraphStore) -> list[str]:
     """Return the events, the oldest first."""
-    return [event["what"] for event in reversed(list_events(alarms))]
+    return [what for _, what in alarms.events]
 
 
 WRONG, RIGHT = ("drive", ERROR, "no connection", "drive_lost"), ("drive", OK, "connected")
-
-
-def test_an_acknowledged_alarm_stays_listed_until_it_is_another_one() -> None:
-    """More serious, or about something else: a node that waits for another node now."""
-    alarms = GraphStore()
-    receive(alarms, 0.0, pump(RIGHT))
-    assert (list_alarms(alarms), count_alarms(alarms)) == ([], (0, 0, 0))
-    assert not alarms.acknowledge("/pump: levels")
-    for level, what, acknowledged in (
-        (WARN, "5 m3 are outstanding", False), (WARN, "6 m3 are outstanding", True),
-        (ERROR, "6 m3 are outstanding", False),
-    ):
-        receive(alarms, 0.0, pump(("limits", level, what, "limited")))
-        assert present(alarms) == ["/pump: limits"]
-        assert list_alarms(alarms)[0]["acknowledged"] == acknowledged
-        alarms.acknowledge("/pump: limits")
-    alarms = heard(*each_quarter(6, STARTING))
-    alarms.acknowledge("/mpc")
-    since = rows(alarms)["/mpc"]["since"]
-    assert rows(alarms)["/mpc"]["acknowledged"]
-    for at, said in each_quarter(1, mpc(state="starting", waiting=["plant"]), begin=6.0):
-        receive(alarms, at, said)
-    assert (rows(alarms)["/mpc"]["acknowledged"], rows(alarms)["/mpc"]["since"]) == (False, since)
-
-
-def test_what_is_over_is_kept_for_a_while() -> None:
-    """The last 20, the newest first, after the present alarms."""
-    parts = [("p" + str(number), ERROR, "bad") for number in range(24)]
-    alarms = heard((0.0, pump(*parts)))
-    assert len(list_alarms(alarms)) == 24
-    for gone in range(24):
-        good = [(name, OK, "good") for name, _, _ in parts[:gone + 1]]
-        receive(alarms, gone + 1.0, pump(*good, *parts[gone + 1:]))
-    assert [row["over"] for row in list_alarms(alarms)] == [float(at) for at in range(24, 4, -1)]
 
 
 BAD = ("x", ERROR, "bad")
@@ -116,31 +77,33 @@ _NAMES = "two processes report under this name: host 0 and host 1"
     # The end of a run or of a node is not an alarm.
     ([(0.0, pump(BAD)), (0.5, pump(BAD, state="finished")), (1.0, pump(BAD, state="ended")),
       (60.0, [])], {}, []),
-    ([(0.0, pump(BAD)), (0.5, pump(BAD, state="ended")), (60.0, [])], {}, ["/pump ended"]),
+    ([(0.0, pump(BAD)), (0.5, pump(BAD, state="ended")), (60.0, [])], {}, ["Pump ended"]),
     # A restart is an event; alarms of the previous process are over.
-    ([(0.0, pump(BAD)), (5.0, pump(process="host 2", state="starting")),
-      (6.0, pump(process="host 2"))], {},
-     ["/pump was restarted"]),
+    ([(0.0, pump(BAD)), (1.0, pump(process="host 2", state="starting")),
+      (2.0, pump(process="host 2"))], {}, ["Pump was restarted"]),
     # Two processes with one name: not a restart each time, but an alarm while both report.
-    (each_quarter(5, *TWICE), {"/pump": ("error", _NAMES)}, ["/pump was restarted"]),
+    (each_quarter(5, *TWICE), {"/pump": ("error", _NAMES)},
+     ["Pump was restarted", f"Pump: {_NAMES}"]),
     ([*each_quarter(5, *TWICE), *each_quarter(5, TWICE[1], begin=5.0)], {},
-     ["/pump was restarted"]),
+     ["Pump was restarted", f"Pump: {_NAMES}", f"Over: Pump: {_NAMES}"]),
 ])
 def test_what_is_wrong_with_a_node(
     steps: Steps, alarms_then: dict[str, tuple[str, str]], events: list[str]
 ) -> None:
+    """Alarms of the present, and events, each with its end."""
     alarms = heard(*steps)
-    present_rows = [row for row in list_alarms(alarms) if row["over"] is None]
-    assert {row["id"]: (row["level"], row["what"]) for row in present_rows} == alarms_then
-    assert happened(alarms) == events
-    assert {row["code"] for row in present_rows} <= read_conditions().keys()
+    listed = rows(alarms)
+    assert {name: (row["level"], row["what"]) for name, row in listed.items()} == alarms_then
+    bad = ["Pump: bad", "Over: Pump: bad"] if BAD[0] in str(steps[0]) else []
+    assert sorted(happened(alarms)) == sorted([*bad, *events])
+    assert {row["code"] for row in listed.values()} <= read_conditions().keys()
 
 
 def test_what_may_still_come_is_a_note_while_a_site_starts() -> None:
     alarms = heard(*each_quarter(5, pump(WRONG, up_s=9)))
-    assert not list_alarms(alarms) and not list_events(alarms)
+    assert not list_alarms(alarms) and not happened(alarms)
     notes = make_document(alarms, 5.0)["notes"]
-    assert notes[:2] == ["The site is starting. Still missing:", "/pump: drive: no connection."]
+    assert notes[:2] == ["The site is starting. Still missing:", "Pump: no connection."]
 
 
 def test_events_of_parameters_and_warnings() -> None:
@@ -154,31 +117,32 @@ def test_events_of_parameters_and_warnings() -> None:
         newest = changes[max(0, known - 10):known]
         receive(alarms, 0.0, mpc(parameter_changes=newest, parameter_change_count=known))
     assert happened(alarms) == [
-        *(f"/mpc: w was changed from 1 to {number}" for number in range(1, 11)),
-        "/mpc: 4 earlier changes of parameters are not listed",
-        *(f"/mpc: w was changed from 1 to {number}" for number in range(15, 25)),
+        *(f"Mpc: w was changed from 1 to {number}" for number in range(1, 11)),
+        "Mpc: 4 earlier changes of parameters are not listed",
+        *(f"Mpc: w was changed from 1 to {number}" for number in range(15, 25)),
     ]
     alarms = heard(*((0.0, mpc(warnings=said)) for said in ([], ["a"], ["a"], ["b"], [], ["b"])))
-    assert happened(alarms) == ["/mpc warns: a", "/mpc warns: b", "/mpc warns: b"]
+    assert happened(alarms) == ["Mpc warns: a", "Mpc warns: b", "Mpc warns: b"]
 
 
 def test_events_of_a_hold_and_a_fault() -> None:
     alarms = GraphStore()
     overheat = "the drive reports: overheat"
-    other = HOLD | {"said": "a hold by the page"}
+    other = HOLD | {"owner": "the page"}
     for hold, fault in (
         (None, ""), (HOLD, ""), (HOLD, ""), (other, ""), (None, ""), (None, overheat), (None, ""),
     ):
         receive(alarms, 5.0, pump(hold=hold, fault=fault))
     assert happened(alarms) == [
-        f"the pump is held: {HELD}", "the pump is held: a hold by the page", "the hold has ended",
-        "the pump is off until the fault is reset: the drive reports: overheat",
-        "the fault was reset",
+        "The pump is held off by the operator", "The pump is held off by the page",
+        "The hold has ended",
+        "The pump is off until the fault is reset: the drive reports: overheat",
+        "The fault was reset",
     ]
     for number in range(100):
         alarms.add_event(str(number))
-    assert len(list_events(alarms)) == 50
-    assert list_events(alarms)[0].items() >= {"at": 5.0, "what": "99"}.items()
+    assert len(alarms.events) == 50
+    assert alarms.events[-1] == (5.0, "99")
 
 
 @pytest.mark.parametrize(("code", "said", "advised"), [
@@ -192,10 +156,9 @@ def test_a_state_of_the_pump_that_its_cause_does_not_tell(
 ) -> None:
     """Its own advice comes first: the drive's alarm must not hide a reset, a release or a check."""
     alarms = heard((0.0, pump(WRONG, ("pump", ERROR, "why", code), **said)))
-    assert list(follows(alarms).items()) == [("/pump: pump", None), ("/pump: drive", None)]
+    assert present(alarms) == ["/pump: pump", "/pump: drive"]
     assert advised in advice(alarms)
     alarms.update(3.6, 3.6)  # the last report of a node that is silent now
-    assert rows(alarms)["/pump: pump"]["follows"] is None
     assert "The pump's state is unknown: the pump may be running" in advice(alarms)
 
 
@@ -207,7 +170,7 @@ def test_the_order_of_alarms() -> None:
         *node("/weather", "weather", ("rain gauge", WARN, "/gauge/precipitation is older")),
         *node("/recorder", "recorder", ("recording", ERROR, "nothing is recorded: full")),
         *pump(("limits", WARN, "5 m3 are outstanding"),
-              ("pump", WARN, f"held: {HELD}", "hold")),
+              ("pump", WARN, f"held: {HELD}", "hold"), hold=HOLD, stands=True),
     ]))
     assert present(alarms) == [
         "/pump: pump", "/recorder: recording", "/mpc", "/weather: rain gauge", "/pump: limits",
@@ -217,15 +180,11 @@ def test_the_order_of_alarms() -> None:
 
 
 def test_advice_is_on_what_is_new() -> None:
-    """Acknowledged alarms come after the others; among equals, the newest is first."""
+    """Among equals, the newest is first."""
     file = ("drive file", WARN, "have not been verified", "drive_file_unverified")
     blind = ("delivery", WARN, "blind for 3 s", "delivery_blind")
     alarms = heard((0.0, pump(file)), (0.1, pump(file, blind)))
     assert present(alarms) == ["/pump: delivery", "/pump: drive file"]
-    alarms.acknowledge("/pump: delivery")
-    assert present(alarms) == ["/pump: drive file", "/pump: delivery"]
-    assert advice(alarms) == rows(alarms)["/pump: drive file"]["do"]
-    alarms.acknowledge("/pump: drive file")
     assert advice(alarms) == rows(alarms)["/pump: delivery"]["do"]
 
 
@@ -236,7 +195,8 @@ def test_a_namespace_has_its_own_alarms() -> None:
     """
     alarms = heard((0.0, [
         *node("/site2/pump", "pump", ("pump", ERROR, "fault: burst"), flow=2.0, hold=HOLD),
-        *node("/site1/pump", "pump", ("pump", WARN, "held", "hold"), flow=1.0),
+        *node("/site1/pump", "pump", ("pump", WARN, "held", "hold"), flow=1.0, hold=HOLD,
+              stands=True),
     ]), namespace="/site1")
     there = alarms.graph.node("pump")
     assert there is not None
@@ -256,11 +216,12 @@ def test_other_devices() -> None:
     once, often = WireStatus("/camera", OK, "fine"), WireStatus("disk usage", ERROR, "99 %")
     alarms = heard((0.0, [once, often]))
     assert present(alarms) == ["disk usage"]
-    assert count_alarms(alarms) == (0, 1, 0)
+    alarms.set_present(mode="live", factor=None, note="")
+    assert make_document(alarms, 0.0)["tiles"]["summary"]["word"] == "1 warning."
     receive(alarms, 1.0, [often])
-    for wall, level in ((5.9, "error"), (6.1, "stale")):
+    for wall, what in ((5.9, "99 %"), (6.1, "no message for 5 s")):
         alarms.update(wall, wall)
-        assert [(row["id"], row["level"]) for row in list_alarms(alarms)] == [("disk usage", level)]
+        assert [(row["what"], row["level"]) for row in list_alarms(alarms)] == [(what, "warn")]
 
 
 # --- hostile messages -----------------------------------------------------------------------------
@@ -295,11 +256,7 @@ def test_nothing_that_is_reported_raises(messages: list[tuple[float, list[WireSt
         wall += passed
         receive(alarms, wall, statuses)
         alarms.update(wall, wall)
-        for row in list_alarms(alarms):
-            alarms.acknowledge(row["id"])
-        shown = [list_alarms(alarms), list_events(alarms), count_alarms(alarms),
-                 advice(alarms) if present(alarms) else "",
-                 alarms.graph.mode(wall), alarms.graph.two_pumps(wall)]
+        shown = [make_document(alarms, wall), alarms.graph.mode(wall), alarms.graph.two_pumps(wall)]
         json.dumps(shown, allow_nan=False)
         for row in list_alarms(alarms):
             row["what"].encode()
@@ -317,20 +274,26 @@ def test_a_watcher_that_stood_still_takes_no_one_for_silent() -> None:
     assert {row["id"] for row in list_alarms(alarms)} == {"/pump", "/mpc"}
 
 
-# --- the start of a site ----------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("said", "shown"), [
-    ("/roof/level is older than 5 s (level_limit)", "/roof/level is older than 5 s"),
-    ("2.5 m3 (today) are too much (set with max_dose)", "2.5 m³ (today) are too much"),
-])
-def test_a_sentence_has_no_names_of_parameters(said: str, shown: str) -> None:
-    assert rows(heard((0.0, pump(("levels", ERROR, said, "x")))))["/pump: levels"]["what"] == shown
-
-
 def test_a_stop_hides_no_other_alarm() -> None:
-    hold, code = ("pump", WARN, f"held: {HELD}", "hold"), "sensor_lost"
-    wrong = "sensor", ERROR, "wrong", code, {"age_s": "3.0"}
+    hold = ("pump", WARN, f"held: {HELD}", "hold")
+    wrong = "sensor", ERROR, "wrong", "sensor_lost", {"age_s": "3.0"}
     alarms = heard((0.0, pump(hold, wrong, hold=HOLD, stands=True)))
-    (first, second) = (advise(code, "pump", "/pump") for code in ("hold", code))
-    assert advice(alarms) == f"{first} In addition: {second}"
+    do = read_conditions()["sensor_lost"].advise("/pump", "pump")
+    assert advice(alarms) == (
+        f"The pump is held off by the operator, until someone releases it. {do} If it may run "
+        "again, release it with: greenroof release"
+    )
+
+
+def test_what_follows_is_not_listed_but_counts() -> None:
+    """A dead sensor is one alarm, though the pump node warns of its level, too."""
+    sensor = node("/roof_sensor", "roof_sensor", ("sensor", WARN, "no answer", "sensor_lost",
+                                                  {"age_s": "9.0"}))
+    level = ("levels", ERROR, "/roof/level is old", "input_silent",
+             {"topics": "/roof/level", "age_s": "9.0"})
+    alarms = heard((0.0, sensor), (0.1, sensor + pump(level)))
+    both = {name: alarm.follows for name, alarm in alarms.judge.present.items()}
+    listed = [(row["id"], row["level"]) for row in list_alarms(alarms)]
+    assert both["/pump: levels"] in ("", "/roof_sensor: sensor")
+    assert len(listed) == sum(not cause for cause in both.values())
+    assert "error" in [level for _, level in listed]

@@ -18,7 +18,7 @@ from test_watch_command import WITHOUT
 
 from greenroof_ros.watch.document import join_summary, make_document
 
-TILES = ["Roof level", "Cistern level", "Pump", "Rain", "Controller"]
+TILES = ["Roof level", "Cistern level", "Pump", "Rain", "Watering"]
 
 
 def status(domain: int, cwd: Path, *arguments: str) -> tuple[int, list[str]]:
@@ -39,7 +39,7 @@ def test_nothing_runs(domain: int, tmp_path: Path) -> None:
         stdin=subprocess.DEVNULL, capture_output=True, timeout=300,
     )
     assert (done.returncode, done.stderr) == (3, b"")
-    assert b"no run or site has been found" in done.stdout and b"\x1b" not in done.stdout
+    assert b"No run or site has been found" in done.stdout and b"\x1b" not in done.stdout
     assert not list(tmp_path.iterdir())
     assert status(domain, tmp_path, "--namespace", "site1")[0] == 3
 
@@ -80,7 +80,7 @@ def test_a_run_that_is_well_and_then_has_warnings(domain: int, tmp_path: Path) -
     wait_for(lambda: status(domain, tmp_path, "--namespace", "site1")[0] == 0, 60, "a run")
     code, lines = status(domain, tmp_path, "--namespace", "site1")
     assert (code, len(lines)) == (0, 3 + len(TILES))
-    assert lines[0].startswith("No alarms. The roof is ")
+    assert lines[0].startswith("The roof is too dry, ")
     assert lines[1].startswith("What to do: ")
     assert re.match("Simulated run, [0-9.]+ times real time; /site1; 20", lines[2])
     assert [line[:14].strip() for line in lines[3:]] == TILES
@@ -100,7 +100,7 @@ def test_a_run_that_is_well_and_then_has_warnings(domain: int, tmp_path: Path) -
             )
     assert (code, len(lines)) == (1, 15)
     assert lines[0].startswith("30 warnings. The roof is ")
-    assert lines[8] == "Alarm: /camera0: \\x1b[31mno picture"
+    assert lines[8] == "Warning: /camera0: \\x1b[31mno picture"
     assert lines[-1] == "and 24 more lines; see 'greenroof watch'"
     run.process.send_signal(signal.SIGINT)
     assert run.wait(300) == 130
@@ -126,7 +126,7 @@ def test_it_gives_the_pages_reasons(domain: int, tmp_path: Path) -> None:
     page = make_document(graph, 14.0)
     tiles = page["tiles"]
     assert tiles["pump"]["why"] == why
-    assert tiles["roof"]["why"].endswith("no answer")
+    assert tiles["roof"]["sentence"].endswith("no answer")
     with in_domain(domain), closing(Peer(domain, "nodes")) as peer:
         publisher = peer.node.create_publisher(DiagnosticArray, "/diagnostics", 8)
         message = DiagnosticArray(status=[
@@ -145,4 +145,3 @@ def test_it_gives_the_pages_reasons(domain: int, tmp_path: Path) -> None:
     for line, name in ((lines[3], "roof"), (lines[5], "pump")):
         tile = tiles[name]
         assert line.startswith(f"{tile['label']:14} {tile['value']:14} {tile['sentence']}")
-        assert tile["why"] in line

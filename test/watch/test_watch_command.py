@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import re
+import resource
 import shlex
 import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
@@ -24,7 +26,8 @@ from graphs import (
     udp_addresses_of,
     wait_for,
 )
-from page_server import Stream, request
+from page_server import read_state, request
+from peers import in_domain
 from simulators import Simulator
 
 from greenroof_ros.base.errors import ConfigurationError
@@ -50,12 +53,6 @@ def watcher(domain: int, cwd: Path, *arguments: str) -> tuple[Process, int]:
     return process, wait_for(ready, 60, "an address")
 
 
-def document(port: int) -> dict:
-    """Return the newest document."""
-    with closing(Stream(port)) as stream:
-        return next(content for name, content in stream.events() if name == "state")
-
-
 def tcp_addresses_of(pid: int) -> set[str]:
     """Return the addresses at which a process listens."""
     sockets, addresses = set(files_of(pid)), set()
@@ -76,7 +73,7 @@ def end(process: Process, number: signal.Signals = signal.SIGINT) -> None:
 
 @contextmanager
 def running_pump(
-    domain: int, cwd: Path, *options: str
+    domain: int, cwd: Path, *options: str, code: int = 0
 ) -> Iterator[tuple[Process, Simulator]]:
     """Run a live site in the namespace site1; its pump soon runs, for minutes."""
     pytest.importorskip("rclpy", reason="nodes need ROS 2")
@@ -86,7 +83,7 @@ def running_pump(
     with Hardware(domain, cwd) as hardware:
         chosen = hardware.be_a_site()
         hardware.begin()
-        with live(domain, cwd, *chosen, "--namespace", "site1", *options) as process:
+        with live(domain, cwd, *chosen, "--namespace", "site1", *options, code=code) as process:
             yield process, hardware
 
 
@@ -102,14 +99,11 @@ def test_it_waits_for_a_graph_on_loopback_and_ends_soon(domain: int, tmp_path: P
     assert f"error: --port = '{ports[0]}': cannot be used: Address already in" in taken.stderr
     for (process, port), number in zip(watchers, (signal.SIGINT, signal.SIGHUP), strict=True):
         assert ("port 8080 is in use" in process.stderr()) == (port != 8080)
-        assert document(port)["mode"] == "none"
+        assert read_state(port)["mode"] == "none"
         pid = process.process.pid
         assert tcp_addresses_of(pid) == {"0100007F"}
         assert {*udp_addresses_of(pid)} <= {"127.0.0.1", "239.255.0.1"}
-        with (
-            closing(Stream(port)) as stream, socket.create_connection(("127.0.0.1", port)),
-        ):
-            stream.head()
+        with socket.create_connection(("127.0.0.1", port)):
             end(process, number)
 
 
@@ -171,7 +165,7 @@ def test_beyond_loopback_and_to_release_it_needs_its_token(domain: int, tmp_path
             assert not warning or said in process.stderr()
             for headers, status in (({}, 401), ({"Authorization": f"Bearer {token[1]}"}, 200)):
                 assert request(
-                    port, "POST", "/acknowledge", b'{"id": "x"}',
+                    port, "POST", "/stop", b"{}",
                     host="a.name" if "--host" in options else "localhost", X_Greenroof="1",
                     **headers,
                 ).status == status
@@ -242,27 +236,27 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
         port = wait_for(lambda: port_of(process.stderr()), 60, "an address")
 
         def tile() -> dict:
-            return document(port)["tiles"]["pump"]
+            return read_state(port)["tiles"]["pump"]
 
         wait_for(lambda: tile()["state"] == "running", 60, "a running pump")
         drive.inject("refused")
         # At first the pump only falls silent; /diagnostics reports why within a second.
         alarms = wait_for(
-            lambda: (now := document(port))["tiles"]["pump"]["alarm"] and now["alarms"],
+            lambda: (now := read_state(port))["tiles"]["pump"]["alarm"] and now["alarms"],
             60, "an alarm",
         )
         assert alarms[0]["id"] == "/site1/pump: pump"
         drive.inject("none")
         wait_for(lambda: not tile()["alarm"], 60, "the drive again")
-        wait_for(lambda: document(port)["stop"]["possible"], 60, "a pump that can be stopped")
-        assert document(port)["stop"]["release"] == ""
+        wait_for(lambda: read_state(port)["stop"]["possible"], 60, "a pump that can be stopped")
+        assert read_state(port)["stop"]["hold"] == ""
         answer = request(port, "POST", "/stop", b"{}", X_Greenroof="1")
         assert answer.status == 200 and answer.json()["ok"], answer.json()
-        wait_for(
-            lambda: document(port)["stop"]["stopped"] and tile()["state"] == "held", 60, "the stop"
-        )
-        greenroof, *release = shlex.split(document(port)["stop"]["release"])
-        assert greenroof == "greenroof"
+        wait_for(lambda: read_state(port)["stop"]["stopped"], 60, "the stop")
+        assert tile()["state"] == "held"
+        advice = read_state(port)["advice"]
+        greenroof, *release = shlex.split(advice.partition("release it with: ")[2])
+        assert greenroof == "greenroof" and advice.startswith("The pump is held off by the page s")
         held = wait_for(
             lambda: (seen := status_of(domain, tmp_path))[0] == 1
             and "stopped, according to the drive" in seen[1] and seen[1], 90, "a warning",
@@ -271,13 +265,13 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
         assert "\nWarning: /site1/pump: pump: held: " in held and "\nAlarm: " not in held
         os.kill(child_of(process, b"greenroof_ros.live.controller"), signal.SIGKILL)
         wait_for(
-            lambda: "/site1/onoff was restarted" in str(document(port)["events"]), 60,
+            lambda: "Onoff was restarted" in str(read_state(port)["events"]), 60,
             "another controller",
         )
-        wait_for(lambda: document(port)["tiles"]["controller"]["state"] == "good", 60, "a command")
+        wait_for(lambda: read_state(port)["tiles"]["watering"]["state"] == "good", 60, "a command")
         assert tile()["state"] == "held" and drive.speed() < 0.005
         assert Process(domain, *release, cwd=tmp_path).wait(300) == 0
-        wait_for(lambda: not document(port)["stop"]["release"], 60, "the pump released")
+        wait_for(lambda: not read_state(port)["stop"]["hold"], 60, "the pump released")
         assert "stopped" not in tile()["why"]
         drive.inject("drive_fault")
         fault = wait_for(
@@ -288,3 +282,84 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
         page = child_of(process)
     assert page and not alive(page)
     assert "the watcher has exited" not in process.stderr()
+
+
+# Clients that pipeline requests, read no answer, and connect again soon after they were dropped.
+ATTACK = """
+import asyncio, os, sys
+
+async def attack(data):
+    while True:
+        try:
+            _, writer = await asyncio.open_connection("127.0.0.1", int(sys.argv[1]))
+            writer.write(100 * data)
+            while not writer.transport.is_closing():
+                await asyncio.sleep(0.5)
+                writer.write(data)
+        except OSError:
+            pass
+        await asyncio.sleep(2)
+
+async def main():
+    paths = ("/uPlot.js", "/state", "/charts?hours=168", "/nowhere")
+    await asyncio.gather(*(
+        attack(f"GET {paths[i % 4]} HTTP/1.1\\r\\nHost: localhost\\r\\n\\r\\n".encode())
+        for i in range(1300)
+    ))
+
+os.nice(19)
+asyncio.run(main())
+"""
+
+
+def test_1300_pipelining_clients_keep_no_stop_away(domain: int, tmp_path: Path) -> None:
+    """Not even a watcher that may open only 1024 files; ten stops of ten, each within 3 s."""
+    pytest.importorskip("rclpy", reason="nodes need ROS 2")
+    from test_graph_client import Pump
+
+    with in_domain(domain), closing(Pump(domain)) as pump:
+        page, port = watcher(domain, tmp_path)
+        _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.prlimit(page.process.pid, resource.RLIMIT_NOFILE, (1024, 1024))
+        wait_for(lambda: read_state(port)["stop"]["possible"], 60, "the pump node")
+        attackers = subprocess.Popen(
+            [sys.executable, "-c", ATTACK, str(port)],
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (min(most, 4096), most)),
+        )
+        try:
+            time.sleep(5.0)
+            lasted = []
+            for _ in range(10):
+                begun = time.monotonic()
+                answer = request(port, "POST", "/stop", b"{}", X_Greenroof="1")
+                lasted.append(time.monotonic() - begun)
+                assert answer.json() == {"ok": True, "sentence": "held: a hold by the page"}
+            assert attackers.poll() is None
+        finally:
+            attackers.kill()
+            attackers.wait()
+        assert len(pump.requests) == 10
+        assert max(lasted) < 3.0, lasted
+        end(page)
+
+
+def test_a_killed_site_is_told_first(domain: int, tmp_path: Path) -> None:
+    """Nothing reads as running, by a page that is not part of the site."""
+    with running_pump(domain, tmp_path, code=-signal.SIGKILL) as (process, _):
+        page, port = watcher(domain, tmp_path, "--namespace", "site1")
+        wait_for(
+            lambda: read_state(port)["tiles"]["pump"]["state"] == "running", 60, "a running pump"
+        )
+        process.process.kill()
+        told = wait_for(
+            lambda: "nobody waters the roof" in (
+                (state := read_state(port))["tiles"]["summary"]["sentence"]
+            ) and state, 30, "the end of the site",
+        )
+        assert told["tiles"]["summary"]["level"] == "error"
+        assert "greenroof live --namespace site1" in told["advice"]
+        assert [row["id"] for row in told["alarms"]] == ["site"]
+        states = {name: told["tiles"][name]["state"] for name in ("roof", "pump", "watering")}
+        assert {*states.values()} <= {"unknown", "alarm"}, states
+        assert told["events"][0]["what"] == "The site's program no longer runs"
+        end(page)

@@ -20,7 +20,7 @@ def say(
 
 
 def test_a_live_site_that_falls_silent_has_not_ended() -> None:
-    """A silent live pump may turn; a simulation with all nodes killed has ended."""
+    """Then nobody waters the roof; a simulation with all nodes killed has ended."""
     live, simulated = Registry(), Registry()
     for role in ("controller", "pump"):
         live.receive(0.0, node(f"/{role}", role))
@@ -30,7 +30,11 @@ def test_a_live_site_that_falls_silent_has_not_ended() -> None:
     assert (live.mode(60.0), simulated.mode(60.0)) == ("live", "ended")
     for role in ("controller", "pump"):
         live.receive(61.0, node(f"/{role}", role, state="ended"))
-    assert live.mode(61.0) == "ended"
+    assert (live.mode(61.0), live.gone_since(61.0)) == ("live", 0.0)
+    say(live, 62.0, "plant")  # a run is another graph
+    assert (live.mode(62.0), live.mode(90.0), live.gone_since(90.0)) == (
+        "simulated", "ended", None
+    )
 
 
 def test_a_pump_node_that_is_started_again_is_one() -> None:

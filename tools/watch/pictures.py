@@ -32,10 +32,10 @@ HEIGHT = 900
 PICTURES = {
     "storm": (
         ("storm", 820, "#charts"), ("storm-narrow", 400, "#charts > :first-child"),
-        ("top", 820, "#charts > :first-child"), ("top-narrow", 400, "#tiles > :nth-child(2)"),
+        ("top", 820, "#charts > :first-child"), ("top-narrow", 400, "#values > :nth-child(3)"),
     ),
     "fault": (
-        ("fault", 980, "#alarms > :nth-child(2)"), ("fault-narrow", 400, "#tiles > :nth-child(3)"),
+        ("fault", 980, "#stop"), ("fault-narrow", 400, "#values > :nth-child(3)"),
     ),
 }
 # More pixels are sharp on a phone, too.

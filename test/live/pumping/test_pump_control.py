@@ -206,7 +206,7 @@ def test_a_ramp_that_is_slower_than_it_is_reported_to_be_is_a_fault() -> None:
     """30 s instead of the 5 s in drive_ramp: a tenth off after 0.6 s, and 12 s more are allowed."""
     rig = Rig(drive_ramp=1 / 30, settings=settings_for(PAPER_SITE, drive_ramp=5.0))
     assert rig.run(40, 1.0).state == "fault"
-    assert "is requested, and a ramp of 5 s (drive_ramp) does not explain" in rig.decisions[-1].why
+    assert "is requested, and a ramp of 5 s does not explain" in rig.decisions[-1].why
 
 
 def test_a_drive_that_does_not_stop_behind_a_bad_line() -> None:
