@@ -268,7 +268,9 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
             lambda: "Onoff was restarted" in str(read_state(port)["events"]), 60,
             "another controller",
         )
-        wait_for(lambda: read_state(port)["tiles"]["watering"]["state"] == "good", 60, "a command")
+        wait_for(
+            lambda: read_state(port)["tiles"]["watering"]["value"] == "wanted", 60, "a command"
+        )
         assert tile()["state"] == "held" and drive.speed() < 0.005
         assert Process(domain, *release, cwd=tmp_path).wait(300) == 0
         wait_for(lambda: not read_state(port)["stop"]["hold"], 60, "the pump released")
