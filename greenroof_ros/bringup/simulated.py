@@ -138,7 +138,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
             failure = reason or None
             if graph.end(failure) != failure:  # the bag cannot be closed
                 code = EXIT_FAILED
-            _end(run, directory, graph, status, reason, as_json=arguments.json)
+            _end(run, directory, graph, status, reason, arguments)
         return code
 
 
@@ -154,16 +154,18 @@ def _modules(controller: ControllerChoice, arguments: argparse.Namespace) -> dic
 
 
 def _end(
-    run: Run, directory: Path, graph: Composition, status: str, reason: str, *, as_json: bool,
+    run: Run, directory: Path, graph: Composition, status: str, reason: str,
+    arguments: argparse.Namespace,
 ) -> None:
     """Write the summary; print it if the run is complete, or else commands to open the bag."""
     notes: dict[str, Any] = {"refused": graph.refused, **graph.parameter_changes}
     if status == summary.DONE:
         result = summary.make_summary(run, **graph.results, **notes)
         summary.write(result, directory)
-        screen.show_summary(result, directory, as_json=as_json)
+        screen.show_summary(result, directory, as_json=arguments.json)
         return
-    _print_bag_contents(directory, count_ticks(directory / "bag"))
+    if not arguments.no_record:
+        _print_bag_contents(directory, count_ticks(directory / "bag"))
     tick = graph.tick
     result = summary.make_unfinished_summary(
         run, status, reason=reason, last_tick=tick if tick >= 0 else None, **notes

@@ -230,8 +230,8 @@ def _occupied(reason: str, namespace: str) -> OccupiedError:
     domain = read_domain()
     place = f"in ROS domain {domain}" + (f", namespace {namespace}" if namespace else "")
     return OccupiedError(
-        f"{reason} is already running {place}; stop it, or use another domain: "
-        f"ROS_DOMAIN_ID={domain % 100 + 1} greenroof run ..., or another --namespace"
+        f"{reason} is already running {place}; stop it, or use another --namespace or another "
+        f"domain, such as ROS_DOMAIN_ID={domain % 100 + 1}"
     )
 
 

@@ -116,6 +116,8 @@ class MqttReader(SensorReader):
         self._fail(f"no connection to the broker: {why}", "broker_lost")
 
     def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
+        if topic != self._topic:
+            return
         with self._lock:
             try:
                 self._receive(payload, retained)

@@ -471,7 +471,7 @@ class PumpControl:
             why = "in pulses, since the command is below the minimum flow"
             if pulses.outstanding > pulse:
                 warnings.append(Diagnosis.of(
-                    "limited", "outstanding", volume=pulses.outstanding, pulse=pulse
+                    "limited", "outstanding", litres=1e3 * pulses.outstanding, pulse=1e3 * pulse
                 ))
         if on and share == 0 and since_start < self._settings.min_on:
             share, why = minimum, f"it must stay on for at least {self._settings.min_on:g} s"

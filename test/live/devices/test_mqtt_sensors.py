@@ -165,6 +165,17 @@ def test_what_a_message_reports(shared: Mosquitto) -> None:
         assert reader.snapshot.value is None
 
 
+def test_another_topic_is_another_sensor(shared: Mosquitto) -> None:
+    """Even if the broker delivers it, as some bridges of brokers do."""
+    with reading(shared) as reader, Talker(shared, "tele/shed/SENSOR") as talker:
+        reader._client.subscribe("tele/shed/SENSOR")
+        begin(reader, talker, "1.5")
+        talker.publish("tele/shed/SENSOR", "2.5")
+        until(lambda: any(message == "2.5" for *_, message, _ in talker.received), 20)
+        time.sleep(0.2)  # it would have arrived
+        assert reader.snapshot.value == 1.5
+
+
 # --- old messages ---------------------------------------------------------------------------------
 
 
