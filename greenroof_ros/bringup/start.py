@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 
 from greenroof_ros.base.command_line import EXIT_DONE, EXIT_INTERRUPTED
@@ -19,6 +19,8 @@ from greenroof_ros.base.standard_error import print_line
 
 # How long the watcher may take to end (s) before it is killed.
 _ENDING_S = 3.0
+# How often a watcher that has exited is started again, and after which time (s).
+_MAX_RESTARTS, _WAIT_S = 10, 2.0
 
 
 def bring_up(
@@ -59,27 +61,35 @@ def bring_up(
 def _watcher(name: str, namespace: str, *options: str) -> Iterator[None]:
     """Run ``greenroof watch`` during a run, and print its output, which includes its address.
 
-    The watcher stops at the end of the run, regardless of how the run ends. If the watcher cannot
-    start or exits early, a line reports the failure, and the run continues.
+    The watcher stops at the end of the run, regardless of how the run ends. If the watcher exits
+    early, it is started again, at most ten times, and a line says so; the run continues.
 
     Args:
         name: name of the watcher, printed at the beginning of its lines.
         namespace: namespace of the graph.
         options: options of ``greenroof watch``.
     """
-    process = subprocess.Popen(
-        [
-            sys.executable, "-m", "greenroof_ros", "watch", *options,
-            *(["--namespace", namespace] if namespace else []),
-        ],
-        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        errors="replace",
-        start_new_session=True,  # Ctrl-C is for the run, which ends the watcher
-        env=child_environment(),
-    )
+    words = [
+        sys.executable, "-m", "greenroof_ros", "watch", *options,
+        *(["--namespace", namespace] if namespace else []),
+    ]
     ending = threading.Event()
-    printer = threading.Thread(target=_print_output, args=(name, process, ending), daemon=True)
-    printer.start()
+    process = _start(words)
+
+    def keep() -> None:
+        nonlocal process
+        for restarts in range(_MAX_RESTARTS + 1):
+            how = _print_output(name, process, ending)
+            again = restarts < _MAX_RESTARTS
+            if not ending.is_set():
+                then = f"starts again in {_WAIT_S:g} s" if again else "is given up"
+                print_line(f"{name}: the watcher has exited ({how}), and {then}; the run continues")
+            if not again or ending.wait(_WAIT_S):
+                return
+            process = _start(words)
+
+    keeper = threading.Thread(target=keep, daemon=True)
+    keeper.start()
     try:
         yield
     finally:
@@ -89,18 +99,25 @@ def _watcher(name: str, namespace: str, *options: str) -> Iterator[None]:
             process.wait(_ENDING_S)
         except subprocess.TimeoutExpired:
             process.kill()
-        printer.join(_ENDING_S)
+        keeper.join(_ENDING_S)
+
+
+def _start(words: Sequence[str]) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        text=True, errors="replace",
+        start_new_session=True,  # Ctrl-C is for the run, which ends the watcher
+        env=child_environment(),
+    )
 
 
 def _print_output(
     name: str, process: subprocess.Popen[str], ending: threading.Event
-) -> None:
-    """Print a watcher's output, and a line if the watcher exits before it is stopped."""
+) -> str:
+    """Print a watcher's output until the run ends, and return how the watcher exited."""
     assert process.stdout is not None
     for line in process.stdout:
         if not ending.is_set():
             print_line(f"{name}: {line.rstrip()}")
     code = process.wait()
-    if not ending.is_set():
-        how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
-        print_line(f"{name}: the watcher has exited ({how}); the run continues")
+    return f"exit code {code}" if code >= 0 else signal.Signals(-code).name

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from browsers import started_browser
-from graphs import Process, bag_file, bring_up
+from graphs import Process, bag_file, bring_up, wait_for
 from test_foxglove import deaf_client, port_of
 from test_watch_command import child_of, end, watcher
 
@@ -46,8 +46,10 @@ def test_a_run_under_the_eyes_of_four_is_the_same_run(domain: int, tmp_path: Pat
         )
         page.wait_for_selector("#heading:has-text('Simulated run')")
         assert slow.recv(512)
-        os.kill(child_of(run), signal.SIGKILL)
-        run.until_printed("the watcher has exited (SIGKILL)")
+        killed = child_of(run)
+        os.kill(killed, signal.SIGKILL)
+        run.until_printed("the watcher has exited (SIGKILL), and starts again in 2 s")
+        wait_for(lambda: child_of(run) not in (0, killed), 60, "another watcher")
         process.process.send_signal(signal.SIGSTOP)
         time.sleep(2.0)
         process.process.send_signal(signal.SIGCONT)
