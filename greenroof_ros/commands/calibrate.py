@@ -160,7 +160,7 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
     entries = list_fit_entries(fitted, site.z_veg)
     heading = _write_heading(measured, spans, rows, notes + warnings)
     text = format_fitted_site(site_file, entries, heading)
-    page = render(counted, halves, fitted, rows, text, spans, warnings, notes)
+    page = render(counted, halves, fitted, rows, text, spans, warnings, [*record.contents, *notes])
     print("\n".join(heading))
     _print_parameters(fitted)
     return text, page

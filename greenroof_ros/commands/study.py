@@ -9,6 +9,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any, TypeAlias
 
+import yaml
 from rich.table import Column, Table
 
 from greenroof_ros.analysis.study.case import Case, collect_contents
@@ -32,11 +33,12 @@ from greenroof_ros.base.command_line import (
     make_number_type,
 )
 from greenroof_ros.base.console import PlainConsole
-from greenroof_ros.base.files import find_shipped, shared_directory
+from greenroof_ros.base.files import find_shipped, replace_text, shared_directory
 from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.text import escape
 from greenroof_ros.simulation.screen import print_weather
+from greenroof_ros.weather.summary import as_lines
 
 _Bound: TypeAlias = tuple[Callable[[Path, Case], Any], Case, Callable[[Case, Any], None]]
 """Function that computes a bound, the case, and function that stores the bound."""
@@ -114,10 +116,21 @@ def main() -> int:
     grid = shared_directory() / "config/studies/paper.yaml"
     if arguments.grid is not None:
         grid = find_shipped(arguments.grid)
-    cases = read_grid(grid, arguments.weather, print_weather)
+    contents = dict[str, list[str]]()
+
+    def note_weather(summary: Mapping[str, Any], name: str) -> None:
+        contents[f"{name} from {summary['from']}"] = as_lines(summary)
+        print_weather(summary, name)
+
+    cases = read_grid(grid, arguments.weather, note_weather)
     every = None if arguments.no_trajectories else arguments.trajectory_every
     store = StudyStore(
         arguments.output or Path("studies") / grid.stem, grid, cases, trajectory_every=every
+    )
+    # A report shows it among the study's configuration.
+    replace_text(
+        store.directory / "configuration" / "weather.yaml",
+        yaml.safe_dump(contents, sort_keys=False, allow_unicode=True, width=1000),
     )
     open_cases = [case for case in cases if case.identity not in store.outcomes]
     unbounded = {

@@ -52,7 +52,7 @@ examples:
 exit codes: 0 done, 2 bad usage, configuration or file
 """
 _DASH = "A value that begins with a dash is written as --na-values=-99"
-_NOT_OPTIONS = "name", "file", "header", "flags", "flag_values"
+_NOT_OPTIONS = "name", "file", "header"
 
 
 def make_parser() -> Parser:
@@ -133,7 +133,8 @@ def main() -> None:
         refuse_unwritable(output, (".csv",), "--output")
     files = find_files(arguments.files, "FILE")
     if arguments.describe:
-        print(describe(files[0]), end="")
+        own = {} if arguments.encoding is None else {"encodings": [arguments.encoding]}
+        print(describe(files[0], **own), end="")
         return
     site = read_site(arguments.site)
     # A file for another place is described, too; a run rejects it, or warns.

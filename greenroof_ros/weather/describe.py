@@ -55,19 +55,25 @@ _OTHER = (
     r"quali|chill|index|evt|water|logger|_std|apparent|bucket|daily|event|month|year|week|"
     r"sea ?level|relative pressure|altimeter|change|tendenc|vapo|24 h|total|racha|rate|heat|wet"
 )
+# A code of missing values is a number, or a text without digits, but not the T of a trace of rain.
+_CODE = re.compile(r"[-+]?\d*([.,]\d+)?|(?!t$|tr$|trace$)\D*", re.IGNORECASE)
 _COMMA = re.compile(r"[-+]?\d*,\d+")
 _ZONE = re.compile(r"\b(?:UTC|GMT)(?: ?([+-]\d{1,2})(?::?(\d\d))?)?\b")
 _UNKNOWN = "?"
 
 
-def describe(file: Path) -> str:
+def describe(file: Path, encodings: Sequence[str] = ("utf-8", "cp1252")) -> str:
     """Return a description of a file as YAML.
+
+    Args:
+        file: the file.
+        encodings: encodings of which the first that fits the file is used.
 
     Raises:
         ConfigurationError: if the file cannot be read, or if no columns of times and values can be
             found in it.
     """
-    encoding, lines = _read(file)
+    encoding, lines = _read(file, encodings)
     separator, cells, header, first, last, time, forms = _find_rows(file, lines)
     rows = [row for row in cells[first : last + 1] if any(row)]
     full = names = [" ".join(name.split()) for name in cells[header]]
@@ -90,6 +96,7 @@ def describe(file: Path) -> str:
             text for text in texts[len(between) :]
             if text and not _is_value(quantity, unit, text.replace(",", ".") if comma else text)
         )
+    missing = [*dict.fromkeys(missing)]
     if two_rains or PRECIPITATION not in columns:
         columns[PRECIPITATION] = [_UNKNOWN]
     head = " ".join(itertools.chain(names, *cells[:header]))
@@ -99,7 +106,8 @@ def describe(file: Path) -> str:
         "columns": {name: each if len(each) > 1 else each[0] for name, each in columns.items()},
         "time_format": forms[0] if len(forms) == 1 else _UNKNOWN,
         **_find_zone(head, parse_text(" ".join(rows[0][n] for n in time), forms[0])),
-        "rows": _UNKNOWN, "units": units, "na_values": [*dict.fromkeys(missing)][:10],
+        "rows": _UNKNOWN, "units": units,
+        "na_values": missing[:10] if all(map(_CODE.fullmatch, missing)) else _UNKNOWN,
         "encoding": encoding, "sep": separator, "decimal": "," if comma else ".",
         "skiprows": len(skipped) if skipped == {*range(len(skipped))} else sorted(skipped),
         "skipfooter": len(cells) - 1 - last,
@@ -110,6 +118,7 @@ def describe(file: Path) -> str:
         *(f"{key.name}: {key.description}" for key in parameters_of(Description)
           if _UNKNOWN in str(stated.get(key.name))),
         *(f"time_format can be {form}" for form in forms if len(forms) > 1),
+        *(f"not a number: {text}" for text in missing if stated.get("na_values") == _UNKNOWN),
         f"not used: {', '.join(name for name in names if name not in used)}",
     ]
     printable = "".join([file.name, *names, *missing]).isprintable()
@@ -118,12 +127,12 @@ def describe(file: Path) -> str:
     ) + "".join(f"# {escape(comment)}\n" for comment in comments)
 
 
-def _read(file: Path) -> tuple[str, list[str]]:
-    for encoding in ("utf-8", "cp1252"):
+def _read(file: Path, encodings: Sequence[str]) -> tuple[str, list[str]]:
+    for encoding in encodings:
         with suppress(ConfigurationError):
             lines = itertools.islice(read_lines(file, encoding), _LINES)
             return encoding, [line.rstrip("\r\n") for line in lines]
-    return "", [*read_lines(file)]  # the error of UTF-8
+    return "", [*read_lines(file, encodings[0])]  # its error
 
 
 def _find_rows(

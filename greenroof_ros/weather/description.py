@@ -93,12 +93,13 @@ class Description:
                            unit="h", default=0)
     rain_kind: str = entry("source of rain that no gauge measured", choices=("", *RAIN_KINDS),
                            default="")
+    keys: frozenset[str] = frozenset()
+    """the keys that were stated"""
 
     @property
     def stated(self) -> dict[str, Any]:
-        """The keys with another value than the default."""
-        default = vars(Description())
-        return {key: value for key, value in vars(self).items() if value != default[key]}
+        """The values of the keys that were stated."""
+        return {key: getattr(self, key) for key in self.keys}
 
     def check_unused(self, form: str, file: Path) -> None:
         """Reject a description of a file whose form is known, so that the keys have no effect.
@@ -125,6 +126,7 @@ def make_description(values: Mapping[str, Any], path: Path | None = None) -> Des
     """
     try:
         made = make_record(Description, {key: _shape(key, values[key]) for key in values})
+        made = replace(made, keys=frozenset(values))
         for key, expected in _find_mistakes(made):
             raise ConfigurationError(expected, key=key, value=getattr(made, key, None))
     except ConfigurationError as error:
@@ -176,6 +178,8 @@ def _find_mistakes(made: Description) -> Iterator[tuple[str, str]]:
         yield "header", "has no effect: only the descriptions in config/formats recognise a file"
     if made.time_zone and made.utc_offset is not None:
         yield "utc_offset", "must not be stated together with time_zone"
+    if "%Z" in made.time_format:  # strptime reads a zone's name, and ignores it
+        yield "time_format", "must not contain %Z; state the zone in time_zone or utc_offset"
     zone = "UTC" if made.time_zone in ("", STANDARD) else made.time_zone
     form, some_time = made.time_format, datetime(2021, 7, 7, tzinfo=timezone.utc)
     for key, name, look_up, expected in (
@@ -237,7 +241,7 @@ def read_comments(
     own = given.stated
     if own.keys() & {"time_zone", "utc_offset"}:
         made = replace(made, time_zone="", utc_offset=None)
-    return replace(made, **own)
+    return replace(made, **own, keys=made.keys | given.keys)
 
 
 @functools.cache

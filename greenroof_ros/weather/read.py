@@ -70,7 +70,7 @@ def read_measured(
         ConfigurationError: if a file cannot be parsed, or if two files overlap.
     """
     joined = make_hours([
-        rows for file, own in _expand(files) for rows in read_file(file, site, own or described)
+        rows for file, own in expand(files, described) for rows in read_file(file, site, own)
     ])
     if PRECIPITATION not in joined.values:
         raise ConfigurationError(
@@ -222,16 +222,29 @@ def _drop_partial_hours(records: Records) -> Records:
     """Drop the first or last hour if it is incomplete due to partial rain or shifted quantities.
 
     Hours must be dropped after joining, because a file may complete the last hour of the previous
-    file.
+    file. Notes state the rain that is dropped, and the rain that is added by hours known in part.
     """
     moved = np.array([name in records.shifted for name in records.values])
     known = ~np.isnan([series[[0, -1]] for series in records.values.values()])
     rain, partial = list(records.values).index(PRECIPITATION), np.zeros(2, dtype=bool)
+    notes = list[str]()
     if records.minutes is not None:
-        partial = ~np.isnan(records.minutes[[0, -1]]).all(axis=1) & ~known[rain]
+        unknown, hourly = np.isnan(records.minutes), records.values[PRECIPITATION]
+        partial = ~unknown[[0, -1]].all(axis=1) & ~known[rain]
+        if lost := np.nansum(records.minutes[[0, -1]][partial]) / 60:
+            notes.append(
+                f"{lost:.3g} mm of rain in the first or last hour are left out, because less than "
+                "45 min of the hour are known"
+            )
+        if added := np.nansum(hourly * unknown.mean(axis=1)):
+            notes.append(
+                f"{added:.3g} mm of rain are added, because up to 15 min of an hour that are "
+                "missing count as the mean of its other minutes"
+            )
     if moved.any() and not moved.all():
         partial |= ~known[~moved, 0].any(), ~known[moved, 1].any()
     begin, end = int(partial[0]), records.hours - int(partial[1])
+    records = replace(records, left_out=(*records.left_out, *notes))
     return records.cut(begin, end) if end > begin else records
 
 
@@ -240,7 +253,7 @@ def write_plain(files: Sequence[Path], site: Place) -> str | None:
 
     A copy of a weather file in another directory would no longer have its description.
     """
-    if not any(described is not None for _, described in _expand(files)):
+    if not any(described is not None for _, described in expand(files)):
         return None
     return write_records(read_measured(files, site), "Written from files with a description.")
 
@@ -278,12 +291,16 @@ def find_files(names: Iterable[str], key: str) -> list[Path]:
     return [*files]
 
 
-def _expand(paths: Iterable[Path]) -> Iterator[tuple[Path, Description | None]]:
-    """Yield the weather files among the paths, with the descriptions of those that have one."""
+def expand(
+    paths: Iterable[Path], of_others: Description | None = None
+) -> Iterator[tuple[Path, Description | None]]:
+    """Yield the weather files among the paths, with their own descriptions or that of others."""
     for path in paths:
         if path.suffix not in (".yaml", ".yml"):
-            yield path, None
+            yield path, of_others
             continue
+        if of_others is not None:
+            of_others.check_unused(path.name, path)
         described = read_description(path)
         if not described.file:
             raise ConfigurationError(

@@ -187,6 +187,7 @@ def _values(value: object) -> list[object]:
         ("file: a.csv\nheader: t", "line 2: header = ('t',): has no effect: only the descriptions"),
         ("file: dwd.txt\nrows: end", "a.yaml: rows: has no effect, because the form of "),
         ("file: dwd_2.txt", "a.yaml: step: has no effect, because the form of "),
+        ("file: a.csv\ntime_format: '%d.%m.%y %H:%M %Z'", "must not contain %Z"),
         ("file: a.json\nencoding: cp1252\nstep: 60", "a.yaml: step: has no effect, because "),
         ("file: a.csv\ncolumns: {time: t, rain: r}\nflags: {wind speed: q}", "has no effect"),
         ("file: a.csv\ncolumns: {time: t, rain: r, precipitation: r}", "must name a quantity only"),

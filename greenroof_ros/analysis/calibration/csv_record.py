@@ -34,6 +34,7 @@ from greenroof_ros.weather.quantities import (
     TEMPERATURE,
     find_unit,
 )
+from greenroof_ros.weather.read import expand
 from greenroof_ros.weather.records import describe_rows, find_gaps, make_hours
 from greenroof_ros.weather.summary import as_lines, summarize
 from greenroof_ros.weather.table import Rows, read_rows
@@ -60,7 +61,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
     of the maximum flow) and ``cistern level``; without these columns it is 0.
 
     Args:
-        file: the record.
+        file: the record, or a description of it.
         site: site with its location, clock and pumps.
         months: months to use, such as ``4-10``. In other months, evapotranspiration may have
             longer gaps, which are interpolated linearly.
@@ -69,7 +70,10 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
         ConfigurationError: if the file breaks a rule; the message names the line, the column and
             the value.
     """
-    rows = read_rows(file, site, _WANTED)
+    (file, described), *more = expand([file])
+    if more:
+        raise ConfigurationError("must be a single record", file=more[0][0])
+    rows = read_rows(file, site, _WANTED, described)
     columns, measured = rows.columns, rows.method == "reference"
     for there, message in (
         (PRECIPITATION in columns, "there must be a column 'rain [mm]'"),

@@ -71,7 +71,6 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str]] = {
         topics(*(f"/{name.replace('_', '/')}" for name in NEEDED), msgtype="std_msgs/msg/Float32"),
         "of type std_msgs/msg/Float64, not std_msgs/msg/Float32",
     ),
-    "not-a-number": (bag(roof_level=[0.03, float("nan"), 0.03]), "/roof/level.*nan"),
     "another-table": (
         study(lambda text: text.replace(",season,", ",of,")),
         "results.csv, line 1: has no column season.* repeat the command greenroof study",
