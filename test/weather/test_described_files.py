@@ -328,3 +328,44 @@ def test_a_value_beside_the_flag_of_a_missing_one(tmp_path: Path) -> None:
 def test_every_service_has_a_name_and_a_header() -> None:
     for described in service_descriptions():
         assert described.name and described.header and described.columns
+
+
+# --- what is shown --------------------------------------------------------------------------------
+
+
+def test_what_a_draft_does_not_understand_is_open(tmp_path: Path) -> None:
+    """Flagged cells can be the heaviest rain, T can be a trace; a code is a number or a word."""
+    head = "Datum;Regen [mm]\n13.07.2021 00:00;1,5\n13.07.2021 01:00;"
+    for cells, expected in ((["-99", "n/a"], ["-99", "n/a"]), (["24,4*"], "?"), (["T"], "?")):
+        (tmp_path / "a.csv").write_text(head + "\n13.07.2021 02:00;".join(cells) + "\n")
+        text = describe(tmp_path / "a.csv")
+        assert parse_yaml(text, tmp_path)["na_values"] == expected
+        assert (f"# not a number: {cells[0]}" in text) == (expected == "?")
+
+
+def test_stated_rows_come_before_those_of_a_comment(tmp_path: Path) -> None:
+    """Also if they are the default."""
+    (tmp_path / "a.csv").write_text(
+        "# rows: end\ntime,rain [mm]\n2024-07-01T01:00-05:00,1\n2024-07-01T02:00-05:00,0\n"
+    )
+    (tmp_path / "a.yaml").write_text("file: a.csv\nrows: start\n")
+    for file, first in (("a.csv", 0), ("a.yaml", 1)):
+        assert read_measured([tmp_path / file], SITE).first.hour == first
+    message = refusal(
+        read_measured, [tmp_path / "a.yaml"], SITE, make_description({"rows": "end"})
+    )
+    assert "rows: has no effect" in message
+
+
+def test_rain_of_hours_known_in_part_is_told(tmp_path: Path) -> None:
+    """12 rows of 1 mm an hour: 3 missing ones add 3 mm, and 8 of the first hour are left out."""
+    rows = [
+        f"2024-07-01T{hour:02}:{minute:02}-05:00,1\n" for hour in range(4)
+        for minute in range(0, 60, 5) if not (hour == 2 and minute < 15 or hour == 0 and minute < 20)
+    ]
+    (tmp_path / "a.csv").write_text("time,rain [mm]\n" + "".join(rows))
+    records = read_measured([tmp_path / "a.csv"], SITE)
+    assert records.values["precipitation"].tolist() == [12.0] * 3
+    out, added = records.left_out
+    assert out.startswith("8 mm of rain in the first or last hour are left out")
+    assert added.startswith("3 mm of rain are added")

@@ -151,7 +151,8 @@ def test_the_page_draws_everything_and_asks_for_nothing(fitted: Path) -> None:
         assert "field_capacity" in words
         assert "Measured and simulated" not in words  # titles are drawn
         notes = page.locator("#notes li").all_inner_texts()
-        assert [note.split(":")[0] for note in notes] == [
+        assert notes[0].startswith("rain ") and notes[2].startswith("missing: ")
+        assert [note.split(":")[0] for note in notes[3:]] == [
             "compared", "target", "pumps", "percolation_exponent"
         ]
         assert "The crop_coefficient applies only if evapotranspiration is computed" in words
