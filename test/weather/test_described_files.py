@@ -361,7 +361,7 @@ def test_rain_of_hours_known_in_part_is_told(tmp_path: Path) -> None:
     """12 rows of 1 mm an hour: 3 missing ones add 3 mm, and 8 of the first hour are left out."""
     rows = [
         f"2024-07-01T{hour:02}:{minute:02}-05:00,1\n" for hour in range(4)
-        for minute in range(0, 60, 5) if not (hour == 2 and minute < 15 or hour == 0 and minute < 20)
+        for minute in range(0, 60, 5) if (hour, minute) >= (0, 20) and (hour != 2 or minute >= 15)
     ]
     (tmp_path / "a.csv").write_text("time,rain [mm]\n" + "".join(rows))
     records = read_measured([tmp_path / "a.csv"], SITE)
