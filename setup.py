@@ -173,8 +173,6 @@ setup(
         "console_scripts": [
             f"greenroof = {NAME}.__main__:main", *(EXECUTABLES if IN_WORKSPACE else []),
         ],
-        # Gymnasium calls it when it is imported; the names have no namespace.
-        "gymnasium.envs": [f"__root__ = {NAME}.gym:register_environments"],
     },
     zip_safe=False,
 )

@@ -1,23 +1,14 @@
-"""Registration of the environments for Gymnasium: ``GreenRoof-v1`` and ``GreenRoofVector-v1``.
+"""Registration of the environments for Gymnasium, which imports this module for its names.
 
-Gymnasium calls :func:`register_environments` when it is imported, by the entry point
-``gymnasium.envs``. Where the package is not installed, ``greenroof_ros.gym:GreenRoof-v1`` makes
-Gymnasium import this module.
+The names are ``greenroof_ros.gym:GreenRoof-v1`` and ``greenroof_ros.gym:GreenRoofVector-v1``.
 """
 
 from greenroof_ros.base.errors import require_extra
 
 with require_extra("gym"):
-    from gymnasium.envs.registration import register, registry
+    import gymnasium
 
 _API = "greenroof_ros.analysis.api"
 
-
-def register_environments() -> None:
-    """Register the environments, unless that has been done."""
-    if "GreenRoof-v1" not in registry:
-        register("GreenRoof-v1", f"{_API}.gym:GreenRoofEnv")
-        register("GreenRoofVector-v1", vector_entry_point=f"{_API}.vector:GreenRoofVectorEnv")
-
-
-register_environments()
+gymnasium.register("GreenRoof-v1", f"{_API}.gym:GreenRoofEnv")
+gymnasium.register("GreenRoofVector-v1", vector_entry_point=f"{_API}.vector:GreenRoofVectorEnv")

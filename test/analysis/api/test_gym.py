@@ -5,12 +5,9 @@ from __future__ import annotations
 import copy
 import doctest
 import pickle
-import subprocess
-import sys
 import warnings
 from collections.abc import Callable
 from importlib import import_module
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -31,17 +28,6 @@ ID = "greenroof_ros.gym:GreenRoof-v1"
 
 
 VALVE_SITE = gr.read_site(**VALVE)
-
-
-def test_gymnasium_finds_the_environments_of_an_installed_package() -> None:
-    """By the entry point, without an import of this package."""
-    if not any(point.name == "__root__" for point in entry_points(group="gymnasium.envs")):
-        pytest.skip("the package was installed before it had the entry point")
-    code = "import gymnasium; print(gymnasium.make('GreenRoof-v1', hours=0.5).spec.id)"
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False,
-    )
-    assert (done.returncode, done.stdout) == (0, "GreenRoof-v1\n"), done.stderr
 
 
 @pytest.mark.parametrize("inputs", [
