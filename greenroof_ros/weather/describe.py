@@ -26,7 +26,7 @@ from greenroof_ros.weather.description import SEPARATORS, TIME, Description
 from greenroof_ros.weather.quantities import PRECIPITATION, QUANTITIES, Unit, find_unit
 from greenroof_ros.weather.table import parse_text, split, split_unit
 
-_LINES = 2000
+_LINES = 10_000
 # Lines after the rows that can contain sums and remarks.
 _FOOT = 4
 _HIGHEST = 1e4  # of any quantity in our unit

@@ -33,7 +33,6 @@ _COURSE, _AIR, _YEAR = 5 * 24, 10 * 24, 300 * 24
 # Radiation outside the atmosphere on a level facing the sun (W/m2), FAO-56 Eq. 21, and the lowest
 # sine of the sun's elevation at which the clearness of an hour is judged.
 _SOLAR_CONSTANT, _HIGH_SUN = 1367.0, 0.3
-_MAX_MONTHS = 12
 
 
 def summarize(records: Records, site: Place, hours: range | None = None) -> dict[str, Any]:
@@ -47,7 +46,7 @@ def summarize(records: Records, site: Place, hours: range | None = None) -> dict
     Returns:
         ``applied``: what was applied to the rows of the files; ``quantities``: unit, minimum, mean,
         maximum and missing hours of each quantity; ``rain``: total, wet hours, wettest hour and
-        day, and the rain of months or years (mm); ``course``: the local hours with the highest
+        day, and the rain of months and years (mm); ``course``: the local hours with the highest
         radiation and temperature; ``statistics`` and ``notes``, by ``plausible.yaml``.
     """
     part = slice(0, records.hours) if hours is None else slice(hours.start, hours.stop)
@@ -82,7 +81,11 @@ def summarize(records: Records, site: Place, hours: range | None = None) -> dict
 def as_lines(summary: Mapping[str, Any]) -> list[str]:
     """Return a summary in three lines, followed by one line for each note."""
     rain = summary["rain"]
-    parts = ", ".join(f"{name} {amount:.4g}" for name, amount in rain["parts"].items())
+    sums = rain["months"] if len(rain["months"]) <= len(_MONTHS) else rain["years"]
+    parts = ", ".join(
+        f"{_MONTHS[int(name[5:]) - 1] if name[4:] else name} {amount:.4g}"
+        for name, amount in sums.items()
+    )
     contents = dict(summary["quantities"])
     missing = {name: about["missing"] for name, about in contents.items() if about["missing"]}
     lines = [
@@ -119,18 +122,17 @@ def _describe_rain(series: Values, first: datetime) -> dict[str, Any]:
     days, of_day = np.unique(local.astype("datetime64[D]"), return_inverse=True)
     by_day = np.bincount(of_day, rain)
     dry = (by_day < _DRY_DAY) & (np.bincount(of_day, ~np.isnan(series)) > 0)
-    months, of_month = np.unique(local.astype("datetime64[M]"), return_inverse=True)
-    names = [_MONTHS[int(month.astype(int)) % 12] for month in months]
-    if len(months) > _MAX_MONTHS:
-        years, of_month = np.unique(local.astype("datetime64[Y]"), return_inverse=True)
-        names = [*map(str, years)]
+    sums = dict[str, dict[str, float]]()
+    for name, unit in (("months", "M"), ("years", "Y")):
+        spans, of_span = np.unique(local.astype(f"datetime64[{unit}]"), return_inverse=True)
+        sums[name] = dict(zip(map(str, spans), np.bincount(of_span, rain).tolist(), strict=True))
     hour, day = int(rain.argmax()), int(by_day.argmax())
     return {
         "total": float(rain.sum()), "wet_hours": int(np.count_nonzero(rain > 0)),
         "wettest_hour": float(rain[hour]), "wettest_hour_at": to_people(first + hour * HOUR),
         "wettest_day": float(by_day[day]), "wettest_day_at": str(days[day]),
         "longest_dry_days": max((end - start for start, end in find_gaps(dry)), default=0),
-        "parts": dict(zip(names, np.bincount(of_month, rain).tolist(), strict=True)),
+        **sums,
     }
 
 

@@ -126,7 +126,7 @@ def test_a_description_leaves_open_what_a_file_does_not_say(
     ("text", "reason"),
     [
         ("2024-06-15 12:00,1\n2024-06-15 13:00,2\n", "line 1: is a row, but must be a header"),
-        ("#\n" * 2500 + "Zeit,Regen\n2024-06-15 12:00,1\n", "in its first 2000 lines: write"),
+        ("#\n" * 10_500 + "Zeit,Regen\n2024-06-15 12:00,1\n", "in its first 10000 lines: write"),
         ("Dag,Uur,Regen\n2024-06-15,12u00,1\n2024-06-15,13u00,2\n", "no rows with a time in a"),
     ],
 )

@@ -57,7 +57,8 @@ def test_known_hours_by_hand() -> None:
     assert summary["rain"] | {"longest_dry_days": 0} == {
         "total": 9.0, "wet_hours": 3, "wettest_hour": 4.0,
         "wettest_hour_at": "2024-06-02 06:00-05:00", "wettest_day": 5.0,
-        "wettest_day_at": "2024-06-01", "longest_dry_days": 0, "parts": {"Jun": 9.0},
+        "wettest_day_at": "2024-06-01", "longest_dry_days": 0,
+        "months": {"2024-06": 9.0}, "years": {"2024": 9.0},
     }
     missing = {name: about["missing"] for name, about in summary["quantities"].items()}
     assert missing == {"precipitation": 1, "temperature": 1}
