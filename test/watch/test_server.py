@@ -354,8 +354,11 @@ def test_documents_are_made_once_for_all_and_sent_only_if_they_have_changed(
         assert {answer.status for answer in (first, *others)} == {200}
         assert made.count("state") <= lasted / 0.5 + 1
         assert made.count("charts") <= lasted / 2 + 1
-        tag = first.headers["etag"]
-        known = request(port, "GET", "/state", If_None_Match=f'"other", {tag}')
+        for _ in range(20):  # until the state stays the same between two requests
+            tag = request(port, "GET", "/state").headers["etag"]
+            known = request(port, "GET", "/state", If_None_Match=f'"other", {tag}')
+            if known.status == 304:
+                break
         assert (known.status, known.body, known.headers["etag"]) == (304, b"", tag)
         watched.add("/roof/level", SECOND, 0.03)
         changed = wait_for(
