@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,10 +23,24 @@ from greenroof_ros.site.site import Site, format_place, measure_distance
 from greenroof_ros.weather.describe import describe
 from greenroof_ros.weather.description import Description, make_description
 from greenroof_ros.weather.evapotranspiration import FAO56, HARGREAVES
-from greenroof_ros.weather.read import complete_records, find_files, read_measured
-from greenroof_ros.weather.records import HOUR, Records, write_records
+from greenroof_ros.weather.quantities import QUANTITIES
+from greenroof_ros.weather.read import (
+    complete_records,
+    expand,
+    find_files,
+    read_file,
+    read_measured,
+)
+from greenroof_ros.weather.records import (
+    HOUR,
+    Records,
+    describe_rows,
+    name_files,
+    write_records,
+)
 from greenroof_ros.weather.series import Weather
 from greenroof_ros.weather.summary import as_lines, summarize
+from greenroof_ros.weather.table import Rows
 
 _DESCRIPTION = """\
 Read weather files in the same way as simulate, and show what they contain: the period, the rain of
@@ -52,6 +66,7 @@ examples:
 exit codes: 0 done, 2 bad usage, configuration or file
 """
 _DASH = "A value that begins with a dash is written as --na-values=-99"
+_MAX_FILES = 12
 _NOT_OPTIONS = "name", "file", "header"
 
 
@@ -140,9 +155,11 @@ def main() -> None:
     # A file for another place is described, too; a run rejects it, or warns.
     anywhere = replace(site, latitude=None, longitude=None, elevation=None)
     with rename_keys({key.name: _flag(key) for key in _options()}):
-        measured = read_measured(files, anywhere, _read_options(arguments))
+        options = _read_options(arguments)
+        measured = read_measured(files, anywhere, options)
+        sources = [*_describe_sources(files, anywhere, options)]
     console = PlainConsole()
-    console.print(grid("Weather", _describe(measured, site)))
+    console.print(grid("Weather", [*_describe(measured, site), *sources]))
     if output is not None:
         with add_path_to_errors(output):
             output.write_text(
@@ -178,6 +195,31 @@ def _describe(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
         yield "summary", "", line
     yield _describe_evapotranspiration(weather, unknown)
     yield from _average_months(weather, site)
+
+
+def _describe_sources(
+    files: Sequence[Path], site: Site, options: Description | None
+) -> Iterator[tuple[str, str, str]]:
+    """Yield a row for each quantity of each source if there is more than one.
+
+    A source is a file or, of more than a dozen files, all files that are read in the same way.
+    """
+    found = list(expand(files, options))
+    sources = dict[str, list[Rows]]()
+    for file, described in found if len(found) > 1 else ():
+        for rows in read_file(file, site, described):
+            key = str(file) if len(found) <= _MAX_FILES else describe_rows(rows)
+            sources.setdefault(key, []).append(rows)
+    for members in sources.values():
+        name = name_files([rows.table.file for rows in members])
+        for quantity in members[0].values:
+            values = np.concatenate([rows.values[quantity] for rows in members])
+            known = values[~np.isnan(values)]
+            if known.size:
+                yield quantity, QUANTITIES[quantity].unit, (
+                    f"{name}: {known.min():g} to {known.max():g}, mean {known.mean():.3g}; "
+                    f"{values.size - known.size} of {values.size} rows without a value"
+                )
 
 
 def _describe_places(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:

@@ -86,6 +86,17 @@ def test_options_with_lists_and_dashes(tmp_path: Path) -> None:
     ).stderr
 
 
+def test_each_source_is_shown(tmp_path: Path) -> None:
+    """So a file in inches stands out beside one in millimetres."""
+    for name, first, rain in (("mm.csv", 1, (5.08, "")), ("inches.csv", 3, (0.2, 0.1))):
+        (tmp_path / name).write_text("time,rain [mm]\n" + "".join(
+            f"2024-06-01T{first + n:02}:00-05:00,{each}\n" for n, each in enumerate(rain)
+        ))
+    printed = " ".join(weather(tmp_path, "mm.csv", "inches.csv").stdout.replace("│", " ").split())
+    assert "mm.csv: 5.08 to 5.08, mean 5.08; 1 of 2 rows without a value" in printed
+    assert "inches.csv: 0.1 to 0.2, mean 0.15; 0 of 2 rows without a value" in printed
+
+
 def test_a_description_is_printed_and_its_keys_are_options(tmp_path: Path) -> None:
     """The same rain by the description and by options."""
     (tmp_path / "gauge.csv").write_text("Zeit;Regen\n" + "".join(
