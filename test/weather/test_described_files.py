@@ -343,6 +343,13 @@ def test_what_a_draft_does_not_understand_is_open(tmp_path: Path) -> None:
         assert (f"# not a number: {cells[0]}" in text) == (expected == "?")
 
 
+def test_the_encoding_of_a_draft_may_be_stated(tmp_path: Path) -> None:
+    """Its first line does not say it."""
+    (tmp_path / "a.csv").write_text("Zeit,Regen\n2024-07-13 00:00,1\n", encoding="utf-16")
+    assert "utf-16" in describe(tmp_path / "a.csv", ["utf-16"])
+    assert "is not text in UTF-8" in refusal(describe, tmp_path / "a.csv")
+
+
 def test_stated_rows_come_before_those_of_a_comment(tmp_path: Path) -> None:
     """Also if they are the default."""
     (tmp_path / "a.csv").write_text(

@@ -78,6 +78,21 @@ def test_the_last_decimal_of_runoff(runoff: str, last_decimal: float, file: Path
         assert record.last_decimal == pytest.approx(factor * last_decimal)
 
 
+def test_a_record_may_have_a_description(file: Path) -> None:
+    """As a weather file may; its runoff is in a column of another name."""
+    text = text_of("rain [mm],Abfluss,reference evapotranspiration [mm/day]", "0.1,0.5,2.4")
+    file.write_text(text)
+    described = file.with_suffix(".yaml")
+    described.write_text(
+        'file: record.csv\ncolumns: {time: time, rain: "rain [mm]", runoff: Abfluss, '
+        'reference evapotranspiration: "reference evapotranspiration [mm/day]"}\n'
+        "units: {runoff: mm}\n"
+    )
+    record = read_csv_record(described, TWIN)
+    assert record.runoff is not None
+    assert record.runoff[0] == pytest.approx(0.5) and record.rain[0] == pytest.approx(0.1)
+
+
 def test_a_level_at_the_end_of_its_row(file: Path) -> None:
     """The level at the end of a row is the one at the start of the next; rain stays in its row."""
     header = "rain [mm],level [m],reference evapotranspiration [mm]"

@@ -80,6 +80,8 @@ def test_killed_and_gone_on(finished: Path) -> None:
     assert len(list((killed / "out" / "runs").iterdir())) == 12
     whole = (finished / "out" / "results.csv").read_bytes()
     assert (killed / "out" / "results.csv").read_bytes() == whole
+    # What the weather contains is a part of the configuration, which a report shows.
+    assert "wettest hour" in (finished / "out" / "configuration" / "weather.yaml").read_text()
 
     empty, gone, *others = sorted(stored(killed))
     (empty / "outcome.json").write_text("")
