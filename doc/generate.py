@@ -69,7 +69,7 @@ _BLOCK = re.compile(
 )
 # An option, or a command with its options.
 _CODE = re.compile(
-    rf"\bgreenroof (?:{'|'.join(COMMANDS)})\b(?: --[a-z-]+)*|(?<![\w-])--[a-z][a-z-]*"
+    rf"\bgreenroof (?:{'|'.join(COMMANDS)})\b(?: --[a-z-]+)*|(?<![\w-])--[a-z][a-z-]*(?:=-?\d+)?"
 )
 
 

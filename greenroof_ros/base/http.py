@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import threading
+import time
 from collections.abc import Mapping
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as LateError
@@ -62,10 +63,9 @@ def check_url(url: str) -> str:
     Raises:
         ConfigurationError: if the URL does not use http or https.
     """
-    try:
+    parts = Url()
+    with suppress(LocationParseError):
         parts = parse_url(url)
-    except LocationParseError:
-        parts = Url()
     is_address = parts.scheme in ("http", "https") and parts.host and not parts.auth
     if not is_address or " " in url or not (url.isascii() and url.isprintable()):
         raise ConfigurationError(
@@ -125,12 +125,14 @@ def _get(url: str) -> bytes:
         ServiceError: if the status is not 200, or if the response is too large.
         HTTPError: if there is no response, or only a part of one.
     """
-    body = bytearray()
+    until, body = time.monotonic() + ANSWER_S, bytearray()
     with _find_pool(url).request("GET", url, preload_content=False) as response:
         for part in response.stream(1 << 12):
             body += part
             if len(body) > _MAX_BYTES:
                 raise ServiceError(f"sent more than {_MAX_BYTES} bytes")
+            if time.monotonic() > until:
+                raise LateError  # nobody waits for it
     if response.status == 200:
         return bytes(body)
     reason = " ".join(body.decode("utf-8", "replace").split())[:_MAX_REASON]

@@ -166,7 +166,8 @@ def make_client(
         client.will_set(*will, qos=1, retain=True)
 
     lost = "the connection was lost"
-    unanswered = f"{lost} before the broker responded; if it expects TLS, use mqtts://"
+    hint = "" if broker.tls else "; if it expects TLS, use mqtts://"
+    unanswered = f"{lost} before the broker responded{hint}"
     why = unanswered
 
     def connected(client: Client, data: Any, flags: Any, code: Any, properties: Any) -> None:
@@ -196,8 +197,8 @@ def make_client(
 
 def _why_not_connected(broker: Broker, error: BaseException | None) -> str:
     """Return the reason why there is no connection to a broker."""
-    over = " over TLS" if broker.tls else ""
-    return f"no response{over} from {broker}: {getattr(error, 'strerror', None) or error}"
+    reason = getattr(error, "strerror", None) or error
+    return f"no response{' over TLS' if broker.tls else ''} from {broker}: {reason}"
 
 
 def _read_login(file: Path) -> tuple[str, str]:

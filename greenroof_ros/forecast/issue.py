@@ -382,9 +382,8 @@ def read_rain(table: Table, described: Description, names: re.Pattern[str], site
     Raises:
         ConfigurationError: if the rows or the values are invalid; see :func:`.table.arrange`.
     """
-    cells, series = [*table.rows], dict[str, Array]()
+    table.rows, series = [*table.rows], dict[str, Array]()
     for name in filter(names.fullmatch, table.header):
-        table.rows = cells
         of_name = replace(
             described, columns={TIME: (table.header[0],), PRECIPITATION: (name,)},
             units={PRECIPITATION: described.units[name]}, rows=END,

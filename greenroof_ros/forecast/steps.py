@@ -208,7 +208,8 @@ class SteppedForecast:
         hour = int(time // _HOUR_S)
         measured = self._series.precipitation[tick], self._series.evapotranspiration[tick]
         if hour not in self._made:
-            self._made = {hour: self._make_hour_forecast(hour)}
+            rain, dried, issued = self._model.forecast(hour, self._hours(hour))
+            self._made = {hour: HourForecast(issued, rain, dried, self._site, self._ends, True)}
         outlook = self._made[hour].at(time - hour * _HOUR_S, self._all_members, measured)
         self._outlooks = {tick: outlook}
         return outlook
@@ -217,11 +218,6 @@ class SteppedForecast:
         """Return the number of hours that the ticks in an hour need, including that hour."""
         last_tick = min((hour + 1) * _HOUR_S, self._until)
         return math.ceil((last_tick + float(self._ends[-1])) / _HOUR_S) - hour
-
-    def _make_hour_forecast(self, hour: int) -> HourForecast:
-        """Return the latest forecast in an hour."""
-        rain, evapotranspiration, issued = self._model.forecast(hour, self._hours(hour))
-        return HourForecast(issued, rain, evapotranspiration, self._site, self._ends, True)
 
 
 def _note_end(repeats_from: datetime | None) -> list[str]:

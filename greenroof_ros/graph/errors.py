@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import traceback
 
 from greenroof_ros.base.command_line import EXIT_FAILED, exit_code
@@ -22,6 +23,18 @@ def describe(error: Exception) -> str:
         return str(error)
     place = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno})"
+
+
+def print_failure(error: Exception) -> tuple[str, int]:
+    """Print why a node or a run failed, and return it as a sentence, with the exit code.
+
+    A traceback comes first if the error was not expected.
+    """
+    failure, code = explain(error)
+    if not isinstance(error, (ConfigurationError, LockstepError, OSError)):
+        traceback.print_exception(error)
+    print(f"error: {failure}", file=sys.stderr)
+    return failure, code
 
 
 def explain(error: Exception) -> tuple[str, int]:

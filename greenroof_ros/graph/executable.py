@@ -6,7 +6,6 @@ import argparse
 import math
 import sys
 import textwrap
-import traceback
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any, NoReturn
@@ -19,10 +18,9 @@ from greenroof_ros.base.command_line import (
     EXIT_USAGE,
     command,
 )
-from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.processes import InterruptedRun, Signals
-from greenroof_ros.graph.errors import LockstepError, explain
+from greenroof_ros.graph.errors import print_failure
 from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import default_site, refuse_unknown, type_name
@@ -150,10 +148,7 @@ def run_nodes(
         except InterruptedRun:
             pass
         except Exception as error:  # whatever the error, its cause must be reported
-            failure, code = explain(error)
-            if not isinstance(error, (ConfigurationError, LockstepError, OSError)):
-                traceback.print_exc()
-            print(f"error: {failure}", file=sys.stderr)
+            failure, code = print_failure(error)
         finally:
             if nodes and end_nodes(nodes, failure) is not None:
                 code = code or EXIT_FAILED

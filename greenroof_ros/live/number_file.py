@@ -44,12 +44,16 @@ class NumberFile:
                 numbers.
         """
         try:
-            content: dict[str, Any] = json.loads(self._file.read_text(encoding="utf-8"))
-            return {name: _FINITE.check(value) for name, value in content.items()}
+            content: Any = json.loads(self._file.read_text(encoding="utf-8"))
         except FileNotFoundError:
             return {}
-        except (OSError, ValueError, AttributeError) as error:
+        except (OSError, ValueError) as error:
             raise ConfigurationError(f"cannot be read: {error}", file=self._file) from error
+        if not isinstance(content, dict):
+            raise ConfigurationError("must be a mapping of names to numbers", file=self._file)
+        return {
+            name: _FINITE.read(value, key=name, file=self._file) for name, value in content.items()
+        }
 
     def write(self, values: Mapping[str, float]) -> None:
         """Queue numbers for writing."""

@@ -19,7 +19,6 @@ since 1970) delivers a volume once, or returns the reason for rejecting the requ
 from __future__ import annotations
 
 from greenroof_ros.graph import begin_node
-from greenroof_ros.live.boot_clock import boot_time, suspended_time
 
 begin_node(__name__)
 
@@ -41,6 +40,7 @@ from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.states import DriveState, PumpState
+from greenroof_ros.live.boot_clock import boot_time, suspended_time
 from greenroof_ros.live.devices.drive import DriveStatus
 from greenroof_ros.live.devices.drive_file import MAX_RAMP_S, find_drive_file
 from greenroof_ros.live.devices.endpoint import CHOICE, Endpoint, read_endpoint

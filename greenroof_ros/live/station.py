@@ -16,7 +16,6 @@ begin_node(__name__)
 import argparse
 import math
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -24,17 +23,15 @@ from pathlib import Path
 from rclpy.executors import SingleThreadedExecutor
 
 from greenroof_ros.base.command_line import command
-from greenroof_ros.graph.errors import explain
+from greenroof_ros.graph.errors import print_failure
 from greenroof_ros.graph.executable import NodeParser, run_nodes
-from greenroof_ros.graph.spin import start_receiving
+from greenroof_ros.graph.spin import end_nodes, start_receiving
 from greenroof_ros.live.node import LiveNode
 from greenroof_ros.live.recorder import LiveRecorderNode
+from greenroof_ros.live.restarts import Restarts
 from greenroof_ros.live.sensors import sensor_makers
 from greenroof_ros.live.weather import LiveWeatherNode
 
-# How often a node may fail within ten minutes (s), and the longest wait before it is made again
-# (s).
-_MAX_FAILURES, _WINDOW_S, _MAX_WAIT_S = 10, 600.0, 10.0
 # Longest wait for a message while no node asks for less (s).
 _WAIT_S = 0.05
 
@@ -42,22 +39,18 @@ Make = Callable[[], LiveNode]
 
 
 class _Place:
-    """A node's place in the station: what makes it, and its failures."""
+    """A node's place in the station: what makes it, and when."""
 
     def __init__(self, make: Make, node: LiveNode) -> None:
         self.make = make
         self.node: LiveNode | None = node
         self.due = math.inf  # when it is made again (steady clock, s)
-        self._failures: deque[float] = deque()
+        self._restarts = Restarts()
 
     def fail(self, now: float) -> None:
-        """Count a failure, and set when the node is made again."""
-        self._failures.append(now)
-        while now - self._failures[0] > _WINDOW_S:
-            self._failures.popleft()
-        count = len(self._failures)
-        self.node = None
-        self.due = math.inf if count > _MAX_FAILURES else now + min(2.0 ** (count - 1), _MAX_WAIT_S)
+        """Note a failure, and set when the node is made again."""
+        self.node, wait = None, self._restarts.wait(now)
+        self.due = math.inf if wait is None else now + wait
 
 
 def keep_nodes(
@@ -89,22 +82,13 @@ def keep_nodes(
                     place.node.on_start()
                     start_receiving(executor, place.node)
             except Exception as error:  # whatever it is, it must not end the other nodes
+                failure, _ = print_failure(error)
                 if place.node is not None:
                     nodes.remove(place.node)
                     executor.remove_node(place.node)
-                    _destroy(place.node, explain(error)[0])
+                    end_nodes([place.node], failure)
+                    place.node.destroy_node()
                 place.fail(now)
-
-
-def _destroy(node: LiveNode, failure: str) -> None:
-    """Let a node that failed report why, and leave the graph."""
-    node.get_logger().error(failure)
-    try:
-        node.on_stop()
-    except Exception as error:  # its first failure is reported
-        node.get_logger().error(explain(error)[0])
-    node.end(failure)
-    node.destroy_node()
 
 
 def _list_makers(arguments: argparse.Namespace) -> list[Make]:

@@ -30,7 +30,9 @@ from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.processes import child_environment
 from greenroof_ros.graph.domain import LEASE, ros_arguments
 from greenroof_ros.interface.states import PUMP, READY, RECORDER, DriveState
+from greenroof_ros.live import restarts
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS
+from greenroof_ros.live.restarts import Restarts
 from greenroof_ros.live.supervisor_socket import SOCKET, read_report
 
 # How long to wait for a process to end before it is killed (s). The pump node is given longer: it
@@ -53,11 +55,6 @@ _PAUSE_S = 1.0
 # A pump node that is silent for this long (s) is killed, unless it last reported that the pump is
 # stopped; nodes report four times a second.
 SILENT_S = 2.0
-# Longest wait before a restart (s). It is 1, 2, 4, ... s, depending on the restarts in the last 10
-# min.
-_MAX_WAIT_S = 10.0
-# How often a node may be restarted within ten minutes; one more failure stops the site.
-MAX_RESTARTS, _WINDOW_S = 10, 600.0
 # How long after its restart a killed node still counts as a second publisher (s).
 _LIVE_LEASE_S = "3"
 # The process with all nodes but the pump's and the controller's.
@@ -167,7 +164,7 @@ class _NodeRecord:
 
     start: ProcessStart
     starts_again: float | None = None  # when its restart is due; None while it runs
-    restarts: deque[float] = field(default_factory=deque)  # times of restarts within the window
+    restarts: Restarts = field(default_factory=Restarts)
     was_ready: bool = False
     cannot_start: str = ""  # why the system could not start the process
 
@@ -178,12 +175,12 @@ class LiveSupervisor:
     Each process has a socket on which it reports its state every quarter of a second. Topics are
     not used, since discovery can take seconds, and a supervisor must not miss a report.
 
-    The supervisor has no influence on whether the pump may run. A node that ends or is silent for
-    too long is restarted after an increasing delay. If a node needs too many restarts, the
-    supervisor stops the pump and ends the site. A controller is replaced if it needs
-    too many restarts, or if its node can no longer run it. A pump node that has died cannot stop
-    the drive, so the supervisor stops the drive. The supervisor also stops the drive at the end,
-    whatever the pump node reports.
+    The supervisor has no influence on whether the pump may run. A process that ends or is silent
+    for too long is restarted after an increasing delay. If a process needs too many restarts, the
+    supervisor stops the pump and ends the site. A controller is replaced if it needs too many
+    restarts, or if its node can no longer run it. A pump node that has died cannot stop the drive,
+    so the supervisor stops the drive. The supervisor also stops the drive at the end, whatever the
+    pump node reports.
 
     Attributes:
         nodes: processes of the nodes that have been started, by name.
@@ -379,11 +376,11 @@ class LiveSupervisor:
             self.start(record.start)
             record.cannot_start = ""
         except OSError as error:
-            record.starts_again = now + _MAX_WAIT_S
+            record.starts_again = now + restarts.MAX_WAIT_S
             why, before = error.strerror or str(error), record.cannot_start
             record.cannot_start = why
             if why != before:
-                again = f"another attempt is made every {_MAX_WAIT_S:g} s"
+                again = f"another attempt is made every {restarts.MAX_WAIT_S:g} s"
                 self._on_failure(name, f"cannot be started: {why}; {again}")
 
     def update(self) -> None:
@@ -428,27 +425,21 @@ class LiveSupervisor:
             NodeFailed: if the node is not restarted and the site must end.
         """
         record, code = self._records[name], self.nodes[name].process.returncode
-        while record.restarts and now - record.restarts[0] > _WINDOW_S:
-            record.restarts.popleft()
-        too_often, instead = len(record.restarts) >= MAX_RESTARTS, record.start.instead
-        given_up = too_often or (record.was_ready and code == EXIT_USAGE)
+        wait, instead = record.restarts.wait(now), record.start.instead
+        given_up = wait is None or (record.was_ready and code == EXIT_USAGE)
         replaced = instead(self._reason(name, failure)) if instead and given_up else ()
         if replaced:
             record.start = replace(record.start, arguments=replaced, instead=None)
-            record.restarts.clear()
-            too_often = False
+            record.restarts, wait = Restarts(), restarts.FIRST_WAIT_S
         if not record.was_ready and code in (EXIT_USAGE, EXIT_OCCUPIED):
             raise NodeFailed(f"node {name} {failure}", self.last_lines_of(name), code)
-        if too_often:
+        if wait is None:
             raise NodeFailed(
-                f"node {name} {failure}; it has been restarted {len(record.restarts)} times in the "
-                f"last {_WINDOW_S / 60:g} minutes, and will not be restarted again",
+                f"node {name} {failure}; it has been restarted {restarts.MAX_RESTARTS} times in "
+                f"the last {restarts.WINDOW_S / 60:g} minutes, and will not be restarted again",
                 self.last_lines_of(name), EXIT_FAILED,
             )
-        wait = min(2.0 ** len(record.restarts), _MAX_WAIT_S)
         record.starts_again = now + wait
-        if not replaced:
-            record.restarts.append(now)
         how = "given up: " if replaced else ""
         self._on_failure(name, f"{failure}; {how}starts again in {wait:g} s")
         if name == PUMP and self._stop_drive is not None:

@@ -11,7 +11,7 @@ import time
 from functools import partial
 
 from greenroof_ros.graph.executable import run_nodes
-from greenroof_ros.live import station
+from greenroof_ros.live import restarts, station
 from greenroof_ros.live.node import LiveNode, spin
 
 
@@ -36,6 +36,6 @@ kind = sys.argv[1]
 sys.argv[1:] = ["--ros-args"]
 if kind == "alone":
     sys.exit(run_nodes(partial(Failing, 3.0), spin))
-station._MAX_WAIT_S, station._MAX_FAILURES = 0.5, 2
+restarts.MAX_WAIT_S, restarts.MAX_RESTARTS = 0.5, 2
 makers = [partial(Failing, 0.0), Working]
 sys.exit(run_nodes(lambda: [make() for make in makers], partial(station.keep_nodes, makers)))

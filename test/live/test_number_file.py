@@ -17,11 +17,20 @@ from greenroof_ros.live.number_file import NumberFile
 TOO_LONG_S = 60
 
 
-@pytest.mark.parametrize("content", ["[1.0]", '{"a": NaN}', '{"a": true}', "\0\1"])
-def test_what_is_no_mapping_of_numbers_is_refused(tmp_path: Path, content: str) -> None:
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        ("[1.0]", "must be a mapping of names to numbers"),
+        ('{"a": NaN}', "a = nan: must be a finite number"),
+        ('{"a": true}', "a = True: must be a finite number"), ("\0\1", "line 1"),
+    ],
+)
+def test_what_is_no_mapping_of_numbers_is_refused(
+    tmp_path: Path, content: str, reason: str
+) -> None:
     file = tmp_path / "numbers.json"
     file.write_text(content)
-    refusal(NumberFile(file).read, match=r"numbers\.json")
+    refusal(NumberFile(file).read, match=rf"numbers\.json.*{reason}")
 
 
 def test_a_disk_that_hangs_holds_no_one_up(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from graphs import alive, wait_for
 from places import CHECKOUT
 
 from greenroof_ros.base.disk import DISK
-from greenroof_ros.live import supervisor
+from greenroof_ros.live import restarts
 from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.site_run import _StartReport, describe_site
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeSetup, ProcessStart
@@ -111,7 +111,7 @@ def site(
     """A site; a test can set its supervisor's limits."""
     monkeypatch.setenv("PYTHONPATH", f"{CHECKOUT}{os.pathsep}{Path(__file__).parent}")
     values = dict(getattr(request, "param", {}))
-    monkeypatch.setattr(supervisor, "MAX_RESTARTS", values.pop("restarts", 10))
+    monkeypatch.setattr(restarts, "MAX_RESTARTS", values.pop("restarts", 10))
     site = Site(tmp_path, **values)
     yield site
     site.end()
@@ -345,7 +345,7 @@ def test_a_node_that_cannot_be_started_again_for_now(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is reported once and retried."""
-    monkeypatch.setattr(supervisor, "_MAX_WAIT_S", 1.0)
+    monkeypatch.setattr(restarts, "MAX_WAIT_S", 1.0)
     site.add("weather", "pump")
     site.until(lambda: site.supervisor.last.keys() == {"weather", "pump"})
     site.until_ready()

@@ -52,13 +52,13 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
     """Read a measured record from CSV; see :func:`greenroof_ros.weather.table.read_rows`.
 
     Each row covers the step that begins at the time given (or, with ``rows: end``, ends at it);
-    levels are measured at that time. Rows
-    are no more than a day apart. Rain, ``level`` or ``runoff``, and evapotranspiration are
-    required. Evapotranspiration is taken from the column ``reference evapotranspiration``, with
-    gaps of no more than an hour. Alternatively, it is computed with Hargreaves' equation from
-    ``temperature``, or from ``minimum temperature`` and ``maximum temperature`` in any row of the
-    day. Pumped water is taken from the column ``pumped``, or is computed from ``pump state`` (share
-    of the maximum flow) and ``cistern level``; without these columns it is 0.
+    levels are measured at that time. Rows are no more than a day apart. Rain, ``level`` or
+    ``runoff``, and evapotranspiration are required. Evapotranspiration is taken from the column
+    ``reference evapotranspiration``, with gaps of no more than an hour. Alternatively, it is
+    computed with Hargreaves' equation from ``temperature``, or from ``minimum temperature`` and
+    ``maximum temperature`` in any row of the day. Pumped water is taken from the column ``pumped``,
+    or is computed from ``pump state`` (share of the maximum flow) and ``cistern level``; without
+    these columns it is 0.
 
     Args:
         file: the record, or a description of it.

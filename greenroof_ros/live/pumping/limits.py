@@ -355,6 +355,6 @@ def check_command_limit(limit: float, tau: float, key: str) -> None:
     if limit <= tau:
         raise ConfigurationError(
             f"must exceed tau of the site, {tau:g} s, because one command arrives per tau: set a "
-            "smaller tau in the site file, or command_limit (at most 10 s) with --node-parameters",
+            "smaller tau in the site file, or a greater command_limit with --node-parameters",
             key=key, value=limit,
         )
