@@ -53,7 +53,7 @@ _WORDS = {
 _OTHER = (
     r"gust|direction|\bdir|\bmax|\bmin\b|high|low\b|soil|inside|indoor|\bin temp|batt|panel|flag|"
     r"quali|chill|index|evt|water|logger|_std|apparent|bucket|daily|event|month|year|week|"
-    r"sea ?level|rel(ative)?\.? press|altimeter|change|tendenc|vapo|24 h|total|racha|rate|heat|wet"
+    r"sea ?level|rel\w*\.? press|altimeter|change|tendenc|vapo|24 h|total|racha|rate|heat|wet"
 )
 # A code of missing values is a number, or a text without digits, but not the T of a trace of rain.
 _CODE = re.compile(r"[-+]?\d*([.,]\d+)?|(?!t$|tr$|trace$)\D*", re.IGNORECASE)
