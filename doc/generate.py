@@ -458,8 +458,8 @@ def interlocks() -> str | None:
     """Return the conditions that keep the pump off, in their order; None without ROS 2."""
     if importlib.util.find_spec("rclpy") is None:
         return None
-    from greenroof_ros.graph.parameters import default_site
     from greenroof_ros.live import pump, weather
+    from greenroof_ros.ros.parameters import default_site
 
     meanings, site = read_conditions(), default_site()
     limits = {entry.name: entry for node in (weather, pump) for entry in node.parameters(site)}
@@ -693,12 +693,12 @@ def nodes() -> str | None:
     """Return the parameters that each node declares; None without ROS 2."""
     if importlib.util.find_spec("rclpy") is None:
         return None
-    from greenroof_ros.graph.parameters import default_site, type_name
     from greenroof_ros.live import controller as live_controller
     from greenroof_ros.live import pump, sensors
     from greenroof_ros.live import recorder as live_recorder
     from greenroof_ros.live import weather as live_weather
     from greenroof_ros.nodes import controller, plant, recorder, weather
+    from greenroof_ros.ros.parameters import default_site, type_name
 
     site = default_site()
     declared = {

@@ -34,9 +34,9 @@ _ROOMS = (
     "base", "interface", "controllers", "physics", "results", "simulation", "live.pumping",
     "live.devices", "live.simulators", "watch", "analysis.report", "analysis.workers",
     "analysis.study", "analysis.sizing", "analysis.district", "analysis.calibration",
-    "analysis.verification", "graph", "bringup", "nodes", "live",
+    "analysis.verification", "ros", "bringup", "nodes", "live",
 )
-_OF_ROS = ("graph", "bringup", "nodes", "live")
+_OF_ROS = ("ros", "bringup", "nodes", "live")
 _LIMIT_S = 900
 _PR_SET_CHILD_SUBREAPER = 36
 

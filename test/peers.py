@@ -47,7 +47,7 @@ class Peer:
         from rclpy.node import Node
         from rclpy.signals import SignalHandlerOptions
 
-        from greenroof_ros.graph.domain import prepare_ros
+        from greenroof_ros.ros.domain import prepare_ros
 
         self.context = rclpy.Context()
         prepare_ros()

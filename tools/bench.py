@@ -34,9 +34,9 @@ def echo(role: str) -> None:
     from rclpy.node import Node
     from std_msgs.msg import Float64
 
-    from greenroof_ros.graph.messages import qos_profile
-    from greenroof_ros.graph.spin import make_executor
     from greenroof_ros.interface.topics import read_topics
+    from greenroof_ros.ros.messages import qos_profile
+    from greenroof_ros.ros.spin import make_executor
 
     rclpy.init(args=[])
     node = Node(role)

@@ -11,13 +11,13 @@ from typing import Any
 from greenroof_ros.bringup.progress import RunProgress
 from greenroof_ros.bringup.watchdog import Watchdog
 from greenroof_ros.controllers.registry import EXTERNAL
-from greenroof_ros.graph.node import SimulationNode
-from greenroof_ros.graph.spin import destroy_nodes, end_nodes, ros, spin
 from greenroof_ros.interface.states import RECORDER
 from greenroof_ros.nodes.controller import ControllerNode
 from greenroof_ros.nodes.plant import PlantNode
 from greenroof_ros.nodes.recorder import RecorderNode
 from greenroof_ros.nodes.weather import WeatherNode
+from greenroof_ros.ros.node import SimulationNode
+from greenroof_ros.ros.spin import destroy_nodes, end_nodes, ros, spin
 from greenroof_ros.simulation.run import Run
 
 # How long messages of a node that is not composed here are still received after the last tick (s):

@@ -21,18 +21,18 @@ from greenroof_ros.base.standard_error import LINES, print_line
 from greenroof_ros.bringup.progress import RunProgress
 from greenroof_ros.bringup.start import bring_up
 from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL, ControllerChoice, find_controller
-from greenroof_ros.graph.arguments import add_graph_arguments
-from greenroof_ros.graph.domain import (
+from greenroof_ros.interface.states import RECORDER
+from greenroof_ros.results.bag_read import count_ticks
+from greenroof_ros.ros.arguments import add_graph_arguments
+from greenroof_ros.ros.domain import (
     lock_namespace,
     refuse_other_nodes,
     require_ros,
     ros_arguments,
 )
-from greenroof_ros.graph.errors import explain
-from greenroof_ros.graph.parameter_file import node_parameter_files
-from greenroof_ros.graph.ros_arguments import find_options, remove_ros_arguments
-from greenroof_ros.interface.states import RECORDER
-from greenroof_ros.results.bag_read import count_ticks
+from greenroof_ros.ros.errors import explain
+from greenroof_ros.ros.parameter_file import node_parameter_files
+from greenroof_ros.ros.ros_arguments import find_options, remove_ros_arguments
 from greenroof_ros.simulation import screen, summary
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration
 from greenroof_ros.simulation.options import (

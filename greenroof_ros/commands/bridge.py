@@ -9,7 +9,7 @@ from contextlib import suppress
 from greenroof_ros.base.command_line import Parser, command
 from greenroof_ros.base.mqtt import parse_broker
 from greenroof_ros.base.processes import InterruptedRun, Signals
-from greenroof_ros.graph.domain import add_namespace
+from greenroof_ros.ros.domain import add_namespace
 from greenroof_ros.watch.bridge import Bridge
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.store import GraphStore

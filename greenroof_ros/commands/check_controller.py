@@ -7,8 +7,8 @@ import argparse
 from greenroof_ros.base.command_line import Parser, add_site, command, make_number_type
 from greenroof_ros.controllers.check import check_controller
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
-from greenroof_ros.graph.domain import require_ros
 from greenroof_ros.nodes.check_results import print_results
+from greenroof_ros.ros.domain import require_ros
 from greenroof_ros.simulation.options import add_output_arguments, add_run_arguments
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import MAX_HORIZON

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from greenroof_ros.base.command_line import Parser, add_site, command, make_number_type
-from greenroof_ros.graph.domain import require_ros
 from greenroof_ros.nodes.check_results import print_results
+from greenroof_ros.ros.domain import require_ros
 from greenroof_ros.site.file import read_site
 
 _INVENTED = (

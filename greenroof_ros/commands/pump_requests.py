@@ -18,8 +18,8 @@ from greenroof_ros.base.command_line import (
     make_number_type,
 )
 from greenroof_ros.base.times import parse_time, to_people
-from greenroof_ros.graph.domain import add_namespace, require_ros
 from greenroof_ros.interface.states import PUMP
+from greenroof_ros.ros.domain import add_namespace, require_ros
 from greenroof_ros.watch import wire
 from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, PumpRequestError
 from greenroof_ros.watch.registry import Registry

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from greenroof_ros.base.command_line import EXIT_DONE, Parser, command
-from greenroof_ros.graph.domain import add_namespace
+from greenroof_ros.ros.domain import add_namespace
 from greenroof_ros.watch.document import join_summary, make_document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.store import GraphStore

@@ -12,8 +12,8 @@ from greenroof_ros.base.command_line import Parser, command, make_number_type
 from greenroof_ros.base.errors import ConfigurationError, describe_extra
 from greenroof_ros.base.files import state_directory
 from greenroof_ros.base.processes import InterruptedRun, Signals
-from greenroof_ros.graph.arguments import add_foxglove
-from greenroof_ros.graph.domain import add_namespace
+from greenroof_ros.ros.arguments import add_foxglove
+from greenroof_ros.ros.domain import add_namespace
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.foxglove_server import FoxgloveServer
 from greenroof_ros.watch.listening import LOOPBACK, PORTS, is_loopback, new_token, read_token

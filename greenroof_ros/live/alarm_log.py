@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.base.disk import DISK
-from greenroof_ros.graph.alarms import Change
 from greenroof_ros.interface.alarm import Alarm, to_record
 from greenroof_ros.results.alarm_file import OLDER, read_alarms
+from greenroof_ros.ros.alarms import Change
 
 # Size at which the file is renamed, replacing the previous one: over a thousand alarms (bytes).
 _FULL = 1_000_000

@@ -7,7 +7,7 @@ any class specified as ``package.module:Class``; the node is named after the con
 
 from __future__ import annotations
 
-from greenroof_ros.graph import begin_node
+from greenroof_ros.ros import begin_node
 
 begin_node(__name__)
 
@@ -34,8 +34,6 @@ from greenroof_ros.controllers.decide import (
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
 from greenroof_ros.controllers.protocol import set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
-from greenroof_ros.graph.controller_parameters import ControllerParameters, of_reference
-from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.states import ENDED
 from greenroof_ros.interface.topics import optional_topics
@@ -47,6 +45,8 @@ from greenroof_ros.live.supervisor_socket import supervisor_socket
 from greenroof_ros.live.time_limit import deciding_limit, time_limit
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import pump_flow
+from greenroof_ros.ros.controller_parameters import ControllerParameters, of_reference
+from greenroof_ros.ros.parameters import declare, site_file
 from greenroof_ros.site.site import Site
 
 # The inputs; without the forecasts, the flow or the gauge, the node still commands.

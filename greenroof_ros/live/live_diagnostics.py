@@ -11,9 +11,9 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from greenroof_ros.base.times import iso
-from greenroof_ros.graph.diagnostics import NodeDiagnostics
 from greenroof_ros.interface.conditions import Diagnosis, Value, identity_of
 from greenroof_ros.live.supervisor_socket import supervisor_socket
+from greenroof_ros.ros.diagnostics import NodeDiagnostics
 
 # The levels of a diagnosis, as ROS tools know them.
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN

@@ -12,14 +12,14 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from greenroof_ros.graph.errors import MalformedMessageError
-from greenroof_ros.graph.inputs import Input
-from greenroof_ros.graph.messages import qos_profile
-from greenroof_ros.graph.publishers import DISCOVERY_S, Publishers
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.topics import Topic
 from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.pumping.input_rules import AWAITED, InputRules
+from greenroof_ros.ros.errors import MalformedMessageError
+from greenroof_ros.ros.inputs import Input
+from greenroof_ros.ros.messages import qos_profile
+from greenroof_ros.ros.publishers import DISCOVERY_S, Publishers
 
 # How many messages on a topic can wait for the recorder while it or the machine is busy.
 _RECORDED_DEPTH = 1000

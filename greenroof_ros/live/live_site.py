@@ -13,7 +13,6 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.decide import find_place
 from greenroof_ros.controllers.registry import EXTERNAL, FOR_A_SITE, ControllerChoice
 from greenroof_ros.forecast.service import ENSEMBLE, FORECAST, OPEN_METEO
-from greenroof_ros.graph.arguments import add_graph_arguments
 from greenroof_ros.interface.states import PUMP, RECORDER
 from greenroof_ros.live.devices.drive import DriveEndpoint
 from greenroof_ros.live.devices.modbus_line import parse_address
@@ -22,6 +21,7 @@ from greenroof_ros.live.drive_choice import DriveChoice, add_drive_arguments, re
 from greenroof_ros.live.pumping.state_file import STATE_FILE
 from greenroof_ros.live.supervisor import STATION, NodeSetup, ProcessStart
 from greenroof_ros.live.valve import refuse_valve
+from greenroof_ros.ros.arguments import add_graph_arguments
 from greenroof_ros.simulation.options import (
     add_controller_arguments,
     read_controller,

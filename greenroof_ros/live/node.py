@@ -15,13 +15,6 @@ from typing import NoReturn
 from rclpy.executors import SingleThreadedExecutor
 
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.graph.executable import node_command
-from greenroof_ros.graph.graph_node import GraphNode
-from greenroof_ros.graph.messages import pass_whole
-from greenroof_ros.graph.parameters import USE_SIM_TIME, fix
-from greenroof_ros.graph.peers import group_by_role
-from greenroof_ros.graph.publishers import DISCOVERY_S
-from greenroof_ros.graph.spin import start_receiving
 from greenroof_ros.interface.states import READY
 from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.engine import LIMITS, RECOVERY, SampleAndHold
@@ -30,6 +23,13 @@ from greenroof_ros.live.live_input import LiveInput, LivePublishers
 from greenroof_ros.live.live_topics import read_live_topics
 from greenroof_ros.live.pumping.input_rules import InputRules, LevelRule
 from greenroof_ros.live.valve import refuse_valve
+from greenroof_ros.ros.executable import node_command
+from greenroof_ros.ros.graph_node import GraphNode
+from greenroof_ros.ros.messages import pass_whole
+from greenroof_ros.ros.parameters import USE_SIM_TIME, fix
+from greenroof_ros.ros.peers import group_by_role
+from greenroof_ros.ros.publishers import DISCOVERY_S
+from greenroof_ros.ros.spin import start_receiving
 from greenroof_ros.site.site import Site
 
 # Longest time for which a node waits for messages before it checks clocks and signals again (s).

@@ -18,7 +18,7 @@ since 1970) delivers a volume once, or returns the reason for rejecting the requ
 
 from __future__ import annotations
 
-from greenroof_ros.graph import begin_node
+from greenroof_ros.ros import begin_node
 
 begin_node(__name__)
 
@@ -37,7 +37,6 @@ from std_srvs.srv import SetBool, Trigger
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import state_directory
 from greenroof_ros.base.parameter import Parameter
-from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.states import DriveState, PumpState
 from greenroof_ros.live.boot_clock import boot_time, suspended_time
@@ -56,6 +55,7 @@ from greenroof_ros.live.pumping.limits import (
 from greenroof_ros.live.pumping.pump_control import Decision, PumpControl
 from greenroof_ros.live.pumping.pump_inputs import INPUTS, Observation
 from greenroof_ros.live.pumping.state_file import MAX_NUMBER, StateFile
+from greenroof_ros.ros.parameters import declare, site_file
 from greenroof_ros.site.site import Site
 
 COMMAND_LIMIT = LIMITS["/pump/command"]

@@ -10,7 +10,7 @@ otherwise, one report per node is recorded every ten seconds.
 
 from __future__ import annotations
 
-from greenroof_ros.graph import begin_node
+from greenroof_ros.ros import begin_node
 
 begin_node(__name__)
 
@@ -25,10 +25,10 @@ from rclpy.serialization import deserialize_message
 
 from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.parameter import Parameter
-from greenroof_ros.graph.parameters import declare
 from greenroof_ros.interface.conditions import Diagnosis, identity_of
 from greenroof_ros.live.live_bag import LiveBag
 from greenroof_ros.live.node import LiveNode, live_command
+from greenroof_ros.ros.parameters import declare
 from greenroof_ros.site.site import Site
 
 # A file of the bag is neither larger than this nor than a tenth of the whole bag.

@@ -8,7 +8,7 @@ and the reason is reported on /diagnostics; the last value then becomes too old 
 
 from __future__ import annotations
 
-from greenroof_ros.graph import begin_node
+from greenroof_ros.ros import begin_node
 
 begin_node(__name__)
 
@@ -19,7 +19,6 @@ from functools import partial
 from pathlib import Path
 
 from greenroof_ros.base.parameter import Parameter
-from greenroof_ros.graph.parameters import declare
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.devices.modbus_sensor import ModbusReader, SensorLine
 from greenroof_ros.live.devices.mqtt_sensor import MqttReader
@@ -27,6 +26,7 @@ from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS, ModbusSens
 from greenroof_ros.live.engine import LIMITS
 from greenroof_ros.live.live_diagnostics import ERROR, STALE, WARN
 from greenroof_ros.live.node import LiveNode, live_command
+from greenroof_ros.ros.parameters import declare
 
 # After this many periods without a reading, good or bad, the reader of a device counts as hung.
 _PERIODS = 5

@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.graph.alarms import Judge, NodeReport, is_starting
 from greenroof_ros.interface.alarm import ALARMS
 from greenroof_ros.interface.states import STARTING
 from greenroof_ros.live.alarm_log import AlarmLog
 from greenroof_ros.live.live_topics import read_live_topics
 from greenroof_ros.live.supervisor import ProcessStart
+from greenroof_ros.ros.alarms import Judge, NodeReport, is_starting
 
 # A longer gap between two updates means that this process was paused (s), so what it has not read
 # yet does not mean that the nodes were silent.

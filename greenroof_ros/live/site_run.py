@@ -31,9 +31,6 @@ from greenroof_ros.base.standard_error import print_line
 from greenroof_ros.base.text import number_of
 from greenroof_ros.base.times import iso
 from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL
-from greenroof_ros.graph.alarms import Judge
-from greenroof_ros.graph.domain import lock_namespace, refuse_other_nodes, require_ros
-from greenroof_ros.graph.parameter_file import find_value, node_parameter_files
 from greenroof_ros.interface.alarm import WARN, advise
 from greenroof_ros.interface.states import PUMP, DriveState, PumpState
 from greenroof_ros.live.latest_writer import LatestWriter
@@ -45,6 +42,9 @@ from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, ProcessStart
 from greenroof_ros.live.time_limit import silence_limit
 from greenroof_ros.results.versions import versions
+from greenroof_ros.ros.alarms import Judge
+from greenroof_ros.ros.domain import lock_namespace, refuse_other_nodes, require_ros
+from greenroof_ros.ros.parameter_file import find_value, node_parameter_files
 from greenroof_ros.simulation import summary
 from greenroof_ros.simulation.directory import write_parameters
 from greenroof_ros.site.file import format_site, read_site

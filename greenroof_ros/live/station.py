@@ -9,7 +9,7 @@ node that hangs stops the others too, so the supervisor restarts the process.
 
 from __future__ import annotations
 
-from greenroof_ros.graph import begin_node
+from greenroof_ros.ros import begin_node
 
 begin_node(__name__)
 
@@ -23,14 +23,14 @@ from pathlib import Path
 from rclpy.executors import SingleThreadedExecutor
 
 from greenroof_ros.base.command_line import command
-from greenroof_ros.graph.errors import print_failure
-from greenroof_ros.graph.executable import NodeParser, run_nodes
-from greenroof_ros.graph.spin import end_nodes, start_receiving
 from greenroof_ros.live.node import LiveNode
 from greenroof_ros.live.recorder import LiveRecorderNode
 from greenroof_ros.live.restarts import Restarts
 from greenroof_ros.live.sensors import sensor_makers
 from greenroof_ros.live.weather import LiveWeatherNode
+from greenroof_ros.ros.errors import print_failure
+from greenroof_ros.ros.executable import NodeParser, run_nodes
+from greenroof_ros.ros.spin import end_nodes, start_receiving
 
 # Longest wait for a message while no node asks for less (s).
 _WAIT_S = 0.05

@@ -28,12 +28,12 @@ from greenroof_ros.base.command_line import (
 )
 from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.processes import child_environment
-from greenroof_ros.graph.domain import LEASE, ros_arguments
 from greenroof_ros.interface.states import PUMP, READY, RECORDER, DriveState
 from greenroof_ros.live import restarts
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS
 from greenroof_ros.live.restarts import Restarts
 from greenroof_ros.live.supervisor_socket import SOCKET, read_report
+from greenroof_ros.ros.domain import LEASE, ros_arguments
 
 # How long to wait for a process to end before it is killed (s). The pump node is given longer: it
 # waits until the pump is stopped, while the speed falls.

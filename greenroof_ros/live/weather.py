@@ -7,8 +7,8 @@ once at the start.
 
 from __future__ import annotations
 
-from greenroof_ros.graph import begin_node
 from greenroof_ros.live.latest_writer import LatestWriter
+from greenroof_ros.ros import begin_node
 
 begin_node(__name__)
 
@@ -37,13 +37,13 @@ from greenroof_ros.forecast.service import (
     Service,
 )
 from greenroof_ros.forecast.steps import Outlook
-from greenroof_ros.graph.parameters import declare, look_ahead_parameters, site_file
-from greenroof_ros.graph.weather_outputs import EVAPOTRANSPIRATION, FROST, RAIN, WeatherOutputs
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.engine import live_parameters
 from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.live_input import LiveInput
 from greenroof_ros.live.node import LiveNode, live_command
+from greenroof_ros.ros.parameters import declare, look_ahead_parameters, site_file
+from greenroof_ros.ros.weather_outputs import EVAPOTRANSPIRATION, FROST, RAIN, WeatherOutputs
 from greenroof_ros.site.site import Site
 
 # How long the start waits for the first forecast (s), which is more than most files take.

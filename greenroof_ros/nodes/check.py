@@ -20,12 +20,12 @@ from rclpy.publisher import Publisher
 
 from greenroof_ros.base.errors import ConfigurationError, OccupiedError
 from greenroof_ros.base.processes import Signals
-from greenroof_ros.graph import messages
-from greenroof_ros.graph.errors import MalformedMessageError
-from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
-from greenroof_ros.graph.publishers import display_name
-from greenroof_ros.graph.spin import make_executor, ros
 from greenroof_ros.interface.topics import read_topics
+from greenroof_ros.ros import messages
+from greenroof_ros.ros.errors import MalformedMessageError
+from greenroof_ros.ros.lockstep import CLOCK, RUN, RunIdentity
+from greenroof_ros.ros.publishers import display_name
+from greenroof_ros.ros.spin import make_executor, ros
 from greenroof_ros.site.site import Site
 
 # More ticks than a check ever takes.

@@ -8,8 +8,8 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from greenroof_ros.controllers.check import trial_values
-from greenroof_ros.graph.messages import WithFront
 from greenroof_ros.nodes.check import NodeCheck, Story, StoryEndError, Values, describe
+from greenroof_ros.ros.messages import WithFront
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
 

@@ -6,7 +6,7 @@ any class given as ``package.module:Class``. The node has the name of the contro
 
 from __future__ import annotations
 
-from greenroof_ros.graph import begin_node
+from greenroof_ros.ros import begin_node
 
 begin_node(__name__)
 
@@ -16,13 +16,13 @@ from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.controllers.decide import decide, may_decide, read_statistics
 from greenroof_ros.controllers.protocol import set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
-from greenroof_ros.graph.controller_parameters import ControllerParameters, of_reference
-from greenroof_ros.graph.executable import node_command
-from greenroof_ros.graph.lockstep import CLOCK
-from greenroof_ros.graph.node import SimulationNode
-from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.interface.topics import optional_topics
 from greenroof_ros.physics.storm_water import WITHOUT_RAIN
+from greenroof_ros.ros.controller_parameters import ControllerParameters, of_reference
+from greenroof_ros.ros.executable import node_command
+from greenroof_ros.ros.lockstep import CLOCK
+from greenroof_ros.ros.node import SimulationNode
+from greenroof_ros.ros.parameters import declare, site_file
 
 
 def parameters(choice: ControllerChoice | None) -> list[Parameter]:

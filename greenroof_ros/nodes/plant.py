@@ -7,7 +7,7 @@ publishes the clock and the levels of tick k + 1, followed by the flows of tick 
 
 from __future__ import annotations
 
-from greenroof_ros.graph import begin_node
+from greenroof_ros.ros import begin_node
 
 begin_node(__name__)
 
@@ -22,11 +22,6 @@ from rclpy.clock_type import ClockType
 from greenroof_ros.base.errors import OccupiedError, rename_keys
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import DEFAULT_START, epoch_ns, read_start
-from greenroof_ros.graph.errors import LockstepError
-from greenroof_ros.graph.executable import node_command
-from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
-from greenroof_ros.graph.node import SimulationNode
-from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.interface.states import PLANT
 from greenroof_ros.physics.parameters import Flows
 from greenroof_ros.physics.sensor_and_pump import PARAMETERS, SensorAndPump
@@ -35,6 +30,11 @@ from greenroof_ros.physics.storm_water import WITHOUT_RAIN
 from greenroof_ros.physics.tick import OWN_PUMPS
 from greenroof_ros.physics.virtual_site import VirtualSite
 from greenroof_ros.results.metrics import Metrics
+from greenroof_ros.ros.errors import LockstepError
+from greenroof_ros.ros.executable import node_command
+from greenroof_ros.ros.lockstep import CLOCK, RUN, RunIdentity
+from greenroof_ros.ros.node import SimulationNode
+from greenroof_ros.ros.parameters import declare, site_file
 from greenroof_ros.site.site import Site
 
 # How far the plant may be ahead of the ticks that the recorder has flushed (ticks).

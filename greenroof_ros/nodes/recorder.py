@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from greenroof_ros.graph import begin_node
+from greenroof_ros.ros import begin_node
 
 begin_node(__name__)
 
@@ -15,15 +15,15 @@ from typing import Any
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.controllers.registry import DEFAULT, find_controller
-from greenroof_ros.graph.errors import LockstepError
-from greenroof_ros.graph.executable import node_command
-from greenroof_ros.graph.lockstep import CLOCK
-from greenroof_ros.graph.messages import decode_clock
-from greenroof_ros.graph.node import SimulationNode
-from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.interface.states import RECORDER
 from greenroof_ros.interface.topics import recorded_topics
 from greenroof_ros.results.bag_write import BagWriter
+from greenroof_ros.ros.errors import LockstepError
+from greenroof_ros.ros.executable import node_command
+from greenroof_ros.ros.lockstep import CLOCK
+from greenroof_ros.ros.messages import decode_clock
+from greenroof_ros.ros.node import SimulationNode
+from greenroof_ros.ros.parameters import declare, site_file
 from greenroof_ros.site.site import Site
 
 

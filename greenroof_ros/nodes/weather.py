@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from greenroof_ros.graph import begin_node
+from greenroof_ros.ros import begin_node
 
 begin_node(__name__)
 
@@ -14,12 +14,12 @@ from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.forecast.choice import INPUTS, MODELS, OPTIONS, PERFECT, ForecastChoice, choose
 from greenroof_ros.forecast.steps import make_forecast
-from greenroof_ros.graph.errors import LockstepError
-from greenroof_ros.graph.executable import node_command
-from greenroof_ros.graph.lockstep import CLOCK
-from greenroof_ros.graph.node import SimulationNode
-from greenroof_ros.graph.parameters import declare, look_ahead_parameters, site_file
-from greenroof_ros.graph.weather_outputs import EVAPOTRANSPIRATION, FROST, RAIN, WeatherOutputs
+from greenroof_ros.ros.errors import LockstepError
+from greenroof_ros.ros.executable import node_command
+from greenroof_ros.ros.lockstep import CLOCK
+from greenroof_ros.ros.node import SimulationNode
+from greenroof_ros.ros.parameters import declare, look_ahead_parameters, site_file
+from greenroof_ros.ros.weather_outputs import EVAPOTRANSPIRATION, FROST, RAIN, WeatherOutputs
 from greenroof_ros.site.horizon import MAX_HORIZON
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.read import default_weather, find_files, read_weather

@@ -1,6 +1,6 @@
 """Alarms of a graph, as shown by the page, the status command and the bridge.
 
-:mod:`greenroof_ros.graph.alarms` decides which conditions are alarms, as it does for the
+:mod:`greenroof_ros.ros.alarms` decides which conditions are alarms, as it does for the
 supervisor of a live site.
 """
 

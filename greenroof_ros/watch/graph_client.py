@@ -19,9 +19,9 @@ from collections.abc import Callable, Collection, Mapping
 from itertools import islice
 from typing import Any
 
-from greenroof_ros.graph.domain import SHUTDOWN_S, join
-from greenroof_ros.graph.rclpy_internals import take_messages
 from greenroof_ros.interface.topics import read_topics
+from greenroof_ros.ros.domain import SHUTDOWN_S, join
+from greenroof_ros.ros.rclpy_internals import take_messages
 from greenroof_ros.watch.words import list_names
 
 # How many messages on a topic can wait for the next poll: 1 s at 60 times real time.
@@ -103,7 +103,7 @@ class GraphClient:
         """Subscribe to the given topics of the interface and to /diagnostics, and to no others."""
         from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-        from greenroof_ros.graph.messages import message_class
+        from greenroof_ros.ros.messages import message_class
 
         needed = {DIAGNOSTICS, *topics}
         for name in self._subscriptions.keys() - needed:

@@ -19,7 +19,10 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.base.text import clean_text
-from greenroof_ros.graph.alarms import (
+from greenroof_ros.interface.alarm import ERROR, OK, STALE
+from greenroof_ros.interface.states import ENDED, FINISHED, PLANT, PUMP, STATES
+from greenroof_ros.interface.topics import read_topics
+from greenroof_ros.ros.alarms import (
     SILENT_S,
     NodeReport,
     PartReport,
@@ -27,9 +30,6 @@ from greenroof_ros.graph.alarms import (
     is_starting,
     make_diagnosis,
 )
-from greenroof_ros.interface.alarm import ERROR, OK, STALE
-from greenroof_ros.interface.states import ENDED, FINISHED, PLANT, PUMP, STATES
-from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.watch.wire import WireStatus
 from greenroof_ros.watch.words import clean_sentence, list_names, name_source
 

@@ -18,9 +18,9 @@ import numpy as np
 from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.text import clean_text
 from greenroof_ros.base.times import duration
-from greenroof_ros.graph.alarms import Judge
 from greenroof_ros.interface.states import PUMP, PUMP_STATES, PumpState
 from greenroof_ros.interface.topics import read_topics
+from greenroof_ros.ros.alarms import Judge
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import MAX_MEMBERS
 from greenroof_ros.site.site import Site

@@ -11,12 +11,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from greenroof_ros.graph.alarms import find_publishers
 from greenroof_ros.interface.alarm import WARN
 from greenroof_ros.interface.states import PUMP, PumpState
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import running_flow
 from greenroof_ros.results.sums import NEAR_TARGET
+from greenroof_ros.ros.alarms import find_publishers
 from greenroof_ros.site.site import Site
 from greenroof_ros.watch import words
 from greenroof_ros.watch.outlook import Plan, RainAmount

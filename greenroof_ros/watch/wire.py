@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from greenroof_ros.graph.messages import WithFront
+    from greenroof_ros.ros.messages import WithFront
 
 _NS = 1_000_000_000
 # Largest message that is read (bytes): an ensemble of forecasts has some hundred thousand.
@@ -48,15 +48,15 @@ def _read(message: bytes, decode: Callable[[bytes], Any]) -> Any:
 
 
 def read_value(type_name: str, message: bytes) -> Any:
-    """Return the value of a message (see :func:`greenroof_ros.graph.messages.decoder`)."""
-    from greenroof_ros.graph.messages import decoder  # only processes that join a graph need ROS
+    """Return the value of a message (see :func:`greenroof_ros.ros.messages.decoder`)."""
+    from greenroof_ros.ros.messages import decoder  # only processes that join a graph need ROS
 
     return _read(message, decoder(type_name))
 
 
 def read_rows(message: bytes) -> WithFront | None:
     """Return the numbers of a ``std_msgs/msg/Float64MultiArray``, and those before the offset."""
-    from greenroof_ros.graph.messages import decode_numbers
+    from greenroof_ros.ros.messages import decode_numbers
 
     rows: WithFront | None = _read(message, decode_numbers)
     return rows

@@ -23,13 +23,13 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.processes import lock_file
 from greenroof_ros.bringup.simulated import make_parser, simulated_run
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.graph.parameter_file import node_parameter_files
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.lock import acquire_drive_lock
 from greenroof_ros.live.drive_choice import DriveChoice
 from greenroof_ros.live.live_site import LiveSite
 from greenroof_ros.live.live_site import make_parser as live_site_parser
 from greenroof_ros.live.site_run import _check_pump, _fit_bag
+from greenroof_ros.ros.parameter_file import node_parameter_files
 
 EXTERNAL = ("--sensors", "external", "--pump", "external", "--weather", "external")
 

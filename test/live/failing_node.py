@@ -10,9 +10,9 @@ import sys
 import time
 from functools import partial
 
-from greenroof_ros.graph.executable import run_nodes
 from greenroof_ros.live import restarts, station
 from greenroof_ros.live.node import LiveNode, spin
+from greenroof_ros.ros.executable import run_nodes
 
 
 class Failing(LiveNode):

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from greenroof_ros.base.disk import DISK
-from greenroof_ros.graph.alarms import Change
 from greenroof_ros.interface.alarm import ALARMS, Alarm, to_record
 from greenroof_ros.live import alarm_log
 from greenroof_ros.live.alarm_log import AlarmLog
 from greenroof_ros.results.alarm_file import read_alarms
+from greenroof_ros.ros.alarms import Change
 
 BEGAN = 1_795_000_000.25
 LOST = Alarm(

@@ -18,9 +18,9 @@ from rclpy.duration import Duration
 from ros_rig import FORECASTS, Observer, ros_arguments
 from rosgraph_msgs.msg import Clock
 
-from greenroof_ros.graph.domain import LEASE
-from greenroof_ros.graph.messages import message_class
 from greenroof_ros.interface.topics import read_topics
+from greenroof_ros.ros.domain import LEASE
+from greenroof_ros.ros.messages import message_class
 
 
 class Nodes:

@@ -22,9 +22,9 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
-from greenroof_ros.graph.domain import prepare_ros
-from greenroof_ros.graph.messages import message_class, qos_profile
 from greenroof_ros.interface.topics import read_topics
+from greenroof_ros.ros.domain import prepare_ros
+from greenroof_ros.ros.messages import message_class, qos_profile
 
 
 @contextmanager

@@ -8,7 +8,9 @@ from typing import Any
 
 import pytest
 
-from greenroof_ros.graph.alarms import (
+from greenroof_ros.interface.alarm import ERROR, FOREIGN, OK, OTHER, STALE, WARN, Alarm, advise
+from greenroof_ros.interface.conditions import LATCHED, read_conditions, read_interlocks
+from greenroof_ros.ros.alarms import (
     SILENT_S,
     Judge,
     NodeReport,
@@ -16,8 +18,6 @@ from greenroof_ros.graph.alarms import (
     find_causes,
     is_starting,
 )
-from greenroof_ros.interface.alarm import ERROR, FOREIGN, OK, OTHER, STALE, WARN, Alarm, advise
-from greenroof_ros.interface.conditions import LATCHED, read_conditions, read_interlocks
 
 NOON = 1_800_000_000.0
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
 
-from greenroof_ros.graph.publishers import DISCOVERY_S, Publishers, list_nodes
 from greenroof_ros.interface.states import ROLES
 from greenroof_ros.interface.topics import Topic
+from greenroof_ros.ros.publishers import DISCOVERY_S, Publishers, list_nodes
 
 
 class Peers:

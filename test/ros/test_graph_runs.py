@@ -20,7 +20,7 @@ from greenroof_ros.simulation.loop import Simulation
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
-from greenroof_ros.graph.messages import encoder
+from greenroof_ros.ros.messages import encoder
 
 COLUMNS = {
     "/cistern/level": "cistern_level_m",

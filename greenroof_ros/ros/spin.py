@@ -18,11 +18,11 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.graph.domain import SHUTDOWN_S, prepare_ros
-from greenroof_ros.graph.errors import explain
-from greenroof_ros.graph.graph_node import GraphNode
-from greenroof_ros.graph.node import SimulationNode
-from greenroof_ros.graph.rclpy_internals import take_messages
+from greenroof_ros.ros.domain import SHUTDOWN_S, prepare_ros
+from greenroof_ros.ros.errors import explain
+from greenroof_ros.ros.graph_node import GraphNode
+from greenroof_ros.ros.node import SimulationNode
+from greenroof_ros.ros.rclpy_internals import take_messages
 
 # How often the wall clock, the signals and the ends of the nodes are checked (s).
 _CHECK_S = 0.05

@@ -1,7 +1,7 @@
 """Base class of the nodes of a simulated graph.
 
 A node acts only when all its inputs have received their messages of the tick
-(:mod:`greenroof_ros.graph.lockstep`).
+(:mod:`greenroof_ros.ros.lockstep`).
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from rclpy.duration import Duration
 from rclpy.time import Time
 
 from greenroof_ros.base.errors import OccupiedError
-from greenroof_ros.graph.diagnostics import NodeDiagnostics
-from greenroof_ros.graph.errors import LockstepError
-from greenroof_ros.graph.graph_node import GraphNode
-from greenroof_ros.graph.inputs import Input
-from greenroof_ros.graph.lockstep import CLOCK, RUN, Lockstep
-from greenroof_ros.graph.messages import decoder, pass_whole, qos_profile
-from greenroof_ros.graph.parameters import USE_SIM_TIME, fix
-from greenroof_ros.graph.peers import Peers
-from greenroof_ros.graph.publishers import Publishers
-from greenroof_ros.graph.rclpy_internals import NoClockSubscription
 from greenroof_ros.interface.states import FINISHED, PLANT, READY
 from greenroof_ros.interface.topics import Qos, Topic, read_topics
+from greenroof_ros.ros.diagnostics import NodeDiagnostics
+from greenroof_ros.ros.errors import LockstepError
+from greenroof_ros.ros.graph_node import GraphNode
+from greenroof_ros.ros.inputs import Input
+from greenroof_ros.ros.lockstep import CLOCK, RUN, Lockstep
+from greenroof_ros.ros.messages import decoder, pass_whole, qos_profile
+from greenroof_ros.ros.parameters import USE_SIM_TIME, fix
+from greenroof_ros.ros.peers import Peers
+from greenroof_ros.ros.publishers import Publishers
+from greenroof_ros.ros.rclpy_internals import NoClockSubscription
 
 # How often publishers are counted and the node's state is reported (s of wall time): counting takes
 # at least a tenth of a millisecond.

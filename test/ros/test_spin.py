@@ -18,7 +18,7 @@ pytestmark = pytest.mark.graph
     ("import time; time.sleep(8)", 0),
 ])
 def test_a_lock_up_is_ended(end: str, code: int) -> None:
-    program = f"from greenroof_ros.graph.spin import end_soon; end_soon(); {end}"
+    program = f"from greenroof_ros.ros.spin import end_soon; end_soon(); {end}"
     done = subprocess.run(
         [sys.executable, "-c", program], env=environment(0), check=False, timeout=120
     )

@@ -15,9 +15,9 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 
 from greenroof_ros.base.times import iso
-from greenroof_ros.graph.messages import qos_profile
 from greenroof_ros.interface.states import STARTING
 from greenroof_ros.interface.topics import read_topics
+from greenroof_ros.ros.messages import qos_profile
 
 # Maximum length of a value on /diagnostics (characters): observers read no value longer than
 # 20,000, such as the rain events of a run of decades.

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from greenroof_ros.graph.messages import decoder
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.topics import Topic
+from greenroof_ros.ros.messages import decoder
 
 
 class Input:

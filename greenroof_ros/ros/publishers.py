@@ -9,8 +9,8 @@ from typing import Any
 
 from rclpy.node import Node
 
-from greenroof_ros.graph.messages import describe_qos, find_lacking
 from greenroof_ros.interface.topics import Qos, Topic
+from greenroof_ros.ros.messages import describe_qos, find_lacking
 
 # A node's name and its other endpoints may be discovered this long after its publisher (s).
 DISCOVERY_S = 1.0

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
-from greenroof_ros.graph.domain import join, require_ros, ros_arguments
+from greenroof_ros.ros.domain import join, require_ros, ros_arguments
 
 
 @contextmanager

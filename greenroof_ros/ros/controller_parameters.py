@@ -16,7 +16,7 @@ from greenroof_ros.base.parameter import Parameter, replace_infinity
 from greenroof_ros.controllers.decide import locate_error
 from greenroof_ros.controllers.outlet import OutletPolicy
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
-from greenroof_ros.graph.parameters import declare, find_given
+from greenroof_ros.ros.parameters import declare, find_given
 from greenroof_ros.site.site import Site
 
 # How many of the newest parameter changes are kept; all are counted.

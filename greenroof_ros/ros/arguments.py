@@ -7,7 +7,7 @@ from pathlib import Path
 
 from greenroof_ros.base.command_line import make_number_type
 from greenroof_ros.controllers.registry import EXTERNAL
-from greenroof_ros.graph.domain import parse_namespace
+from greenroof_ros.ros.domain import parse_namespace
 
 
 def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None:

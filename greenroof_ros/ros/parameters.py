@@ -2,7 +2,7 @@
 
 rclpy silently ignores a parameter that a node has not declared, so a limit with a mistyped name
 would have no effect. This module rejects undeclared parameters on a node's command line;
-:mod:`greenroof_ros.graph.parameter_file` rejects them in the parameter file for bringup.
+:mod:`greenroof_ros.ros.parameter_file` rejects them in the parameter file for bringup.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from greenroof_ros.base.errors import ConfigurationError, suggest_names
 from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.parameter_sections import read_sections
-from greenroof_ros.graph.parameter_file import check_value
+from greenroof_ros.ros.parameter_file import check_value
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import MAX_HORIZON
 from greenroof_ros.site.site import Site

@@ -20,11 +20,11 @@ from greenroof_ros.base.command_line import (
 )
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.processes import InterruptedRun, Signals
-from greenroof_ros.graph.errors import print_failure
-from greenroof_ros.graph.graph_node import GraphNode
-from greenroof_ros.graph.node import SimulationNode
-from greenroof_ros.graph.parameters import default_site, refuse_unknown, type_name
-from greenroof_ros.graph.spin import destroy_nodes, end_nodes, ros, spin
+from greenroof_ros.ros.errors import print_failure
+from greenroof_ros.ros.graph_node import GraphNode
+from greenroof_ros.ros.node import SimulationNode
+from greenroof_ros.ros.parameters import default_site, refuse_unknown, type_name
+from greenroof_ros.ros.spin import destroy_nodes, end_nodes, ros, spin
 
 
 class NodeParser(argparse.ArgumentParser):

@@ -7,7 +7,7 @@ code also leaves the padding of a message uninitialised; this module sets it to 
 identical runs write identical bags. All messages are written in little-endian byte order, which
 every machine that runs ROS 2 uses. The generated code decodes all other messages, such as
 big-endian messages and messages with a layout. A publisher may send any bytes: if they do not form
-a message of the type, decoding raises a :class:`~greenroof_ros.graph.errors.MalformedMessageError`,
+a message of the type, decoding raises a :class:`~greenroof_ros.ros.errors.MalformedMessageError`,
 and no other error.
 """
 
@@ -30,8 +30,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64, Float64MultiArray, String
 
-from greenroof_ros.graph.errors import MalformedMessageError
 from greenroof_ros.interface.topics import Qos
+from greenroof_ros.ros.errors import MalformedMessageError
 
 _HEADER = b"\x00\x01\x00\x00"  # little-endian, no options
 _NUMBER = struct.Struct("<4sd")

@@ -7,8 +7,8 @@ from array import array
 from datetime import datetime
 from typing import Any
 
-from greenroof_ros.graph.graph_node import GraphNode
-from greenroof_ros.graph.messages import WithFront
+from greenroof_ros.ros.graph_node import GraphNode
+from greenroof_ros.ros.messages import WithFront
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
 

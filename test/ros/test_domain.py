@@ -12,7 +12,7 @@ from places import CHECKOUT, CONFIG
 from refusals import refusal
 
 from greenroof_ros.base.errors import ConfigurationError, OccupiedError
-from greenroof_ros.graph.domain import check_environment, lock_namespace, require_ros
+from greenroof_ros.ros.domain import check_environment, lock_namespace, require_ros
 
 
 def test_one_bringup_in_a_namespace(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -67,7 +67,7 @@ def test_an_rclpy_without_the_fast_executor(monkeypatch: pytest.MonkeyPatch) -> 
     rclpy = pytest.importorskip("rclpy", reason="it is about ROS 2")
     from rclpy.executors import SingleThreadedExecutor
 
-    from greenroof_ros.graph.spin import make_executor
+    from greenroof_ros.ros.spin import make_executor
 
     rclpy.init(args=[])
     try:

@@ -18,14 +18,14 @@ from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
-from greenroof_ros.graph.messages import qos_profile  # noqa: E402
-from greenroof_ros.graph.rclpy_internals import (  # noqa: E402
+from greenroof_ros.interface.topics import read_topics  # noqa: E402
+from greenroof_ros.ros.messages import qos_profile  # noqa: E402
+from greenroof_ros.ros.rclpy_internals import (  # noqa: E402
     NoClockSubscription,
     raw_publish,
     take_messages,
 )
-from greenroof_ros.graph.spin import start_receiving  # noqa: E402
-from greenroof_ros.interface.topics import read_topics  # noqa: E402
+from greenroof_ros.ros.spin import start_receiving  # noqa: E402
 
 
 @pytest.fixture

@@ -34,8 +34,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from greenroof_ros.base.errors import OccupiedError
-from greenroof_ros.graph.errors import LockstepError
-from greenroof_ros.graph.inputs import Input
+from greenroof_ros.ros.errors import LockstepError
+from greenroof_ros.ros.inputs import Input
 
 CLOCK, RUN = "/clock", "/run"
 

@@ -28,15 +28,15 @@ from std_msgs.msg import (  # noqa: E402
     MultiArrayLayout,
 )
 
-from greenroof_ros.graph.errors import MalformedMessageError  # noqa: E402
-from greenroof_ros.graph.inputs import Input  # noqa: E402
-from greenroof_ros.graph.messages import (  # noqa: E402
+from greenroof_ros.interface.topics import Qos, read_topics  # noqa: E402
+from greenroof_ros.ros.errors import MalformedMessageError  # noqa: E402
+from greenroof_ros.ros.inputs import Input  # noqa: E402
+from greenroof_ros.ros.messages import (  # noqa: E402
     WithFront,
     decoder,
     encoder,
     find_lacking,
 )
-from greenroof_ros.interface.topics import Qos, read_topics  # noqa: E402
 
 NUMBER, NUMBERS, CLOCK = (
     "std_msgs/msg/Float64", "std_msgs/msg/Float64MultiArray", "rosgraph_msgs/msg/Clock"

@@ -19,14 +19,14 @@ from rclpy.qos import QoSProfile
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import as_started
-from greenroof_ros.graph.diagnostics import NodeDiagnostics
-from greenroof_ros.graph.errors import LockstepError, MalformedMessageError, describe
-from greenroof_ros.graph.inputs import Input
-from greenroof_ros.graph.messages import encoder, message_class, qos_profile
-from greenroof_ros.graph.parameters import declare, site_file
-from greenroof_ros.graph.rclpy_internals import raw_publish
 from greenroof_ros.interface.states import ENDED, STARTING
 from greenroof_ros.interface.topics import Topic
+from greenroof_ros.ros.diagnostics import NodeDiagnostics
+from greenroof_ros.ros.errors import LockstepError, MalformedMessageError, describe
+from greenroof_ros.ros.inputs import Input
+from greenroof_ros.ros.messages import encoder, message_class, qos_profile
+from greenroof_ros.ros.parameters import declare, site_file
+from greenroof_ros.ros.rclpy_internals import raw_publish
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 

@@ -13,6 +13,6 @@ def begin_node(module: str) -> None:
         module: the module's ``__name__``.
     """
     if begin_program(module):
-        from greenroof_ros.graph.domain import end_without_ros
+        from greenroof_ros.ros.domain import end_without_ros
 
         end_without_ros()
