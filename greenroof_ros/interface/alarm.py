@@ -1,4 +1,4 @@
-"""An alarm, and its record in ``alarms.jsonl`` and in a summary."""
+"""An alarm: its status on /alarms, and its record in ``alarms.jsonl`` and in a summary."""
 
 from __future__ import annotations
 
@@ -43,7 +43,8 @@ class Alarm:
     """A fault, as shown to users and stored in ``alarms.jsonl``.
 
     Attributes:
-        number: number of the alarm: 1, 2, ... in the order in which the alarms began.
+        number: number of the alarm: 1, 2, ... in the order in which the alarms began; 0 if it is
+            not an alarm, since it may still arrive while the site is starting.
         node: fully qualified name of the node that reports the fault or does not respond.
         part: part of the node; empty for the node itself.
         role: the node's role in the interface; empty for another device.
@@ -76,7 +77,7 @@ class Alarm:
 
     @property
     def name(self) -> str:
-        """The name of the alarm's status on /diagnostics."""
+        """The name of the alarm's status, on /diagnostics and on /alarms."""
         return f"{self.node}: {self.part}" if self.part else self.node
 
     @property
@@ -106,3 +107,42 @@ def read_record(record: Mapping[str, Any]) -> Alarm:
         for key in _TIMES
     }
     return Alarm(**{**record, **times, "about": tuple(record.get("about", ()))})
+
+
+def to_status(alarm: Alarm) -> tuple[int, dict[str, str]]:
+    """Return the level and the values of an alarm's status on /alarms.
+
+    The status also has the alarm's name, and its sentence as the message.
+    """
+    level = OK if alarm.ended is not None else LEVELS.index(alarm.level)
+    values = {
+        "number": f"{alarm.number}" if alarm.number else "",
+        "starting": "" if alarm.number else "true",
+        "role": alarm.role, "code": alarm.code, "fault": alarm.fault, "since": iso(alarm.since),
+        "follows": alarm.follows, "about": " ".join(alarm.about),
+        "serious": "true" if alarm.is_serious else "false",
+        "ended": "" if alarm.ended is None else iso(alarm.ended),
+        "seconds": "" if alarm.seconds is None else f"{alarm.seconds:.1f}",
+    }
+    return level, {key: value for key, value in values.items() if value}
+
+
+def read_status(name: str, level: int, message: str, values: Mapping[str, str]) -> Alarm:
+    """Return the alarm that a status on /alarms describes; see :func:`to_status`.
+
+    Raises:
+        ValueError: if a value is not valid for an alarm.
+    """
+    node, _, part = name.partition(": ")
+    serious = values.get("serious") == "true"
+    times = {
+        key: None if key not in values else datetime.fromisoformat(values[key]).timestamp()
+        for key in _TIMES
+    }
+    return Alarm(
+        int(values.get("number", 0)), node, part, values.get("role", ""), values.get("code", ""),
+        LEVELS[level or (ERROR if serious else WARN)], message, times["since"] or 0.0,
+        times["ended"], float(values["seconds"]) if "seconds" in values else None,
+        values.get("follows", ""), tuple(values.get("about", "").split()),
+        values.get("fault", ""),
+    )
