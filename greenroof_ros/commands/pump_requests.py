@@ -21,8 +21,8 @@ from greenroof_ros.base.times import parse_time, to_people
 from greenroof_ros.interface.states import PUMP
 from greenroof_ros.ros.domain import add_namespace, require_ros
 from greenroof_ros.watch import wire
+from greenroof_ros.watch.graph import Graph
 from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, PumpRequestError
-from greenroof_ros.watch.registry import Registry
 
 # Longest wait for the pump node (s), as its discovery takes seconds.
 _PATIENCE_S = 20.0
@@ -54,7 +54,7 @@ class PumpRequest:
     name: str
     done: str
     description: str
-    request: Callable[[GraphClient, argparse.Namespace, Registry], str]
+    request: Callable[[GraphClient, argparse.Namespace, Graph], str]
     add_options: Callable[[Parser], object] = lambda parser: None
     examples: str = ""
 
@@ -75,7 +75,7 @@ class PumpRequest:
 
     def _run(self) -> int:
         arguments = self.make_parser().parse_args()
-        reports = Registry(arguments.namespace)
+        reports = Graph(arguments.namespace)
 
         def receive(name: str, message: bytes, *_: Any) -> None:
             if name == DIAGNOSTICS and (received := wire.read_statuses(message)) is not None:
@@ -126,7 +126,7 @@ def _parse_future_time(text: str) -> float:
 _parse_future_time.__name__ = "TIME"  # argparse and the documentation show this
 
 
-def _hold(client: GraphClient, arguments: argparse.Namespace, _: Registry) -> str:
+def _hold(client: GraphClient, arguments: argparse.Namespace, _: Graph) -> str:
     until = arguments.until
     if arguments.hours is not None:
         until = time.time() + arguments.hours * 3600
@@ -136,7 +136,7 @@ def _hold(client: GraphClient, arguments: argparse.Namespace, _: Registry) -> st
     )
 
 
-def _release(client: GraphClient, _: argparse.Namespace, __: Registry) -> str:
+def _release(client: GraphClient, _: argparse.Namespace, __: Graph) -> str:
     return client.request("release", _PATIENCE_S)
 
 
@@ -147,14 +147,15 @@ def _add_dose_options(parser: Parser) -> None:
     )
 
 
-def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Registry) -> str:
+def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Graph) -> str:
     """Request a dose, and print its progress until the dose ends."""
     requested_at, said = time.time(), ""
     client.request("dose", _PATIENCE_S, volume=arguments.volume, asked_at=requested_at)
     accepted = time.monotonic()
     print(f"dose {requested_at:.6f} of {arguments.volume:g} m3 was accepted", flush=True)
     while True:
-        client.receive(_POLL_S)
+        time.sleep(_POLL_S)
+        client.receive()
         now, pump = time.monotonic(), reports.node(PUMP)
         if now - max(accepted, pump.received_at if pump else 0.0) > _REPORT_S:
             raise PumpRequestError(
@@ -179,11 +180,12 @@ def _add_reset_options(parser: Parser) -> None:
     )
 
 
-def _reset(client: GraphClient, arguments: argparse.Namespace, reports: Registry) -> str:
+def _reset(client: GraphClient, arguments: argparse.Namespace, reports: Graph) -> str:
     if not arguments.yes:
         until = time.monotonic() + _REPORT_S
         while (pump := reports.node(PUMP)) is None and time.monotonic() < until:
-            client.receive(_POLL_S)
+            time.sleep(_POLL_S)
+            client.receive()
         if pump is not None and (fault := pump.text("fault") or pump.text("unknown")):
             print(f"The fault: {fault}", file=sys.stderr)
         if not _ask_to_confirm():
