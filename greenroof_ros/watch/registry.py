@@ -22,14 +22,8 @@ from greenroof_ros.base.text import clean_text
 from greenroof_ros.interface.alarm import ERROR, OK, STALE
 from greenroof_ros.interface.states import ENDED, FINISHED, PLANT, PUMP, STATES
 from greenroof_ros.interface.topics import read_topics
-from greenroof_ros.ros.alarms import (
-    SILENT_S,
-    NodeReport,
-    PartReport,
-    StatusDiagnosis,
-    is_starting,
-    make_diagnosis,
-)
+from greenroof_ros.ros.reports import SILENT_S, StatusDiagnosis, make_diagnosis
+from greenroof_ros.watch.node_reports import NodeReport, PartReport, is_starting
 from greenroof_ros.watch.wire import WireStatus
 from greenroof_ros.watch.words import clean_sentence, list_names, name_source
 
