@@ -15,6 +15,8 @@ LEVELS = "ok", "warn", "error", "stale"
 # The name of the file with the alarms in the site's directory, next to the bag.
 ALARMS = "alarms.jsonl"
 _TIMES = "since", "ended"
+# The keys of a record that are also values of its status.
+_VALUES = "number", "role", "code", "fault", *_TIMES, "seconds", "follows"
 
 OTHER = "There is no advice for this code; read the log of the node that reports it."
 FOREIGN = (
@@ -114,16 +116,12 @@ def to_status(alarm: Alarm) -> tuple[int, dict[str, str]]:
 
     The status also has the alarm's name, and its sentence as the message.
     """
+    record = to_record(alarm)
+    values = {key: str(record[key]) for key in _VALUES if record[key] not in (None, 0, "")}
+    values |= {"about": " ".join(alarm.about), "serious": str(alarm.is_serious).lower()}
+    if not alarm.number:
+        values["starting"] = "true"
     level = OK if alarm.ended is not None else LEVELS.index(alarm.level)
-    values = {
-        "number": f"{alarm.number}" if alarm.number else "",
-        "starting": "" if alarm.number else "true",
-        "role": alarm.role, "code": alarm.code, "fault": alarm.fault, "since": iso(alarm.since),
-        "follows": alarm.follows, "about": " ".join(alarm.about),
-        "serious": "true" if alarm.is_serious else "false",
-        "ended": "" if alarm.ended is None else iso(alarm.ended),
-        "seconds": "" if alarm.seconds is None else f"{alarm.seconds:.1f}",
-    }
     return level, {key: value for key, value in values.items() if value}
 
 
@@ -134,15 +132,11 @@ def read_status(name: str, level: int, message: str, values: Mapping[str, str]) 
         ValueError: if a value is not valid for an alarm.
     """
     node, _, part = name.partition(": ")
-    serious = values.get("serious") == "true"
-    times = {
-        key: None if key not in values else datetime.fromisoformat(values[key]).timestamp()
-        for key in _TIMES
-    }
-    return Alarm(
-        int(values.get("number", 0)), node, part, values.get("role", ""), values.get("code", ""),
-        LEVELS[level or (ERROR if serious else WARN)], message, times["since"] or 0.0,
-        times["ended"], float(values["seconds"]) if "seconds" in values else None,
-        values.get("follows", ""), tuple(values.get("about", "").split()),
-        values.get("fault", ""),
-    )
+    texts = {key: values.get(key, "") for key in ("role", "code", "fault", "since", "follows")}
+    lowest = ERROR if values.get("serious") == "true" else WARN
+    return read_record({
+        **texts, "node": node, "part": part, "number": int(values.get("number", 0)),
+        "level": LEVELS[level or lowest], "sentence": message, "ended": values.get("ended"),
+        "seconds": float(values["seconds"]) if "seconds" in values else None,
+        "about": values.get("about", "").split(),
+    })
