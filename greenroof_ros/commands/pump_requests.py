@@ -78,8 +78,8 @@ class PumpRequest:
         reports = Graph(arguments.namespace)
 
         def receive(name: str, message: bytes, *_: Any) -> None:
-            if name == DIAGNOSTICS and (received := wire.read_statuses(message)) is not None:
-                reports.receive(time.monotonic(), received[1])
+            if name == DIAGNOSTICS and (received := wire.read_reports(message)) is not None:
+                reports.receive(time.monotonic(), 0.0, received[1])
 
         try:
             with require_ros(), closing(GraphClient(arguments.namespace, receive)) as client:
@@ -156,7 +156,7 @@ def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Graph) ->
     while True:
         time.sleep(_POLL_S)
         client.receive()
-        now, pump = time.monotonic(), reports.node(PUMP)
+        now, pump = time.monotonic(), reports.node(PUMP, time.monotonic())
         if now - max(accepted, pump.received_at if pump else 0.0) > _REPORT_S:
             raise PumpRequestError(
                 "it is unknown whether the dose continues: the pump node is silent"
@@ -183,10 +183,10 @@ def _add_reset_options(parser: Parser) -> None:
 def _reset(client: GraphClient, arguments: argparse.Namespace, reports: Graph) -> str:
     if not arguments.yes:
         until = time.monotonic() + _REPORT_S
-        while (pump := reports.node(PUMP)) is None and time.monotonic() < until:
+        while (pump := reports.node(PUMP, time.monotonic())) is None and time.monotonic() < until:
             time.sleep(_POLL_S)
             client.receive()
-        if pump is not None and (fault := pump.text("fault") or pump.text("unknown")):
+        if pump is not None and (fault := pump.values.get("fault") or pump.values.get("unknown")):
             print(f"The fault: {fault}", file=sys.stderr)
         if not _ask_to_confirm():
             raise PumpRequestError("not cleared: the request was not confirmed")

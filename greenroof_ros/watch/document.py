@@ -121,8 +121,8 @@ def _list_notes(store: GraphStore) -> list[str]:
     notes = ["The site is starting. Still missing:", *(
         f"{words.name_source(alarm.name, alarm.role)}: {alarm.sentence}." for alarm in missing
     )] if missing else []
-    weather = store.graph.node("weather")
-    source = "" if weather is None else weather.text("forecast_by")
+    weather = store.graph.node("weather", store.wall)
+    source = "" if weather is None else words.text_of(weather.values, "forecast_by")
     return [*notes, *filter(None, store.notes), *(
         [f"{source[:1].upper()}{source[1:]}."] if source else []
     )]

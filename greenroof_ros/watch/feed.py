@@ -192,10 +192,10 @@ class Feed:
 
     def _set_site(self) -> None:
         """Set the site whose parameters are used to judge levels: the graph's or the paper's."""
-        file = self._graph.site() or default_site_file()
+        file = self._graph.site(time.monotonic()) or default_site_file()
         if file == self._site_file:
             return
-        self._site_file, note = file, "" if self._graph.site() else (
+        self._site_file, note = file, "" if self._graph.site(time.monotonic()) else (
             "Levels are judged by the parameters of the paper's site, config/site.yaml."
         )
         try:
@@ -237,7 +237,7 @@ class Feed:
     ) -> None:
         store = self._store
         if name in (DIAGNOSTICS, ALARMS):
-            if (received := wire.read_statuses(message)) is not None:
+            if (received := wire.read_reports(message)) is not None:
                 stamp_ns, statuses = received
                 if name == ALARMS:
                     store.add_alarms(time.monotonic(), stamp_ns, statuses)

@@ -104,9 +104,9 @@ class FoxgloveServer:
 
     def _on_message(self, name: str, message: bytes, number: int | None, arrived_ns: int) -> None:
         """Receive a message and determine its time; on a new run, clear the viewers' old data."""
-        if name == DIAGNOSTICS and (received := wire.read_statuses(message)) is not None:
+        if name == DIAGNOSTICS and (received := wire.read_reports(message)) is not None:
             now = time.monotonic()
-            self._graph.receive(now, received[1], received[0])
+            self._graph.receive(now, 0.0, received[1], received[0])
             self._graph.update(now)
             if self._graph.runs != self._runs:
                 self._runs, self._time_ns = self._graph.runs, 0

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from greenroof_ros.watch import words
-from greenroof_ros.watch.graph import Node
 from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.tiles import runs_on
 
@@ -42,7 +41,7 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
     two, pump = store.two_pumps, store.pump
     node = None if two or pump is None or store.is_lost(pump) or pump.has_ended else pump
     values = {} if node is None else node.values
-    hold = "" if node is None else _describe_hold(store, node)
+    hold = _describe_hold(store, values)
     at_rest = values.get("stands") is True and not runs_on(store)
     warning = two
     if hold and not at_rest:
@@ -52,7 +51,7 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
         )
     off = values.get("pump_state") in ("off", "held", "fault") and at_rest
     dose = _describe_dose(values, store.allow_release, store.site.a2)
-    others = {} if node is None else _list_others(node, hold, at_rest, dose)
+    others = _list_others(values, hold, at_rest, dose)
     return {
         "possible": bool(store.graph.offered), "hold": hold,
         "stopped": bool(hold) and at_rest, "warning": warning, "dose": dose,
@@ -61,7 +60,7 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
         else "Stop the pump",
         "actions": {"stop": _STOP, **(others if store.allow_release else {})},
         "situation": [bool(hold), at_rest, *(
-            node is not None and bool(node.text(key)) for key in ("fault", "unknown", "no_dose")
+            bool(words.text_of(values, key)) for key in ("fault", "unknown", "no_dose")
         )],
     }
 
@@ -75,9 +74,9 @@ def make_bare_stop() -> dict[str, Any]:
     }
 
 
-def _describe_hold(store: GraphStore, node: Node) -> str:
+def _describe_hold(store: GraphStore, values: Mapping[str, Any]) -> str:
     """Describe who holds the pump, since when, until when and why; empty if no one does."""
-    hold = node.values.get("hold")
+    hold = values.get("hold")
     owner = hold.get("owner") if isinstance(hold, dict) else None
     if not isinstance(hold, dict) or not isinstance(owner, str):
         return ""
@@ -91,21 +90,21 @@ def _describe_hold(store: GraphStore, node: Node) -> str:
 
 
 def _list_others(
-    node: Node, hold: str, at_rest: bool, dose: Mapping[str, Any]
+    values: Mapping[str, Any], hold: str, at_rest: bool, dose: Mapping[str, Any]
 ) -> dict[str, str]:
     """Return the questions of the possible actions other than a stop.
 
     Args:
-        node: the pump node.
+        values: values that the pump node reports.
         hold: description of the hold; empty if there is none.
         at_rest: whether the pump is at standstill.
         dose: what is known of doses.
     """
-    fault, unknown = node.text("fault"), node.text("unknown")
+    fault, unknown = (words.text_of(values, key) for key in ("fault", "unknown"))
     questions = {}
     if hold and at_rest:
         questions["release"] = _write_then(fault, unknown) + LOCK_OUT
-    if fault and not node.text("no_clear") and at_rest:
+    if fault and not words.text_of(values, "no_clear") and at_rest:
         stays = hold.removesuffix(".")
         questions["clear"] = (
             f"The fault is cleared: {fault}. {_write_then(stays, unknown)}{LOCK_OUT}"

@@ -23,13 +23,13 @@ from greenroof_ros.base.times import duration
 from greenroof_ros.interface.alarm import Alarm, read_status
 from greenroof_ros.interface.states import PUMP, PUMP_STATES, PumpState
 from greenroof_ros.interface.topics import read_topics
+from greenroof_ros.ros.reports import NodeReport, Status
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 from greenroof_ros.watch import wire, words
-from greenroof_ros.watch.graph import Graph, Node
+from greenroof_ros.watch.graph import Graph
 from greenroof_ros.watch.history import History
 from greenroof_ros.watch.outlook import Forecast, Plan, read_forecast, read_plan
-from greenroof_ros.watch.wire import WireStatus
 
 FLOW, RAIN_FORECAST, PLAN = "/pump/flow", "/forecast/precipitation", "/controller/plan"
 LINES = {
@@ -111,7 +111,7 @@ class GraphStore:
         self.notes = ["", ""]
         self.mode = "none"
         self.factor: float | None = None
-        self.graph = Graph(namespace, self.add_event)
+        self.graph = Graph(namespace)
         self._interface = read_topics()
         self.wall = 0.0
         self._system: float | None = None  # the system's time at the last update (s since 1970)
@@ -135,9 +135,9 @@ class GraphStore:
     # --- the graph that is watched --------------------------------------------------------------
 
     @property
-    def pump(self) -> Node | None:
+    def pump(self) -> NodeReport | None:
         """The pump node with its last report; None if no pump node has reported."""
-        return self.graph.node(PUMP)
+        return self.graph.node(PUMP, self.wall)
 
     def set_site(self, site: Site, note: str = "") -> None:
         """Set the site whose parameters are used to judge levels.
@@ -190,7 +190,7 @@ class GraphStore:
         """Whether the run is over, so that no more messages will arrive."""
         return self.mode == "ended"
 
-    def is_lost(self, node: Node | None) -> bool:
+    def is_lost(self, node: NodeReport | None) -> bool:
         """Return whether a node was present and is now silent; False if the run is over."""
         return node is not None and not self.ended and not node.is_online(self.wall)
 
@@ -214,9 +214,11 @@ class GraphStore:
         """
         if two := self.two_pumps:
             return PumpState("unknown", two)
-        if self.pump is None or not (state := self.pump.text("pump_state")):
+        values = {} if self.pump is None else self.pump.values
+        if not (state := words.text_of(values, "pump_state")):
             return None
-        return PumpState(state if state in PUMP_STATES else "unknown", self.pump.text("pump_why"))
+        known = state if state in PUMP_STATES else "unknown"
+        return PumpState(known, words.text_of(values, "pump_why"))
 
     @property
     def flow_known(self) -> bool:
@@ -225,7 +227,7 @@ class GraphStore:
 
     # --- alarms ---------------------------------------------------------------------------------
 
-    def add_alarms(self, wall: float, stamp_ns: int, statuses: Sequence[WireStatus]) -> None:
+    def add_alarms(self, wall: float, stamp_ns: int, statuses: Sequence[Status]) -> None:
         """Receive the alarms in a message on /alarms; a status that is not an alarm is left out.
 
         Args:
@@ -373,7 +375,7 @@ class GraphStore:
     @property
     def plan(self) -> Plan | None:
         """The latest plan of the controller; None if it was made before the controller's start."""
-        node, plan, now = self.graph.node("controller"), self._plan, self.now
+        node, plan, now = self.graph.node("controller", self.wall), self._plan, self.now
         age = None if node is None else node.values.get("up_s")
         if plan is None or now is None or self.gone_since is not None:
             return None
@@ -381,7 +383,7 @@ class GraphStore:
         return None if old else plan
 
     def add_statuses(
-        self, wall: float, statuses: Sequence[WireStatus], stamp_ns: int = 0
+        self, wall: float, statuses: Sequence[Status], stamp_ns: int = 0
     ) -> None:
         """Add the statuses in a message on /diagnostics.
 
@@ -392,7 +394,7 @@ class GraphStore:
         """
         with self.lock:
             self.wall = wall
-            self.graph.receive(wall, statuses, stamp_ns)
+            self.graph.receive(wall, self._event_time, statuses, stamp_ns)
 
     def add_event(self, text: str) -> None:
         """Add an event that has just happened."""

@@ -6,11 +6,12 @@ import math
 import os
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from datetime import datetime, tzinfo
 from functools import cache
 from pathlib import Path
 from shutil import which
+from typing import Any
 
 from greenroof_ros.base.text import clean_text
 from greenroof_ros.base.times import duration
@@ -123,6 +124,12 @@ def write_coming_time(seconds: float, zone: tzinfo, now: float) -> str:
 def clean_sentence(text: str) -> str:
     """Return a node's sentence with m³ for m3, in printable characters."""
     return _CUBIC.sub("m³", clean_text(text))
+
+
+def text_of(values: Mapping[str, Any], key: str) -> str:
+    """Return a text among the values that a node reports; empty if it reports none."""
+    value = values.get(key)
+    return clean_sentence(value) if isinstance(value, str) else ""
 
 
 def name_source(status: str, role: str = "") -> str:

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from paper import PAPER_SITE
 
+from greenroof_ros.ros.reports import Status
 from greenroof_ros.site.site import Site
 from greenroof_ros.watch.store import GraphStore
-from greenroof_ros.watch.wire import WireStatus
 
 OK, WARN, ERROR, STALE = range(4)
 SECOND = 10**9
@@ -22,22 +22,22 @@ HOLD = {"owner": "the operator", "reason": "", "until": None, "said": HELD}
 
 def node(
     name: str, role: str, *, process: str = "host 1", state: str = "ready", **values: Any
-) -> list[WireStatus]:
+) -> list[Status]:
     """Return what a node reports of itself on /diagnostics."""
     pairs = {"role": role, "process": process, **values}
-    return [WireStatus(name, OK, state, {key: json.dumps(value) for key, value in pairs.items()})]
+    return [Status(name, OK, state, {key: json.dumps(value) for key, value in pairs.items()})]
 
 
 def alarm(
     name: str, role: str, code: str, sentence: str, level: int = ERROR, *,
     since: str = "2021-07-20T05:00:30+00:00", **values: str,
-) -> WireStatus:
+) -> Status:
     """Return the status of an alarm on /alarms; other devices have no role, and only warn."""
     pairs = {
         "number": "1", "role": role, "code": code, "since": since,
         "serious": "true" if role and level != WARN else "false", **values,
     }
-    return WireStatus(name, level, sentence, {key: text for key, text in pairs.items() if text})
+    return Status(name, level, sentence, {key: text for key, text in pairs.items() if text})
 
 
 def pump_report(text: str) -> dict[str, str]:
@@ -47,7 +47,7 @@ def pump_report(text: str) -> dict[str, str]:
 
 
 def store(
-    mode: str = "simulated", site: Site = PAPER_SITE, *alarms: WireStatus, wall: float = 100.0
+    mode: str = "simulated", site: Site = PAPER_SITE, *alarms: Status, wall: float = 100.0
 ) -> GraphStore:
     """Return a store that knows only the site of its graph, and its alarms at a time."""
     graph = GraphStore()

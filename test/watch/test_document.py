@@ -35,13 +35,13 @@ from page_inputs import (
 from paper import PAPER_SITE
 
 from greenroof_ros.interface.conditions import read_conditions
+from greenroof_ros.ros.reports import Status
 from greenroof_ros.site.horizon import growing_steps
 from greenroof_ros.site.site import Site
 from greenroof_ros.watch import words
 from greenroof_ros.watch.document import make_document as read_document
 from greenroof_ros.watch.document import make_series as read_series
 from greenroof_ros.watch.store import LINES, GraphStore
-from greenroof_ros.watch.wire import WireStatus
 
 SITE = replace(PAPER_SITE, utc_offset=-5.0)  # START is 00:00 there
 STANDARD = timezone(timedelta(hours=-5))
@@ -60,7 +60,7 @@ def short_commands(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "0")
 
 
-def watched(mode: str = "simulated", *alarms: WireStatus, **values: float) -> GraphStore:
+def watched(mode: str = "simulated", *alarms: Status, **values: float) -> GraphStore:
     """Return a store after a minute with these values and alarms; ``_`` stands for ``/``."""
     given = {**QUIET, **{f"/{name.replace('_', '/')}": value for name, value in values.items()}}
     graph = store(mode, SITE, *alarms)
@@ -341,7 +341,7 @@ UNREAD = alarm("/pump: levels", "pump", "input_silent", "the level is old", abou
     ([UNREAD], "Pump: the level is old; no values arrive"),
 ], ids=["no alarm", "waited for", "dead", "another is dead", "dead by its reader"])
 def test_a_dead_sensor_is_not_one_from_which_nothing_came_yet(
-    alarms: list[WireStatus], sentence: str
+    alarms: list[Status], sentence: str
 ) -> None:
     document = shown(store("live", SITE, *alarms))
     roof = document["tiles"]["roof"]
@@ -472,7 +472,7 @@ def test_no_report_switches_the_stop_off(forged: dict[str, Any]) -> None:
     ({"/pump": 1}, [alarm("/pump: pump nodes", "pump", "two_pump_nodes", "two nodes")]),
 ])
 def test_if_two_nodes_may_be_the_pump_node_only_a_stop_is_offered(
-    offered: dict[str, int], alarms: list[WireStatus]
+    offered: dict[str, int], alarms: list[Status]
 ) -> None:
     """By their services, which are more than reports, or by an alarm."""
     graph = watched("live", *alarms)
