@@ -238,11 +238,12 @@ def _write_sentence(
     if store.ended:
         doubt = f"; {clause}" if shown["pump"]["alarm"] else ""
         return f"The run has ended, and its last state is shown{doubt}."
+    if shown["pump"]["alarm"]:
+        return "The pump may be running."
     if rows and rows[0]["level"] == "error":
         first = f"{rows[0]['name']}: {rows[0]['what']}"
-        return f"{first}." if rows[0]["name"] == "Pump" and not shown["pump"]["alarm"] else (
-            f"{first}; {tiles.write_pump(shown['pump']['value'])}."
-        )
+        pump = "" if rows[0]["name"] == "Pump" else tiles.write_pump(shown["pump"]["value"])
+        return f"{'; '.join(filter(None, (first, pump)))}."
     if roof["state"] in ("unknown", "alarm"):
         level_clause = f"The roof's level is {roof['value']} ({roof['sentence']})"
     else:

@@ -188,7 +188,7 @@ def _write_coming_rain(store: GraphStore) -> str:
         return f"no current forecast: the forecast from {made} has ended"
     reach = words.write_horizon(amount.reach_s)
     if amount.reach_s < SOON_S:
-        return f"no forecast for the next few hours: the latest forecast covers only {reach}"
+        return "no forecast for the next few hours"
     # It is too old only if it is no longer published.
     if now - forecast.at > OLD_S:
         return f"the latest forecast, from {made}, is too old"
@@ -210,7 +210,7 @@ def _write_rain(amount: RainAmount) -> str:
 
 
 def make_pump_tile(store: GraphStore) -> Tile:
-    """Return the tile of the pump: its state, flow and command, and why it is in this state.
+    """Return the tile of the pump: its state and flow, and why it is in this state.
 
     ``alarm`` states whether the pump might be turning unnoticed, ``idle`` whether the pump is off
     only because the controller commands a flow of 0, and ``why`` repeats the reason.
@@ -240,9 +240,7 @@ def make_pump_tile(store: GraphStore) -> Tile:
         parts.append(f"last known {text}" if old else text)
     elif not flow_known and not may_turn:
         parts.append("the flow is unknown")
-    if state in ("running", "starting") and not stale and not may_turn:
-        parts.append(_write_command(store))
-    parts.append("" if may_turn and is_silent else why)
+    parts.append("" if may_turn else why)
     kept_off = any(alarm.role == PUMP and alarm.part == PUMP for alarm in store.present)
     quiet = state == "held" and not kept_off and not values.get("hold")  # as intended
     state = "unknown" if stale or may_turn else "off" if quiet else state
@@ -269,16 +267,6 @@ def write_pump(value: str) -> str:
         return f"the pump {value}" if value != "unknown" else "the state of the pump is unknown"
     named = {"fault": "has a fault", "held": "is held off"}
     return f"the pump {named.get(value, f'is {value}')}"
-
-
-def _write_command(store: GraphStore) -> str:
-    """Write the command that a pump follows; empty if it is 0 or old."""
-    command = store.newest.get(_COMMAND)
-    if command is None or store.is_stale(_COMMAND) or command.value == 0:
-        return ""
-    if command.value is None:
-        return f"the command is {words.NOT_PLAUSIBLE}"
-    return f"commanded {words.write_command(command.value)} of its maximum flow"
 
 
 def _read_pump_state(store: GraphStore) -> tuple[str, str]:

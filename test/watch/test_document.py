@@ -198,9 +198,7 @@ def test_rain_and_what_is_to_come() -> None:
             assert (line[0], line[-1]) == ([60, 2.16], [101, 2.16])
     graph, front = watched(), np.array([math.nan, *range(1, 11)])
     graph.add_forecast(MINUTE, np.full(10, 1e-7), front)
-    assert tile_of(graph, "rain")["sentence"] == (
-        "no forecast for the next few hours: the latest forecast covers only 10 s"
-    )
+    assert tile_of(graph, "rain")["sentence"] == "no forecast for the next few hours"
 
 
 def test_what_is_known_by_words_alone() -> None:
@@ -592,9 +590,9 @@ def test_a_pump_that_may_turn_is_unknown_and_an_alarm() -> None:
     tile, summary = document["tiles"]["pump"], document["tiles"]["summary"]
     assert (tile["value"], tile["state"], tile["alarm"]) == ("may be running", "alarm", True)
     assert tile["number"] is None and "L/min" not in tile["sentence"]
-    assert tile["sentence"].startswith("it is unknown whether the pump is stopped; no connection")
+    assert tile["sentence"] == "it is unknown whether the pump is stopped"
     assert (summary["level"], summary["word"]) == ("error", "1 alarm, 1 warning.")
-    assert summary["sentence"].endswith("the pump may be running.")
+    assert summary["sentence"] == "The pump may be running."
     assert [(row["id"], row["level"]) for row in document["alarms"]] == [
         ("/pump: pump", "error"), ("/pump: limits", "warn"),
     ]
