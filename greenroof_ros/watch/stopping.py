@@ -81,10 +81,10 @@ def _describe_hold(store: GraphStore, values: Mapping[str, Any]) -> str:
     if not isinstance(hold, dict) or not isinstance(owner, str):
         return ""
     until, reason, end = hold.get("until"), hold.get("reason"), "someone releases it"
-    since = next((alarm.since for alarm in store.present if alarm.code == "hold"), None)
-    if isinstance(until, (int, float)) and math.isfinite(until):
+    if isinstance(until, (int, float)):
         end = store.hour(until)
-    begin = "" if since is None else f" since {store.time_of_day(since)}"
+    since = hold.get("since")
+    begin = f" since {store.time_of_day(since)}" if isinstance(since, (int, float)) else ""
     why = f" ({reason})" if isinstance(reason, str) and reason else ""
     return words.clean_sentence(f"The pump is held off by {owner}{begin}, until {end}{why}.")
 

@@ -12,7 +12,6 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
-from datetime import timedelta
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -218,7 +217,10 @@ class GraphStore:
         if not (state := words.text_of(values, "pump_state")):
             return None
         known = state if state in PUMP_STATES else "unknown"
-        return PumpState(known, words.text_of(values, "pump_why"))
+        # Of a hold, the page states more, and in the site's time.
+        hold = values.get("hold")
+        said = words.text_of(hold, "said") if isinstance(hold, dict) else ""
+        return PumpState(known, words.text_of(values, "pump_why").removeprefix(said).lstrip("; "))
 
     @property
     def flow_known(self) -> bool:
@@ -420,24 +422,18 @@ class GraphStore:
         """Time at which an event that occurs now is recorded (s since 1970)."""
         return (self._system or 0.0) if self.now is None else self.now
 
-    def given(self, days: int) -> float:
-        """Return the volume pumped since the start of the site's day, and of the days before (m3).
+    def given_since(self, begin: float) -> float | None:
+        """Return the volume pumped since a time (s since 1970, m3); None if that is not known."""
+        first, given = self.past["flow"].first_ns, self.past[GIVEN]
+        if first is None or begin < first / 1e9:
+            return None
+        return given.last - given.value_at(round(begin * 1e9))
 
-        Args:
-            days: number of days before today.
-        """
+    def given_today(self) -> float | None:
+        """Return the volume pumped on the present day of the site's clock (m3); None if unknown."""
         now = None if self.now is None else words.convert_time(self.now, self.site.zone)
-        if now is None:
-            return 0.0
-        start = now.replace(hour=0, minute=0, second=0) - timedelta(days=days)
-        return self.past[GIVEN].last - self.past[GIVEN].value_at(int(start.timestamp() * 1e9))
-
-    def daily_use(self) -> float:
-        """Return the volume pumped per day in the past week (m3); 0 if less than a day is known."""
-        first, now, given = self.past["flow"].first_ns, self.now, self.past[GIVEN]
-        if first is None or now is None or (days := min(7.0, (now - first / 1e9) / 86_400)) < 1:
-            return 0.0
-        return (given.last - given.value_at(round((now - days * 86_400) * 1e9))) / days
+        midnight = None if now is None else now.replace(hour=0, minute=0, second=0)
+        return None if midnight is None else self.given_since(midnight.timestamp())
 
     def clock(self) -> dict[str, Any]:
         """Return the time as text, and the clock of the page's charts.

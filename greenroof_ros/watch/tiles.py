@@ -29,6 +29,8 @@ SOON_S = 600.0
 # forecast (s) has missed such a run.
 _RENEWED_S, OLD_S = 3600.0, 6 * 3600.0
 
+_DAY_S, _WEEK_S = 86_400.0, 7 * 86_400.0
+
 _FLOW, _COMMAND, _RAIN = "/pump/flow", "/pump/command", "/weather/precipitation"
 _ROOF, _CISTERN, _FROST = "/roof/level", "/cistern/level", "/weather/frost"
 _GAUGE, _THERMOMETER = "/gauge/precipitation", "/gauge/temperature"
@@ -142,8 +144,12 @@ def make_cistern_tile(store: GraphStore) -> Tile:
         if level > site.z_o:
             return "high", "above its overflow, so water is running to the sewer"
         text = f"{words.write_quantity(usable, 'm³', 1)} above the suction level can be pumped"
-        if (use := store.daily_use()) > 0:
-            text += f", enough for {number_of(round(usable / use), 'day')} at the past week's use"
+        now = store.now or 0.0
+        known = ((days, store.given_since(now - days * _DAY_S)) for days in range(7, 0, -1))
+        days, given = next(((days, given) for days, given in known if given), (0, 0.0))
+        if given:
+            left = number_of(round(usable * days / given), "day")
+            text += f", enough for {left} at the use of the past {number_of(days, 'day')}"
         if site.low_outlet_valve:
             share = store.present_value(_VALVE)
             if share is None:
@@ -296,9 +302,8 @@ def make_watering_tile(store: GraphStore, pump: Tile) -> Tile:
         store: state of the graph.
         pump: tile of the pump, which may be kept off although the controller commands a flow.
     """
-    command, now, aim = store.newest.get(_COMMAND), store.now, store.present_value(_FILL_TO)
-    share = store.present_value(_COMMAND)
-    plan = store.plan
+    share, aim = store.present_value(_COMMAND), store.present_value(_FILL_TO)
+    plan, now = store.plan, store.now
     if share is None and plan is None:
         value, sentence = words.UNKNOWN, "the controller's command is unknown"
     elif plan is None or now is None:
@@ -316,16 +321,26 @@ def make_watering_tile(store: GraphStore, pump: Tile) -> Tile:
         value, kept = ("now", "") if runs else ("wanted", write_pump(pump["value"]))
         aims = "" if aim is None else f"up to {words.write_value(_FILL_TO, aim)} now"
         sentence = "; ".join(filter(None, (kept, aims, sentence)))
-    today, week = store.given(0), store.given(6)
-    given = f"{words.write_litres(today)} today, {words.write_litres(week)} in 7 days" if (
-        week or command is not None
-    ) else ""
     return {
         "label": "Watering", "value": value, "number": None,
         "state": "held" if value == "wanted" else "unknown" if value == words.UNKNOWN else "good",
-        "sentence": "; ".join(filter(None, (sentence, given))),
+        "sentence": "; ".join(filter(None, (sentence, _write_given(store)))),
         "stale": store.is_stale(_COMMAND),
     }
+
+
+def _write_given(store: GraphStore) -> str:
+    """Write how much water the roof was given, for as long as it is known."""
+    now, first = store.now, store.past["flow"].first_ns
+    if now is None or first is None or now - first / 1e9 < _RENEWED_S:
+        return ""
+    today, week = store.given_today(), store.given_since(now - _WEEK_S)
+    parts = [
+        f"{words.write_litres(volume)} {when}"
+        for volume, when in ((today, "today"), (week, "in 7 days")) if volume is not None
+    ]
+    volume, since = store.given_since(first / 1e9) or 0.0, store.time_of_day(first / 1e9)
+    return ", ".join(parts) or f"{words.write_litres(volume)} since {since}"
 
 
 def describe_wait(store: GraphStore, pump: Tile) -> str:

@@ -426,7 +426,8 @@ def test_stop_asks_once_and_no_answer_is_older_than_the_state(open_page: Open) -
     until_shown(page, "#box.failed", "no request was sent")
     assert posted(page) == ["stop"]
     until_shown(page, "#stop-button:enabled")
-    hold = {"owner": "the page", "reason": "", "until": BEGIN + 6.5 * 3600, "said": "x"}
+    hold = {"owner": "the page", "reason": "", "since": BEGIN + 235 * 60,
+            "until": BEGIN + 6.5 * 3600, "said": "x"}
     part = alarm("/pump: pump", "pump", "hold", "held", WARN, since="2021-07-20T08:55:00+00:00")
     said[:] = [part, *pump("held: a hold", stands=False, hold=hold)]
     until_shown(page, "#box.failed", "stop it at its drive's panel")
