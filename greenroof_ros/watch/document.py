@@ -13,7 +13,6 @@ import json
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
-from itertools import accumulate
 from typing import Any
 
 from greenroof_ros.base.standard_error import print_seldom
@@ -33,9 +32,8 @@ _HOLDS_S = 600.0
 
 # How much of the past the charts can show (h), and the approximate number of stretches in a line.
 HOURS, _POINTS = (3, 12, 48, 168), 300
-# Maximum number of characters of all alarms, and of all events, since the document must stay below
-# 100 kB.
-_MAX_ALARMS, _MAX_EVENTS = 55_000, 25_000
+# Maximum number of alarms, and of events, that are shown; each has at most some hundred characters.
+_MAX_ROWS = 50
 
 _HEADINGS = {
     "none": "Nothing received yet", "ended": "Ended run", "live": "Live site",
@@ -45,7 +43,7 @@ _WELDED = "Water is leaving the cistern although the pump is off. Open the main 
 
 
 def make_document(store: GraphStore, wall: float) -> dict[str, Any]:
-    """Return the document for the page and the status command, in plain text of less than 100 kB.
+    """Return the document for the page and the status command, in plain text.
 
     If a part cannot be generated, a placeholder takes its place, and a note says so.
 
@@ -90,21 +88,19 @@ def _make_document(store: GraphStore, wall: float) -> dict[str, Any]:
         ({"word": "", "sentence": "The state is unknown.", "level": "stale"}, stop["warning"]),
     )
     unknown = {"now": None, "text": words.UNKNOWN, "zone": "UTC"}
-    listed = _trim(rows, _MAX_ALARMS)
     result = {
         "heading": attempt("The heading", lambda: _write_heading(store), "Green roof"),
         "mode": store.mode, "namespace": store.namespace,
         "known": store.alarms_known or store.ended,
         "time": attempt("The time", store.clock, unknown),
-        "tiles": {**shown, "summary": summary}, "advice": advice, "stop": stop, "alarms": listed,
-        "events": attempt("The list of events", lambda: _trim(_list_events(store), _MAX_EVENTS),
-                          []),
+        "tiles": {**shown, "summary": summary}, "advice": advice, "stop": stop,
+        "alarms": rows[:_MAX_ROWS],
+        "events": attempt("The list of events", lambda: _list_events(store), [])[:_MAX_ROWS],
     }
     if notes and summary["level"] == "ok":
         summary["level"] = "warn"
-    hidden = len(rows) - len(listed)
-    if hidden:
-        notes.append(f"{hidden} more alarms are not shown.")
+    if len(rows) > _MAX_ROWS:
+        notes.append(f"{len(rows) - _MAX_ROWS} more alarms are not shown.")
     return result | {"notes": notes + attempt("The list of notes", lambda: _list_notes(store), [])}
 
 
@@ -320,12 +316,6 @@ def _explain(store: GraphStore, shown: dict[str, Tile], waits: str, starting: bo
         return "Nothing to do."
     why = f": {pump['why']}" if pump["why"] else ""
     return f"The roof is not being watered, since the pump is {pump['state']}{why}."
-
-
-def _trim(rows: list[dict[str, Any]], max_length: int) -> list[dict[str, Any]]:
-    """Return the first rows, as many as fit into ``max_length`` characters of JSON."""
-    lengths = accumulate(len(json.dumps(row)) + 2 for row in rows)
-    return [row for row, length in zip(rows, lengths, strict=True) if length <= max_length]
 
 
 # --- the charts -----------------------------------------------------------------------------------

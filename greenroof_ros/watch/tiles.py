@@ -182,6 +182,8 @@ def make_temperature_tile(store: GraphStore) -> Tile:
     ))
     if tile["number"] is not None:
         tile["value"] = "0 °C or below" if frost else "above 0 °C"
+    elif tile["stale"]:
+        tile["sentence"] = _NONE_NOW
     return tile
 
 

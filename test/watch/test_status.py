@@ -134,7 +134,7 @@ def test_it_gives_the_pages_words(domain: int, tmp_path: Path) -> None:
             )
     assert (code, len(lines)) == (2, 15)
     assert lines[0] == (
-        "1 alarm, 30 warnings. Roof sensor: \\x1b[31mno answer; the pump is held off."
+        "1 alarm, 30 warnings. Roof sensor: \\x1b[31mno answer; the pump is off."
     )
     assert lines[1].startswith("What to do: ") and page["alarms"][0]["do"] in lines[1]
     for line, name in ((lines[3], "roof"), (lines[5], "pump")):
