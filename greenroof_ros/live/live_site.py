@@ -32,6 +32,8 @@ from greenroof_ros.site.file import read_site
 
 # Minimum size of a bag (MB).
 MIN_BAG_MB = 2.0
+# Length of the forecast that people are shown if the controller ignores it (h).
+_SHOWN_H = 12.0
 
 
 class LiveSite:
@@ -149,10 +151,12 @@ class LiveSite:
                     "forecast": str(state / "forecast.csv"),
                     "fetch": ENSEMBLE if self.controller.ensemble else FORECAST,
                 }
+            # On/off control ignores the forecast, which then is for people alone.
+            ignored = self.controller.reference == "onoff"
             nodes["weather"] = NodeSetup("greenroof_ros.live.weather", {
                 **common,
                 **forecast,
-                "horizon": self.parameters.get("horizon", 0.0),
+                "horizon": self.parameters.get("horizon", _SHOWN_H if ignored else 0.0),
                 "all_members": self.controller.ensemble,
             })
         nodes[RECORDER] = NodeSetup("greenroof_ros.live.recorder", {

@@ -383,8 +383,9 @@ class LiveSupervisor:
         wrong = popen.returncode in (EXIT_USAGE, EXIT_OCCUPIED)
         wait, how = process.restarts.wait(now), ""
         if start.instead and (wait is None or (wrong and process.was_ready)):
-            printed = f", and last printed: {process.last_lines[-1]}" if process.last_lines else ""
-            process.start = replace(start, arguments=start.instead(failure + printed), instead=None)
+            # The last line of a program that rejects its set-up is the reason.
+            reason = ", ".join([failure, *list(process.last_lines)[-1:]]) if wrong else failure
+            process.start = replace(start, arguments=start.instead(reason), instead=None)
             process.restarts, wait, how = Restarts(), restarts.FIRST_WAIT_S, "given up: "
         process.runs, process.failure, process.state = False, failure, Beat(0)
         process.due = None if wait is None else now + wait

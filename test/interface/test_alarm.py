@@ -49,5 +49,5 @@ def test_missing_while_starting() -> None:
 @pytest.mark.parametrize("values", [{"number": "x"}, {"since": "now"}, {"seconds": "long"}])
 def test_invalid_values(values: dict[str, str]) -> None:
     """Any program may publish on the topic."""
-    with pytest.raises(ValueError, match="x|now|long"):
+    with pytest.raises(ValueError, match=r"x|now|long"):
         read_status("/pump", 2, "", values)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import os
-import re
 import resource
 import signal
 import time
@@ -220,7 +219,7 @@ def test_the_station_is_told_why_it_was_restarted_and_ends_the_site_at_last(
         "for people: ended (SIGKILL)",
     ]
     os.kill(site.pid("station"), signal.SIGKILL)
-    with pytest.raises(NodeFailed, match=r"station ended \(SIGKILL\); it has been restarted 1 times"):
+    with pytest.raises(NodeFailed, match=r"station ended \(SIGKILL\); it has been restarted 1 "):
         site.until(lambda: False)
     site.end()
     assert (site.directory / "station.log").read_text() == 2 * "station was started\n"
@@ -248,10 +247,9 @@ def test_on_off_replaces_a_controller_that_is_given_up(
     (marks / "turn").touch()
     site.until(lambda: len(site.starts("onoff")) == 2)
     site.until_ready()
-    assert told["refuses"] == (
-        "ended (exit code 2), and last printed: error: mine.py, line 3: x"
-    )
-    assert re.match(r"ended \(SIGSEGV\), and last printed: ", told["crashes"])
+    assert told == {
+        "refuses": "ended (exit code 2), error: mine.py, line 3: x", "crashes": "ended (SIGSEGV)",
+    }
     assert Counter(site.told) == Counter([
         "refuses: ended (exit code 2); given up: starts again in 1 s",
         "crashes: ended (SIGSEGV); starts again in 1 s",

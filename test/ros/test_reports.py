@@ -101,7 +101,7 @@ def test_a_part_reports_code_start_age_subject_and_line() -> None:
         assert (found.about, found.since, found.age_s) == (("/roof/level", "/x"), since, age)
     for hardware, line in (
         ("mqtt://10.0.0.2:1883/roof/level", "10.0.0.2:1883"), ("shelly, mqtt://b/x", "b"),
-        ("tcp://10.0.0.3:502, device 1", "10.0.0.3:502"), ("/dev/ttyUSB0, device 2", "/dev/ttyUSB0"),
+        ("tcp://10.0.0.3:502, device 1", "10.0.0.3:502"), ("/dev/ttyS0, device 2", "/dev/ttyS0"),
         ("gateway://[::1]:502,3", "[::1]:502"), ("a host", ""),
     ):
         node = NodeReport("/pump", "pump")
@@ -301,6 +301,7 @@ def test_what_is_not_whole_is_read_or_refused(change: Callable[[bytes, Random], 
     random = Random(1)
     for _ in range(300):
         try:
-            Reports().receive(0.0, NOON, read_statuses(change(message, random))[1])
-        except Exception as error:
-            assert not isinstance(error, MemoryError)
+            _, statuses = read_statuses(change(message, random))
+        except Exception:
+            continue
+        Reports().receive(0.0, NOON, statuses)
