@@ -63,6 +63,8 @@ class Condition:
     explained_by: tuple[str, ...] = ()
     stops_pump: bool = False
     by_hand: bool = False
+    device: bool = False
+    headline: str = ""
     interlock: Interlock | None = None
 
     @property

@@ -31,6 +31,7 @@ class PumpReports:
             exchange: the communication with the drive.
         """
         self._reports, self._inputs, self._exchange = reports, inputs, exchange
+        reports.hardware = str(exchange.endpoint)
 
     def update(
         self, now: float, site: Site, state: PumpState, decision: Decision, dose: Dose | None,
@@ -132,7 +133,7 @@ class PumpReports:
             )
         if status is None:
             return
-        self._reports.hardware = snapshot.identity
+        self._reports.hardware = f"{snapshot.identity}, {self._exchange.endpoint}"
         warning = "; ".join(filter(None, (snapshot.problem, status.warning)))
         level, diagnosis = WARN, None
         if status.fault:
