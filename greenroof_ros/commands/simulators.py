@@ -90,15 +90,15 @@ def _find_make(simulated: Mapping[str, type[_Device]], make: str) -> type[_Devic
 
 
 async def _simulate(run: Run, sensors: Sensors, endpoint: Endpoint) -> None:
-    from greenroof_ros.live.simulators.control_profiles import DRIVES
-    from greenroof_ros.live.simulators.server import Server
-    from greenroof_ros.live.simulators.simulated_drive import (
+    from greenroof_ros.live.simulators.drive import (
+        DRIVES,
         DriveSettings,
         SimulatedDrive,
         drive_server,
     )
-    from greenroof_ros.live.simulators.simulated_relay import RELAYS, RelayOnBroker, SimulatedRelay
-    from greenroof_ros.live.simulators.simulated_site import SimulatedSite
+    from greenroof_ros.live.simulators.relay import RELAYS, RelayOnBroker, SimulatedRelay
+    from greenroof_ros.live.simulators.server import Server
+    from greenroof_ros.live.simulators.site import SimulatedSite
 
     began, ended = time.monotonic(), asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
