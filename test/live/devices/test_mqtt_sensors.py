@@ -20,8 +20,8 @@ from places import CONFIG
 from refusals import refusal
 from simulators import until
 
-from greenroof_ros.live.devices import readings
-from greenroof_ros.live.devices.mqtt_sensor import MqttReader, read_number
+from greenroof_ros.live.devices import sensor as devices
+from greenroof_ros.live.devices.sensor import MqttReader, read_number
 from greenroof_ros.live.devices.sensor_file import MqttSensor, read_sensors
 
 pytestmark = needs_mosquitto
@@ -210,7 +210,7 @@ def test_nothing_of_before_a_suspend_counts_after_it(
 ) -> None:
     """The machine was suspended for an hour: messages within a second after it may be old."""
     slept = 0.0
-    monkeypatch.setattr(readings, "suspended_time", lambda: slept)
+    monkeypatch.setattr(devices, "suspended_time", lambda: slept)
     with reading(shared, median=3) as reader, Talker(shared) as talker:
         begin(reader, talker, "1")
         assert after(reader, talker, "1") == [1.0]

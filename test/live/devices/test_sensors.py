@@ -15,9 +15,9 @@ from places import CONFIG
 from refusals import refusal
 from simulators import until
 
-from greenroof_ros.live.devices import readings
+from greenroof_ros.live.devices import sensor as devices
 from greenroof_ros.live.devices.modbus_line import DriveError, ModbusLine
-from greenroof_ros.live.devices.modbus_sensor import ModbusReader, SensorLine
+from greenroof_ros.live.devices.sensor import ModbusReader, SensorLine
 from greenroof_ros.live.devices.sensor_file import ModbusSensor, read_sensors
 
 SHIPPED = (CONFIG / "sensors.yaml").read_text()
@@ -109,7 +109,7 @@ def test_the_median_leaves_single_wrong_readings_out_and_starts_again_after_a_re
 def test_no_level_of_before_a_suspend_counts_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """The machine was suspended for an hour between the third reading and the fourth."""
     slept = chain([0.0] * 4, repeat(3600.0))  # the first call is before any reading
-    monkeypatch.setattr(readings, "suspended_time", lambda: next(slept))
+    monkeypatch.setattr(devices, "suspended_time", lambda: next(slept))
     assert levels(["2710"] * 3 + ["9C40"] * 2, median=3) == [1.0, 1.0, 1.0, 4.0, 4.0]
 
 
@@ -135,8 +135,8 @@ def test_too_many_refused_readings(
 ) -> None:
     """More than a tenth of a minute's, and five: for how long (s), and what comes in a period."""
     now = 1000.0
-    monkeypatch.setattr(readings.time, "monotonic", lambda: now)
-    share = readings.RefusedShare()
+    monkeypatch.setattr(devices.time, "monotonic", lambda: now)
+    share = devices.RefusedShare()
     for seconds, period, pattern in stretches:
         for good in islice(cycle(pattern), round(seconds / period)):
             now += period
