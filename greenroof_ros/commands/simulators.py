@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from greenroof_ros.base.command_line import Parser, command
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.live.devices.drive_file import find_drive_file
-from greenroof_ros.live.devices.endpoint import Endpoint, read_endpoint
+from greenroof_ros.live.devices.exchange import Endpoint, read_endpoint
 from greenroof_ros.live.devices.modbus_line import check_installed
 from greenroof_ros.live.devices.relay import RelayEndpoint
 from greenroof_ros.live.devices.sensor_file import Sensors, default_sensors, read_sensors

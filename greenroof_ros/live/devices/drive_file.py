@@ -22,6 +22,9 @@ from greenroof_ros.live.devices.modbus_line import (
 
 UNITS = ("", "share", "s", "m3/s")
 SPEED = "speed"
+# Default limit of a device's own communication timeout (s). Within this time, apart from its ramp, a
+# device also shows whether it obeys.
+LIMIT_S = 10.0
 # Longest ramp down that a drive may have (s), after *stop* or after its own timeout; drive files do
 # not state the ramp. A pump whose speed cannot be read may turn for this long. If it turns for
 # longer after it was forbidden to run, it does not obey.

@@ -24,6 +24,7 @@ from typing import Any
 from greenroof_ros.base.mqtt import Broker, make_client
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.devices.drive import DriveStatus
+from greenroof_ros.live.devices.drive_file import LIMIT_S
 from greenroof_ros.live.devices.json_path import value_at
 from greenroof_ros.live.devices.modbus_line import Address, DriveError
 from greenroof_ros.live.devices.relay_file import RelayFile, RelayMessage, Timer, Value
@@ -396,7 +397,9 @@ class Relay:
         is_on = self._read()
         if self._ordered is None or is_on == self._ordered:
             return None
-        return Diagnosis.of("second_master", "on" if is_on else "off", where=self.line.where)
+        return Diagnosis.of(
+            "second_master", "on" if is_on else "off", "pause", where=self.line.where, pause=LIMIT_S
+        )
 
     def _read(self) -> bool:
         """Return whether the relay reports that it is on."""

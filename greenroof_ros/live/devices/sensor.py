@@ -22,7 +22,6 @@ from greenroof_ros.interface.conditions import Diagnosis, read_conditions
 from greenroof_ros.live.boot_clock import boot_time, suspended_time
 from greenroof_ros.live.devices.json_path import value_at
 from greenroof_ros.live.devices.modbus_line import (
-    DeviceSnapshot,
     DeviceThread,
     DriveError,
     ModbusLine,
@@ -207,17 +206,20 @@ class Total:
 
 
 @dataclass(frozen=True)
-class Reading(DeviceSnapshot):
+class Reading:
     """A snapshot of a measured quantity.
 
     Attributes:
         read_at: time at which the last attempt ended or the sensor was lost (s, `time.monotonic`).
+        problem: description of the last problem if it persists; otherwise empty.
         value: value in the unit of the quantity's topic. The value is None after a failure, or
             before the second total. After a failure, however, the last rise in a total is still
             published until it has been distributed completely.
         code: condition code of the problem.
     """
 
+    read_at: float = -math.inf
+    problem: str = ""
     value: float | None = None
     code: str = "sensor_lost"
 
@@ -358,7 +360,7 @@ class SensorReader:
             self._reading = Reading(time.monotonic(), "", filtered)
 
 
-class SensorLine(DeviceThread[DeviceSnapshot]):
+class SensorLine(DeviceThread):
     """A thread that reads the sensors on one line once per period, the most overdue sensor first.
 
     The thread connects if needed, and again after every failure. If there is more than one sensor
@@ -378,7 +380,7 @@ class SensorLine(DeviceThread[DeviceSnapshot]):
         Args:
             name: address of the line, for messages.
         """
-        super().__init__(f"{name}: reading", DeviceSnapshot())
+        super().__init__(f"{name}: reading")
         self.readers: list[ModbusReader] = []
         self._quiet_until = -math.inf
 

@@ -15,8 +15,7 @@ from places import CONFIG
 from simulators import Simulator, until
 
 from greenroof_ros.live.devices.drive_file import find_drive_file
-from greenroof_ros.live.devices.endpoint import read_endpoint
-from greenroof_ros.live.devices.exchange import DriveExchange
+from greenroof_ros.live.devices.exchange import DriveExchange, read_endpoint
 from greenroof_ros.live.devices.sensor import ModbusReader, MqttReader, SensorLine
 from greenroof_ros.live.devices.sensor_file import ModbusSensor, MqttSensor, read_sensors
 from greenroof_ros.live.simulators.site import SimulatedSite
