@@ -27,9 +27,13 @@ from pathlib import Path
 from greenroof_ros.base.command_line import add_site, command
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.mqtt import parse_topic
-from greenroof_ros.live.devices.drive_file import DriveFile, find_drive_file, read_drive_file
+from greenroof_ros.live.devices.drive_file import (
+    DriveFile,
+    find_drive_file,
+    read_drive_file,
+    read_relay_file,
+)
 from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine, parse_address
-from greenroof_ros.live.devices.relay_file import read_relay_file
 from greenroof_ros.live.devices.sensor_file import default_sensors, read_sensors
 from greenroof_ros.live.simulators.drive import (
     DRIVES,

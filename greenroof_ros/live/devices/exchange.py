@@ -19,10 +19,14 @@ from greenroof_ros.base.processes import LockedError, acquire_name_lock
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.devices.drive import Drive, DriveEndpoint, DriveStatus
-from greenroof_ros.live.devices.drive_file import LIMIT_S, MAX_RAMP_S, read_drive_file
+from greenroof_ros.live.devices.drive_file import (
+    LIMIT_S,
+    MAX_RAMP_S,
+    read_drive_file,
+    read_relay_file,
+)
 from greenroof_ros.live.devices.modbus_line import DeviceThread, DriveError, parse_drive_address
 from greenroof_ros.live.devices.relay import Relay, RelayEndpoint
-from greenroof_ros.live.devices.relay_file import read_relay_file
 
 # Time between two rounds of requests (s).
 PERIOD_S = 0.1

@@ -24,10 +24,9 @@ from typing import Any
 from greenroof_ros.base.mqtt import Broker, make_client
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.devices.drive import DriveStatus
-from greenroof_ros.live.devices.drive_file import LIMIT_S
+from greenroof_ros.live.devices.drive_file import LIMIT_S, RelayFile, RelayMessage, Timer, Value
 from greenroof_ros.live.devices.json_path import value_at
 from greenroof_ros.live.devices.modbus_line import Address, DriveError
-from greenroof_ros.live.devices.relay_file import RelayFile, RelayMessage, Timer, Value
 
 # Longest wait for the broker (s).
 _CONNECT_S = 3.0

@@ -20,11 +20,10 @@ from refusals import refusal
 from simulators import Simulator
 from simulators import until as wait
 
-from greenroof_ros.live.devices.drive_file import find_drive_file
+from greenroof_ros.live.devices.drive_file import find_drive_file, read_relay_file
 from greenroof_ros.live.devices.exchange import DriveExchange, read_endpoint, stop_drive
 from greenroof_ros.live.devices.modbus_line import DriveError
 from greenroof_ros.live.devices.relay import RelayEndpoint
-from greenroof_ros.live.devices.relay_file import read_relay_file
 
 pytestmark = needs_mosquitto
 
