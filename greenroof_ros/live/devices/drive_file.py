@@ -359,11 +359,10 @@ class RelayMessage:
     payload: str = entry("payload of the message")
 
 
-@dataclass(frozen=True)
-class Question:
+@dataclass(frozen=True, kw_only=True)
+class Question(RelayMessage):
     """A request to the relay, and the features by which its reply is recognized."""
 
-    topic: str = entry("topic on which the request is published")
     answer: str = entry("topic of the reply, which is a JSON object")
     known_by: str = entry("path whose presence identifies the reply, such as result.output")
     payload: str = entry("payload of the request", default="")

@@ -148,8 +148,8 @@ class RelayLine:
         self._client.disconnect()
         self._client.loop_stop()
 
-    def publish(self, message: RelayMessage, **values: str) -> None:
-        """Publish a message once.
+    def publish(self, message: RelayMessage, **values: str) -> str:
+        """Publish a message once, and return its number.
 
         Args:
             message: message to the relay.
@@ -159,7 +159,11 @@ class RelayLine:
         Raises:
             DriveError: if the connection has been lost.
         """
-        self._publish(message.topic, message.payload, str(next(self._numbers)), values)
+        number = str(next(self._numbers))
+        topic, payload = self._fill(message.topic), self._fill(message.payload, id=number, **values)
+        if not self.connected or self._client.publish(topic, payload).rc:
+            raise self.error("connection", f"the connection was closed: {self._closed_by}")
+        return number
 
     def request(self, name: str) -> Any:
         """Send a request to the relay, and return its reply, parsed from JSON.
@@ -167,11 +171,11 @@ class RelayLine:
         Raises:
             DriveError: if no valid response arrives in time.
         """
-        question, number = self._file.questions[name], str(next(self._numbers))
+        question = self._file.questions[name]
         if not self._awaited.total():
             self._received.clear()  # earlier messages answer no question
         self._awaited[name] += 1
-        self._publish(question.topic, question.payload, number, {})
+        number = self.publish(question)
         topic, until = self._fill(question.answer), time.monotonic() + self._timeout_s
         payload = b""
         while (message := self._receive(until)) is not None:
@@ -213,11 +217,6 @@ class RelayLine:
 
     def _fill(self, text: str, **values: str) -> str:
         return Template(text).substitute(self._placeholders, **values)
-
-    def _publish(self, topic: str, payload: str, number: str, values: dict[str, str]) -> None:
-        filled = self._fill(payload, id=number, **values)
-        if not self.connected or self._client.publish(self._fill(topic), filled).rc:
-            raise self.error("connection", f"the connection was closed: {self._closed_by}")
 
     # --- in the client's thread -------------------------------------------------------------------
 
