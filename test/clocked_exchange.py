@@ -137,9 +137,7 @@ class Bench:
 
     cable: Cable
 
-    def __init__(
-        self, monkeypatch: pytest.MonkeyPatch, file: DriveFile, **options: float
-    ) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, file: DriveFile) -> None:
         self.clock, self.drive = Clock(), acs880()
         self.answer: Callable[[bytes], Answer] = self.drive
         self.speed: float | None = None
@@ -149,7 +147,7 @@ class Bench:
         monkeypatch.setattr(exchange, "boot_time", self.clock.boot_time)
         monkeypatch.setattr(exchange, "acquire_drive_lock", lambda _endpoint: socket.socket())
         monkeypatch.setattr(DriveFile, "line", lambda _file, _at, timeout_s: Cable(self, timeout_s))
-        self.exchange = DriveExchange(DriveEndpoint(file, Address(line="there")), **options)
+        self.exchange = DriveExchange(DriveEndpoint(file, Address(line="there")))
         self.exchange._wake = Wake(self.clock)
 
     @property

@@ -28,8 +28,10 @@ from greenroof_ros.live.devices.drive_file import (
 from greenroof_ros.live.devices.modbus_line import DeviceThread, DriveError, parse_drive_address
 from greenroof_ros.live.devices.relay import Relay, RelayEndpoint
 
-# Time between two rounds of requests (s).
-PERIOD_S = 0.1
+# Time between two rounds of requests (s), and how long each may wait for its response (s).
+PERIOD_S, TIMEOUT_S = 0.1, 0.5
+# Time without a request of the caller after which the drive is stopped (s).
+DEAD_MAN_S = 1.0
 # Longest time until a change is noticed (s): two rounds whose requests wait for their responses.
 NOTICE_S = 1.0
 # The connection is treated as lost after this many consecutive rounds without a valid answer.
@@ -359,22 +361,12 @@ class DriveExchange(DeviceThread):
     """
 
     def __init__(
-        self,
-        endpoint: Endpoint,
-        period_s: float = PERIOD_S,
-        dead_man_s: float = 1.0,
-        *,
-        timeout_s: float = 0.5,
-        timeout_limit_s: float = 10.0,
-        stops_locally: bool = False,
+        self, endpoint: Endpoint, *, timeout_limit_s: float = LIMIT_S, stops_locally: bool = False
     ) -> None:
         """Prepare the exchange.
 
         Args:
             endpoint: the drive.
-            period_s: polling interval (s); a relay file may set a longer interval.
-            dead_man_s: time without a call to `request_speed` after which the drive is stopped (s).
-            timeout_s: maximum time to wait for each response (s).
             timeout_limit_s: maximum usable communication timeout of the drive (s), which is also
                 the length of a silence if the timeout is longer, unknown or off.
             stops_locally: whether the operator has confirmed that local settings of the drive,
@@ -386,11 +378,9 @@ class DriveExchange(DeviceThread):
         super().__init__("communication with the drive")
         self._snapshot, self._lock = DriveSnapshot(), threading.Lock()
         self.endpoint, self.disbelieved = endpoint, False
-        self._drive: Connection = endpoint.connection(timeout_s)
+        self._drive: Connection = endpoint.connection(TIMEOUT_S)
         self._drive_lock: socket.socket | None = None
-        self._waits_for_lock = False
-        self._period_s = max(period_s, endpoint.period)
-        self._dead_man_s, self._timeout_s = dead_man_s, timeout_s
+        self._period_s = max(PERIOD_S, endpoint.period)
         self._timeout_limit_s, self._stops_locally = timeout_limit_s, stops_locally
         # Read and written as a whole, so no lock is needed.
         self._requested: tuple[float | None, float] = (None, -math.inf)
@@ -427,6 +417,8 @@ class DriveExchange(DeviceThread):
         if not self._stop_thread(REST_LIMIT_S + MAX_WAIT_S):
             self._fail("could not confirm that the pump has stopped: the connection hangs",
                        connected=False, status=None)
+        elif self._drive_lock is not None:
+            self._drive_lock.close()
 
     def outcome(self) -> str:
         """Return a message about the release of the drive, after `close`.
@@ -468,7 +460,7 @@ class DriveExchange(DeviceThread):
         return Diagnosis.of("drive_timeout", case, *cases, **values, **more)
 
     def request_speed(self, speed: float | None) -> None:
-        """Request a speed (share of the rated speed), or off (None); valid for `dead_man_s`.
+        """Request a speed (share of the rated speed), or off (None); valid for `DEAD_MAN_S`.
 
         A speed outside the range from 0 to 1 is reported as a problem, and treated as off.
         """
@@ -512,7 +504,7 @@ class DriveExchange(DeviceThread):
 
     def _target_speed(self) -> float | None:
         speed, at = self._requested
-        fresh = boot_time() - at <= self._dead_man_s  # a suspension counts
+        fresh = boot_time() - at <= DEAD_MAN_S  # a suspension counts
         return speed if fresh and not self._closing and self._unguarded() is None else None
 
     def _unguarded(self) -> Diagnosis | None:
@@ -538,7 +530,7 @@ class DriveExchange(DeviceThread):
         status = _stop_until_at_rest(self._drive, self._rest_deadline)
         self._done = True
         self._update(connected=False, status=status, read_at=boot_time())
-        self._disconnect()
+        self._drive.line.close()
 
     def _handle_failure(self, error: Exception, problem: str) -> None:
         """Close the connection; begin a silence, schedule the next attempt or end the thread."""
@@ -553,7 +545,7 @@ class DriveExchange(DeviceThread):
             # A drive that closes its connections is given as much time as one that does not answer:
             # two closed connections in quick succession must not lead to a silence.
             closes = drive.stopped is False and not drive.line.connected
-            self._connect_at = now + self._wait_s + (self._timeout_s if closes else 0.0)
+            self._connect_at = now + self._wait_s + (TIMEOUT_S if closes else 0.0)
             self._wait_s = min(2 * self._wait_s, MAX_WAIT_S)
             self._fail(problem, connected=False, status=None)
         else:
@@ -566,7 +558,7 @@ class DriveExchange(DeviceThread):
                 "that timeout",
                 connected=False, status=None,
             )
-        self._disconnect()
+        drive.line.close()
 
     def _silence(self) -> tuple[float, str]:
         """Return the length of a silence (s), and a description of the drive's own timeout.
@@ -583,17 +575,9 @@ class DriveExchange(DeviceThread):
             )
         return min(own_s + SILENCE_MARGIN_S, limit_s), f"{own_s:g} s"
 
-    def _disconnect(self) -> None:
-        """Close the connection; if the thread is about to end, also release the lock."""
-        try:
-            self._drive.line.close()
-        finally:
-            if self._done and self._drive_lock is not None:
-                self._drive_lock.close()
-
     def _connect(self) -> None:
         """Connect and stop the drive; then read its nameplate and its own timeout."""
-        self._drive = drive = self.endpoint.connection(self._timeout_s)
+        self._drive = drive = self.endpoint.connection(TIMEOUT_S)
         self._unanswered = 0
         drive.line.connect()
         self._guarded_from = time.monotonic() + self._unguarded_s
@@ -628,11 +612,8 @@ class DriveExchange(DeviceThread):
         if not self._done:
             try:
                 self._drive_lock = acquire_drive_lock(self.endpoint)
-                self._waits_for_lock = False
             except DriveError as error:
-                report = self._update if self._waits_for_lock else self._fail
-                report(problem=str(error))
-                self._waits_for_lock = True
+                self._fail(str(error))
                 self._connect_at = time.monotonic() + NOTICE_S
 
     def _read_settings(self) -> None:

@@ -53,14 +53,14 @@ class Bench(Asking):
     """A relay and a broker."""
 
     def __init__(
-        self, make: str, directory: Path, *, broker: tuple[str, ...] = (), **special: float
+        self, make: str, directory: Path, *, broker: tuple[str, ...] = ()
     ) -> None:
         self.broker = Mosquitto(directory, *broker)
         self.at = endpoint(make, f"{self.broker.address}/roof")
         self.relay = Simulator(
             "drive_simulator", "--drive", make, "--at", str(self.at), "--timeout", f"{TIMER_S:g}"
         )
-        super().__init__(DriveExchange(self.at, **special))
+        super().__init__(DriveExchange(self.at))
 
     @property
     def closed(self) -> bool:
@@ -88,12 +88,13 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 
 
 @pytest.mark.parametrize("make", MAKES)
-def test_it_is_switched_renewed_and_left_off(make: str, tmp_path: Path) -> None:
+def test_it_is_switched_renewed_and_left_off(
+    make: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Off first; *on* is renewed within a third of the timer; no message is retained."""
     # An answer that a busy machine delays is no error of the driver's.
-    with closing(Bench(make, tmp_path, timeout_s=2.0)) as bench, Talker(
-        bench.broker, "#"
-    ) as tap:
+    monkeypatch.setattr("greenroof_ros.live.devices.exchange.TIMEOUT_S", 2.0)
+    with closing(Bench(make, tmp_path)) as bench, Talker(bench.broker, "#") as tap:
         bench.connect()
         now = bench.now
         assert now.status is not None and now.status.at_rest and now.problem == ""
