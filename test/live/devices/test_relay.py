@@ -279,36 +279,6 @@ def test_no_one_there() -> None:
     assert caught.value.kind == "connection"
 
 
-TASMOTA = (CONFIG / "drives" / "tasmota.yaml").read_text(encoding="utf-8")
-SHELLY = (CONFIG / "drives" / "shelly_gen2.yaml").read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize(
-    ("text", "old", "new", "message"),
-    [
-        (TASMOTA, "state: {question: state,", "state: {question: status,",
-         "state.question = 'status': must be the name of a request under questions in this file: "
-         "state, timer"),
-        (TASMOTA, "payload: \"ON\"}", "payload: $on}",
-         "switch_on.payload = '$on': may contain only these placeholders: $device, $me, $id, "
-         "$seconds"),
-        (TASMOTA, 'is_off: "OFF"', 'is_off: "ON"', "state.is_off = 'ON': must differ from is_on"),
-        (TASMOTA, "{low: 1, high: 111,", "{low: 112, high: 111,", "must be at most high, which is"),
-        (TASMOTA, "unverified: []", "unverified: [clock]", "is not a key of this file"),
-        (SHELLY, '{"id": $id, "src": "$me", "method": "Shelly.GetDeviceInfo"}', "{}",
-         "number = 'id': requires $id in the payload of every request"),
-        (SHELLY, "protocol: mqtt", "protocol: coap", "protocol = 'coap': must be one of mqtt"),
-    ],
-)
-def test_wrong_files_are_refused_by_line_key_and_value(
-    tmp_path: Path, text: str, old: str, new: str, message: str
-) -> None:
-    assert text.count(old) == 1
-    path = tmp_path / "relay.yaml"
-    path.write_text(text.replace(old, new), encoding="utf-8")
-    assert message in refusal(read_relay_file, path, match=rf"^{path}, line \d+: ")
-
-
 @pytest.mark.parametrize(
     ("raw", "seconds"), [(0, None), (1, 0.1), (111, 11.1), (112, 12.0), (64900, 64800.0)]
 )
