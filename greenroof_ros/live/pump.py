@@ -42,8 +42,15 @@ from greenroof_ros.interface.states import DriveState, PumpState
 from greenroof_ros.live.boot_clock import boot_time, suspended_time
 from greenroof_ros.live.devices.drive import DriveStatus
 from greenroof_ros.live.devices.drive_file import MAX_RAMP_S, find_drive_file
-from greenroof_ros.live.devices.endpoint import CHOICE, Endpoint, read_endpoint
-from greenroof_ros.live.devices.exchange import RESET_S, UNREAD_S, DriveExchange, DriveSnapshot
+from greenroof_ros.live.devices.exchange import (
+    CHOICE,
+    RESET_S,
+    UNREAD_S,
+    DriveExchange,
+    DriveSnapshot,
+    Endpoint,
+    read_endpoint,
+)
 from greenroof_ros.live.engine import LIMITS, Levels, live_parameters
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.live.pump_reports import PumpReports
