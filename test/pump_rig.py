@@ -96,7 +96,7 @@ class Rig:
             self._dt, replace(observed, **self.change)  # type: ignore[arg-type]
         )
         self.decisions.append(decision)
-        self.delivered += decision.flow * self.tau
+        self.delivered += (decision.flow or 0.0) * self.tau
         setpoint = decision.speed or 0.0
         true_flow = self.plant_flow(1.0 if self.contactor_stuck else self.speed)
         pumped = self._advance(true_flow, rain, evapotranspiration)

@@ -38,7 +38,7 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import state_directory
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.interface.states import DriveState, PumpState
+from greenroof_ros.interface.states import DriveState
 from greenroof_ros.live.boot_clock import boot_time, suspended_time
 from greenroof_ros.live.devices.drive import DriveStatus
 from greenroof_ros.live.devices.drive_file import MAX_RAMP_S, find_drive_file
@@ -126,13 +126,12 @@ class PumpNode(LiveNode):
         self._unsaved, self._saved_at = "the state is not saved yet", -math.inf
         self._start_control()
         self._decision = Decision(
-            None, "off", "not started", {}, 0.0, "", (), at_rest=False, reported_speed=None,
-            flow_known=False, blind_for=0.0,
+            None, "unknown", "", {}, None, "", (), at_rest=False, reported_speed=None,
+            delivery_checked=False,
         )
-        self._state = PumpState()
         self._reasons: tuple[object, ...] = ()  # the reasons as `on_timer` last saw them
         self._resetting_until = self._reported_at = -math.inf
-        self._stepped, self._watched = boot_time(), time.monotonic()
+        self._stepped = boot_time()
         self._suspended, self._suspended_at = suspended_time(), -math.inf
         self._changed_at = -math.inf  # when the state file was found to be changed
         self._levels = Levels(site, values, self.subscribe)
@@ -206,14 +205,14 @@ class PumpNode(LiveNode):
         self._step()
         self._exchange.stop()
         remark = "" if as_requested else "; the earlier hold lasts longer and was not shortened"
-        return self._saved(f"{self._state}{remark}")
+        return self._saved(f"{self._decision.shown}{remark}")
 
     def _stop_or_release(self, request: SetBool.Request) -> tuple[bool, str]:
         if request.data:
             return self._hold(owner="the operator")
         self._state_file.release()
         self._step()
-        return self._saved(str(self._state))
+        return self._saved(str(self._decision.shown))
 
     def _reset(self, request: Trigger.Request) -> tuple[bool, str]:
         cleared = self._control.reset()
@@ -226,7 +225,7 @@ class PumpNode(LiveNode):
             raise ValueError(refusal)
         self._control.clear()
         self._step()
-        return self._saved(str(self._state))
+        return self._saved(str(self._decision.shown))
 
     def _dose(self, request: SetParametersAtomically.Request) -> tuple[bool, str]:
         fields = {parameter.name: parameter.value.double_value for parameter in request.parameters}
@@ -237,13 +236,13 @@ class PumpNode(LiveNode):
         self._step()  # a reason against the dose may have just arrived
         refusal = self._control.request_dose(fields["asked_at"], fields["volume"])
         self._step()
-        return not refusal, refusal or str(self._state)
+        return not refusal, refusal or str(self._decision.shown)
 
     # --- by the clock -----------------------------------------------------------------------------
 
     def on_inputs(self) -> None:
         """Decide, and publish the flow."""
-        flow = self._step().flow
+        flow = self._step().flow or 0.0  # a number for every tick, also if it is unknown
         if self._levels.cistern.good and self._levels.roof.good:
             self._levels.expect(flow)
         self.publish("/pump/flow", flow)
@@ -278,7 +277,7 @@ class PumpNode(LiveNode):
             if self._state_file.check():
                 self._changed_at = now
             self._pump_reports.update(
-                now, self._site, self._state, self._decision, self._control.doses.last,
+                now, self._site, self._decision, self._control.doses.last,
                 self._state_file.problem, now - self._changed_at < _REPORTED_S, self._second_pump(),
             )
 
@@ -377,23 +376,16 @@ class PumpNode(LiveNode):
             runs_on=status is not None and status.runs_on,
             reasons=[*self._reasons_against(snapshot, now)],
         )
-        dt = self._elapsed()
-        # The drive is watched only while the machine is awake, and this clock counts only that
-        # time.
-        awake = time.monotonic()
-        drive_dt, self._watched = awake - self._watched, awake
-        decided, decision = self._decision, self._control.step(dt, observation, drive_dt)
+        before, decision = self._decision, self._control.step(self._elapsed(), observation)
         self._decision = decision
-        self._exchange.disbelieved = decision.disbelieved
+        self._exchange.disbelieved = decision.flows_at_rest
         self._exchange.request_speed(decision.speed)
-        state = PumpState(decision.state, decision.why, tuple(decision.interlocks))
-        before, self._state = self._state, state
-        if state != before:
-            self.publish("/pump/state", state.message())
+        if decision.shown != before.shown:
+            self.publish("/pump/state", decision.shown.message())
             # Not at every change of the words, since they contain numbers.
-            logged = (decided.state, decided.at_rest, *decided.interlocks)
+            logged = (before.state, before.at_rest, *before.interlocks)
             if (decision.state, decision.at_rest, *decision.interlocks) != logged:
-                self.get_logger().info(str(state))
+                self.get_logger().info(str(decision.shown))
         return decision
 
     def _elapsed(self) -> float:
@@ -411,10 +403,10 @@ class PumpNode(LiveNode):
         stored, active_hold = self._state_file.state, self._state_file.active_hold
         decision, dose = self._decision, self._control.doses.last
         return {
-            "pump_state": self._state.state, "pump_why": self._state.why,
+            "pump_state": decision.state, "pump_why": decision.why,
             "stands": decision.at_rest,
             "speed": decision.reported_speed,
-            "flow": decision.flow if decision.flow_known else None,
+            "flow": decision.flow,
             "drive_state": self._drive_state.value,
             "fault": stored.fault,
             "no_clear": self._control.clear_refusal,

@@ -237,12 +237,8 @@ class PumpLimits:
             yield Diagnosis.of("frost_unknown")
         elif observed.frost:
             yield Diagnosis.of("frost")
-        if (quiet := self._site.quiet) is not None:
-            if time_ns is None:
-                yield Diagnosis.of("quiet_hours", "no_time")
-            elif quiet.quiet_at(time_ns):
-                until = to_people(quiet.end_after(time_ns))
-                yield Diagnosis.of("quiet_hours", "until", until=until)
+        if (quiet := self._site.quiet) is not None and quiet.quiet_at(time_ns):
+            yield Diagnosis.of("quiet_hours", until=to_people(quiet.end_after(time_ns)))
         if command == 0:
             self._rests_for = 0.0
         if self._rests_for > 0:

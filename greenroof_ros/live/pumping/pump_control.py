@@ -14,6 +14,7 @@ from greenroof_ros.interface.conditions import (
     Diagnosis,
     read_interlocks,
 )
+from greenroof_ros.interface.states import PumpState
 from greenroof_ros.live.pumping.delivery import DeliveryCheck
 from greenroof_ros.live.pumping.dose import FULL, INTERLOCK, UNSEEN, Doses
 from greenroof_ros.live.pumping.interlocks import evaluate
@@ -47,32 +48,34 @@ class Decision:
             off, but may still be turning.
         why: reason for the state, in words.
         interlocks: the active interlocks by code, in the order of their table.
-        flow: best current estimate of the flow (m3/s).
+        flow: best current estimate of the flow (m3/s); None if it is unknown.
         source: source of the flow, in words.
         warnings: conditions that an operator should know about although they do not stop the pump.
         at_rest: whether the pump is stopped, either as reported or because of the drive's own
             timeout.
         reported_speed: speed that the drive reports (share of the rated speed), negative if the
             pump turns backwards; None if the drive does not respond or its value is implausible.
-        flow_known: whether ``flow`` is known; if not, ``flow`` is 0.
-        blind_for: time for which the delivery check has been inoperative (s), because a level is
-            unknown or the levels have not been known for long enough.
+        delivery_checked: whether both levels have been known for long enough to check the delivery.
     """
 
     speed: float | None
     state: str
     why: str
     interlocks: Mapping[str, Diagnosis]
-    flow: float
+    flow: float | None
     source: str
     warnings: Sequence[Diagnosis]
     at_rest: bool
     reported_speed: float | None
-    flow_known: bool
-    blind_for: float
+    delivery_checked: bool
 
     @property
-    def disbelieved(self) -> bool:
+    def shown(self) -> PumpState:
+        """The state as it is published."""
+        return PumpState(self.state, self.why, tuple(self.interlocks))
+
+    @property
+    def flows_at_rest(self) -> bool:
         """Whether the drive reports standstill although a meter shows that the pump is running."""
         speed = self.reported_speed
         rests = self.speed is None and speed is not None and abs(speed) <= STANDSTILL
@@ -121,7 +124,6 @@ class PumpControl:
         self._failed_starts = 0  # consecutive
         self._flowed_for = 0.0
         self._unknown_for = 0.0
-        self._blind_for = 0.0
         # Highest speed that the drive may have had when it last answered, share of the rated speed;
         # 1 at first, since it may not be stopped yet.
         self._max_speed = 1.0
@@ -190,35 +192,28 @@ class PumpControl:
         self._limits.count(dt - ran, ran == dt)
         self._state_file.count(dt, ran, volume)
         self._delivery.step(dt, None, None, 0.0, volume)
-        self._blind_for += dt
         self._pulses.clear()
         self.doses.end(UNSEEN, f"the pump was not monitored for {dt:.0f} s")
         if self._setpoint is not None:
             self._limits.switch(False)
         self._setpoint = None
 
-    def step(self, dt: float, observed: Observation, drive_dt: float | None = None) -> Decision:
+    def step(self, dt: float, observed: Observation) -> Decision:
         """Determine the state and the speed of the pump for this step.
 
         Args:
             dt: time since the last step (s); 0 at the first step.
             observed: present observations.
-            drive_dt: time for which the drive was monitored since the last step (s); None if it
-                equals ``dt``. The two times differ after the computer was suspended, since the
-                drive was then not monitored.
         """
-        drive_dt = dt if drive_dt is None else drive_dt
-        speed_known, backwards, reported = (
-            observed.speed is not None, _backwards(observed), observed.speed
-        )
+        backwards, reported = _backwards(observed), observed.speed
         observed = _plausible(observed)
         warnings: list[Diagnosis] = []
         computed = None
         if observed.speed is not None and observed.cistern_level is not None:
             computed = flow_at(self._site, observed.speed, observed.cistern_level)
         known_flow, source = self._flow(observed, computed, warnings)
-        flow = 0.0 if known_flow is None else known_flow
-        self._unknown_for = self._unknown_for + drive_dt if observed.speed is None else 0.0
+        flow = known_flow or 0.0
+        self._unknown_for = self._unknown_for + dt if observed.speed is None else 0.0
         latest = self._max_speed if observed.speed is None else observed.speed
         self._max_speed = max(latest, self._setpoint or 0.0)
         unseen = self._unseen_flow(observed)
@@ -226,14 +221,12 @@ class PumpControl:
         minimum = max(flow, computed or 0.0)
         self._count(dt, observed.speed, unseen, minimum)
         under_way = self.doses.present is not None
-        self.doses.advance(drive_dt, max(minimum, unseen) * dt)
+        self.doses.advance(dt, max(minimum, unseen) * dt)
         self._pulses.count(flow * dt, dt)
         undelivered = self._delivery.step(
             dt, observed.cistern_level, observed.roof_level, minimum * dt, max(flow, unseen) * dt,
             observed.displacements,
         )
-        levels_known = observed.cistern_level is not None and observed.roof_level is not None
-        self._blind_for = 0.0 if levels_known and self._delivery.has_mean else self._blind_for + dt
         command, missing = observed.command, list[Diagnosis]()
         if command is None:
             missing.append(Diagnosis.of("command_unknown"))
@@ -251,7 +244,7 @@ class PumpControl:
         if not observed.drive_ready and not backwards:
             missing.append(Diagnosis.of("drive_not_ready"))
         active = evaluate([
-            *self._faults(drive_dt, observed, backwards, undelivered),
+            *self._faults(dt, observed, backwards, undelivered),
             *self._limits.reasons(1.0 if dosed else command, observed),
             *observed.reasons, *missing,
         ])
@@ -294,16 +287,18 @@ class PumpControl:
             why += f"; the pump is still turning, at {observed.speed:.2f} of its rated speed"
         if observed.speed is None:
             # A drive that answers but reports an implausible speed has not timed out.
-            at_rest = not speed_known and self._must_be_at_rest()
+            at_rest = reported is None and self._must_be_at_rest()
             if not at_rest and not backwards:
                 why += "; it is unknown whether the pump has stopped"
                 state = "unknown" if state == "off" else state
         else:
             at_rest = setpoint is None and not turning and not self._flows_on
+        if at_rest and known_flow is None:
+            known_flow = 0.0
+        levels_known = observed.cistern_level is not None and observed.roof_level is not None
         return Decision(
-            setpoint, state, why, active, flow, source, warnings, at_rest,
-            reported if backwards else observed.speed, at_rest or known_flow is not None,
-            self._blind_for,
+            setpoint, state, why, active, known_flow, source, warnings, at_rest,
+            reported if backwards else observed.speed, levels_known and self._delivery.has_mean,
         )
 
     def _dose_command(self, cistern_level: float) -> float:
@@ -361,7 +356,7 @@ class PumpControl:
         setpoint = self._setpoint or 0.0
         return speed is not None and abs(speed - setpoint) > self._settings.follow_tolerance
 
-    def _is_beyond_ramp(self, speed: float, drive_dt: float) -> bool:
+    def _is_beyond_ramp(self, speed: float, dt: float) -> bool:
         """Whether the speed of the pump cannot be explained by the drive's ramp.
 
         The speed of a drive that obeys lies between the speed that the slowest ramp has reached and
@@ -374,7 +369,7 @@ class PumpControl:
         setpoint, ramp, tolerance = (
             self._setpoint or 0.0, self._settings.drive_ramp, self._settings.follow_tolerance
         )
-        step = drive_dt / ramp if ramp else math.inf
+        step = dt / ramp if ramp else math.inf
         self._ramped += min(max(setpoint - self._ramped, -step), step)
         minimum, maximum = sorted((setpoint, self._ramped))
         if minimum <= speed <= maximum:
@@ -386,7 +381,7 @@ class PumpControl:
         """Whether a meter has shown flow for so long that the reported standstill must be false."""
         return self._flowed_for > _AFTERFLOW_S
 
-    def _flows_at_rest(self, drive_dt: float, observed: Observation) -> Diagnosis | None:
+    def _flows_at_rest(self, dt: float, observed: Observation) -> Diagnosis | None:
         """Return a fault if a meter shows flow although the drive reports standstill.
 
         A drive knows the state of its motor, and a relay its last command; neither detects a welded
@@ -397,13 +392,13 @@ class PumpControl:
         measured = max(observed.flow or 0.0, observed.drive_flow or 0.0)
         speed = observed.speed
         at_rest = self._setpoint is None and speed is not None and speed <= STANDSTILL
-        self._flowed_for = self._flowed_for + drive_dt if at_rest and measured > minimum else 0.0
+        self._flowed_for = self._flowed_for + dt if at_rest and measured > minimum else 0.0
         if not self._flows_on:
             return None
         return Diagnosis.of("runs_on", "flow", flow=measured, time=self._flowed_for)
 
     def _faults(
-        self, drive_dt: float, observed: Observation, backwards: Diagnosis | None,
+        self, dt: float, observed: Observation, backwards: Diagnosis | None,
         undelivered: Diagnosis | None,
     ) -> list[Diagnosis]:
         """Return the current faults, and the latched fault until it is reset.
@@ -416,11 +411,11 @@ class PumpControl:
         if failed_start and self._setpoint is not None:
             self._failed_starts += 1
         if observed.speed is not None:  # a short silence does not reset the timer
-            follow_limit = self._is_beyond_ramp(observed.speed, drive_dt)
-            self._follow_error_for = self._follow_error_for + drive_dt if follow_limit else 0.0
-            if self._setpoint is not None and not follow_limit and not failed_start:
+            beyond = self._is_beyond_ramp(observed.speed, dt)
+            self._follow_error_for = self._follow_error_for + dt if beyond else 0.0
+            if self._setpoint is not None and not beyond and not failed_start:
                 self._failed_starts = 0
-        found = [undelivered, self._flows_at_rest(drive_dt, observed), backwards]
+        found = [undelivered, self._flows_at_rest(dt, observed), backwards]
         if observed.speed is not None and self._follow_error_for > self._settings.follow_time:
             code = "runs_on" if self._setpoint is None else "speed_not_followed"
             found.append(Diagnosis.of(
@@ -502,16 +497,13 @@ def _backwards(observed: Observation) -> Diagnosis | None:
 
 def _plausible(observed: Observation) -> Observation:
     """Return the observation with implausible values replaced by None."""
-
-    def checked(value: float | None, minimum: float, maximum: float) -> float | None:
-        return value if value is not None and minimum <= value <= maximum else None
-
-    speed = checked(observed.speed, -STANDSTILL, _MAX_SPEED)
-    return replace(
-        observed,
-        cistern_level=checked(observed.cistern_level, -_MAX_LEVEL, _MAX_LEVEL),
-        roof_level=checked(observed.roof_level, -_MAX_LEVEL, _MAX_LEVEL),
-        speed=None if speed is None else max(0.0, speed),
-        flow=checked(observed.flow, 0.0, math.inf),
-        drive_flow=checked(observed.drive_flow, 0.0, math.inf),
-    )
+    ranges = {
+        "cistern_level": (-_MAX_LEVEL, _MAX_LEVEL),
+        "roof_level": (-_MAX_LEVEL, _MAX_LEVEL),
+        "speed": (-STANDSTILL, _MAX_SPEED), "drive_flow": (0.0, math.inf),
+    }
+    observed = replace(observed, **{
+        name: None for name, (low, high) in ranges.items()
+        if (value := getattr(observed, name)) is not None and not low <= value <= high
+    })
+    return replace(observed, speed=observed.speed and max(0.0, observed.speed))
