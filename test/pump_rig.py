@@ -111,6 +111,16 @@ class Rig:
         self._dt = self.tau
         return decision
 
+    def clear(self) -> None:
+        """Clear the fault, as the node does."""
+        self.state_file.fault("", "")
+        self.control.discard_evidence()
+
+    def reset(self) -> None:
+        """Clear the fault and an unknown state, as the node does."""
+        self.state_file.clear_unknown()
+        self.clear()
+
     def suspend(self, seconds: float, runs_on: float = 0.0) -> None:
         """Let time pass without steps of the pump; then the drive's own timeout has stopped it."""
         for second in range(round(seconds / self.tau)):

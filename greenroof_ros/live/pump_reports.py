@@ -9,10 +9,13 @@ from greenroof_ros.interface.conditions import Diagnosis, read_interlocks
 from greenroof_ros.live.devices.exchange import DriveExchange, DriveSnapshot
 from greenroof_ros.live.live_diagnostics import ERROR, OK, WARN, LiveDiagnostics
 from greenroof_ros.live.live_input import LiveInput, bad_inputs, join_diagnoses
-from greenroof_ros.live.pumping.dose import DONE, Dose
+from greenroof_ros.live.pumping.dose import DONE, Dose, Doses
 from greenroof_ros.live.pumping.pump_control import Decision, drive_fault
 from greenroof_ros.live.pumping.pump_inputs import INPUTS
-from greenroof_ros.site.site import Site
+from greenroof_ros.live.pumping.state_file import StateFile
+
+# For how long a changed state file is reported (s).
+_REPORTED_S = 60.0
 
 
 class PumpReports:
@@ -32,19 +35,16 @@ class PumpReports:
         self._reports, self._inputs, self._exchange = reports, inputs, exchange
 
     def update(
-        self, now: float, site: Site, decision: Decision, dose: Dose | None,
-        unsaved: str, changed: bool, second_pump: Diagnosis | None,
+        self, now: float, decision: Decision, doses: Doses, state_file: StateFile,
+        second_pump: Diagnosis | None,
     ) -> None:
         """Report on every part.
 
         Args:
             now: current time, from `boot_time` (s).
-            site: the site.
             decision: the last decision.
-            dose: dose that is waiting, is running or has just ended; None if there is no dose.
-            unsaved: reason why the state would be lost at a restart; empty if it would be
-                preserved.
-            changed: whether another program has just changed the state file.
+            doses: the requests for doses.
+            state_file: the state file, which is checked.
             second_pump: diagnosis of a second pump node; None if there is only one pump node.
         """
         diagnose = self._reports.diagnose
@@ -63,8 +63,8 @@ class PumpReports:
         )
         warnings = join_diagnoses(decision.warnings)
         diagnose("limits", warnings, "nothing limits the pump", WARN, log=False)
-        if site.max_dose is not None:
-            self._diagnose_dose(dose)
+        if doses.allowed:
+            self._diagnose_dose(doses.last)
         diagnose("flow", second_pump, f"source: {decision.source}")
         self._diagnose_inputs(decision)
         levels_known = self._inputs["cistern_level"].good and self._inputs["roof_level"].good
@@ -75,8 +75,9 @@ class PumpReports:
             else "the levels have not yet been known for long enough",
             WARN,
         )
-        diagnosis, level = Diagnosis.if_any("state_not_kept", unsaved), ERROR
-        if diagnosis is None and changed:
+        state_file.check()
+        diagnosis, level = Diagnosis.if_any("state_not_kept", state_file.problem), ERROR
+        if diagnosis is None and now - state_file.changed_at < _REPORTED_S:
             diagnosis, level = Diagnosis.of("state_changed"), WARN
         diagnose("state file", diagnosis, "holds and faults are being saved", level)
         self._diagnose_drive(now)

@@ -17,7 +17,7 @@ from greenroof_ros.interface.conditions import (
 from greenroof_ros.interface.states import PumpState
 from greenroof_ros.live.pumping.delivery import DeliveryCheck
 from greenroof_ros.live.pumping.dose import FULL, INTERLOCK, UNSEEN, Doses
-from greenroof_ros.live.pumping.interlocks import evaluate
+from greenroof_ros.live.pumping.interlocks import evaluate, latch, stored_reasons
 from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings
 from greenroof_ros.live.pumping.pump_inputs import Observation
 from greenroof_ros.live.pumping.state_file import SAVE_EVERY_S, StateFile
@@ -144,34 +144,11 @@ class PumpControl:
             request, volume, time.time(), self.min_pulse, self._inhibit_reason
         )
 
-    def reset(self) -> str:
-        """Clear the latched fault and an unknown state, and return both.
-
-        If the cause of the fault persists, the fault latches again.
-        """
-        stored = self._state_file.state
-        self._state_file.clear_unknown()
-        self.clear()
-        return "; ".join(filter(None, (stored.fault, stored.unknown)))
-
-    @property
-    def clear_refusal(self) -> str:
-        """Reason why the latched fault cannot be cleared from the page; empty if it can."""
-        stored = self._state_file.state
-        if not stored.fault:
-            return "there is no fault"
-        row = read_interlocks().get(stored.fault_code)
-        if row is None or not row.on_page:
-            return "someone who has checked the pump must reset this fault at the pump node"
-        return ""
-
-    def clear(self) -> None:
-        """Clear the latched fault, if any, and discard the evidence that led to it."""
-        if self._state_file.state.fault:
-            self._state_file.fault("", "")
-            self._delivery = DeliveryCheck(self._site, self._settings)
-            self._follow_error_for = self._flowed_for = 0.0
-            self._failed_starts = 0
+    def discard_evidence(self) -> None:
+        """Discard the evidence that led to a fault, since the fault has been cleared."""
+        self._delivery = DeliveryCheck(self._site, self._settings)
+        self._follow_error_for = self._flowed_for = 0.0
+        self._failed_starts = 0
 
     def count_unseen(self, dt: float) -> None:
         """Account for unmonitored time, such as a suspension of the computer; the pump is then off.
@@ -401,10 +378,7 @@ class PumpControl:
         self, dt: float, observed: Observation, backwards: Diagnosis | None,
         undelivered: Diagnosis | None,
     ) -> list[Diagnosis]:
-        """Return the current faults, and the latched fault until it is reset.
-
-        The result includes the other stored reasons: a hold, and an unreadable state file.
-        """
+        """Return the current faults, of which one is latched, and the reasons in the state file."""
         failed_start = next(
             (reason for reason in observed.reasons if reason.code == "start_failed"), None
         )
@@ -428,29 +402,9 @@ class PumpControl:
             ))
         if observed.drive_fault:
             found.append(drive_fault(observed.drive_fault, observed.runs_on))
-        reasons = [reason for reason in found if reason is not None]
-        latched, interlocks = evaluate(reasons), read_interlocks()
-        # The first fault is kept, except that one that may be cleared on the page gives way to one
-        # that may not.
-        worst = next((code for code in latched if not interlocks[code].on_page), "")
-        interlock = interlocks.get(self._state_file.state.fault_code)
-        if not self._state_file.state.fault:
-            worst = worst or next(iter(latched), "")
-        elif interlock is None or not interlock.on_page:
-            worst = ""
-        if worst:
-            self._state_file.fault(latched[worst].sentence, worst)
-        stored = self._state_file.state
-        persistent = (
-            Diagnosis.if_any("state_unknown", stored.unknown), self._state_file.active_hold
-        )
-        reasons += [reason for reason in persistent if reason is not None]
-        if stored.fault:
-            row = interlocks.get(stored.fault_code)
-            known = row is not None and row.kind == LATCHED
-            code = stored.fault_code if known else "fault_unknown"
-            reasons.append(Diagnosis(code, stored.fault))  # the sentence as it was when it latched
-        return reasons
+        faults = [fault for fault in found if fault is not None]
+        latch(self._state_file, faults)
+        return [*faults, *stored_reasons(self._state_file)]
 
     def _follow(
         self, command: float, full: bool, cistern_level: float, warnings: list[Diagnosis]
@@ -497,13 +451,15 @@ def _backwards(observed: Observation) -> Diagnosis | None:
 
 def _plausible(observed: Observation) -> Observation:
     """Return the observation with implausible values replaced by None."""
-    ranges = {
-        "cistern_level": (-_MAX_LEVEL, _MAX_LEVEL),
-        "roof_level": (-_MAX_LEVEL, _MAX_LEVEL),
-        "speed": (-STANDSTILL, _MAX_SPEED), "drive_flow": (0.0, math.inf),
-    }
-    observed = replace(observed, **{
-        name: None for name, (low, high) in ranges.items()
-        if (value := getattr(observed, name)) is not None and not low <= value <= high
-    })
-    return replace(observed, speed=observed.speed and max(0.0, observed.speed))
+
+    def checked(value: float | None, minimum: float, maximum: float) -> float | None:
+        return value if value is not None and minimum <= value <= maximum else None
+
+    speed = checked(observed.speed, -STANDSTILL, _MAX_SPEED)
+    return replace(
+        observed,
+        cistern_level=checked(observed.cistern_level, -_MAX_LEVEL, _MAX_LEVEL),
+        roof_level=checked(observed.roof_level, -_MAX_LEVEL, _MAX_LEVEL),
+        speed=None if speed is None else max(0.0, speed),
+        drive_flow=checked(observed.drive_flow, 0.0, math.inf),
+    )

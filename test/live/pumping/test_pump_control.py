@@ -105,7 +105,7 @@ def test_what_is_unknown_is_reported_so() -> None:
     decision = rig.step(0.5)
     assert (decision.at_rest, decision.reported_speed, decision.flow) == (False, -0.5, None)
     rig.change = {}
-    rig.control.reset()
+    rig.reset()
     decision = rig.run(60, 0.0)
     assert (decision.state, decision.at_rest, decision.delivery_checked) == ("off", True, True)
     rig.change = {"speed": None, "roof_level": None}
@@ -193,7 +193,7 @@ def test_a_failed_start_is_a_start_and_the_third_in_a_row_a_fault(
         assert decision.why.startswith(f"the pump was started 3 times, and each time {failed}")
         assert list(decision.interlocks) == ["speed_not_followed", "start_failed"]
         assert len(begun) == 3
-        assert rig.control.reset()
+        rig.reset()
         rig.change = {}
         assert rig.run(70, 0.5, until=lambda decision: decision.speed is not None).speed
     else:
@@ -297,7 +297,7 @@ def test_a_flow_while_the_pump_stands_is_a_contact_that_is_welded(
     assert rig.state_file.state.day_volume == pytest.approx(1.05 * minimum * 23)
     rig.change = {}
     assert rig.run(60, 1.0).state == "fault"
-    rig.control.reset()
+    rig.reset()
     assert rig.run(30, 1.0).state == "running"
 
 
