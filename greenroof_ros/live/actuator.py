@@ -66,6 +66,10 @@ class ActuatorNode(LiveNode):
     def switch_off(self) -> None:
         """Switch the actuator off now, because someone requests it."""
 
+    def out_of_reach(self) -> str:
+        """Return why a hold does not switch the actuator off; empty if it does."""
+        return ""
+
     def discard_evidence(self) -> None:
         """Forget what led to a fault that has been cleared."""
 
@@ -152,9 +156,14 @@ class ActuatorNode(LiveNode):
 
         self.create_service(kind, f"~/{name}", answer)
 
-    def _answer(self, message: str) -> tuple[bool, str]:
-        """Save the state after a request; return whether this succeeded, and the response."""
-        problem = self.state_file.flush()
+    def _answer(self, message: str, problem: str = "") -> tuple[bool, str]:
+        """Save the state after a request; return whether the request succeeded, and the response.
+
+        Args:
+            message: the response.
+            problem: another problem than that the state is not saved; empty if there is none.
+        """
+        problem = "; ".join(filter(None, (problem, self.state_file.flush())))
         return not problem, f"{message}; but {problem}" if problem else message
 
     def _stop(self, request: SetBool.Request) -> tuple[bool, str]:
@@ -174,7 +183,7 @@ class ActuatorNode(LiveNode):
         state = self.decide()
         self.switch_off()
         remark = "" if as_requested else "; the earlier hold lasts longer and was not shortened"
-        return self._answer(f"{state}{remark}")
+        return self._answer(f"{state}{remark}", self.out_of_reach())
 
     def _release(self) -> tuple[bool, str]:
         self.state_file.release()

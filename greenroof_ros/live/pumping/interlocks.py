@@ -6,10 +6,19 @@ interlock is active. The state file keeps a latched fault until someone clears i
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
-from greenroof_ros.interface.conditions import LATCHED, Diagnosis, read_interlocks
+from greenroof_ros.interface.conditions import (
+    INHIBIT,
+    LATCHED,
+    PERMISSIVE,
+    Diagnosis,
+    read_interlocks,
+)
 from greenroof_ros.live.pumping.state_file import StateFile
+
+# The state of an actuator that is kept off, by the kind of the first active interlock.
+_STATES = {LATCHED: "fault", INHIBIT: "held", PERMISSIVE: "off"}
 
 
 def evaluate(reasons: Iterable[Diagnosis]) -> dict[str, Diagnosis]:
@@ -33,6 +42,12 @@ def evaluate(reasons: Iterable[Diagnosis]) -> dict[str, Diagnosis]:
         if code in present and not explained:
             active[code] = present[code]
     return active
+
+
+def state_of(active: Mapping[str, Diagnosis]) -> tuple[str, str]:
+    """Return the state of an actuator that is kept off, and the reason in words."""
+    kind = read_interlocks()[next(iter(active))].kind
+    return _STATES[kind], "; ".join(reason.sentence for reason in active.values())
 
 
 def latch(state_file: StateFile, faults: Iterable[Diagnosis]) -> None:

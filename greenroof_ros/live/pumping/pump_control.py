@@ -7,17 +7,11 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from greenroof_ros.interface.conditions import (
-    INHIBIT,
-    LATCHED,
-    PERMISSIVE,
-    Diagnosis,
-    read_interlocks,
-)
+from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.states import PumpState
 from greenroof_ros.live.pumping.delivery import DeliveryCheck
 from greenroof_ros.live.pumping.dose import FULL, INTERLOCK, UNSEEN, Doses
-from greenroof_ros.live.pumping.interlocks import evaluate, latch, stored_reasons
+from greenroof_ros.live.pumping.interlocks import evaluate, latch, state_of, stored_reasons
 from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings
 from greenroof_ros.live.pumping.pump_inputs import Observation
 from greenroof_ros.live.pumping.state_file import SAVE_EVERY_S, StateFile
@@ -34,8 +28,6 @@ _FAILED_STARTS = 3
 # A meter may show a flow for 10 s after its end (sensor_file). If it shows one for longer than this
 # (s), water is flowing.
 _AFTERFLOW_S = 12.0
-# The state of a pump that is kept off, by the kind of the first active interlock.
-_STATES = {LATCHED: "fault", INHIBIT: "held", PERMISSIVE: "off"}
 
 
 @dataclass(frozen=True)
@@ -227,11 +219,9 @@ class PumpControl:
         ])
         setpoint = None
         if active:
-            first = next(iter(active))
-            state = _STATES[read_interlocks()[first].kind]
-            why = "; ".join(reason.sentence for reason in active.values())
+            state, why = state_of(active)
             self._pulses.clear()
-            self.doses.end(INTERLOCK, why, first)
+            self.doses.end(INTERLOCK, why, next(iter(active)))
             self._inhibit_reason = why
         else:
             assert command is not None

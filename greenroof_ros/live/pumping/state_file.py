@@ -60,6 +60,8 @@ from greenroof_ros.live.boot_clock import boot_id, boot_time
 DAY_S = 86_400.0
 STATE_FILE = "pump.json"
 """the file's name in the directory of a live site"""
+GUARD = "pump_guard"
+"""name of the node that keeps the file if the user's own node runs the pump"""
 SAVE_EVERY_S = 10.0
 """While the pump is on, at most this much of its time on is not yet on the disk (s)."""
 MAX_NUMBER = 1e11
