@@ -24,7 +24,10 @@ from std_srvs.srv import SetBool, Trigger
 
 from greenroof_ros.base.files import state_directory
 from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.states import PUMP, DriveState, PumpState
+from greenroof_ros.live.boot_clock import boot_time
+from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.node import LiveNode
 from greenroof_ros.live.pumping.interlocks import clear_refusal
 from greenroof_ros.live.pumping.state_file import MAX_NUMBER, StateFile
@@ -35,6 +38,8 @@ STATE_FILE = Parameter(
         "last 24 h across restarts; if empty, greenroof_ros/NAME.json in $XDG_STATE_HOME or "
         "~/.local/state",
 )
+# For how long a suspension of the machine, or a changed state file, is reported (s).
+REPORTED_S = 60.0
 # The fields of a hold; the owner is needed.
 _HOLD = (
     Parameter("owner", "", meaning="whoever requests the hold"),
@@ -94,8 +99,16 @@ class ActuatorNode(LiveNode):
         self.open_service("clear", Trigger, self._clear)
         self.open_service("reset", Trigger, self._reset)
 
-    def acquire_state(self) -> None:
-        """Acquire the state file if another process held it."""
+    def check_state_file(self) -> None:
+        """Acquire the state file if another process held it, repair it, and report on it."""
+        self._acquire()
+        self.state_file.check()
+        diagnosis, level = Diagnosis.if_any("state_not_kept", self.state_file.problem), ERROR
+        if diagnosis is None and boot_time() - self.state_file.changed_at < REPORTED_S:
+            diagnosis, level = Diagnosis.of("state_changed"), WARN
+        self.reports.diagnose("state file", diagnosis, "holds and faults are being saved", level)
+
+    def _acquire(self) -> None:
         if self.state_file.acquire():
             self._begin()
 
@@ -139,7 +152,7 @@ class ActuatorNode(LiveNode):
         """Offer a service that returns success and a message; an error rejects a request."""
 
         def answer(request: Any, response: Any) -> Any:
-            self.acquire_state()
+            self._acquire()
             try:
                 done, message = act(request)
             except ValueError as error:

@@ -105,7 +105,7 @@ class ExternalPumpNode(ActuatorNode):
     def on_timer(self, now: float) -> None:
         """Decide, and report."""
         if boot_time() - self._stepped >= _STEP_S:
-            self.acquire_state()
+            self.check_state_file()
             self.decide()
 
     def decide(self) -> PumpState:
@@ -185,11 +185,6 @@ class ExternalPumpNode(ActuatorNode):
         level = OK if first is None else ERROR if pump.state == "fault" else WARN
         diagnose("pump", first and Diagnosis(first.code, str(pump)), str(pump), level, log=False)
         diagnose("driver", driver[0] if driver else None, "your own pump driver is responding")
-        self.state_file.check()
-        diagnose(
-            "state file", Diagnosis.if_any("state_not_kept", self.state_file.problem),
-            "holds and faults are being saved",
-        )
 
     def progress(self) -> dict[str, Any]:
         """Return the values that bringup and the page show."""

@@ -29,7 +29,7 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.states import DriveState, PumpState
-from greenroof_ros.live.actuator import STATE_FILE, ActuatorNode, read_fields
+from greenroof_ros.live.actuator import REPORTED_S, STATE_FILE, ActuatorNode, read_fields
 from greenroof_ros.live.boot_clock import boot_time, suspended_time
 from greenroof_ros.live.devices.drive_file import MAX_RAMP_S, find_drive_file
 from greenroof_ros.live.devices.endpoint import CHOICE, Endpoint, read_endpoint
@@ -48,8 +48,6 @@ from greenroof_ros.ros.parameters import declare, site_file
 from greenroof_ros.site.site import Site
 
 COMMAND_LIMIT = LIMITS["/pump/command"]
-# For how long a suspension of the machine is reported (s).
-_REPORTED_S = 60.0
 # Interval between two decisions, and between two reports on the parts of the node (s).
 _STEP_S, _REPORT_S = 0.1, 0.2
 
@@ -179,9 +177,9 @@ class PumpNode(ActuatorNode):
             self._step()
         if now - self._reported_at > _REPORT_S:
             self._reported_at = now
-            self.acquire_state()
+            self.check_state_file()
             self._pump_reports.update(
-                now, self._decision, self._control.doses, self.state_file, self._second_pump()
+                now, self._decision, self._control.doses, self._second_pump()
             )
 
     def on_stop(self) -> None:
@@ -283,7 +281,7 @@ class PumpNode(ActuatorNode):
         if slept > PAUSE_S and not self._decision.at_rest:
             self._suspended_at = now
             self.reports.diagnose("suspend", Diagnosis.of("suspended", suspended_s=slept))
-        elif now - self._suspended_at > _REPORTED_S:
+        elif now - self._suspended_at > REPORTED_S:
             self.reports.diagnose("suspend", None,
                 "the computer is kept awake while the pump is on")
         if dt <= PAUSE_S:

@@ -12,10 +12,6 @@ from greenroof_ros.live.live_input import LiveInput, bad_inputs, join_diagnoses
 from greenroof_ros.live.pumping.dose import DONE, Dose, Doses
 from greenroof_ros.live.pumping.pump_control import Decision, drive_fault
 from greenroof_ros.live.pumping.pump_inputs import INPUTS
-from greenroof_ros.live.pumping.state_file import StateFile
-
-# For how long a changed state file is reported (s).
-_REPORTED_S = 60.0
 
 
 class PumpReports:
@@ -35,8 +31,7 @@ class PumpReports:
         self._reports, self._inputs, self._exchange = reports, inputs, exchange
 
     def update(
-        self, now: float, decision: Decision, doses: Doses, state_file: StateFile,
-        second_pump: Diagnosis | None,
+        self, now: float, decision: Decision, doses: Doses, second_pump: Diagnosis | None
     ) -> None:
         """Report on every part.
 
@@ -44,7 +39,6 @@ class PumpReports:
             now: current time, from `boot_time` (s).
             decision: the last decision.
             doses: the requests for doses.
-            state_file: the state file, which is checked.
             second_pump: diagnosis of a second pump node; None if there is only one pump node.
         """
         diagnose = self._reports.diagnose
@@ -75,11 +69,6 @@ class PumpReports:
             else "the levels have not yet been known for long enough",
             WARN,
         )
-        state_file.check()
-        diagnosis, level = Diagnosis.if_any("state_not_kept", state_file.problem), ERROR
-        if diagnosis is None and now - state_file.changed_at < _REPORTED_S:
-            diagnosis, level = Diagnosis.of("state_changed"), WARN
-        diagnose("state file", diagnosis, "holds and faults are being saved", level)
         self._diagnose_drive(now)
 
     def _diagnose_inputs(self, decision: Decision) -> None:

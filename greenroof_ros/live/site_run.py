@@ -36,7 +36,7 @@ from greenroof_ros.interface.states import PUMP, DriveState, PumpState
 from greenroof_ros.live.latest_writer import LatestWriter
 from greenroof_ros.live.live_site import MIN_BAG_MB, LiveSite
 from greenroof_ros.live.pumping.limits import check_command_limit
-from greenroof_ros.live.pumping.state_file import GUARD, STATE_FILE, create_state_file
+from greenroof_ros.live.pumping.state_file import STATE_FILE, create_state_file
 from greenroof_ros.live.service_manager import notify
 from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, ProcessStart
@@ -80,8 +80,8 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     }
     with require_ros():
         user_files = node_parameter_files(arguments, modules, site.controller, site.parameters)
-        pump = PUMP if site.drive is not None else GUARD
-        _check_pump(site.tau, user_files, f"{arguments.namespace}/{pump}")
+        if site.drive is not None:
+            _check_pump(site.tau, user_files, f"{arguments.namespace}/{PUMP}")
     with (
         lock_namespace(arguments.namespace),
         _state_directory(state) as state,
@@ -120,7 +120,7 @@ def _check_pump(tau: float, files: Sequence[Path], node: str) -> None:
     from greenroof_ros.live.pump import COMMAND_LIMIT  # it imports ROS
 
     limit = find_value(files, node, COMMAND_LIMIT)
-    check_command_limit(limit, tau, f"parameter {COMMAND_LIMIT.name} of {node.rpartition('/')[2]}")
+    check_command_limit(limit, tau, f"parameter {COMMAND_LIMIT.name} of {PUMP}")
 
 
 def _supervise(

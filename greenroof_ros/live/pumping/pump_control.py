@@ -7,6 +7,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from greenroof_ros.base.times import duration
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.states import PumpState
 from greenroof_ros.live.pumping.delivery import DeliveryCheck
@@ -414,15 +415,17 @@ class PumpControl:
                 ))
         if on and share == 0 and since_start < self._settings.min_on:
             share, why = minimum, f"it must stay on for at least {self._settings.min_on:g} s"
+        if share == 0 and (full or command == 0):
+            return None, "the roof is at its target" if full else "the command is 0"
         wait, why_wait = self._limits.wait()
-        if not on and share > 0 and wait > 0:
-            return None, f"it may start in {math.ceil(wait)} s: {why_wait}"
         if share == 0:
-            if full:
-                return None, "the roof is at its target"
-            return None, "the next pulse is not due yet" if command > 0 else "the command is 0"
-        # It starts at its minimum.
-        return pulses.speed(share if on else minimum, cistern_level), why
+            due_in = max(wait, pulses.due_in(cistern_level, since_start))
+            return None, f"the next pulse is due in {duration(math.ceil(due_in))}"
+        if on:
+            return pulses.speed(share, cistern_level), why
+        if wait > 0:
+            return None, f"it may start in {duration(math.ceil(wait))}: {why_wait}"
+        return pulses.speed(minimum, cistern_level), why  # it starts at its minimum
 
 
 def drive_fault(fault: str, runs_on: bool) -> Diagnosis:

@@ -74,7 +74,8 @@ def test_what_was_missed_is_not_caught_up() -> None:
     assert (decision.speed, decision.why) == (None, "no answer from 10.0.0.7:502")
     rig.run(600, 0.01)
     rig.change = {}
-    assert rig.run(30, 0.01).why == "the next pulse is not due yet"
+    # A fifth of the flow for 10 s is 200 s of a hundredth; 30 s have passed, and a pulse lasts 10.
+    assert rig.run(30, 0.01).why == "the next pulse is due in 2.7 min"
     assert rig.run(5, 0.5).state in ("starting", "running")
 
 
