@@ -307,11 +307,6 @@ def _explain(store: GraphStore, shown: dict[str, Tile], waits: str, starting: bo
             "programs are running."
         )
     runs = pump["state"] in ("starting", "running")
-    if roof == "high" and runs:
-        return (
-            "The roof has enough water, but the pump is running: check whether it should be "
-            "running."
-        )
     if roof != "low" or runs or waits or pump["idle"]:
         return "Nothing to do."
     why = f": {pump['why']}" if pump["why"] else ""

@@ -656,7 +656,7 @@ def test_a_flow_that_is_unknown_is_a_gap() -> None:
     add_values(graph, 161, 181, {**QUIET, "/pump/flow": 1e-3})
     graph.update(301.0, START / 1e9 + 180)
     flow = line_of(graph, "flow")
-    assert [at for at, value in flow if value is None] == [61, 80, 100, 120, 140]
+    assert [at for at, value in flow if value is None] == [79, 99, 119, 139, 159]
     assert {value for _, value in flow} == {60.0, None} and flow[-1] == [180, 60.0]
 
 
