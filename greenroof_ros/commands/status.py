@@ -127,7 +127,8 @@ def _write_lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> li
             tile["sentence"], _STANDS[stands] if is_off else "",
         )))
         lines.append(f"{tile['label']:14} {tile['value']:14} {sentence}".rstrip())
-    lines += [*map(_write_alarm, shown["alarms"]), *shown["notes"]]
+    lines += [*map(_write_alarm, shown["alarms"]), *filter(None, [shown["contact"]])]
+    lines += shown["notes"]
     if (hidden := len(lines) - _MAX_LINES + 1) > 1:
         lines[-hidden:] = [f"and {hidden} more lines; see 'greenroof watch'"]
     return lines

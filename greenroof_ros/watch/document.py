@@ -2,9 +2,9 @@
 
 :func:`make_document` creates the state from a store, and :func:`make_series` creates the series.
 
-A state has the entries ``heading``, ``mode``, ``namespace``, ``time``, ``notes``, ``tiles`` (with
-the ``summary``), ``advice``, ``known`` (whether the alarms are), ``alarms``, ``events`` and
-``stop``.
+A state has the entries ``heading``, ``mode``, ``namespace``, ``contact``, ``time``, ``notes``,
+``tiles`` (with the ``summary``), ``advice``, ``known`` (whether the alarms are), ``alarms``,
+``events`` and ``stop``.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def _make_document(store: GraphStore, wall: float) -> dict[str, Any]:
     unknown = {"now": None, "text": words.UNKNOWN, "zone": "UTC"}
     result = {
         "heading": attempt("The heading", lambda: _write_heading(store), "Green roof"),
-        "mode": store.mode, "namespace": store.namespace,
+        "mode": store.mode, "namespace": store.namespace, "contact": store.site.contact or "",
         "known": store.alarms_known or store.ended,
         "time": attempt("The time", store.clock, unknown),
         "tiles": {**shown, "summary": summary}, "advice": advice, "stop": stop,

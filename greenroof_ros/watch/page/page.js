@@ -52,10 +52,11 @@ const showSummary = ({ tiles: { summary } }) => {
   document.title = `${summary.level === "ok" ? "" : `${summary.word || summary.sentence} `}Green roof`;
 };
 
-const showHead = ({ namespace, heading, time }) => {
+const showHead = ({ namespace, heading, time, contact }) => {
   setText("namespace", namespace && ` ${namespace}`);
   setText("heading", heading);
   setText("time", time.text);
+  setText("contact", contact);
 };
 
 const showTiles = ({ tiles }) => {
