@@ -39,6 +39,7 @@ _HEADINGS = {
     "none": "Nothing received yet", "ended": "Ended run", "live": "Live site",
     "simulated": "Simulated run",
 }
+_GO_AND_SEE = "Go and see; if the pump is turning, stop it at its drive's panel or the main switch."
 _WELDED = "Water is leaving the cistern although the pump is off. Open the main switch."
 
 
@@ -271,6 +272,8 @@ def _advise(
             row["level"] == "error" or not stop["hold"]
         )
     ), "")
+    if shown["pump"]["alarm"] and all(row["level"] != "error" for row in rows):
+        first = _GO_AND_SEE
     if stop["warning"]:
         return " ".join(filter(None, (stop["warning"], first)))
     if stop["hold"]:

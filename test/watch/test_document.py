@@ -628,8 +628,10 @@ def test_what_is_known_of_the_pump(said: dict[str, Any], value: str, may_turn: b
     assert (tile["value"], tile["alarm"]) == (value, may_turn)
     assert ("60.0 L/min" in tile["sentence"]) == (said["flow"] is not None)
     assert ("flow is unknown" in tile["sentence"]) == (said["flow"] is None)
-    tile = tile_of(graph, "pump", 104.0)  # its node is gone: it ran
+    document = shown(graph, 104.0)  # its node is gone: it ran
+    tile = document["tiles"]["pump"]
     assert (tile["value"], tile["alarm"]) == ("may be running", True)
+    assert document["advice"].startswith("Go and see")
     # It stood at last contact, or must stand by now: that is not a measured 0.0 L/min.
     tile = with_pump(
         watched(pump_command=0.5), "off: no connection to the drive", stands=True, speed=None,
