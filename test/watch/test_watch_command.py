@@ -241,7 +241,9 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
         drive.inject("refused")
         # At first the pump only falls silent; /alarms tells why within a second.
         wait_for(lambda: tile()["alarm"], 60, "a pump that may be running")
-        wait_for(lambda: read_state(port)["alarms"][0]["id"] == "/site1/pump: pump", 60, "its alarm")
+        wait_for(
+            lambda: read_state(port)["alarms"][0]["id"] == "/site1/pump: pump", 60, "its alarm"
+        )
         drive.inject("none")
         wait_for(lambda: not tile()["alarm"], 60, "the drive again")
         wait_for(lambda: read_state(port)["stop"]["possible"], 60, "a pump that can be stopped")
