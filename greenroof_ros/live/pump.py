@@ -44,7 +44,7 @@ from greenroof_ros.live.devices.drive import DriveStatus
 from greenroof_ros.live.devices.drive_file import MAX_RAMP_S, find_drive_file
 from greenroof_ros.live.devices.endpoint import CHOICE, Endpoint, read_endpoint
 from greenroof_ros.live.devices.exchange import RESET_S, UNREAD_S, DriveExchange, DriveSnapshot
-from greenroof_ros.live.engine import LIMITS, Levels, live_parameters
+from greenroof_ros.live.engine import LIMITS, PAUSE_S, Levels, live_parameters
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.live.pump_reports import PumpReports
 from greenroof_ros.live.pumping.limits import (
@@ -56,7 +56,6 @@ from greenroof_ros.live.pumping.pump_control import Decision, PumpControl
 from greenroof_ros.live.pumping.pump_inputs import INPUTS, Observation
 from greenroof_ros.live.pumping.state_file import MAX_NUMBER, StateFile
 from greenroof_ros.ros.parameters import declare, site_file
-from greenroof_ros.ros.reports import PAUSE_S
 from greenroof_ros.site.site import Site
 
 COMMAND_LIMIT = LIMITS["/pump/command"]
