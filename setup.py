@@ -17,6 +17,7 @@ NODES = {
     **{name: f"nodes.{name}" for name in ("plant", "weather", "controller", "recorder", "alarms")},
     **{f"live_{name}": f"live.{name}" for name in ("weather", "controller", "recorder")},
     **{name: f"live.{name}" for name in ("station", "sensors", "pump")},
+    "pump_guard": "live.external_pump",
 }
 # Colcon calls one of these, and setup.cfg sets where executables go. Pip calls neither, and would
 # put names such as `plant` and `weather` on everybody's PATH.

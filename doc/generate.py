@@ -694,7 +694,7 @@ def nodes() -> str | None:
     if importlib.util.find_spec("rclpy") is None:
         return None
     from greenroof_ros.live import controller as live_controller
-    from greenroof_ros.live import pump, sensors
+    from greenroof_ros.live import external_pump, pump, sensors
     from greenroof_ros.live import recorder as live_recorder
     from greenroof_ros.live import weather as live_weather
     from greenroof_ros.nodes import alarms, controller, plant, recorder, weather
@@ -707,7 +707,8 @@ def nodes() -> str | None:
         "live_weather": live_weather.parameters(site),
         "live_controller": live_controller.parameters(None),
         "live_recorder": live_recorder.parameters(site), "sensors": sensors.parameters(site),
-        "pump": pump.parameters(site), "alarms": alarms.parameters(site),
+        "pump": pump.parameters(site), "pump_guard": external_pump.parameters(site),
+        "alarms": alarms.parameters(site),
     }
     of_nodes: dict[tuple[str, str, str], list[str]] = {}
     for node, parameters in declared.items():

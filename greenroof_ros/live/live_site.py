@@ -19,7 +19,7 @@ from greenroof_ros.live.devices.modbus_line import parse_address
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, ModbusSensor, Sensors, read_sensors
 from greenroof_ros.live.drive_choice import DriveChoice, add_drive_arguments, read_drive_choice
 from greenroof_ros.live.heartbeat import NOT_REQUIRED
-from greenroof_ros.live.pumping.state_file import STATE_FILE
+from greenroof_ros.live.pumping.state_file import GUARD, STATE_FILE
 from greenroof_ros.live.supervisor import STATION, NodeSetup, ProcessStart
 from greenroof_ros.live.valve import refuse_valve
 from greenroof_ros.ros.alarms import ROLE
@@ -162,7 +162,7 @@ class LiveSite:
         nodes[RECORDER] = NodeSetup("greenroof_ros.live.recorder", {
             "directory": str(state / "bag"), "total_limit": self.bag_limit,
         })
-        expected = {*nodes, self.controller.name, *([PUMP] if self.drive is not None else [])}
+        expected = {*nodes, self.controller.name, PUMP if self.drive is not None else GUARD}
         nodes[ROLE] = NodeSetup("greenroof_ros.nodes.alarms", {
             "directory": str(state), "expected": " ".join(sorted(expected - NOT_REQUIRED)),
         })
@@ -174,16 +174,20 @@ class LiveSite:
                     **common, **self.parameters,
                     # A controller cannot use what another one has learned.
                     "state_file": str(state / f"{self.controller.name}.json"),
+                    "external_pump": self.drive is None,
                 }),
             },
             partial(_give_up, self.controller),
         )
-        if self.drive is not None:
-            yield ProcessStart(PUMP, "greenroof_ros.live.pump", (), {
-                PUMP: NodeSetup("greenroof_ros.live.pump", {
-                    **common, **vars(self.drive), "state_file": str(state / STATE_FILE),
-                }),
-            })
+        name, module, drive = PUMP, "greenroof_ros.live.pump", self.drive
+        if drive is None:
+            name, module = GUARD, "greenroof_ros.live.external_pump"
+        yield ProcessStart(name, module, (), {
+            name: NodeSetup(module, {
+                **common, **(vars(drive) if drive is not None else {}),
+                "state_file": str(state / STATE_FILE),
+            }),
+        })
 
 
 def make_parser() -> Parser:

@@ -85,8 +85,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         _state_directory(state) as state,
         scratch_directory(IN_MEMORY) as memory,
     ):
-        if site.drive is not None:
-            create_state_file(state / STATE_FILE)
+        create_state_file(state / STATE_FILE)
         _fit_bag(site, state / "bag")
         processes = list(site.processes(state))
         configuration = _Configuration(memory, site, user_files, processes)

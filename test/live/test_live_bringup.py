@@ -129,7 +129,8 @@ def test_a_site_is_kept_up_and_systemd_told(
         stamps = [stamp / 1e9 for _, stamp, _ in reader.messages()]
     assert counts.keys() == {
         *LEVELS, *FORECASTS, "/gauge/temperature", "/weather/frost", "/weather/precipitation",
-        "/weather/evapotranspiration", "/pump/command", "/diagnostics", "/controller/cost",
+        "/weather/evapotranspiration", "/pump/command", "/pump/hold", "/pump/state",
+        "/diagnostics", "/controller/cost",
         "/controller/solver_status", "/alarms",
     }
     assert counts["/pump/command"] == pytest.approx(len(commands), abs=30)
@@ -497,7 +498,7 @@ def test_a_site_that_is_stopped_while_it_starts_ends_with_0(domain: int, tmp_pat
 def test_a_killed_bringup_leaves_no_node(domain: int, tmp_path: Path) -> None:
     """The next bringup continues in the same directory, with a new file in the bag."""
     with live(domain, tmp_path, *EXTERNAL) as process:
-        wait_for(lambda: len(process.nodes()) == 2, 60, "nodes")
+        wait_for(lambda: len(process.nodes()) == 3, 60, "nodes")
         wait_for((tmp_path / "run" / "bag" / "bag_0.mcap").exists, 60, "a bag")
         nodes = list(process.nodes().values())
         process.process.kill()
