@@ -430,6 +430,15 @@ class Reports:
         latest = max(nodes, key=lambda node: node.received_at, default=None)
         return None if latest is None else latest.values.get(key)
 
+    @property
+    def warnings(self) -> set[str]:
+        """The warnings of the nodes, each with the node's name."""
+        listed = ((node.name, node.values.get("warnings")) for node in self.nodes.values())
+        return {
+            f"{name}: {clean_text(str(text))}" for name, texts in listed if isinstance(texts, list)
+            for text in texts[:_ABOUT]
+        }
+
     def level(self, name: str) -> float | None:
         """Return the level of a tank (m), as a node knows it; None if no node does."""
         levels = (node.values.get(f"{name}_level") for node in self.nodes.values())
