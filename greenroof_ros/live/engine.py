@@ -24,11 +24,12 @@ from greenroof_ros.live.pumping.input_rules import (
     expected_movement,
     roof_bounds,
 )
-from greenroof_ros.ros.reports import PAUSE_S
+from greenroof_ros.ros import reports
 from greenroof_ros.site.site import Site
 
-# After a pause, the inputs are outdated. Messages that arrive within PAUSE_S after it are ignored,
-# since they may have been waiting.
+# After a pause of this process, its inputs are outdated. Messages that arrive within this time
+# after the pause are ignored, since they may have been waiting.
+PAUSE_S = reports.PAUSE_S
 # Longest time after its start at which a node first acts (s).
 _FIRST_S = 1.0
 

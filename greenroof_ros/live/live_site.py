@@ -162,7 +162,7 @@ class LiveSite:
         nodes[RECORDER] = NodeSetup("greenroof_ros.live.recorder", {
             "directory": str(state / "bag"), "total_limit": self.bag_limit,
         })
-        expected = {*nodes, self.controller.name, *([PUMP] if self.drive is not None else [])}
+        expected = {*nodes, self.controller.name, PUMP if self.drive is not None else GUARD}
         nodes[ROLE] = NodeSetup("greenroof_ros.nodes.alarms", {
             "directory": str(state), "expected": " ".join(sorted(expected - NOT_REQUIRED)),
         })

@@ -52,7 +52,6 @@ from greenroof_ros.live.pumping.limits import (
 from greenroof_ros.live.pumping.pump_control import Decision, PumpControl
 from greenroof_ros.live.pumping.pump_inputs import INPUTS, Observation
 from greenroof_ros.ros.parameters import declare, site_file
-from greenroof_ros.ros.reports import PAUSE_S
 from greenroof_ros.site.site import Site
 
 COMMAND_LIMIT = LIMITS["/pump/command"]
