@@ -391,7 +391,7 @@ class PumpNode(LiveNode):
         drive_dt, self._watched = awake - self._watched, awake
         decided, decision = self._decision, self._control.step(dt, observation, drive_dt)
         self._decision = decision
-        self._exchange.disbelieved = decision.disbelieved
+        self._exchange.flows_at_rest = decision.disbelieved
         self._exchange.request_speed(decision.speed)
         state = PumpState(decision.state, decision.why, tuple(decision.interlocks))
         before, self._state = self._state, state

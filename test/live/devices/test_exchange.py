@@ -495,7 +495,7 @@ def test_one_that_stood_or_was_run_or_is_a_persons_begins_again(bench: Bench, wa
 
 def test_one_that_is_known_to_run_although_it_reports_rest_is_left(bench: Bench) -> None:
     """Only after *stop*: another order may just have started it."""
-    bench.exchange.disbelieved = True
+    bench.exchange.flows_at_rest = True
     drive = RunningOn(bench, lambda _now: 0.0)
     bench.speed = 0.5
     drive.listen(5.0)
