@@ -487,9 +487,9 @@ def interlocks() -> str | None:
 # What a code is about: how it begins; all interlocks are about the pump.
 _SUBJECTS = {
     "Pump": "limited dose_ delivery_ state_ suspended drive_ stands_ stop_ two_pump_",
-    "Inputs and sensors": "input_ sensor_ readings_ broker_ values_",
-    "Forecast and weather": "forecast_ no_forecast temperature_ thermometer_ gauge_",
-    "Controller, recorder and nodes": "controller_ not_ peers_ node_ two_processes",
+    "Inputs and sensors": "input_ sensor_ readings_ broker_ values_ devices_",
+    "Forecast and weather": "forecast_ no_forecast temperature_ freezing thermometer_ gauge_",
+    "Controller, recorder and nodes": "controller_ not_ peers_ node_ station_ two_processes",
 }
 
 
@@ -694,10 +694,10 @@ def nodes() -> str | None:
     if importlib.util.find_spec("rclpy") is None:
         return None
     from greenroof_ros.live import controller as live_controller
-    from greenroof_ros.live import pump, sensors
+    from greenroof_ros.live import external_pump, pump, sensors
     from greenroof_ros.live import recorder as live_recorder
     from greenroof_ros.live import weather as live_weather
-    from greenroof_ros.nodes import controller, plant, recorder, weather
+    from greenroof_ros.nodes import alarms, controller, plant, recorder, weather
     from greenroof_ros.ros.parameters import default_site, type_name
 
     site = default_site()
@@ -707,7 +707,8 @@ def nodes() -> str | None:
         "live_weather": live_weather.parameters(site),
         "live_controller": live_controller.parameters(None),
         "live_recorder": live_recorder.parameters(site), "sensors": sensors.parameters(site),
-        "pump": pump.parameters(site),
+        "pump": pump.parameters(site), "pump_guard": external_pump.parameters(site),
+        "alarms": alarms.parameters(site),
     }
     of_nodes: dict[tuple[str, str, str], list[str]] = {}
     for node, parameters in declared.items():

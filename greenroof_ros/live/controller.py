@@ -35,13 +35,11 @@ from greenroof_ros.controllers.onoff import FRACTION, OnOff
 from greenroof_ros.controllers.protocol import set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.interface.states import ENDED
 from greenroof_ros.interface.topics import optional_topics
 from greenroof_ros.live.engine import RECOVERY, Levels, live_parameters
 from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.live.number_file import NumberFile
-from greenroof_ros.live.supervisor_socket import supervisor_socket
 from greenroof_ros.live.time_limit import deciding_limit, time_limit
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import pump_flow
@@ -54,7 +52,7 @@ _INPUTS = (
     "/cistern/level", "/roof/level", "/forecast/precipitation", "/forecast/evapotranspiration",
     "/weather/frost",
 )
-_FLOW, _GAUGE = "/pump/flow", "/gauge/precipitation"
+_FLOW, _GAUGE, _HOLD = "/pump/flow", "/gauge/precipitation", "/pump/hold"
 # On/off takes over once the controller has failed, or a forecast has been missing, for this
 # multiple of recovery_time. A short gap, such as after a pause of the node itself, then starts no
 # pump.
@@ -67,7 +65,11 @@ _OUTPUTS_S = 1.0
 # each take (s). Both, and the start of ROS before them, fit into the 30 s for which a starting node
 # may be silent.
 _STARTING_S = 12.0
-LIVE_PARAMETERS = live_parameters([*_INPUTS, _FLOW, _GAUGE])
+LIVE_PARAMETERS = live_parameters([*_INPUTS, _FLOW, _GAUGE, _HOLD])
+EXTERNAL_PUMP = Parameter(
+    "external_pump", False, meaning="whether your own node runs the pump: the command is then 0 "
+        "while /pump/hold is 1 or is not arriving",
+)
 STATE_FILE = Parameter(
     "state_file", "", meaning="file in which the cost of waiting for rain is preserved across "
         "restarts; if empty, the cost is not preserved",
@@ -84,7 +86,7 @@ _FINITE = Range(-sys.float_info.max, sys.float_info.max)
 def parameters(choice: ControllerChoice | None) -> list[Parameter]:
     """Return the parameters of a controller's node; without a controller, the common parameters."""
     of_class = [] if choice is None else choice.kind.parameters
-    return [site_file(), STATE_FILE, GIVEN_UP, *of_class, *LIVE_PARAMETERS]
+    return [site_file(), STATE_FILE, GIVEN_UP, EXTERNAL_PUMP, *of_class, *LIVE_PARAMETERS]
 
 
 class LiveControllerNode(LiveNode):
@@ -112,7 +114,7 @@ class LiveControllerNode(LiveNode):
         """
         choice = find_controller(controller)
         super().__init__(choice.name, "controller")
-        values = declare(self, [STATE_FILE, GIVEN_UP])
+        values = declare(self, [STATE_FILE, GIVEN_UP, EXTERNAL_PUMP])
         if why := values[GIVEN_UP.name]:
             choice = replace(choice, given=_given_up(why))
         self._choice = choice
@@ -132,6 +134,7 @@ class LiveControllerNode(LiveNode):
             for name in ("/forecast/precipitation", "/forecast/evapotranspiration")
         )
         self._frost = self.subscribe("/weather/frost")
+        self._hold = self.subscribe(_HOLD) if values[EXTERNAL_PUMP.name] else None
         self._flow = self.subscribe(_FLOW, optional=True)
         self._gauge = self.subscribe(_GAUGE, optional=True)
         self._time_ns, self._quiet = 0, False
@@ -151,7 +154,8 @@ class LiveControllerNode(LiveNode):
 
     def on_inputs(self) -> None:
         """Publish the command and the controller's optional outputs."""
-        allowed = bool(self.good and not self._frost.value)
+        held = self._hold is not None and self._hold.value
+        allowed = bool(self.good and not self._frost.value and not held)
         if self._site.quiet is not None:
             self._time_ns = self.get_clock().now().nanoseconds
             self._quiet = self._site.quiet.quiet_at(self._time_ns)
@@ -170,7 +174,7 @@ class LiveControllerNode(LiveNode):
         if self._stand_in_since:
             command = self._stand_in.command(cistern, roof, (), ()) if allowed else 0.0
             self._outdated |= command > 0
-        if command and (self._quiet or not self.good):
+        if command and (self._quiet or held or not self.good):
             command = 0.0
         self.publish("/pump/command", command)
         self._tick += 1
@@ -381,22 +385,8 @@ def _given_up(why: str) -> type[OnOff]:
     return GivenUp
 
 
-def make_node(controller: str) -> LiveControllerNode:
-    """Return the node; if this fails, report the reason to bringup.
-
-    Raises:
-        ConfigurationError: if the node cannot run this controller.
-    """
-    try:
-        return LiveControllerNode(controller)
-    except ConfigurationError as error:
-        report = {"role": "controller", "state": ENDED, "failure": str(error)}
-        supervisor_socket().report(report)
-        raise
-
-
 main = live_command(
-    make_node, "live.controller", __doc__, of_reference(parameters), "--controller"
+    LiveControllerNode, "live.controller", __doc__, of_reference(parameters), "--controller"
 )
 
 

@@ -428,7 +428,7 @@ def test_what_is_no_hold_is_refused(rig: PumpRig) -> None:
         ]
         result = rig.call(SetParametersAtomically, "hold", parameters=parameters).result
         assert not result.successful, request
-        assert "a hold must have an owner" in result.reason or "until = " in result.reason, request
+        assert re.search("must have (an )?owner|owner = |until = ", result.reason), request
         assert [rig.tick(0.5) > 0 for _ in range(3)] == [True] * 3, request
     unknown = ParameterMessage(name="owner", value=ParameterValue(type=42))
     for service in ("hold", "dose"):
