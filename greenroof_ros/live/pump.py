@@ -44,8 +44,8 @@ from greenroof_ros.live.devices.drive import DriveStatus
 from greenroof_ros.live.devices.drive_file import MAX_RAMP_S, find_drive_file
 from greenroof_ros.live.devices.endpoint import CHOICE, Endpoint, read_endpoint
 from greenroof_ros.live.devices.exchange import RESET_S, UNREAD_S, DriveExchange, DriveSnapshot
-from greenroof_ros.live.engine import LIMITS, PAUSE_S, Levels, live_parameters
-from greenroof_ros.live.node import LiveNode, live_command
+from greenroof_ros.live.levels import LIMITS, Levels, live_parameters
+from greenroof_ros.live.node import PAUSE_S, LiveNode, live_command
 from greenroof_ros.live.pump_reports import PumpReports
 from greenroof_ros.live.pumping.limits import (
     PumpSettings,
@@ -363,7 +363,7 @@ class PumpNode(LiveNode):
         """Decide based on the current observations, command the drive, and publish the state."""
         now = boot_time()
         self._check_suspend(now)
-        self._engine.check_inputs()
+        self.check_inputs()
         snapshot = self._exchange.snapshot
         status = snapshot.status_at(now)
         observation = Observation(

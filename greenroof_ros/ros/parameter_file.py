@@ -22,7 +22,7 @@ from greenroof_ros.site.file import read_site
 
 _TEXTS = {bool: "true or false", str: "text", list: "a list of strings"}
 # Parameters that only bringup sets, by node, each with the option of bringup that sets it.
-_OF_BRINGUP = {
+_SET_BY_BRINGUP = {
     "pump": {
         "drive": "--drive",
         "address": "--drive-at",
@@ -124,9 +124,9 @@ def _find_option(
     node: str, module: str, name: str, value: object, given: Mapping[str, float]
 ) -> str:
     """Return the option that sets a node's parameter to another value; empty if there is none."""
-    of_node = _OF_BRINGUP.get(node, {})
-    if name in of_node:
-        return of_node[name]
+    options = _SET_BY_BRINGUP.get(node, {})
+    if name in options:
+        return options[name]
     if name in given:
         return "" if given[name] == value else f"--{name.replace('_', '-')}"
     return "an option of greenroof run" if module.startswith("greenroof_ros.nodes.") else ""

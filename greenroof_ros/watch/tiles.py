@@ -264,7 +264,7 @@ def _write_coming_rain(store: GraphStore) -> str:
         return f"no current forecast: the forecast from {made} has ended"
     reach = words.write_horizon(amount.reach_s)
     if amount.reach_s < SOON_S:
-        return f"no forecast for the next few hours: the latest forecast covers only {reach}"
+        return f"no forecast for the next few hours: the controller looks only {reach} ahead"
     if now - forecast.at > OLD_S:
         return f"the latest forecast, from {made}, is too old"
     sentence = f"{words.write_rain(amount.mean)} expected in the next {reach}{_write_range(amount)}"

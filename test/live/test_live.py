@@ -606,9 +606,10 @@ def test_monthly_means_are_of_the_whole_bed_with_its_crop() -> None:
     """2.5 mm/day from 68.8 m2 are 172 litres a day; of them, the crop has half."""
     months = (0.0, 1.0, *[2.5] * 9, 20.0)
     site = replace(PAPER_SITE, monthly_evapotranspiration=months, crop_coefficient=0.5)
-    assert _find_monthly_mean(site, 3) == pytest.approx(0.5 * 0.172 / 86400)
-    assert _find_monthly_mean(site, 12) == pytest.approx(0.5 * 1.376 / 86400)
-    assert _find_monthly_mean(PAPER_SITE, 3) is None
+    march, december = (datetime(2025, month, 15, tzinfo=UTC) for month in (3, 12))
+    assert _find_monthly_mean(site, march) == pytest.approx(0.5 * 0.172 / 86400)
+    assert _find_monthly_mean(site, december) == pytest.approx(0.5 * 1.376 / 86400)
+    assert _find_monthly_mean(PAPER_SITE, march) is None
 
 
 def test_live_weather(site: Site) -> None:

@@ -186,7 +186,7 @@ def test_rain_and_what_is_to_come() -> None:
     graph, front = watched(), np.array([math.nan, *range(1, 11)])
     graph.add_forecast(MINUTE, np.full(10, 1e-7), front)
     assert tile_of(graph, "rain")["sentence"] == (
-        "no forecast for the next few hours: the latest forecast covers only 10 s"
+        "no forecast for the next few hours: the controller looks only 10 s ahead"
     )
 
 
