@@ -42,7 +42,7 @@ from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.live.number_file import NumberFile
 from greenroof_ros.live.supervisor_socket import supervisor_socket
 from greenroof_ros.live.time_limit import deciding_limit, time_limit
-from greenroof_ros.nodes.controller import FORECASTS, FROST, LEVELS, ControllerNode
+from greenroof_ros.nodes.controller import FORECASTS, FROST, LEVELS, ControllerNode, Outputs
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import pump_flow
 from greenroof_ros.ros.parameters import declare, site_file
@@ -55,8 +55,6 @@ _FLOW, _GAUGE = "/pump/flow", "/gauge/precipitation"
 _GIVEN_UP = 3
 # How long after a failure the controller is tried again while on/off commands, as such a multiple.
 _ASKED_AGAIN = 60
-# How long it may take to return its outputs after its command (s).
-_OUTPUTS_S = 1.0
 # How long the import of its class, and then its first instantiation, which imports a solver, may
 # each take (s). Both, and the start of ROS before them, fit into the 30 s for which a starting node
 # may be silent.
@@ -148,13 +146,13 @@ class LiveControllerNode(ControllerNode, LiveNode):
             "roof_level": self._roof.value if self._roof.good else None,
         }
 
-    def find_command(self, allowed: bool) -> tuple[float, bool]:
-        """Return the command of the controller or of on/off, and whether the former has decided."""
-        command, decided = 0.0, False
+    def find_command(self, allowed: bool) -> tuple[float, Outputs]:
+        """Return the command of the controller or of on/off, and the former's optional outputs."""
+        command, outputs, decided = 0.0, Outputs(), False
         failed_for = time.monotonic() - self._failed_at
         if not self._failure or not self._stand_in_since or failed_for >= self._asked_again_after:
             with self._controllers_code(deciding_limit(self._site.tau)):
-                command, decided = self._command_by_controller(allowed)
+                command, outputs, decided = self._command_by_controller(allowed)
         if decided and failed_for >= self._stand_in_after:
             self._failure = ""
         self._update_stand_in()
@@ -167,12 +165,7 @@ class LiveControllerNode(ControllerNode, LiveNode):
             self._outdated |= command > 0
         if self._quiet or not self.good:
             command = 0.0
-        return command, decided and self._settings.controller is not None
-
-    def publish_optional(self, decided: bool) -> None:
-        """Publish the optional outputs, for which the controller's code has a second."""
-        with self._controllers_code(_OUTPUTS_S):
-            super().publish_optional(decided)
+        return command, outputs
 
     @contextmanager
     def _controllers_code(self, limit: float) -> Iterator[None]:
@@ -185,8 +178,8 @@ class LiveControllerNode(ControllerNode, LiveNode):
             self._failure = str(locate_error(self._choice.kind, error))
         self._failed_at, self._settings.controller = time.monotonic(), None
 
-    def _command_by_controller(self, allowed: bool) -> tuple[float, bool]:
-        """Return the controller's command (0 if it made no decision), and whether it made one.
+    def _command_by_controller(self, allowed: bool) -> tuple[float, Outputs, bool]:
+        """Return the controller's command and outputs, and whether it has decided.
 
         A forecast that the controller cannot use is rejected.
         """
@@ -197,18 +190,18 @@ class LiveControllerNode(ControllerNode, LiveNode):
         if decides and self._outdated:
             self._make()
         try:
-            command = self.decide(decides)
+            command, outputs = self.decide(decides)
         except ControllerError:
             raise
         except ConfigurationError as error:
             self._rain.refuse(str(error))  # any other error is the controller's
             decides = allowed and self._may_use_forecast
-            command = self.decide(decides)
+            command, outputs = self.decide(decides)
         self._learned = self._read_learned()
-        return command, decides
+        return command, outputs, decides
 
-    def decide(self, decides: bool) -> float:
-        """Tell the controller the measured rain, and return its command."""
+    def decide(self, decides: bool) -> tuple[float, Outputs]:
+        """Tell the controller the measured rain, and return its command and optional outputs."""
         set_optional(self._settings.controller, gauge_rain=self._measured_rain())
         return super().decide(decides)
 

@@ -30,6 +30,8 @@ from greenroof_ros.ros.parameters import declare, site_file
 LEVELS = "/cistern/level", "/roof/level"
 FORECASTS = "/forecast/precipitation", "/forecast/evapotranspiration"
 FROST = "/weather/frost"
+Outputs = dict[str, Any]
+"""values of a controller's optional outputs, by attribute; empty if it has not decided"""
 
 
 def parameters(choice: ControllerChoice | None) -> list[Parameter]:
@@ -69,27 +71,27 @@ class ControllerNode(GraphNode):
         self.command = 0.0
 
     def on_inputs(self) -> None:
-        """Publish the command and the controller's optional outputs."""
+        """Publish the command and, if the controller has decided, its optional outputs."""
         allowed = bool(self.good and self._site.irrigated and not self._frost.value)
         if self._site.quiet is not None:
             self._quiet = self._site.quiet.quiet_at(self.time_ns)
-        self.command, decided = self.find_command(allowed)
+        self.command, outputs = self.find_command(allowed)
         self.publish("/pump/command", self.command)
         if self._outlet is not None:
             self.publish("/outlet/command", self._command_outlet(self._outlet))
-        self.publish_optional(decided)
+        for topic, attribute in self._optional:
+            self.publish(topic.name, outputs[attribute] if outputs else topic.undecided)
 
-    def find_command(self, allowed: bool) -> tuple[float, bool]:
-        """Return the command, and whether the controller has decided.
+    def find_command(self, allowed: bool) -> tuple[float, Outputs]:
+        """Return the command, and the values of the optional outputs.
 
         Args:
             allowed: whether pumping is allowed.
         """
-        decides = may_decide(self._settings.controller, allowed, self._quiet)
-        return self.decide(decides), decides
+        return self.decide(may_decide(self._settings.controller, allowed, self._quiet))
 
-    def decide(self, decides: bool) -> float:
-        """Return the controller's command; 0 if the controller must not decide.
+    def decide(self, decides: bool) -> tuple[float, Outputs]:
+        """Return the controller's command and optional outputs, or 0 if it must not decide.
 
         Raises:
             ConfigurationError: if the controller's code fails, or cannot use the forecast.
@@ -102,9 +104,11 @@ class ControllerNode(GraphNode):
             forecast = self._choice.own_forecast(
                 self._own_steps, rain.value, evapotranspiration.value, rain.name
             )
-        return decide(
-            controller, decides, self._cistern.value, self._roof.value, *forecast, self._quiet
-        )
+        levels = self._cistern.value, self._roof.value
+        command = decide(controller, decides, *levels, *forecast, self._quiet)
+        if not decides:
+            return command, {}
+        return command, {name: getattr(controller, name) for _, name in self._optional}
 
     def _command_outlet(self, outlet: OutletPolicy) -> float:
         levels, share = (self._cistern.value, self._roof.value), 0.0
@@ -113,12 +117,6 @@ class ControllerNode(GraphNode):
         elif not self._rain.good:
             outlet(*levels, (), ())  # unknown rain counts as wet weather
         return 0.0 if self._site.valve_closed_in_frost and self._frost.value else share
-
-    def publish_optional(self, decided: bool) -> None:
-        """Publish the controller's optional outputs, which have values if it has decided."""
-        for topic, attribute in self._optional:
-            value = getattr(self._settings.controller, attribute) if decided else topic.undecided
-            self.publish(topic.name, value)
 
     def progress(self) -> dict[str, Any]:
         """Return the changes to the controller's parameters."""

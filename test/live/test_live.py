@@ -519,15 +519,13 @@ def test_no_command_of_what_was_before_a_suspend(
 
 
 def test_nothing_takes_a_live_node_off_the_system_clock(observer: Observer) -> None:
-    """Also not later, as by ``ros2 param set``; a value that changes nothing is accepted."""
+    """Also not later, as by ``ros2 param set``."""
     observer.start(f"live.sensors --sensors {CONFIG}/sensors.yaml")
-    for value in (True, False):
-        parameter = Parameter("use_sim_time", value=value).to_parameter_msg()
-        (result,) = observer.call(
-            SetParameters, "/roof_sensor/set_parameters", parameters=[parameter]
-        ).results
-        assert result.successful != value, result.reason
-        assert ("use_sim_time" in result.reason) == value
+    parameter = Parameter("use_sim_time", value=True).to_parameter_msg()
+    (result,) = observer.call(
+        SetParameters, "/roof_sensor/set_parameters", parameters=[parameter]
+    ).results
+    assert not result.successful and "use_sim_time" in result.reason
 
 
 def test_no_command_of_what_was_before_a_stop(site: Site) -> None:
