@@ -96,7 +96,7 @@ class Rig:
             self._dt, replace(observed, **self.change)  # type: ignore[arg-type]
         )
         self.decisions.append(decision)
-        self.delivered += decision.flow * self.tau
+        self.delivered += (decision.flow or 0.0) * self.tau
         setpoint = decision.speed or 0.0
         true_flow = self.plant_flow(1.0 if self.contactor_stuck else self.speed)
         pumped = self._advance(true_flow, rain, evapotranspiration)
@@ -110,6 +110,16 @@ class Rig:
         self.now += self.tau
         self._dt = self.tau
         return decision
+
+    def clear(self) -> None:
+        """Clear the fault, as the node does."""
+        self.state_file.fault("", "")
+        self.control.discard_evidence()
+
+    def reset(self) -> None:
+        """Clear the fault and an unknown state, as the node does."""
+        self.state_file.clear_unknown()
+        self.clear()
 
     def suspend(self, seconds: float, runs_on: float = 0.0) -> None:
         """Let time pass without steps of the pump; then the drive's own timeout has stopped it."""

@@ -23,7 +23,7 @@ from greenroof_ros.__main__ import COMMANDS
 NODES = (
     "plant", "weather", "controller",
     "recorder", "live_weather", "live_controller", "live_recorder", "station", "sensors",
-    "pump",
+    "pump", "pump_guard",
 )
 GREENROOF = "greenroof"
 # What `ros2 run` finds in a workspace; pip installs only the first.

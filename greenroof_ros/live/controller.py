@@ -34,13 +34,11 @@ from greenroof_ros.controllers.onoff import FRACTION, OnOff
 from greenroof_ros.controllers.protocol import set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.interface.states import ENDED
 from greenroof_ros.live.levels import RECOVERY, Levels, live_parameters
 from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.live_input import LiveInput, bad_inputs
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.live.number_file import NumberFile
-from greenroof_ros.live.supervisor_socket import supervisor_socket
 from greenroof_ros.live.time_limit import deciding_limit, time_limit
 from greenroof_ros.nodes.controller import FORECASTS, FROST, LEVELS, ControllerNode, Outputs
 from greenroof_ros.physics.parameters import plant_parameters
@@ -48,7 +46,7 @@ from greenroof_ros.physics.pump import pump_flow
 from greenroof_ros.ros.parameters import declare, site_file
 from greenroof_ros.site.site import Site
 
-_FLOW, _GAUGE = "/pump/flow", "/gauge/precipitation"
+_FLOW, _GAUGE, _HOLD = "/pump/flow", "/gauge/precipitation", "/pump/hold"
 # On/off takes over once the controller has failed, or a forecast has been missing, for this
 # multiple of recovery_time. A short gap, such as after a pause of the node itself, then starts no
 # pump.
@@ -59,7 +57,11 @@ _ASKED_AGAIN = 60
 # each take (s). Both, and the start of ROS before them, fit into the 30 s for which a starting node
 # may be silent.
 _STARTING_S = 12.0
-LIVE_PARAMETERS = live_parameters([*LEVELS, *FORECASTS, FROST, _FLOW, _GAUGE])
+LIVE_PARAMETERS = live_parameters([*LEVELS, *FORECASTS, FROST, _FLOW, _GAUGE, _HOLD])
+EXTERNAL_PUMP = Parameter(
+    "external_pump", False, meaning="whether your own node runs the pump: the command is then 0 "
+        "while /pump/hold is 1 or is not arriving",
+)
 STATE_FILE = Parameter(
     "state_file", "", meaning="file in which the cost of waiting for rain is preserved across "
         "restarts; if empty, the cost is not preserved",
@@ -76,7 +78,7 @@ _FINITE = Range(-sys.float_info.max, sys.float_info.max)
 def parameters(choice: ControllerChoice | None) -> list[Parameter]:
     """Return the parameters of a controller's node; without a controller, the common parameters."""
     of_class = [] if choice is None else choice.kind.parameters
-    return [site_file(), STATE_FILE, GIVEN_UP, *of_class, *LIVE_PARAMETERS]
+    return [site_file(), STATE_FILE, GIVEN_UP, EXTERNAL_PUMP, *of_class, *LIVE_PARAMETERS]
 
 
 class LiveControllerNode(ControllerNode, LiveNode):
@@ -107,7 +109,7 @@ class LiveControllerNode(ControllerNode, LiveNode):
         """
         choice = find_controller(controller)
         super().__init__(choice.name, "controller")
-        values = declare(self, [STATE_FILE, GIVEN_UP])
+        values = declare(self, [STATE_FILE, GIVEN_UP, EXTERNAL_PUMP])
         if why := values[GIVEN_UP.name]:
             choice = replace(choice, given=_given_up(why))
         with time_limit(_STARTING_S):
@@ -122,6 +124,7 @@ class LiveControllerNode(ControllerNode, LiveNode):
         self._rain, self._evapotranspiration, self._flow, self._gauge = (
             self.subscribe(name, optional=True) for name in (*FORECASTS, _FLOW, _GAUGE)
         )
+        self._hold = self.subscribe(_HOLD) if values[EXTERNAL_PUMP.name] else None
         self._failure, self._failed_at = "", -math.inf  # the controller's last (steady clock, s)
         self._stand_in = OnOff(self._site, FRACTION.default)
         self._stand_in_after = _GIVEN_UP * live[RECOVERY.name]
@@ -148,6 +151,8 @@ class LiveControllerNode(ControllerNode, LiveNode):
 
     def find_command(self, allowed: bool) -> tuple[float, Outputs]:
         """Return the command of the controller or of on/off, and the former's optional outputs."""
+        held = self._hold is not None and bool(self._hold.value)
+        allowed = allowed and not held
         command, outputs, decided = 0.0, Outputs(), False
         failed_for = time.monotonic() - self._failed_at
         if not self._failure or not self._stand_in_since or failed_for >= self._asked_again_after:
@@ -163,7 +168,7 @@ class LiveControllerNode(ControllerNode, LiveNode):
             levels = self._cistern.value, self._roof.value
             command = self._stand_in.command(*levels, (), ()) if allowed else 0.0
             self._outdated |= command > 0
-        if self._quiet or not self.good:
+        if self._quiet or held or not self.good:
             command = 0.0
         return command, outputs
 
@@ -347,22 +352,8 @@ def _given_up(why: str) -> type[OnOff]:
     return GivenUp
 
 
-def make_node(controller: str) -> LiveControllerNode:
-    """Return the node; if this fails, report the reason to bringup.
-
-    Raises:
-        ConfigurationError: if the node cannot run this controller.
-    """
-    try:
-        return LiveControllerNode(controller)
-    except ConfigurationError as error:
-        report = {"role": "controller", "state": ENDED, "failure": str(error)}
-        supervisor_socket().report(report)
-        raise
-
-
 main = live_command(
-    make_node, "live.controller", __doc__,
+    LiveControllerNode, "live.controller", __doc__,
     lambda name: parameters(name and find_controller(name)), "--controller",
 )
 

@@ -30,13 +30,10 @@ from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.messages import pass_whole
 from greenroof_ros.ros.parameters import USE_SIM_TIME, fix
 from greenroof_ros.ros.publishers import DISCOVERY_S
+from greenroof_ros.ros.reports import PAUSE_S
 from greenroof_ros.ros.spin import start_receiving
 from greenroof_ros.site.site import Site
 
-# A gap longer than this means that this process was paused (s), so its inputs are outdated.
-# Messages that arrive within this time after the pause are ignored, since they may have been
-# waiting.
-PAUSE_S = 1.0
 # Longest time after its start at which a node first acts (s).
 _FIRST_S = 1.0
 # Longest time for which a node waits for messages before it checks clocks and signals again (s).
@@ -230,7 +227,10 @@ class LiveNode(GraphNode):
         self._awake_at = boot_time() - slept
 
     def _handle_pause(self, now: float) -> None:
-        """Clear all inputs if this process was paused."""
+        """Clear all inputs if this process was paused.
+
+        Messages that arrive shortly after the pause are ignored, since they may have been waiting.
+        """
         passed, self._awake_at = now - self._awake_at, now
         if passed > PAUSE_S:
             self._ignoring_until = now + PAUSE_S

@@ -6,14 +6,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from greenroof_ros.interface.conditions import Diagnosis, read_interlocks
-from greenroof_ros.interface.states import PumpState
 from greenroof_ros.live.devices.exchange import DriveExchange, DriveSnapshot
 from greenroof_ros.live.live_diagnostics import ERROR, OK, WARN, LiveDiagnostics
 from greenroof_ros.live.live_input import LiveInput, bad_inputs, join_diagnoses
-from greenroof_ros.live.pumping.dose import DONE, Dose
+from greenroof_ros.live.pumping.dose import DONE, Dose, Doses
 from greenroof_ros.live.pumping.pump_control import Decision, drive_fault
 from greenroof_ros.live.pumping.pump_inputs import INPUTS
-from greenroof_ros.site.site import Site
 
 
 class PumpReports:
@@ -31,22 +29,17 @@ class PumpReports:
             exchange: the communication with the drive.
         """
         self._reports, self._inputs, self._exchange = reports, inputs, exchange
+        reports.hardware = str(exchange.endpoint)
 
     def update(
-        self, now: float, site: Site, state: PumpState, decision: Decision, dose: Dose | None,
-        unsaved: str, changed: bool, second_pump: Diagnosis | None,
+        self, now: float, decision: Decision, doses: Doses, second_pump: Diagnosis | None
     ) -> None:
         """Report on every part.
 
         Args:
             now: current time, from `boot_time` (s).
-            site: the site.
-            state: state of the pump.
             decision: the last decision.
-            dose: dose that is waiting, is running or has just ended; None if there is no dose.
-            unsaved: reason why the state would be lost at a restart; empty if it would be
-                preserved.
-            changed: whether another program has just changed the state file.
+            doses: the requests for doses.
             second_pump: diagnosis of a second pump node; None if there is only one pump node.
         """
         diagnose = self._reports.diagnose
@@ -60,27 +53,23 @@ class PumpReports:
             elif "hold" in decision.interlocks:
                 shown = Diagnosis("stop_not_followed")
         diagnose(
-            "pump", shown and replace(shown, text=str(state)), str(state), level,
+            "pump", shown and replace(shown, text=str(decision.shown)), str(decision.shown), level,
             self._cause(first.code) if first else "", log=False,
         )
         warnings = join_diagnoses(decision.warnings)
         diagnose("limits", warnings, "nothing limits the pump", WARN, log=False)
-        if site.max_dose is not None:
-            self._diagnose_dose(dose)
+        if doses.allowed:
+            self._diagnose_dose(doses.last)
         diagnose("flow", second_pump, f"source: {decision.source}")
         self._diagnose_inputs(decision)
         levels_known = self._inputs["cistern_level"].good and self._inputs["roof_level"].good
-        known_for = "the levels have not yet been known for long enough"
         diagnose(
             "delivery",
-            Diagnosis.of("delivery_blind") if decision.blind_for and not levels_known else None,
-            known_for if decision.blind_for else "the pumped volume is compared with both levels",
+            None if levels_known else Diagnosis.of("delivery_blind"),
+            "the pumped volume is compared with both levels" if decision.delivery_checked
+            else "the levels have not yet been known for long enough",
             WARN,
         )
-        diagnosis, level = Diagnosis.if_any("state_not_kept", unsaved), ERROR
-        if diagnosis is None and changed:
-            diagnosis, level = Diagnosis.of("state_changed"), WARN
-        diagnose("state file", diagnosis, "holds and faults are being saved", level)
         self._diagnose_drive(now)
 
     def _diagnose_inputs(self, decision: Decision) -> None:
@@ -132,7 +121,7 @@ class PumpReports:
             )
         if status is None:
             return
-        self._reports.hardware = snapshot.identity
+        self._reports.hardware = f"{snapshot.identity}, {self._exchange.endpoint}"
         warning = "; ".join(filter(None, (snapshot.problem, status.warning)))
         level, diagnosis = WARN, None
         if status.fault:

@@ -142,7 +142,9 @@ class LiveWeatherNode(WeatherNode, LiveNode):
             evapotranspiration = outlook.evapotranspiration_now
         if self._thermometer.good:
             temperature = self._thermometer.value
-        self.publish_weather(self._frost(temperature, why), outlook, rain, evapotranspiration)
+        source = "measured" if self._thermometer.good else "forecast"
+        frost = self._frost(temperature, source, why)
+        self.publish_weather(frost, outlook, rain, evapotranspiration)
         self._diagnose_gauge("rain gauge", self._rain_gauge, f"the current rain rate is {instead}")
         self._diagnose_gauge(
             "thermometer", self._thermometer, f"the current temperature is {instead}"
@@ -210,17 +212,21 @@ class LiveWeatherNode(WeatherNode, LiveNode):
         )
         return outlook
 
-    def _frost(self, temperature: float, why: str) -> float:
+    def _frost(self, temperature: float, source: str, why: str) -> float:
         """Return 1 in frost, otherwise 0.
 
         If the temperature is unknown, report this and return NaN, or 0 if that is allowed.
 
         Args:
             temperature: air temperature (degC); NaN if unknown.
+            source: ``measured`` or ``forecast``.
             why: reason why the temperature is unknown, if it is.
         """
         if not math.isnan(temperature):
-            self.reports.diagnose("frost", None, "the temperature is known")
+            freezing = Diagnosis.of("freezing", source, temperature=temperature)
+            self.reports.diagnose(
+                "frost", freezing if temperature <= 0 else None, "the temperature is known", WARN
+            )
             return float(temperature <= 0)
         level, case = (ERROR, "off") if math.isnan(self._unknown_frost) else (WARN, "may_run")
         diagnosis = Diagnosis.of("temperature_unknown", case, why=why)

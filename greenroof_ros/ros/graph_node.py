@@ -52,8 +52,6 @@ class GraphNode(Node):
         warnings: sentences about faults of the node's inputs.
     """
 
-    inputs: Mapping[str, Input]
-
     def __init__(
         self, name: str, role: str, interface: Mapping[str, Topic], reports: type[NodeDiagnostics]
     ) -> None:
@@ -78,6 +76,7 @@ class GraphNode(Node):
         self.malformed = Counter[str]()
         self._malformed: list[str] = []  # a sentence about the first of every topic
         self.interface = interface
+        self.inputs: Mapping[str, Input] = {}
         self.peers = Peers(role)
         self.warnings: list[str] = []
         self.reports = reports(self, role)

@@ -31,6 +31,7 @@ _SET_BY_BRINGUP = {
         "state_file": "--state",
     },
     "plant": {"speed": "--speed", "pump": "--pump"},
+    "alarms": {"directory": "--state", "expected": "greenroof live"},
 }
 
 

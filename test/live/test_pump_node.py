@@ -36,8 +36,7 @@ from std_srvs.srv import SetBool, Trigger
 from greenroof_ros.base.times import to_people
 from greenroof_ros.commands.pump_requests import _parse_future_time
 from greenroof_ros.live.devices.drive_file import find_drive_file
-from greenroof_ros.live.devices.endpoint import read_endpoint
-from greenroof_ros.live.devices.exchange import DriveExchange, DriveSnapshot
+from greenroof_ros.live.devices.exchange import DriveExchange, DriveSnapshot, read_endpoint
 from greenroof_ros.live.pumping.state_file import StateFile
 
 
@@ -432,7 +431,7 @@ def test_what_is_no_hold_is_refused(rig: PumpRig) -> None:
         ]
         result = rig.call(SetParametersAtomically, "hold", parameters=parameters).result
         assert not result.successful, request
-        assert "a hold must have an owner" in result.reason or "until = " in result.reason, request
+        assert re.search("must have (an )?owner|owner = |until = ", result.reason), request
         assert [rig.tick(0.5) > 0 for _ in range(3)] == [True] * 3, request
     unknown = ParameterMessage(name="owner", value=ParameterValue(type=42))
     for service in ("hold", "dose"):

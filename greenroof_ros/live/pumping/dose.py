@@ -78,6 +78,7 @@ class Doses:
     time, even after a restart.
 
     Attributes:
+        allowed: whether the site allows doses.
         last: the latest dose, until some time after its end; None if there is no dose.
     """
 
@@ -89,6 +90,7 @@ class Doses:
             now: system time (s since 1970).
         """
         self._largest = site.max_dose
+        self.allowed = site.max_dose is not None
         self._newest = now
         self.last: Dose | None = None
 

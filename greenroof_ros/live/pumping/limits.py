@@ -24,6 +24,8 @@ _HOUR_S = 3600.0
 # A pump that runs continuously makes up the outstanding volume in this time (s).
 _CATCH_UP = 60.0
 _MIN_FLOW = 0.2
+# No command asks for less (m3/s), except in theory.
+_LEAST_FLOW = 1e-9
 # More than the reference evapotranspiration in any climate of FAO-56, Table 2 (m/day).
 _MAX_EVAPOTRANSPIRATION = 0.010
 # Margin of the daily volume, since the flow is only estimated.
@@ -237,12 +239,8 @@ class PumpLimits:
             yield Diagnosis.of("frost_unknown")
         elif observed.frost:
             yield Diagnosis.of("frost")
-        if (quiet := self._site.quiet) is not None:
-            if time_ns is None:
-                yield Diagnosis.of("quiet_hours", "no_time")
-            elif quiet.quiet_at(time_ns):
-                until = to_people(quiet.end_after(time_ns))
-                yield Diagnosis.of("quiet_hours", "until", until=until)
+        if (quiet := self._site.quiet) is not None and quiet.quiet_at(time_ns):
+            yield Diagnosis.of("quiet_hours", until=to_people(quiet.end_after(time_ns)))
         if command == 0:
             self._rests_for = 0.0
         if self._rests_for > 0:
@@ -333,6 +331,17 @@ class Pulses:
             by_its_end = self.outstanding + self._settings.min_on * self._wanted
             due = due and by_its_end >= pulse and since_start >= self._spacing
         return minimum if due else 0.0
+
+    def due_in(self, cistern_level: float, since_start: float) -> float:
+        """Return the time until the next pulse (s), if the command, which is not 0, stays as it is.
+
+        Args:
+            cistern_level: level of the cistern (m).
+            since_start: time since the pump was last started (s).
+        """
+        lacking = self.min_pulse(cistern_level) - self.outstanding
+        filled_in = lacking / max(self._wanted, _LEAST_FLOW) - self._settings.min_on
+        return max(0.0, self._spacing - since_start, filled_in)
 
     def _set_outstanding(self, volume: float) -> None:
         self.outstanding = min(self._maximum, max(-self._maximum, volume))

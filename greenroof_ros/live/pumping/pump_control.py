@@ -7,16 +7,12 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from greenroof_ros.interface.conditions import (
-    INHIBIT,
-    LATCHED,
-    PERMISSIVE,
-    Diagnosis,
-    read_interlocks,
-)
+from greenroof_ros.base.times import duration
+from greenroof_ros.interface.conditions import Diagnosis
+from greenroof_ros.interface.states import PumpState
 from greenroof_ros.live.pumping.delivery import DeliveryCheck
 from greenroof_ros.live.pumping.dose import FULL, INTERLOCK, UNSEEN, Doses
-from greenroof_ros.live.pumping.interlocks import evaluate
+from greenroof_ros.live.pumping.interlocks import evaluate, latch, state_of, stored_reasons
 from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings
 from greenroof_ros.live.pumping.pump_inputs import Observation
 from greenroof_ros.live.pumping.state_file import SAVE_EVERY_S, StateFile
@@ -33,8 +29,6 @@ _FAILED_STARTS = 3
 # A meter may show a flow for 10 s after its end (sensor_file). If it shows one for longer than this
 # (s), water is flowing.
 _AFTERFLOW_S = 12.0
-# The state of a pump that is kept off, by the kind of the first active interlock.
-_STATES = {LATCHED: "fault", INHIBIT: "held", PERMISSIVE: "off"}
 
 
 @dataclass(frozen=True)
@@ -47,32 +41,34 @@ class Decision:
             off, but may still be turning.
         why: reason for the state, in words.
         interlocks: the active interlocks by code, in the order of their table.
-        flow: best current estimate of the flow (m3/s).
+        flow: best current estimate of the flow (m3/s); None if it is unknown.
         source: source of the flow, in words.
         warnings: conditions that an operator should know about although they do not stop the pump.
         at_rest: whether the pump is stopped, either as reported or because of the drive's own
             timeout.
         reported_speed: speed that the drive reports (share of the rated speed), negative if the
             pump turns backwards; None if the drive does not respond or its value is implausible.
-        flow_known: whether ``flow`` is known; if not, ``flow`` is 0.
-        blind_for: time for which the delivery check has been inoperative (s), because a level is
-            unknown or the levels have not been known for long enough.
+        delivery_checked: whether both levels have been known for long enough to check the delivery.
     """
 
     speed: float | None
     state: str
     why: str
     interlocks: Mapping[str, Diagnosis]
-    flow: float
+    flow: float | None
     source: str
     warnings: Sequence[Diagnosis]
     at_rest: bool
     reported_speed: float | None
-    flow_known: bool
-    blind_for: float
+    delivery_checked: bool
 
     @property
-    def disbelieved(self) -> bool:
+    def shown(self) -> PumpState:
+        """The state as it is published."""
+        return PumpState(self.state, self.why, tuple(self.interlocks))
+
+    @property
+    def flows_at_rest(self) -> bool:
         """Whether the drive reports standstill although a meter shows that the pump is running."""
         speed = self.reported_speed
         rests = self.speed is None and speed is not None and abs(speed) <= STANDSTILL
@@ -121,7 +117,6 @@ class PumpControl:
         self._failed_starts = 0  # consecutive
         self._flowed_for = 0.0
         self._unknown_for = 0.0
-        self._blind_for = 0.0
         # Highest speed that the drive may have had when it last answered, share of the rated speed;
         # 1 at first, since it may not be stopped yet.
         self._max_speed = 1.0
@@ -142,34 +137,11 @@ class PumpControl:
             request, volume, time.time(), self.min_pulse, self._inhibit_reason
         )
 
-    def reset(self) -> str:
-        """Clear the latched fault and an unknown state, and return both.
-
-        If the cause of the fault persists, the fault latches again.
-        """
-        stored = self._state_file.state
-        self._state_file.clear_unknown()
-        self.clear()
-        return "; ".join(filter(None, (stored.fault, stored.unknown)))
-
-    @property
-    def clear_refusal(self) -> str:
-        """Reason why the latched fault cannot be cleared from the page; empty if it can."""
-        stored = self._state_file.state
-        if not stored.fault:
-            return "there is no fault"
-        row = read_interlocks().get(stored.fault_code)
-        if row is None or not row.on_page:
-            return "someone who has checked the pump must reset this fault at the pump node"
-        return ""
-
-    def clear(self) -> None:
-        """Clear the latched fault, if any, and discard the evidence that led to it."""
-        if self._state_file.state.fault:
-            self._state_file.fault("", "")
-            self._delivery = DeliveryCheck(self._site, self._settings)
-            self._follow_error_for = self._flowed_for = 0.0
-            self._failed_starts = 0
+    def discard_evidence(self) -> None:
+        """Discard the evidence that led to a fault, since the fault has been cleared."""
+        self._delivery = DeliveryCheck(self._site, self._settings)
+        self._follow_error_for = self._flowed_for = 0.0
+        self._failed_starts = 0
 
     def count_unseen(self, dt: float) -> None:
         """Account for unmonitored time, such as a suspension of the computer; the pump is then off.
@@ -190,35 +162,28 @@ class PumpControl:
         self._limits.count(dt - ran, ran == dt)
         self._state_file.count(dt, ran, volume)
         self._delivery.step(dt, None, None, 0.0, volume)
-        self._blind_for += dt
         self._pulses.clear()
         self.doses.end(UNSEEN, f"the pump was not monitored for {dt:.0f} s")
         if self._setpoint is not None:
             self._limits.switch(False)
         self._setpoint = None
 
-    def step(self, dt: float, observed: Observation, drive_dt: float | None = None) -> Decision:
+    def step(self, dt: float, observed: Observation) -> Decision:
         """Determine the state and the speed of the pump for this step.
 
         Args:
             dt: time since the last step (s); 0 at the first step.
             observed: present observations.
-            drive_dt: time for which the drive was monitored since the last step (s); None if it
-                equals ``dt``. The two times differ after the computer was suspended, since the
-                drive was then not monitored.
         """
-        drive_dt = dt if drive_dt is None else drive_dt
-        speed_known, backwards, reported = (
-            observed.speed is not None, _backwards(observed), observed.speed
-        )
+        backwards, reported = _backwards(observed), observed.speed
         observed = _plausible(observed)
         warnings: list[Diagnosis] = []
         computed = None
         if observed.speed is not None and observed.cistern_level is not None:
             computed = flow_at(self._site, observed.speed, observed.cistern_level)
         known_flow, source = self._flow(observed, computed, warnings)
-        flow = 0.0 if known_flow is None else known_flow
-        self._unknown_for = self._unknown_for + drive_dt if observed.speed is None else 0.0
+        flow = known_flow or 0.0
+        self._unknown_for = self._unknown_for + dt if observed.speed is None else 0.0
         latest = self._max_speed if observed.speed is None else observed.speed
         self._max_speed = max(latest, self._setpoint or 0.0)
         unseen = self._unseen_flow(observed)
@@ -226,14 +191,12 @@ class PumpControl:
         minimum = max(flow, computed or 0.0)
         self._count(dt, observed.speed, unseen, minimum)
         under_way = self.doses.present is not None
-        self.doses.advance(drive_dt, max(minimum, unseen) * dt)
+        self.doses.advance(dt, max(minimum, unseen) * dt)
         self._pulses.count(flow * dt, dt)
         undelivered = self._delivery.step(
             dt, observed.cistern_level, observed.roof_level, minimum * dt, max(flow, unseen) * dt,
             observed.displacements,
         )
-        levels_known = observed.cistern_level is not None and observed.roof_level is not None
-        self._blind_for = 0.0 if levels_known and self._delivery.has_mean else self._blind_for + dt
         command, missing = observed.command, list[Diagnosis]()
         if command is None:
             missing.append(Diagnosis.of("command_unknown"))
@@ -251,17 +214,15 @@ class PumpControl:
         if not observed.drive_ready and not backwards:
             missing.append(Diagnosis.of("drive_not_ready"))
         active = evaluate([
-            *self._faults(drive_dt, observed, backwards, undelivered),
+            *self._faults(dt, observed, backwards, undelivered),
             *self._limits.reasons(1.0 if dosed else command, observed),
             *observed.reasons, *missing,
         ])
         setpoint = None
         if active:
-            first = next(iter(active))
-            state = _STATES[read_interlocks()[first].kind]
-            why = "; ".join(reason.sentence for reason in active.values())
+            state, why = state_of(active)
             self._pulses.clear()
-            self.doses.end(INTERLOCK, why, first)
+            self.doses.end(INTERLOCK, why, next(iter(active)))
             self._inhibit_reason = why
         else:
             assert command is not None
@@ -294,16 +255,18 @@ class PumpControl:
             why += f"; the pump is still turning, at {observed.speed:.2f} of its rated speed"
         if observed.speed is None:
             # A drive that answers but reports an implausible speed has not timed out.
-            at_rest = not speed_known and self._must_be_at_rest()
+            at_rest = reported is None and self._must_be_at_rest()
             if not at_rest and not backwards:
                 why += "; it is unknown whether the pump has stopped"
                 state = "unknown" if state == "off" else state
         else:
             at_rest = setpoint is None and not turning and not self._flows_on
+        if at_rest and known_flow is None:
+            known_flow = 0.0
+        levels_known = observed.cistern_level is not None and observed.roof_level is not None
         return Decision(
-            setpoint, state, why, active, flow, source, warnings, at_rest,
-            reported if backwards else observed.speed, at_rest or known_flow is not None,
-            self._blind_for,
+            setpoint, state, why, active, known_flow, source, warnings, at_rest,
+            reported if backwards else observed.speed, levels_known and self._delivery.has_mean,
         )
 
     def _dose_command(self, cistern_level: float) -> float:
@@ -361,7 +324,7 @@ class PumpControl:
         setpoint = self._setpoint or 0.0
         return speed is not None and abs(speed - setpoint) > self._settings.follow_tolerance
 
-    def _is_beyond_ramp(self, speed: float, drive_dt: float) -> bool:
+    def _is_beyond_ramp(self, speed: float, dt: float) -> bool:
         """Whether the speed of the pump cannot be explained by the drive's ramp.
 
         The speed of a drive that obeys lies between the speed that the slowest ramp has reached and
@@ -374,7 +337,7 @@ class PumpControl:
         setpoint, ramp, tolerance = (
             self._setpoint or 0.0, self._settings.drive_ramp, self._settings.follow_tolerance
         )
-        step = drive_dt / ramp if ramp else math.inf
+        step = dt / ramp if ramp else math.inf
         self._ramped += min(max(setpoint - self._ramped, -step), step)
         minimum, maximum = sorted((setpoint, self._ramped))
         if minimum <= speed <= maximum:
@@ -386,7 +349,7 @@ class PumpControl:
         """Whether a meter has shown flow for so long that the reported standstill must be false."""
         return self._flowed_for > _AFTERFLOW_S
 
-    def _flows_at_rest(self, drive_dt: float, observed: Observation) -> Diagnosis | None:
+    def _flows_at_rest(self, dt: float, observed: Observation) -> Diagnosis | None:
         """Return a fault if a meter shows flow although the drive reports standstill.
 
         A drive knows the state of its motor, and a relay its last command; neither detects a welded
@@ -397,30 +360,27 @@ class PumpControl:
         measured = max(observed.flow or 0.0, observed.drive_flow or 0.0)
         speed = observed.speed
         at_rest = self._setpoint is None and speed is not None and speed <= STANDSTILL
-        self._flowed_for = self._flowed_for + drive_dt if at_rest and measured > minimum else 0.0
+        self._flowed_for = self._flowed_for + dt if at_rest and measured > minimum else 0.0
         if not self._flows_on:
             return None
         return Diagnosis.of("runs_on", "flow", flow=measured, time=self._flowed_for)
 
     def _faults(
-        self, drive_dt: float, observed: Observation, backwards: Diagnosis | None,
+        self, dt: float, observed: Observation, backwards: Diagnosis | None,
         undelivered: Diagnosis | None,
     ) -> list[Diagnosis]:
-        """Return the current faults, and the latched fault until it is reset.
-
-        The result includes the other stored reasons: a hold, and an unreadable state file.
-        """
+        """Return the current faults, of which one is latched, and the reasons in the state file."""
         failed_start = next(
             (reason for reason in observed.reasons if reason.code == "start_failed"), None
         )
         if failed_start and self._setpoint is not None:
             self._failed_starts += 1
         if observed.speed is not None:  # a short silence does not reset the timer
-            follow_limit = self._is_beyond_ramp(observed.speed, drive_dt)
-            self._follow_error_for = self._follow_error_for + drive_dt if follow_limit else 0.0
-            if self._setpoint is not None and not follow_limit and not failed_start:
+            beyond = self._is_beyond_ramp(observed.speed, dt)
+            self._follow_error_for = self._follow_error_for + dt if beyond else 0.0
+            if self._setpoint is not None and not beyond and not failed_start:
                 self._failed_starts = 0
-        found = [undelivered, self._flows_at_rest(drive_dt, observed), backwards]
+        found = [undelivered, self._flows_at_rest(dt, observed), backwards]
         if observed.speed is not None and self._follow_error_for > self._settings.follow_time:
             code = "runs_on" if self._setpoint is None else "speed_not_followed"
             found.append(Diagnosis.of(
@@ -433,29 +393,9 @@ class PumpControl:
             ))
         if observed.drive_fault:
             found.append(drive_fault(observed.drive_fault, observed.runs_on))
-        reasons = [reason for reason in found if reason is not None]
-        latched, interlocks = evaluate(reasons), read_interlocks()
-        # The first fault is kept, except that one that may be cleared on the page gives way to one
-        # that may not.
-        worst = next((code for code in latched if not interlocks[code].on_page), "")
-        interlock = interlocks.get(self._state_file.state.fault_code)
-        if not self._state_file.state.fault:
-            worst = worst or next(iter(latched), "")
-        elif interlock is None or not interlock.on_page:
-            worst = ""
-        if worst:
-            self._state_file.fault(latched[worst].sentence, worst)
-        stored = self._state_file.state
-        persistent = (
-            Diagnosis.if_any("state_unknown", stored.unknown), self._state_file.active_hold
-        )
-        reasons += [reason for reason in persistent if reason is not None]
-        if stored.fault:
-            row = interlocks.get(stored.fault_code)
-            known = row is not None and row.kind == LATCHED
-            code = stored.fault_code if known else "fault_unknown"
-            reasons.append(Diagnosis(code, stored.fault))  # the sentence as it was when it latched
-        return reasons
+        faults = [fault for fault in found if fault is not None]
+        latch(self._state_file, faults)
+        return [*faults, *stored_reasons(self._state_file)]
 
     def _follow(
         self, command: float, full: bool, cistern_level: float, warnings: list[Diagnosis]
@@ -475,15 +415,17 @@ class PumpControl:
                 ))
         if on and share == 0 and since_start < self._settings.min_on:
             share, why = minimum, f"it must stay on for at least {self._settings.min_on:g} s"
+        if share == 0 and (full or command == 0):
+            return None, "the roof is at its target" if full else "the command is 0"
         wait, why_wait = self._limits.wait()
-        if not on and share > 0 and wait > 0:
-            return None, f"it may start in {math.ceil(wait)} s: {why_wait}"
         if share == 0:
-            if full:
-                return None, "the roof is at its target"
-            return None, "the next pulse is not due yet" if command > 0 else "the command is 0"
-        # It starts at its minimum.
-        return pulses.speed(share if on else minimum, cistern_level), why
+            due_in = max(wait, pulses.due_in(cistern_level, since_start))
+            return None, f"the next pulse is due in {duration(math.ceil(due_in))}"
+        if on:
+            return pulses.speed(share, cistern_level), why
+        if wait > 0:
+            return None, f"it may start in {duration(math.ceil(wait))}: {why_wait}"
+        return pulses.speed(minimum, cistern_level), why  # it starts at its minimum
 
 
 def drive_fault(fault: str, runs_on: bool) -> Diagnosis:
@@ -512,6 +454,5 @@ def _plausible(observed: Observation) -> Observation:
         cistern_level=checked(observed.cistern_level, -_MAX_LEVEL, _MAX_LEVEL),
         roof_level=checked(observed.roof_level, -_MAX_LEVEL, _MAX_LEVEL),
         speed=None if speed is None else max(0.0, speed),
-        flow=checked(observed.flow, 0.0, math.inf),
         drive_flow=checked(observed.drive_flow, 0.0, math.inf),
     )

@@ -47,8 +47,7 @@ class Observation:
         roof_level: level of the roof (m).
         displacements: total displacements of both readings by jumps that water cannot cause (m).
         frost: frost signal: 1 if there is frost, otherwise 0.
-        time_ns: time at the site (ns since 1970): system time at a live site, otherwise simulated
-            time.
+        time_ns: system time (ns since 1970).
         speed: speed of the drive, as a share of the rated speed.
         flow: flow that a flow meter measures (m3/s).
         drive_flow: flow that the drive itself reports (m3/s).
@@ -63,7 +62,7 @@ class Observation:
     roof_level: float | None = None
     displacements: tuple[float, float] = (0.0, 0.0)
     frost: float | None = None
-    time_ns: int | None = None
+    time_ns: int = 0
     speed: float | None = None
     flow: float | None = None
     drive_flow: float | None = None

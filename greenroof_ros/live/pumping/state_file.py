@@ -60,6 +60,8 @@ from greenroof_ros.live.boot_clock import boot_id, boot_time
 DAY_S = 86_400.0
 STATE_FILE = "pump.json"
 """the file's name in the directory of a live site"""
+GUARD = "pump_guard"
+"""name of the node that keeps the file if the user's own node runs the pump"""
 SAVE_EVERY_S = 10.0
 """While the pump is on, at most this much of its time on is not yet on the disk (s)."""
 MAX_NUMBER = 1e11
@@ -170,7 +172,8 @@ class StateFile:
         self._lock: socket | None = None
         # The number of the last line, and what the file must contain; empty if it must be created.
         self._number, self._content = 0, b""
-        self._problem, self._changed = "", False
+        self._problem, self._saved = "", False
+        self.changed_at = -math.inf
         self._unsaved_s = self._unseen_s = 0.0
         self.acquire()
 
@@ -232,13 +235,25 @@ class StateFile:
         """Clear the unknown state, accepting that an earlier hold or fault may have been lost."""
         self._change(unknown="")
 
+    @property
+    def unsaved(self) -> str:
+        """Reason why the state has not been saved since the start; empty once it has been saved."""
+        return "" if self._saved else self.problem or "the state is not saved yet"
+
+    def save(self) -> None:
+        """Queue the state for writing, after any write in progress; :meth:`check` tries again."""
+        self._unsaved_s = 0.0
+        if self._lock is not None:
+            self._latest = replace(self.state, boot=boot_id(), boot_s=boot_time())
+            DISK.do(self._update)
+
     def fault(self, text: str, code: str) -> None:
         """Latch a fault with its interlock's code; an empty text clears it."""
         self._change(fault=text, fault_code=code)
 
     def _change(self, **changes: Any) -> None:
         self.state = replace(self.state, **changes)
-        self._save()
+        self.save()
 
     # --- starts and usage -------------------------------------------------------------------------
 
@@ -256,7 +271,7 @@ class StateFile:
         if run or volume:  # otherwise nothing needs to be written
             self._unsaved_s += dt
         if self._unsaved_s >= SAVE_EVERY_S:
-            self._save()
+            self.save()
 
     def count_unseen(self, max_run: float, flow: float) -> None:
         """Add the worst-case usage after a node that ended before it had confirmed the pump off.
@@ -288,11 +303,10 @@ class StateFile:
             return f"{self.file} could not be written within {PATIENCE_S:g} s"
         return self._problem
 
-    def check(self) -> bool:
-        """Write the file again if another program has changed it; return whether it had."""
+    def check(self) -> None:
+        """Write the file again if another program has changed it, or if it could not be written."""
         if self._lock is not None:
             DISK.do(self._update)
-        return self._changed
 
     def flush(self, within: float = _WAIT_S) -> str:
         """Write the state, and return the reason if it is not on the disk, or else an empty text.
@@ -300,7 +314,7 @@ class StateFile:
         Args:
             within: maximum time to wait for the disk (s); the write continues after that.
         """
-        self._save()
+        self.save()
         DISK.wait(within)
         if self._written is self._latest:
             return self.problem
@@ -314,13 +328,6 @@ class StateFile:
             self._lock = None
         return problem
 
-    def _save(self) -> None:
-        """Queue the state for writing, after any write in progress."""
-        self._unsaved_s = 0.0
-        if self._lock is not None:
-            self._latest = replace(self.state, boot=boot_id(), boot_s=boot_time())
-            DISK.do(self._update)
-
     def _update(self) -> None:
         """Write the latest state unless the file contains it; runs in the disk thread."""
         assert self.file is not None
@@ -329,12 +336,13 @@ class StateFile:
             intact = _read(self.file) == self._content
         except OSError:
             intact = False
-        self._changed = bool(self._content) and not intact
+        if self._content and not intact:
+            self.changed_at = boot_time()
         if intact and state is self._written:
             return
         try:
             self._write(self.file, state, lines=1 if intact else 2)
-            self._written, self._problem = state, ""
+            self._written, self._problem, self._saved = state, "", True
         except Exception as error:  # whatever it is, the next state is still tried
             self._problem = self._explain(error)
 
@@ -401,7 +409,7 @@ class StateFile:
         if same_boot:
             self._advance(down)
         if problems or not content:
-            self._save()
+            self.save()
         else:
             self._content = content
 

@@ -248,7 +248,7 @@ def test_a_repaired_pipe() -> None:
     rig.arriving = 0.0
     assert time_to_fault(rig, 600, 1.0) < math.inf
     rig.arriving = 1.0
-    rig.control.reset()
+    rig.reset()
     assert time_to_fault(rig, 150, 1.0) == math.inf
 
 

@@ -185,7 +185,7 @@ def test_never_runs_while_anything_speaks_against_it(
                 assert limits.min_speed <= decision.speed <= 1
                 assert not off_for or off_for >= limits.min_off
             off_for = off_for + 1 if decision.speed is None else 0
-            assert 0 <= decision.flow < 0.03
+            assert 0 <= (decision.flow or 0.0) < 0.03
             assert decision.why
 
 

@@ -547,7 +547,7 @@ def test_an_upgrade_needs_no_reset(file: Path) -> None:
     assert list(rig.run(30, 1.0).interlocks) == ["delivery", "hold"]
     assert rig.decisions[-1].why == "burst pipe; a hold by the operator: a leak"
     assert (rig.state_file.state.day_run, rig.state_file.state.day_volume) == (45.0, 0.32)
-    rig.control.reset()
+    rig.reset()
     rig.state_file.release()
     assert rig.run(30, 1.0).state == "running"
     assert rig.state_file.close() == ""
@@ -611,7 +611,8 @@ def test_a_hold_is_not_forgotten_with_its_file(
     rig = Rig(file=file)
     rig.state_file.release()
     assert rig.step(1.0).state == "fault"
-    assert "cannot be read" in rig.control.reset()
+    assert "cannot be read" in rig.state_file.state.unknown
+    rig.reset()
     assert rig.run(30, 1.0).state == "running"
     rig.state_file.close()
     assert stored(file).unknown == ""
@@ -640,11 +641,13 @@ def test_a_file_that_another_program_changes_is_written_again(
     state_file.hold("the operator", "painting")
     assert state_file.flush(20.0) == ""
     for _ in range(3):
-        assert not state_file.check()
+        state_file.check()
         state_file.flush(20.0)
+    assert state_file.changed_at == -math.inf
     change(file)
-    wait_for(state_file.check, 20, "noticed")
-    wait_for(lambda: not state_file.check(), 20, "written again")
+    state_file.check()
+    wait_for(lambda: state_file.changed_at > -math.inf, 20, "noticed")
+    assert state_file.flush(20.0) == ""
     assert hold_of(stored(file)) == ("the operator", "painting", None)
     assert state_file.close() == ""
     assert stored(file).unknown == ""
@@ -656,7 +659,8 @@ def test_a_directory_in_place_of_the_file_is_reported(file: Path) -> None:
     assert state_file.flush(20.0) == ""
     file.unlink()
     file.mkdir()
-    wait_for(state_file.check, 20, "noticed")
+    state_file.check()
+    wait_for(lambda: state_file.changed_at > -math.inf, 20, "noticed")
     assert "it exists but is not a file" in state_file.flush(20.0)
     file.rmdir()
     assert state_file.flush(20.0) == ""

@@ -1,0 +1,183 @@
+"""The guard of a user's own pump driver, with the example as a process of its own."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from checked_nodes import start_node
+from graphs import Process
+from places import CHECKOUT, CONFIG
+from rclpy.node import Node
+from ros_rig import ERROR, LATE, Observer
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool, Trigger
+
+from greenroof_ros.interface.states import PumpState
+
+DRIVER = CHECKOUT / "examples" / "live_pump_driver.py"
+GOOD = {"/cistern/level": 2.5, "/roof/level": 0.01, "/weather/frost": 0.0, "/pump/command": 0.5}
+
+
+class Rig:
+    """The guard, and a test that acts as sensors and controller."""
+
+    def __init__(self, observer: Observer) -> None:
+        self.observer = observer
+        self.site = observer.cwd / "site.yaml"
+        self.site.write_text(f"extends: {CONFIG / 'site.yaml'}\ntau: 0.2\n")
+        self.command = 0.5
+        self.flows: list[float] = observer.collect("/pump/flow")
+        self.holds: list[float] = observer.collect("/pump/hold")
+        self.hold_times = observer.times("/pump/hold")
+        self.states: list[PumpState] = observer.collect(
+            "/pump/state", lambda message: PumpState.read(message.data)
+        )
+        # Another node, since this one also reads /pump/hold.
+        self.peers = Node("peers", context=observer.context, start_parameter_services=False)
+        self.publishers = {topic: observer.publisher(topic, self.peers) for topic in GOOD}
+        self._sent_at = 0.0
+
+    def start(self, **parameters: object) -> subprocess.Popen[Any]:
+        return self.observer.start("live.external_pump", **{
+            "site_file": self.site, "state_file": self.observer.cwd / "pump.json",
+            "recovery_time": 0.3, **parameters,
+        })
+
+    def drive(self, text: str = DRIVER.read_text()) -> subprocess.Popen[Any]:
+        process = start_node(self.observer.domain, self.observer.cwd, "driver", text)
+        self.observer.started.append(process)
+        return process
+
+    def play(self, until: Callable[[], Any], event: str, seconds: float = LATE) -> float:
+        """Publish the inputs ten times a second until a condition holds; return how long (s)."""
+        began = time.monotonic()
+
+        def played() -> Any:
+            if time.monotonic() - self._sent_at > 0.1:
+                self._sent_at = time.monotonic()
+                for topic, publisher in self.publishers.items():
+                    value = self.command if topic == "/pump/command" else GOOD[topic]
+                    publisher.publish(Float64(data=value))
+            return until()
+
+        self.observer.until(played, seconds, f"{event} ({self.states[-3:]})")
+        return time.monotonic() - began
+
+    def call(self, kind: Any, name: str, **fields: object) -> Any:
+        client = self.observer.node.create_client(kind, f"/pump_guard/{name}")
+        self.play(client.service_is_ready, name)
+        future = client.call_async(kind.Request(**fields))
+        self.play(future.done, name)
+        return future.result()
+
+    def runs(self) -> bool:
+        return bool(
+            self.states and self.states[-1].state == "running" and self.flows
+            and self.flows[-1] > 0.0035 and self.holds[-1] == 0.0
+        )
+
+
+@pytest.fixture
+def rig(observer: Observer) -> Iterator[Rig]:
+    rig = Rig(observer)
+    yield rig
+    rig.peers.destroy_node()
+
+
+def test_a_killed_driver_is_an_alarm_within_its_lease(rig: Rig) -> None:
+    """And /pump/hold is 1 until it is back, also for one that was stopped only."""
+    rig.start()
+    driver = rig.drive()
+    rig.play(rig.runs, "running")
+    driver.send_signal(signal.SIGSTOP)
+    lost = rig.observer.shows("/pump_guard: driver", ERROR, "not responding")
+    assert rig.play(lambda: lost() and rig.holds[-1] == 1.0, "the alarm") < 4
+    rig.play(lambda: rig.states[-1].codes == ("driver_lost",), "its state")
+    assert rig.states[-1].state == "unknown"
+    driver.send_signal(signal.SIGCONT)
+    rig.play(rig.runs, "running again")
+    driver.kill()
+    assert rig.play(lambda: lost() and rig.holds[-1] == 1.0, "the alarm") < 4
+    rig.drive()
+    rig.play(rig.runs, "running again")
+
+
+def test_a_hold_reaches_the_driver_and_is_kept(rig: Rig) -> None:
+    """By its own ~/stop, whatever the controller commands; /pump/hold comes every second."""
+    node = rig.start()
+    rig.drive()
+    rig.play(rig.runs, "running")
+    answer = rig.call(SetBool, "stop", data=True)
+    assert answer.success and answer.message.startswith("held: a hold by the operator since ")
+    rig.play(lambda: rig.flows[-1] == 0.0, "a stop", 20)
+    assert rig.holds[-1] == 1.0
+    node.kill()
+    node.wait()
+    rig.start()
+    began = len(rig.hold_times)
+    rig.play(lambda: len(rig.hold_times) >= began + 5, "messages")
+    times = rig.hold_times[began:]
+    assert max(after - before for before, after in pairwise(times)) < 3
+    assert {*rig.holds[-4:]} == {1.0} and rig.flows[-1] == 0.0
+    assert rig.states[-1].codes == ("hold",)
+    assert rig.call(Trigger, "release").success
+    rig.play(rig.runs, "running again")
+
+
+DEAF = (
+    ("self.held or not well or not 0 <= command < math.inf", "False"),
+    ("else math.nan", "else 0.5"), ("self.create_service(", "(lambda *_: None)("),
+)
+
+
+def test_a_driver_that_does_not_stop_is_a_fault(rig: Rig) -> None:
+    """That a person must reset; who holds it is told that it cannot be reached."""
+    text = DRIVER.read_text()
+    for old, new in DEAF:
+        assert old in text
+        text = text.replace(old, new)
+    text = text.replace("target, step = min(command, 1.0)", "target, step = 0.5")
+    rig.start(drive_ramp=1.0, follow_time=2.0)
+    rig.drive(text)
+    rig.play(rig.runs, "running")
+    answer = rig.call(SetBool, "stop", data=True)
+    assert not answer.success and "stop the pump yourself" in answer.message
+    assert rig.call(Trigger, "release").success
+    rig.command = 0.0
+    rig.play(lambda: rig.states[-1].state == "fault", "a fault", 30)
+    assert rig.states[-1].codes == ("runs_on",) and "although the pump should be off" in (
+        rig.states[-1].why
+    )
+    assert rig.holds[-1] == 1.0
+    rig.play(rig.observer.shows("/pump_guard: pump", ERROR, "should be off"), "its alarm")
+    assert not rig.call(Trigger, "clear").success
+    assert rig.call(Trigger, "reset").success
+
+
+def test_two_drivers_are_told_to_stop(rig: Rig) -> None:
+    rig.start()
+    rig.drive()
+    rig.play(rig.runs, "running")
+    second = rig.observer.publisher("/pump/flow")
+    rig.play(lambda: rig.holds[-1] == 1.0, "a hold")
+    rig.play(rig.observer.shows("/pump_guard: driver", ERROR, "2 publishers"), "its alarm")
+    rig.observer.node.destroy_publisher(second)
+    rig.play(rig.runs, "running again")
+
+
+def test_check_pump_passes_the_example(rig: Rig) -> None:
+    for publisher in rig.publishers.values():
+        rig.peers.destroy_publisher(publisher)
+    rig.drive()
+    check = Process(
+        rig.observer.domain, "check_pump", "--node", "my_pump", "--live", "--period", "0.2",
+        "--site", str(rig.site), cwd=rig.observer.cwd,
+    )
+    assert check.wait(400) == 0, check.stdout() + check.stderr()
+    assert check.stdout().startswith("THE PUMP WILL RUN. The check takes ")
