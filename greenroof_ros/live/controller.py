@@ -168,7 +168,7 @@ class LiveControllerNode(ControllerNode, LiveNode):
             levels = self._cistern.value, self._roof.value
             command = self._stand_in.command(*levels, (), ()) if allowed else 0.0
             self._outdated |= command > 0
-        if self._quiet or held or not self.good:
+        if command and (self._quiet or held or not self.good):
             command = 0.0
         return command, outputs
 
