@@ -41,7 +41,7 @@ from greenroof_ros.live.devices.exchange import (
     Endpoint,
     read_endpoint,
 )
-from greenroof_ros.live.engine import LIMITS, Levels, live_parameters
+from greenroof_ros.live.levels import LIMITS, Levels, live_parameters
 from greenroof_ros.live.node import live_command
 from greenroof_ros.live.pump_reports import PumpReports
 from greenroof_ros.live.pumping.limits import (
@@ -52,6 +52,7 @@ from greenroof_ros.live.pumping.limits import (
 from greenroof_ros.live.pumping.pump_control import Decision, PumpControl
 from greenroof_ros.live.pumping.pump_inputs import INPUTS, Observation
 from greenroof_ros.ros.parameters import declare, site_file
+from greenroof_ros.ros.reports import PAUSE_S
 from greenroof_ros.site.site import Site
 
 COMMAND_LIMIT = LIMITS["/pump/command"]
@@ -252,7 +253,7 @@ class PumpNode(ActuatorNode):
     def _step(self) -> Decision:
         """Decide based on the current observations, command the drive, and publish the state."""
         now, dt = boot_time(), self._elapsed()
-        self._engine.check_inputs()
+        self.check_inputs()
         snapshot = self._exchange.snapshot
         status = snapshot.status_at(now)
         # A trip of the drive's own timeout clears automatically, and one that is being
