@@ -1,4 +1,4 @@
-"""Composition of the nodes of a simulated run in one process."""
+"""Composition of the nodes of a simulated run, and of the alarms node, in one process."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from greenroof_ros.bringup.progress import RunProgress
 from greenroof_ros.bringup.watchdog import Watchdog
 from greenroof_ros.controllers.registry import EXTERNAL
 from greenroof_ros.interface.states import RECORDER
+from greenroof_ros.nodes.alarms import AlarmsNode
 from greenroof_ros.nodes.controller import ControllerNode
 from greenroof_ros.nodes.plant import PlantNode
 from greenroof_ros.nodes.recorder import RecorderNode
@@ -29,6 +30,8 @@ _SHOWN_EVERY = 4
 
 class Composition:
     """The plant, weather, controller and recorder nodes of one run, in this process.
+
+    The alarms node runs beside them, outside the lockstep.
 
     The object is used in a ``with`` statement, in which :meth:`end` must be called regardless of
     how the run ends.
@@ -56,6 +59,7 @@ class Composition:
         self._progress = progress
         self._arguments = ["greenroof", *arguments, "--disable-stdout-logs"]
         self._nodes: dict[str, SimulationNode] = {}
+        self._beside: list[AlarmsNode] = []
         self._checks = 0
         self._finished_at = time.monotonic()
         self._ends = ExitStack()
@@ -68,7 +72,7 @@ class Composition:
     def __exit__(self, *_: object) -> None:
         """Let the nodes leave the graph, and shut ROS down; the process must then exit soon."""
         with self._ends:
-            destroy_nodes(list(self._nodes.values()))
+            destroy_nodes(self._all)
 
     def end(self, failure: str | None) -> str | None:
         """Stop the nodes, and close the bag.
@@ -80,7 +84,7 @@ class Composition:
             The description of the first error, either the given failure or an error raised while a
             node was stopping; None if there was no error.
         """
-        return end_nodes(list(self._nodes.values()), failure)
+        return end_nodes(self._all, failure)
 
     def spin(self, check: Callable[[], None]) -> None:
         """Create the nodes, and run them to the end of the run.
@@ -100,6 +104,7 @@ class Composition:
             self._nodes[run.controller.name] = ControllerNode(run.controller.reference)
         if self._record:
             self._nodes[RECORDER] = RecorderNode()
+        self._beside.append(AlarmsNode())
         with Watchdog(plant.limit) as watchdog:
 
             def may_end() -> bool:
@@ -109,7 +114,12 @@ class Composition:
                 self._show(ended)
                 return ended
 
-            spin(list(self._nodes.values()), may_end)
+            spin(self._all, may_end)
+
+    @property
+    def _all(self) -> list[Any]:
+        """The nodes of the run, beginning with the plant, and those beside them."""
+        return [*self._nodes.values(), *self._beside]
 
     def _finished(self) -> bool:
         """Return True if the run is over for all nodes and the wait for late messages is over."""

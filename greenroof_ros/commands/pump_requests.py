@@ -21,8 +21,8 @@ from greenroof_ros.base.times import parse_time, to_people
 from greenroof_ros.interface.states import PUMP
 from greenroof_ros.ros.domain import add_namespace, require_ros
 from greenroof_ros.watch import wire
+from greenroof_ros.watch.graph import Graph
 from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, PumpRequestError
-from greenroof_ros.watch.registry import Registry
 
 # Longest wait for the pump node (s), as its discovery takes seconds.
 _PATIENCE_S = 20.0
@@ -54,7 +54,7 @@ class PumpRequest:
     name: str
     done: str
     description: str
-    request: Callable[[GraphClient, argparse.Namespace, Registry], str]
+    request: Callable[[GraphClient, argparse.Namespace, Graph], str]
     add_options: Callable[[Parser], object] = lambda parser: None
     examples: str = ""
 
@@ -75,11 +75,11 @@ class PumpRequest:
 
     def _run(self) -> int:
         arguments = self.make_parser().parse_args()
-        reports = Registry(arguments.namespace)
+        reports = Graph(arguments.namespace)
 
         def receive(name: str, message: bytes, *_: Any) -> None:
-            if name == DIAGNOSTICS and (received := wire.read_statuses(message)) is not None:
-                reports.receive(time.monotonic(), received[1])
+            if name == DIAGNOSTICS and (received := wire.read_reports(message)) is not None:
+                reports.receive(time.monotonic(), 0.0, received[1])
 
         try:
             with require_ros(), closing(GraphClient(arguments.namespace, receive)) as client:
@@ -126,7 +126,7 @@ def _parse_future_time(text: str) -> float:
 _parse_future_time.__name__ = "TIME"  # argparse and the documentation show this
 
 
-def _hold(client: GraphClient, arguments: argparse.Namespace, _: Registry) -> str:
+def _hold(client: GraphClient, arguments: argparse.Namespace, _: Graph) -> str:
     until = arguments.until
     if arguments.hours is not None:
         until = time.time() + arguments.hours * 3600
@@ -136,7 +136,7 @@ def _hold(client: GraphClient, arguments: argparse.Namespace, _: Registry) -> st
     )
 
 
-def _release(client: GraphClient, _: argparse.Namespace, __: Registry) -> str:
+def _release(client: GraphClient, _: argparse.Namespace, __: Graph) -> str:
     return client.request("release", _PATIENCE_S)
 
 
@@ -147,15 +147,16 @@ def _add_dose_options(parser: Parser) -> None:
     )
 
 
-def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Registry) -> str:
+def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Graph) -> str:
     """Request a dose, and print its progress until the dose ends."""
     requested_at, said = time.time(), ""
     client.request("dose", _PATIENCE_S, volume=arguments.volume, asked_at=requested_at)
     accepted = time.monotonic()
     print(f"dose {requested_at:.6f} of {arguments.volume:g} m3 was accepted", flush=True)
     while True:
-        client.receive(_POLL_S)
-        now, pump = time.monotonic(), reports.node(PUMP)
+        time.sleep(_POLL_S)
+        client.receive()
+        now, pump = time.monotonic(), reports.node(PUMP, time.monotonic())
         if now - max(accepted, pump.received_at if pump else 0.0) > _REPORT_S:
             raise PumpRequestError(
                 "it is unknown whether the dose continues: the pump node is silent"
@@ -179,12 +180,13 @@ def _add_reset_options(parser: Parser) -> None:
     )
 
 
-def _reset(client: GraphClient, arguments: argparse.Namespace, reports: Registry) -> str:
+def _reset(client: GraphClient, arguments: argparse.Namespace, reports: Graph) -> str:
     if not arguments.yes:
         until = time.monotonic() + _REPORT_S
-        while (pump := reports.node(PUMP)) is None and time.monotonic() < until:
-            client.receive(_POLL_S)
-        if pump is not None and (fault := pump.text("fault") or pump.text("unknown")):
+        while (pump := reports.node(PUMP, time.monotonic())) is None and time.monotonic() < until:
+            time.sleep(_POLL_S)
+            client.receive()
+        if pump is not None and (fault := pump.values.get("fault") or pump.values.get("unknown")):
             print(f"The fault: {fault}", file=sys.stderr)
         if not _ask_to_confirm():
             raise PumpRequestError("not cleared: the request was not confirmed")

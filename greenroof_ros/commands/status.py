@@ -21,7 +21,7 @@ WARNING, ALARM, NOTHING = 1, 2, 3
 _SETTLED_S, _MAX_S = 2.0, 5.0
 _POLL_S = 0.1
 _MAX_LINES = 15
-_TILES = "roof", "cistern", "pump", "rain", "watering"
+_TILES = "roof", "cistern", "pump", "watering", "rain", "temperature"
 # For a pump that should be off: its drive reports standstill, or its timeout must have stopped it.
 _STANDS = {
     True: "stopped, according to the drive",
@@ -29,7 +29,7 @@ _STANDS = {
     "switch",
     None: "",
 }
-_LEVELS = {"error": "Alarm", "warn": "Warning", "stale": "Not responding"}
+_LEVELS = {"error": "Alarm", "warn": "Warning"}
 
 _DESCRIPTION = """\
 Print the current state of the run or the site in this ROS domain: levels, pump, rain and forecast,
@@ -82,7 +82,10 @@ def _read_status(store: GraphStore) -> dict[str, Any]:
         shown = make_document(store, now)
         if shown["mode"] != "none" and first is None:
             first = now
-        settled = first is not None and now - first >= _SETTLED_S and not _find_unknown(shown)
+        settled = (
+            first is not None and now - first >= _SETTLED_S
+            and shown["known"] and not _find_unknown(shown)
+        )
         if settled or now - began >= _MAX_S:
             return shown
 
@@ -100,7 +103,7 @@ def _judge(shown: Mapping[str, Any]) -> int:
     is not in itself an alarm, since a controller that is waiting for rain lets the roof dry out.
     """
     mode, tiles = shown["mode"], shown["tiles"]
-    unknown = _find_unknown(shown) - {"rain"}
+    unknown = _find_unknown(shown) - {"rain", "temperature"}
     if mode in ("none", "ended"):
         return NOTHING
     if (
@@ -108,7 +111,7 @@ def _judge(shown: Mapping[str, Any]) -> int:
         or (unknown and mode == "live")
     ):
         return ALARM
-    return WARNING if unknown or shown["alarms"] else EXIT_DONE
+    return WARNING if unknown or shown["alarms"] or not shown["known"] else EXIT_DONE
 
 
 def _write_lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> list[str]:
@@ -131,4 +134,7 @@ def _write_lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> li
 
 
 def _write_alarm(row: Mapping[str, Any]) -> str:
-    return f"{_LEVELS[row['level']]}: {row['id']}: {row['what']}"
+    return (
+        f"{_LEVELS[row['level']]}, {row['name']}: {row['what']} since {row['since_text']}. "
+        f"{row['do']}"
+    )

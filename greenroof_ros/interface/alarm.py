@@ -43,7 +43,8 @@ class Alarm:
     """A fault, as shown to users and stored in ``alarms.jsonl``.
 
     Attributes:
-        number: number of the alarm: 1, 2, ... in the order in which the alarms began.
+        number: number of the alarm: 1, 2, ... in the order in which the alarms began; 0 if it is
+            not an alarm, since it may still arrive while the site is starting.
         node: fully qualified name of the node that reports the fault or does not respond.
         part: part of the node; empty for the node itself.
         role: the node's role in the interface; empty for another device.
@@ -76,7 +77,7 @@ class Alarm:
 
     @property
     def name(self) -> str:
-        """The name of the alarm's status on /diagnostics."""
+        """The name of the alarm's status, on /diagnostics and on /alarms."""
         return f"{self.node}: {self.part}" if self.part else self.node
 
     @property

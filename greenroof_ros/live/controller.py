@@ -35,13 +35,11 @@ from greenroof_ros.controllers.onoff import FRACTION, OnOff
 from greenroof_ros.controllers.protocol import set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.interface.states import ENDED
 from greenroof_ros.interface.topics import optional_topics
 from greenroof_ros.live.engine import RECOVERY, Levels, live_parameters
 from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.live.number_file import NumberFile
-from greenroof_ros.live.supervisor_socket import supervisor_socket
 from greenroof_ros.live.time_limit import deciding_limit, time_limit
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import pump_flow
@@ -387,22 +385,8 @@ def _given_up(why: str) -> type[OnOff]:
     return GivenUp
 
 
-def make_node(controller: str) -> LiveControllerNode:
-    """Return the node; if this fails, report the reason to bringup.
-
-    Raises:
-        ConfigurationError: if the node cannot run this controller.
-    """
-    try:
-        return LiveControllerNode(controller)
-    except ConfigurationError as error:
-        report = {"role": "controller", "state": ENDED, "failure": str(error)}
-        supervisor_socket().report(report)
-        raise
-
-
 main = live_command(
-    make_node, "live.controller", __doc__, of_reference(parameters), "--controller"
+    LiveControllerNode, "live.controller", __doc__, of_reference(parameters), "--controller"
 )
 
 

@@ -24,12 +24,11 @@ from greenroof_ros.live.pumping.input_rules import (
     expected_movement,
     roof_bounds,
 )
+from greenroof_ros.ros.reports import PAUSE_S
 from greenroof_ros.site.site import Site
 
-# A gap longer than this means that this process was paused (s), so its inputs are outdated.
-# Messages that arrive within this time after the pause are ignored, since they may have been
-# waiting.
-PAUSE_S = 1.0
+# After a pause, the inputs are outdated. Messages that arrive within PAUSE_S after it are ignored,
+# since they may have been waiting.
 # Longest time after its start at which a node first acts (s).
 _FIRST_S = 1.0
 

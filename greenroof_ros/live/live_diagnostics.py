@@ -1,4 +1,4 @@
-"""Reports on the state of a node and its parts, to /diagnostics and to the supervisor."""
+"""Reports on the state of a node and its parts on /diagnostics, and the heartbeat to bringup."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from rclpy.node import Node
 
 from greenroof_ros.base.times import iso
 from greenroof_ros.interface.conditions import Diagnosis, Value, identity_of
-from greenroof_ros.live.supervisor_socket import supervisor_socket
+from greenroof_ros.interface.states import READY, DriveState
+from greenroof_ros.live.heartbeat import NOT_REQUIRED, Beat, send_beat
 from greenroof_ros.ros.diagnostics import NodeDiagnostics
 
 # The levels of a diagnosis, as ROS tools know them.
@@ -20,8 +21,6 @@ OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
 # How often the state is published while it does not change (s).
 _PUBLISH_S = 1.0
-# Longest time for which a node that ends waits for the supervisor (s).
-_FLUSH_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,7 @@ class PartStatus:
 
 
 class LiveDiagnostics(NodeDiagnostics):
-    """Reporter of the state of a node and its parts, which also reports to the supervisor.
+    """Reporter of the state of a node and its parts, which also sends the heartbeat to bringup.
 
     The status of a part is named after the node and the part: ``/mpc: inputs``.
 
@@ -83,6 +82,7 @@ class LiveDiagnostics(NodeDiagnostics):
         self.urgent = False
         self._published: tuple[object, ...] = ()
         self._published_at = 0.0
+        send_beat(node.get_name(), Beat(0))  # not ready before the first report
 
     def diagnose(
         self, part: str, diagnosis: Diagnosis | None, well: str = "", level: bytes = ERROR,
@@ -123,12 +123,13 @@ class LiveDiagnostics(NodeDiagnostics):
     def publish(self, values: dict[str, Any]) -> None:
         """Report the state of the node with these values, and the states of its parts.
 
-        The supervisor receives every report, since it must quickly notice when a node hangs. On
+        Every report is a heartbeat, since bringup must quickly notice when a node hangs. On
         /diagnostics, a report is published if a state, level or diagnosis changes, and otherwise
         once a second.
         """
         self.urgent = False
         status, values = self.status(values)
+        self._send_beat(values)
         programs = {
             part: diagnosis.for_programs() for part, diagnosis in self.diagnoses.items()
         }
@@ -137,31 +138,24 @@ class LiveDiagnostics(NodeDiagnostics):
             (part, diagnosis.level, identity_of(programs[part]))
             for part, diagnosis in self.diagnoses.items()
         )
-        if published != self._published or now - self._published_at >= _PUBLISH_S:
-            self._published, self._published_at = published, now
-            self.send([status, *(
-                DiagnosticStatus(
-                    level=diagnosis.level, name=f"{status.name}: {part}",
-                    message=diagnosis.message, hardware_id=self.hardware or self.machine,
-                    values=[
-                        KeyValue(key=key, value=value) for key, value in programs[part].items()
-                    ],
-                )
-                for part, diagnosis in self.diagnoses.items()
-            )])
-        diagnoses = {
-            part: {
-                "level": diagnosis.level[0], "message": diagnosis.message,
-                "values": programs[part],
-            }
+        if published == self._published and now - self._published_at < _PUBLISH_S:
+            return
+        self._published, self._published_at = published, now
+        self.send([status, *(
+            DiagnosticStatus(
+                level=diagnosis.level, name=f"{status.name}: {part}", message=diagnosis.message,
+                hardware_id=self.hardware or self.machine,
+                values=[KeyValue(key=key, value=value) for key, value in programs[part].items()],
+            )
             for part, diagnosis in self.diagnoses.items()
-        }
-        supervisor_socket().report({
-            "node": self._node.get_name(), "state": self.state, **values, "diagnoses": diagnoses,
-            "published_at": self._published_at,
-        })
+        )])
 
-    def flush(self, seconds: float) -> None:
-        """Wait until all readers and the supervisor have all reports, for a limited time (s)."""
-        super().flush(seconds)
-        supervisor_socket().flush(_FLUSH_S)
+    def _send_beat(self, values: dict[str, Any]) -> None:
+        beat = Beat(0)
+        if self.state == READY or values["role"] in NOT_REQUIRED:
+            beat |= Beat.READY
+        if values.get("stands") is True:
+            beat |= Beat.AT_REST
+        if values.get("drive_state") not in (None, DriveState.CONNECTING.value):
+            beat |= Beat.REACHED
+        send_beat(self._node.get_name(), beat)

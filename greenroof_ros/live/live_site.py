@@ -18,9 +18,11 @@ from greenroof_ros.live.devices.drive import DriveEndpoint
 from greenroof_ros.live.devices.modbus_line import parse_address
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, ModbusSensor, Sensors, read_sensors
 from greenroof_ros.live.drive_choice import DriveChoice, add_drive_arguments, read_drive_choice
+from greenroof_ros.live.heartbeat import NOT_REQUIRED
 from greenroof_ros.live.pumping.state_file import GUARD, STATE_FILE
 from greenroof_ros.live.supervisor import STATION, NodeSetup, ProcessStart
 from greenroof_ros.live.valve import refuse_valve
+from greenroof_ros.ros.alarms import ROLE
 from greenroof_ros.ros.arguments import add_graph_arguments
 from greenroof_ros.simulation.options import (
     add_controller_arguments,
@@ -30,6 +32,8 @@ from greenroof_ros.site.file import read_site
 
 # Minimum size of a bag (MB).
 MIN_BAG_MB = 2.0
+# Length of the forecast that people are shown if the controller ignores it (h).
+_SHOWN_H = 12.0
 
 
 class LiveSite:
@@ -147,16 +151,25 @@ class LiveSite:
                     "forecast": str(state / "forecast.csv"),
                     "fetch": ENSEMBLE if self.controller.ensemble else FORECAST,
                 }
+            # On/off control ignores the forecast, which then is for people alone.
+            ignored = self.controller.reference == "onoff"
             nodes["weather"] = NodeSetup("greenroof_ros.live.weather", {
                 **common,
                 **forecast,
-                "horizon": self.parameters.get("horizon", 0.0),
+                "horizon": self.parameters.get("horizon", _SHOWN_H if ignored else 0.0),
                 "all_members": self.controller.ensemble,
             })
         nodes[RECORDER] = NodeSetup("greenroof_ros.live.recorder", {
             "directory": str(state / "bag"), "total_limit": self.bag_limit,
         })
-        yield ProcessStart(STATION, "greenroof_ros.live.station", (*options, "--recorder"), nodes)
+        pump, module = PUMP, "greenroof_ros.live.pump"
+        if self.drive is None:
+            pump, module = GUARD, "greenroof_ros.live.external_pump"
+        expected = {*nodes, self.controller.name, pump}
+        nodes[ROLE] = NodeSetup("greenroof_ros.nodes.alarms", {
+            "directory": str(state), "expected": " ".join(sorted(expected - NOT_REQUIRED)),
+        })
+        yield ProcessStart(STATION, "greenroof_ros.live.station", tuple(options), nodes)
         yield ProcessStart(
             self.controller.name, "greenroof_ros.live.controller",
             ("--controller", self.controller.reference), {
@@ -169,13 +182,10 @@ class LiveSite:
             },
             partial(_give_up, self.controller),
         )
-        name, module, drive = PUMP, "greenroof_ros.live.pump", self.drive
-        if drive is None:
-            name, module = GUARD, "greenroof_ros.live.external_pump"
-        yield ProcessStart(name, module, (), {
-            name: NodeSetup(module, {
-                **common, **(vars(drive) if drive is not None else {}),
-                "state_file": str(state / STATE_FILE),
+        drive = {} if self.drive is None else vars(self.drive)
+        yield ProcessStart(pump, module, (), {
+            pump: NodeSetup(module, {
+                **common, **drive, "state_file": str(state / STATE_FILE),
             }),
         })
 

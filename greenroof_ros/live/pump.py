@@ -32,9 +32,16 @@ from greenroof_ros.interface.states import DriveState, PumpState
 from greenroof_ros.live.actuator import REPORTED_S, STATE_FILE, ActuatorNode, read_fields
 from greenroof_ros.live.boot_clock import boot_time, suspended_time
 from greenroof_ros.live.devices.drive_file import MAX_RAMP_S, find_drive_file
-from greenroof_ros.live.devices.endpoint import CHOICE, Endpoint, read_endpoint
-from greenroof_ros.live.devices.exchange import RESET_S, UNREAD_S, DriveExchange, DriveSnapshot
-from greenroof_ros.live.engine import LIMITS, PAUSE_S, Levels, live_parameters
+from greenroof_ros.live.devices.exchange import (
+    CHOICE,
+    RESET_S,
+    UNREAD_S,
+    DriveExchange,
+    DriveSnapshot,
+    Endpoint,
+    read_endpoint,
+)
+from greenroof_ros.live.engine import LIMITS, Levels, live_parameters
 from greenroof_ros.live.live_diagnostics import ERROR, OK, WARN
 from greenroof_ros.live.live_input import bad_inputs, join_diagnoses
 from greenroof_ros.live.node import live_command
@@ -47,6 +54,7 @@ from greenroof_ros.live.pumping.limits import (
 from greenroof_ros.live.pumping.pump_control import Decision, PumpControl, drive_fault
 from greenroof_ros.live.pumping.pump_inputs import INPUTS, Observation
 from greenroof_ros.ros.parameters import declare, site_file
+from greenroof_ros.ros.reports import PAUSE_S
 from greenroof_ros.site.site import Site
 
 COMMAND_LIMIT = LIMITS["/pump/command"]
@@ -106,6 +114,7 @@ class PumpNode(ActuatorNode):
             endpoint, timeout_limit_s=values["drive_timeout_limit"],
             stops_locally=values["local_settings_stop_the_pump"],
         )
+        self.reports.hardware = str(endpoint)
         settings = {parameter.name: values[parameter.name] for parameter in pump_parameters(site)}
         settings["min_speed"] = max(settings["min_speed"], endpoint.file.min_speed)
         self._settings = PumpSettings(**settings)
@@ -387,7 +396,7 @@ class PumpNode(ActuatorNode):
             )
         if status is None:
             return
-        self.reports.hardware = snapshot.identity
+        self.reports.hardware = f"{snapshot.identity}, {self._exchange.endpoint}"
         warning = "; ".join(filter(None, (snapshot.problem, status.warning)))
         level, diagnosis = WARN, None
         if status.fault:

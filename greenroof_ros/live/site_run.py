@@ -1,14 +1,13 @@
-"""Operation of a live site: its directory, its nodes and its messages."""
+"""Operation of a live site: its directory, its processes and its messages."""
 
 from __future__ import annotations
 
 import argparse
-import math
 import os
 import shutil
 import time
 import traceback
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -31,19 +30,22 @@ from greenroof_ros.base.standard_error import print_line
 from greenroof_ros.base.text import number_of
 from greenroof_ros.base.times import iso
 from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL
-from greenroof_ros.interface.alarm import WARN, advise
-from greenroof_ros.interface.states import PUMP, DriveState, PumpState
-from greenroof_ros.live.latest_writer import LatestWriter
+from greenroof_ros.interface.alarm import Alarm, to_record
+from greenroof_ros.interface.states import PUMP
 from greenroof_ros.live.live_site import MIN_BAG_MB, LiveSite
 from greenroof_ros.live.pumping.limits import check_command_limit
 from greenroof_ros.live.pumping.state_file import STATE_FILE, create_state_file
 from greenroof_ros.live.service_manager import notify
-from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, ProcessStart
 from greenroof_ros.live.time_limit import silence_limit
+from greenroof_ros.results.alarm_file import read_alarms
 from greenroof_ros.results.versions import versions
-from greenroof_ros.ros.alarms import Judge
-from greenroof_ros.ros.domain import lock_namespace, refuse_other_nodes, require_ros
+from greenroof_ros.ros.domain import (
+    lock_namespace,
+    refuse_other_nodes,
+    require_ros,
+    ros_arguments,
+)
 from greenroof_ros.ros.parameter_file import find_value, node_parameter_files
 from greenroof_ros.simulation import summary
 from greenroof_ros.simulation.directory import write_parameters
@@ -52,14 +54,10 @@ from greenroof_ros.site.file import format_site, read_site
 # Interval at which systemd is notified (s), and how far each notice extends the start timeout (us).
 _NOTIFY_S = 1.0
 _STILL_STARTING = "EXTEND_TIMEOUT_USEC=30000000"
-# How long the list of what is missing must have been unchanged before it is printed (s).
-_LISTED_S = 1.0
 # How long to wait at the end for the summary to be written (s).
 _WRITTEN_S = 5.0
-# States of the pump node in which it cannot run its drive yet.
-_NOT_READY = {DriveState.CONNECTING.value, DriveState.REFUSED.value}
-# Decimal places of each level (m).
-_PLACES = {"cistern": 3, "roof": 4}
+# Number of alarms in the summary; all of them are counted.
+_NEWEST = 200
 
 
 def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) -> int:
@@ -92,24 +90,20 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         processes = list(site.processes(state))
         configuration = _Configuration(memory, site, user_files, processes)
         configuration.write()
-        record = _SiteRecord(site, state, arguments.namespace, processes)
-        start = _StartReport()
-        start.update(record.alarms.judge, {}, "the nodes are starting")
         names = modules.keys() | {"plant", *BUILT_IN}
         refuse_other_nodes(arguments.namespace, names, signals.check)
         DISK.do(partial(configuration.keep, state / "configuration"))
+        record = _SiteRecord(site, state)
         supervisor = LiveSupervisor(
-            state / "log", configuration.parameters, arguments.namespace,
-            site.drive.stopper() if site.drive is not None else None,
-            record.alarms.fail, silence_s=max(arguments.peer_limit, silence_limit(site.tau)),
+            processes, state / "log", ros_arguments(configuration.parameters, arguments.namespace),
+            site.drive.stopper() if site.drive is not None else None, record.tell,
+            silence_s=max(arguments.peer_limit, silence_limit(site.tau)),
             prepare=configuration.write,
         )
         try:
             record.write(summary.RUNNING)
             with supervisor:
-                for process in processes:
-                    supervisor.add(process)
-                _supervise(site, supervisor, record, start, signals)
+                _supervise(site, supervisor, record, signals)
         except Exception as error:  # whatever the error, the summary must not state "running"
             signals.ignore()
             return _report_end(record, supervisor, error)
@@ -124,25 +118,21 @@ def _check_pump(tau: float, files: Sequence[Path], node: str) -> None:
 
 
 def _supervise(
-    site: LiveSite, supervisor: LiveSupervisor, record: _SiteRecord, start: _StartReport,
-    signals: Signals,
+    site: LiveSite, supervisor: LiveSupervisor, record: _SiteRecord, signals: Signals
 ) -> NoReturn:
-    """Monitor the nodes until an error ends the site.
+    """Monitor the processes until an error ends the site.
 
     Raises:
         InterruptedRun: if a signal arrived.
-        NodeFailed: if a node cannot be kept running.
+        NodeFailed: if the site cannot be kept running.
     """
-    ready = False
-    notified = -_NOTIFY_S
+    ready, notified = False, 0.0
     try:
         while True:
-            supervisor.read_reports()
-            signals.check()  # before update(): a node that a service manager stops has not failed
+            supervisor.read()
+            signals.check()  # before update(): what a service manager stops has not failed
             supervisor.update()
             unready = supervisor.unready
-            record.update(supervisor.last)
-            start.update(record.alarms.judge, supervisor.last, unready)
             if not ready and not unready:
                 ready = True
                 print_line("all nodes have joined the graph")
@@ -150,8 +140,9 @@ def _supervise(
             now = time.monotonic()
             if now - notified >= _NOTIFY_S:
                 notified = now
-                status = unready or describe_site(supervisor.last)
-                notify("WATCHDOG=1", f"STATUS={status}", *([] if ready else [_STILL_STARTING]))
+                record.warn()
+                status = f"STATUS={unready or record.told}"
+                notify("WATCHDOG=1", status, *([] if ready else [_STILL_STARTING]))
     finally:
         notify("STOPPING=1")
         if site.drive is not None:
@@ -164,8 +155,7 @@ def _report_end(record: _SiteRecord, supervisor: LiveSupervisor, error: Exceptio
         record.write(summary.DONE, str(error))
         record.wait()
         print_line(f"{error}: the pump and the nodes are being stopped")
-        count = record.alarms.log.count
-        print_line(f"done, with {number_of(count, 'alarm')}" if count else "done")
+        print_line(f"done, with {number_of(record.count, 'alarm')}" if record.count else "done")
         return EXIT_DONE
     reason, last_lines, code = str(error), "", EXIT_FAILED
     if isinstance(error, NodeFailed):
@@ -181,90 +171,23 @@ def _report_end(record: _SiteRecord, supervisor: LiveSupervisor, error: Exceptio
     return EXIT_FAILED if supervisor.may_run else code
 
 
-class _StartReport:
-    """List of the conditions that keep a starting site from pumping, with their remedies.
-
-    The list covers everything that is missing or wrong, except warnings. A condition that is merely
-    a consequence is listed only if it stops the pump and its cause does not. The list is printed
-    again when its codes change, not when its messages change, since these contain numbers. Startup
-    is complete when nothing is missing; later losses raise alarms.
-    """
-
-    def __init__(self) -> None:
-        """Begin the start."""
-        self._finished = False
-        # What is missing, by node, part and code: as last printed, and as last seen and since when.
-        self._printed: list[tuple[str, ...]] | None = None
-        self._last_missing: tuple[list[tuple[str, ...]], float] = ([], -math.inf)
-
-    def update(self, judge: Judge, reports: Mapping[str, Mapping[str, Any]], unready: str) -> None:
-        """Print the list if it has changed, and print a message when startup is complete.
-
-        Args:
-            judge: object that evaluates the current conditions.
-            reports: the last report of each node.
-            unready: text that names the nodes that are not ready, with the reasons; empty if all
-                nodes are ready.
-        """
-        if self._finished:
-            return
-        wrong = {
-            name: diagnosis for name, diagnosis in judge.diagnoses.items()
-            if diagnosis.level != WARN
-        }
-        missing: dict[tuple[str, ...], str] = {}
-        for name, diagnosis in wrong.items():
-            cause = judge.diagnoses.get(judge.causes.get(name, ""))
-            own = cause is None or (diagnosis.stops_pump and not cause.stops_pump)
-            if own and diagnosis.has_lasted:
-                advice = advise(diagnosis.code, diagnosis.role, name.partition(": ")[0])
-                missing[name, diagnosis.code] = f"  {name}: {diagnosis.sentence}. {advice}"
-        pump, levels = reports.get(PUMP, {}), levels_of(reports)
-        why = unready or (
-            pump.get("drive_state") in _NOT_READY
-            and f"the pump is kept off: {_pump_of(pump)}"
-        )
-        stopped = any(diagnosis.stops_pump for diagnosis in wrong.values())
-        if why and not stopped:
-            missing[why,] = f"  {why}"
-        self._finished = not (stopped or why or None in _levels(reports).values())
-        codes, now = list(missing), time.monotonic()
-        if codes != self._last_missing[0]:
-            self._last_missing = codes, now
-        title = "missing:" if self._printed is None else "still missing:"
-        settled = now - self._last_missing[1] > _LISTED_S
-        due = self._printed is None or self._finished or settled
-        if missing and codes != self._printed and due:
-            self._printed = codes
-            print_line("\n".join([title, *missing.values()]))
-        if self._finished:
-            print_line(f"running: {levels}")
-
-
 class _SiteRecord:
-    """Record of a site since its start: ``summary.json``, the alarms and the warnings.
+    """Record of a site since its start: ``summary.json``, and what is printed.
 
-    The disk thread writes the files, so a full or hung disk stops nothing else.
+    The disk thread reads and writes the files, so a full or hung disk stops nothing else.
 
     Attributes:
-        alarms: the site's alarms.
+        told: the last line that was printed.
+        count: number of alarms since the start, as last read, excluding warnings and alarms that
+            follow from other alarms.
     """
 
-    def __init__(
-        self, site: LiveSite, state: Path, namespace: str, processes: Sequence[ProcessStart]
-    ) -> None:
+    def __init__(self, site: LiveSite, state: Path) -> None:
         """Start a record, without writing anything yet."""
-        self.alarms = SiteAlarms(state, namespace, processes, print_line)
-        self._state = state
-        self._written = 0
-        self._warnings: set[str] = set()
-        self._summary = LatestWriter(
-            partial(summary.write, directory=state),
-            lambda error: (
-                f"{getattr(error, 'filename', None) or state}: "
-                f"{getattr(error, 'strerror', None) or error}"
-            ),
-        )
+        self.told, self.count = "running", 0
+        self._state, self._problem = state, ""
+        self._warned: set[str] = set()
+        self._before = max((alarm.number for alarm in self._read_alarms()), default=0)
         self._started_at = iso(time.time())
         self._setting = {
             "controller": site.controller.name,
@@ -277,18 +200,14 @@ class _SiteRecord:
             "versions": versions(),
         }
 
-    def update(self, reports: Mapping[str, Mapping[str, Any]]) -> None:
-        """Evaluate the last report of each node, and print and record the changes."""
-        self.alarms.update(reports)
-        if self.alarms.log.changes != self._written:
-            self.write(summary.RUNNING)
-        self._warn({
-            f"{node}: {text}" for node, report in reports.items() for text in report["warnings"]
-        })
+    def tell(self, text: str) -> None:
+        """Print lines for human readers."""
+        self.told = text.rpartition("\n")[2]
+        print_line(text)
 
-    def _warn(self, of_nodes: set[str]) -> None:
-        """Print new warnings from the nodes, and warnings about files that were not written."""
-        warnings = {self._summary.problem} if self._summary.problem else set()
+    def warn(self) -> None:
+        """Print new warnings about files that are not being written."""
+        warnings = {f"{self._state}: {self._problem}"} if self._problem else set()
         if DISK.late:
             warnings.add(
                 f"{self._state}: the disk does not respond; the logs and the summary are held in "
@@ -299,65 +218,42 @@ class _SiteRecord:
                 f"{self._state}: {DISK.refused} pieces of log output have been lost since the "
                 "start, because they did not fit into memory"
             )
-        for text in sorted((of_nodes | warnings) - self._warnings):
+        for text in sorted(warnings - self._warned):
             print_line(f"warning: {text}")
-        self._warnings = of_nodes | warnings
+        self._warned = warnings
 
     def write(self, status: str, reason: str | None = None) -> None:
         """Write the summary with a status of :mod:`greenroof_ros.simulation.summary`."""
-        log = self.alarms.log
-        self._written = log.changes
-        self._summary.write({
+        DISK.do(partial(self._write, {
             "status": status,
             "reason": reason,
             "began": self._started_at,
             "ended": None if status == summary.RUNNING else iso(time.time()),
-            "alarm_count": log.count,
-            "alarms": log.as_records(),
-            **self._setting,
-        })
+        }))
+
+    def _write(self, values: dict[str, Any]) -> None:
+        alarms = [alarm for alarm in self._read_alarms() if alarm.number > self._before]
+        self.count = sum(alarm.is_serious and not alarm.follows for alarm in alarms)
+        records = [to_record(alarm) for alarm in alarms[-_NEWEST:]]
+        try:
+            summary.write(
+                {**values, "alarm_count": self.count, "alarms": records, **self._setting},
+                self._state,
+            )
+        except OSError as error:
+            self._problem = f"{summary.SUMMARY}: {error.strerror}"
+
+    def _read_alarms(self) -> list[Alarm]:
+        try:
+            return read_alarms(self._state)
+        except (OSError, ValueError):  # the alarms node reports it
+            return []
 
     def wait(self) -> None:
         """Wait until all data are on the disk; warn if that takes more than 5 s."""
         if not DISK.wait(_WRITTEN_S):
-            self._summary.problem = (
-                f"{self._state}: the disk does not respond; {summary.SUMMARY} is not saved"
-            )
-        self._warn(self._warnings)
-
-
-def describe_site(reports: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return both levels as text, with the command and the pump's state if they are reported."""
-    values = _merge_values(reports)
-    parts = [levels_of(reports)]
-    if values.get("command") is not None:
-        parts.append(f"command {values['command']:.3f}")
-    if "pump_state" in values:
-        parts.append(f"pump {_pump_of(values)}")
-    return ", ".join(parts)
-
-
-def _pump_of(values: Mapping[str, Any]) -> PumpState:
-    return PumpState(values.get("pump_state", "unknown"), values.get("pump_why", ""))
-
-
-def levels_of(reports: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return both levels as text, with ``unknown`` for a level that no node has reported."""
-    return ", ".join(
-        f"{name} unknown" if level is None else f"{name} {level:.{_PLACES[name]}f} m"
-        for name, level in _levels(reports).items()
-    )
-
-
-def _levels(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, float | None]:
-    """Return both levels (m), with None for a level that no node has reported."""
-    values = _merge_values(reports)
-    return {name: values.get(f"{name}_level") for name in _PLACES}
-
-
-def _merge_values(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the entries of all nodes' last reports."""
-    return {name: value for report in reports.values() for name, value in report.items()}
+            self._problem = f"the disk does not respond; {summary.SUMMARY} is not saved"
+        self.warn()
 
 
 @contextmanager

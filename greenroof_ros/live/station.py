@@ -1,10 +1,10 @@
 """Everything of a live site that neither drives the pump nor is the user's code, in one process.
 
-``python -m greenroof_ros.live.station --sensors sensors.yaml --weather --recorder`` creates a node
-for every section of the sensor file, the weather node and the recorder. A node that fails is
+``python -m greenroof_ros.live.station --sensors sensors.yaml --weather`` creates a node for every
+section of the sensor file, the weather node, the recorder and the alarms node. A node that fails is
 destroyed and made again, after 1, 2, 4, 8 and 10 s, while the others go on. A node that fails more
-than ten times in ten minutes is left out until the site is restarted; its failure stays an alarm. A
-node that hangs stops the others too, so the supervisor restarts the process.
+than ten times in ten minutes is left out until the site is restarted; its failure stays an alarm.
+Without the alarms node, and if a node hangs, bringup restarts the process.
 """
 
 from __future__ import annotations
@@ -23,11 +23,13 @@ from pathlib import Path
 from rclpy.executors import SingleThreadedExecutor
 
 from greenroof_ros.base.command_line import command
+from greenroof_ros.base.standard_error import Lines
 from greenroof_ros.live.node import LiveNode
 from greenroof_ros.live.recorder import LiveRecorderNode
 from greenroof_ros.live.restarts import Restarts
 from greenroof_ros.live.sensors import sensor_makers
 from greenroof_ros.live.weather import LiveWeatherNode
+from greenroof_ros.nodes.alarms import AlarmsNode
 from greenroof_ros.ros.errors import print_failure
 from greenroof_ros.ros.executable import NodeParser, run_nodes
 from greenroof_ros.ros.spin import end_nodes, start_receiving
@@ -35,15 +37,15 @@ from greenroof_ros.ros.spin import end_nodes, start_receiving
 # Longest wait for a message while no node asks for less (s).
 _WAIT_S = 0.05
 
-Make = Callable[[], LiveNode]
+Make = Callable[[], LiveNode | AlarmsNode]
 
 
 class _Place:
     """A node's place in the station: what makes it, and when."""
 
-    def __init__(self, make: Make, node: LiveNode) -> None:
+    def __init__(self, make: Make, node: LiveNode | AlarmsNode) -> None:
         self.make = make
-        self.node: LiveNode | None = node
+        self.node: LiveNode | AlarmsNode | None = node
         self.due = math.inf  # when it is made again (steady clock, s)
         self._restarts = Restarts()
 
@@ -54,7 +56,7 @@ class _Place:
 
 
 def keep_nodes(
-    makers: Sequence[Make], nodes: list[LiveNode], check: Callable[[], None]
+    makers: Sequence[Make], nodes: list[LiveNode | AlarmsNode], check: Callable[[], None]
 ) -> None:
     """Run nodes, and make those again that fail, until a check ends them.
 
@@ -83,22 +85,24 @@ def keep_nodes(
                     start_receiving(executor, place.node)
             except Exception as error:  # whatever it is, it must not end the other nodes
                 failure, _ = print_failure(error)
-                if place.node is not None:
-                    nodes.remove(place.node)
-                    executor.remove_node(place.node)
-                    end_nodes([place.node], failure)
-                    place.node.destroy_node()
+                if (failed := place.node) is not None:
+                    nodes.remove(failed)
+                    executor.remove_node(failed)
+                    end_nodes([failed], failure)
+                    failed.destroy_node()
                 place.fail(now)
+                if math.isinf(place.due) and isinstance(failed, AlarmsNode):
+                    raise
 
 
 def _list_makers(arguments: argparse.Namespace) -> list[Make]:
-    """Return what makes the nodes of the command line; the recorder, which ends last, is last."""
-    makers: list[Make] = [] if arguments.sensors is None else sensor_makers(arguments.sensors)
+    """Return what makes the nodes of the command line, in the order in which they end."""
+    makers: list[Make] = []
+    if arguments.sensors is not None:
+        makers += sensor_makers(arguments.sensors)
     if arguments.weather:
         makers.append(LiveWeatherNode)
-    if arguments.recorder:
-        makers.append(LiveRecorderNode)
-    return makers
+    return [*makers, LiveRecorderNode, partial(AlarmsNode, Lines(1))]
 
 
 @command
@@ -107,7 +111,6 @@ def main() -> int:
     parser = NodeParser(description=__doc__)
     parser.add_argument("--sensors", type=Path, help="sensor file")
     parser.add_argument("--weather", action="store_true", help="run the weather node")
-    parser.add_argument("--recorder", action="store_true", help="run the recorder")
     makers = _list_makers(parser.parse_own_args())
     return run_nodes(lambda: [make() for make in makers], partial(keep_nodes, makers))
 

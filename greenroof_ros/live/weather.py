@@ -148,7 +148,8 @@ class LiveWeatherNode(LiveNode):
         why = "no thermometer reading"
         if thermometer.received and thermometer.diagnosis is not None:
             why = thermometer.diagnosis.sentence
-        self.publish(FROST, self._frost(temperature, f"{why}{instead}"))
+        source = "measured" if thermometer.good else "forecast"
+        self.publish(FROST, self._frost(temperature, source, f"{why}{instead}"))
         evapotranspiration: float | None
         if outlook is not None:
             self._weather.publish_forecasts(
@@ -219,17 +220,21 @@ class LiveWeatherNode(LiveNode):
         )
         return outlook
 
-    def _frost(self, temperature: float, why: str) -> float:
+    def _frost(self, temperature: float, source: str, why: str) -> float:
         """Return 1 in frost, otherwise 0.
 
         If the temperature is unknown, report this and return NaN, or 0 if that is allowed.
 
         Args:
             temperature: air temperature (degC); NaN if unknown.
+            source: ``measured`` or ``forecast``.
             why: reason why the temperature is unknown, if it is.
         """
         if not math.isnan(temperature):
-            self.reports.diagnose("frost", None, "the temperature is known")
+            freezing = Diagnosis.of("freezing", source, temperature=temperature)
+            self.reports.diagnose(
+                "frost", freezing if temperature <= 0 else None, "the temperature is known", WARN
+            )
             return float(temperature <= 0)
         level, case = (ERROR, "off") if math.isnan(self._unknown_frost) else (WARN, "may_run")
         diagnosis = Diagnosis.of("temperature_unknown", case, why=why)

@@ -31,6 +31,7 @@ _OF_BRINGUP = {
         "state_file": "--state",
     },
     "plant": {"speed": "--speed", "pump": "--pump"},
+    "alarms": {"directory": "--state", "expected": "greenroof live"},
 }
 
 

@@ -6,6 +6,7 @@ import json
 import math
 import threading
 import time
+import traceback
 from collections.abc import Mapping
 from contextlib import suppress
 from datetime import datetime, timezone
@@ -28,7 +29,6 @@ from greenroof_ros.watch.home_assistant import (
     make_discovery,
     make_prefix,
 )
-from greenroof_ros.watch.parts import Parts
 from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.words import UNKNOWN, find_display
 
@@ -39,8 +39,6 @@ _POLL_S, _RENEW_S = 1.0, 10.0
 _MAX_TEXT, _MAX_ALARMS = 255, 10
 # Longest time that the last message may take (s).
 _LAST_S = 1.0
-# How many of its newest messages the bridge recognises as its own when the broker returns them.
-_MAX_RECENT = 20
 # For how long a stop is tried again (s): a pump node that has died is back by then.
 _STOP_S = 60.0
 
@@ -57,9 +55,7 @@ class Bridge:
     message, and a stop that a person has requested must be obeyed. The broker does not queue stop
     requests while the bridge is disconnected.
 
-    The bridge subscribes to its own topics. If another client has published on one of these topics,
-    the bridge reports this, publishes its own message again, and clears any state and alarms that
-    the broker has retained.
+    When the bridge connects, it replaces whatever the broker has retained on its topics.
     """
 
     def __init__(self, store: GraphStore, feed: Feed, broker: Broker) -> None:
@@ -84,10 +80,7 @@ class Bridge:
         self._why, self._ending = "", False  # why there is no connection
         self._availability = threading.Lock()  # keeps messages about it in order
         self._sent: dict[str, str] = {}
-        self._sent_at = self._restored_at = 0.0
-        self._recent: tuple[bytes, ...] = ()
-        # Topics on which someone else has published, and whether the broker keeps that message.
-        self._foreign: dict[str, bool] = {}
+        self._sent_at = 0.0
         self._stop_until = -math.inf  # time until which a stop is tried (steady clock, s)
         self._client = make_client(
             broker, f"greenroof_{site}", self._on_connect, self._on_message, self._on_disconnect,
@@ -112,8 +105,10 @@ class Bridge:
                     self._stop_until = time.monotonic() + _STOP_S
                 if time.monotonic() < self._stop_until:
                     self._stop_pump()
-                self._publish_state()
-                self._restore_topics()
+                try:
+                    self._publish_state()
+                except Exception:  # Home Assistant shows as unavailable what is not renewed
+                    print_seldom("state", traceback.format_exc())
         finally:
             self._ending = True
             last = self._publish_availability()
@@ -136,51 +131,28 @@ class Bridge:
             print_seldom(what, f"stop requested over MQTT: {what}: {error}; trying again")
 
     def _publish_state(self) -> None:
-        parts = Parts()
-        shown = parts.make("The site", lambda: make_document(self._store, time.monotonic()), {})
-        with self._store.lock:
-            messages = {
-                "state": parts.make("The state", lambda: make_state(self._store, shown), None),
-                "alarms": parts.make("The alarms", lambda: make_alarms(shown), None),
-            }
         now = time.monotonic()
+        shown = make_document(self._store, now)
+        with self._store.lock:
+            messages = {"state": make_state(self._store, shown), "alarms": make_alarms(shown)}
         if self._again.is_set() or now - self._sent_at >= _RENEW_S:
             self._again.clear()
             self._sent, self._sent_at = {}, now
+            self._publish_availability()  # another bridge of this site may have ended
         for name, content in messages.items():
-            if content is None:  # Home Assistant shows it as unavailable if it is not renewed
-                continue
             text = json.dumps(content, allow_nan=False)
             if self._sent.get(name) != text:
                 self._sent[name] = text
-                self._recent = (*self._recent[1 - _MAX_RECENT:], text.encode())
                 self._client.publish(f"{self._base}/{name}", text)
-
-    def _restore_topics(self) -> None:
-        """Republish on topics on which another client has published, at most once every 10 s.
-
-        If two bridges publish on the same topics, they take turns.
-        """
-        now = time.monotonic()
-        if not self._foreign or now - self._restored_at < _RENEW_S:
-            return
-        self._restored_at, foreign, self._foreign = now, self._foreign, {}
-        for topic, is_kept in foreign.items():
-            if topic in self._kept:
-                self._client.publish(topic, self._kept[topic], retain=True)
-            elif is_kept:
-                self._client.publish(topic, "", retain=True)  # the broker forgets it
-            else:
-                self._client.subscribe(topic)  # the broker sends what it keeps there, if anything
-        self._again.set()
 
     # --- in the client's thread -----------------------------------------------------------------
 
     def _on_connect(self) -> None:
         self._why = ""
         print_seldom("connected", f"connected to {self._broker}; topics: {self._base}/")
-        own = (*self._kept, f"{self._base}/state", f"{self._base}/alarms")
-        self._client.subscribe([(topic, 0) for topic in (self._stops_on, self._status, *own)])
+        self._client.subscribe([(topic, 0) for topic in (self._stops_on, self._status)])
+        for name in ("state", "alarms"):  # which are not retained
+            self._client.publish(f"{self._base}/{name}", "", retain=True)
         self._publish_all()
 
     def _publish_all(self) -> None:
@@ -209,8 +181,6 @@ class Bridge:
         if topic == self._status:
             if payload == ONLINE.encode():
                 self._publish_all()
-        elif topic != self._stops_on:
-            self._check_own(topic, payload, retained)
         elif payload != STOP.encode():
             print_seldom("other", f"{topic}: message ignored, since its payload is not {STOP}")
         elif retained:
@@ -221,19 +191,6 @@ class Bridge:
             )
         else:
             self._stop.set()
-
-    def _check_own(self, topic: str, payload: bytes, retained: bool) -> None:
-        """Record a message that another client has published on a topic of this bridge."""
-        kept = self._kept.get(topic, "").encode()
-        if self._ending or payload == kept or payload in self._recent or (kept and retained):
-            return  # what the broker had kept was replaced when this bridge connected
-        self._foreign[topic] = retained
-        print_seldom("foreign", (
-            f"{topic}: another client, perhaps another bridge with the same namespace, has "
-            "published on this topic; this bridge will publish its own message again. Configure "
-            "the broker so that only this bridge may publish on this topic"
-        ))
-
 
 def make_state(store: GraphStore, shown: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields of the ``state`` message in the page's units; None means *unknown*.

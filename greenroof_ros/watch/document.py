@@ -3,23 +3,27 @@
 :func:`make_document` creates the state from a store, and :func:`make_series` creates the series.
 
 A state has the entries ``heading``, ``mode``, ``namespace``, ``time``, ``notes``, ``tiles`` (with
-the ``summary``), ``advice``, ``alarms``, ``events`` and ``stop``.
+the ``summary``), ``advice``, ``known`` (whether the alarms are), ``alarms``, ``events`` and
+``stop``.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+import traceback
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
-from itertools import accumulate
 from typing import Any
 
-from greenroof_ros.base.text import clean_text
-from greenroof_ros.watch import alarms, tiles, words
+from greenroof_ros.base.standard_error import print_seldom
+from greenroof_ros.base.text import clean_text, number_of
+from greenroof_ros.interface.alarm import Alarm, advise
+from greenroof_ros.interface.conditions import command_for
+from greenroof_ros.interface.states import PUMP
+from greenroof_ros.watch import tiles, words
 from greenroof_ros.watch.history import END_S, choose_stretch
 from greenroof_ros.watch.outlook import AHEAD_S
-from greenroof_ros.watch.parts import Parts
-from greenroof_ros.watch.stopping import describe_stop, explain_release, make_bare_stop
+from greenroof_ros.watch.stopping import describe_stop, make_bare_stop
 from greenroof_ros.watch.store import INTERVALS, LINES, GraphStore
 from greenroof_ros.watch.tiles import Tile
 
@@ -28,21 +32,20 @@ _HOLDS_S = 600.0
 
 # How much of the past the charts can show (h), and the approximate number of stretches in a line.
 HOURS, _POINTS = (3, 12, 48, 168), 300
-# Maximum number of characters of all alarms, and of all events, since the document must stay below
-# 100 kB.
-_MAX_ALARMS, _MAX_EVENTS = 55_000, 25_000
+# Maximum number of alarms, and of events, that are shown; each has at most some hundred characters.
+_MAX_ROWS = 50
 
 _HEADINGS = {
     "none": "Nothing received yet", "ended": "Ended run", "live": "Live site",
     "simulated": "Simulated run",
 }
+_WELDED = "Water is leaving the cistern although the pump is off. Open the main switch."
 
 
 def make_document(store: GraphStore, wall: float) -> dict[str, Any]:
-    """Return the document for the page and the status command, in plain text of less than 100 kB.
+    """Return the document for the page and the status command, in plain text.
 
-    Each part is generated separately. If a part cannot be generated, a placeholder takes its place,
-    and a note says so.
+    If a part cannot be generated, a placeholder takes its place, and a note says so.
 
     Args:
         store: state of the graph.
@@ -53,61 +56,52 @@ def make_document(store: GraphStore, wall: float) -> dict[str, Any]:
 
 
 def _make_document(store: GraphStore, wall: float) -> dict[str, Any]:
-    parts = Parts()
-    parts.make("The list of overdue values", lambda: store.update(wall), None)
-    stop = parts.make(
-        "The list of actions on the pump", lambda: describe_stop(store), make_bare_stop()
-    )
-    rows = parts.make("Alarms", lambda: alarms.list_alarms(store), [])
-    listed = _trim(rows, _MAX_ALARMS)
+    notes: list[str] = []
+
+    def attempt(name: str, make: Callable[[], Any], instead: Any) -> Any:
+        try:
+            part = make()
+            json.dumps(part, allow_nan=False)
+        except Exception as error:  # whatever the error, the stop and the other parts are shown
+            print_seldom(name, traceback.format_exc())
+            why = clean_text(f"{type(error).__name__}: {error}", 200)
+            notes.append(f"{name} cannot be shown ({why}).")
+            return instead
+        return part
+
+    attempt("The list of overdue values", lambda: store.update(wall), None)
+    stop = attempt("The list of actions on the pump", lambda: describe_stop(store),
+                   make_bare_stop())
+    rows = attempt("The list of alarms", lambda: list_alarms(store), [])
     shown: dict[str, Tile] = {}
     for name, label, make in (
         ("roof", "Roof level", lambda: tiles.make_roof_tile(store)),
         ("cistern", "Cistern level", lambda: tiles.make_cistern_tile(store)),
         ("pump", "Pump", lambda: tiles.make_pump_tile(store)),
-        ("rain", "Rain", lambda: tiles.make_rain_tile(store)),
         ("watering", "Watering", lambda: tiles.make_watering_tile(store, shown["pump"])),
+        ("rain", "Rain", lambda: tiles.make_rain_tile(store)),
+        ("temperature", "Temperature", lambda: tiles.make_temperature_tile(store)),
     ):
-        shown[name] = parts.make(f"The {name} tile", make, tiles.make_unknown_tile(label))
-    waits = parts.make(
-        "The awaited rain", lambda: tiles.describe_wait(store, shown["pump"]["idle"]), ""
+        shown[name] = attempt(f"The {name} tile", make, tiles.make_unknown_tile(label))
+    summary, advice = attempt(
+        "The summary", lambda: _summarize(store, shown, rows, stop),
+        ({"word": "", "sentence": "The state is unknown.", "level": "stale"}, stop["warning"]),
     )
-    unknown = {"word": "Alarms are unknown.", "sentence": "", "level": "stale"}
-    summary = unknown if "Alarms" in parts.failed else parts.make(
-        "The summary", lambda: _summarize(store, shown, rows, stop["warning"], waits), unknown
-    )
+    unknown = {"now": None, "text": words.UNKNOWN, "zone": "UTC"}
     result = {
-        "heading": parts.make("The heading", lambda: _write_heading(store), "Green roof"),
-        "mode": store.mode,
-        "namespace": store.namespace,
-        "time": parts.make(
-            "The time", store.clock, {"now": None, "text": words.UNKNOWN, "clock": []},
-        ),
-        "tiles": {**shown, "summary": summary},
-        "advice": parts.make(
-            "The advice", lambda: _advise(store, shown, rows, stop, waits), stop["warning"],
-        ),
-        "alarms": listed,
-        "events": parts.make("Events", lambda: _trim(_list_events(store), _MAX_EVENTS), []),
-        "stop": stop,
+        "heading": attempt("The heading", lambda: _write_heading(store), "Green roof"),
+        "mode": store.mode, "namespace": store.namespace,
+        "known": store.alarms_known or store.ended,
+        "time": attempt("The time", store.clock, unknown),
+        "tiles": {**shown, "summary": summary}, "advice": advice, "stop": stop,
+        "alarms": rows[:_MAX_ROWS],
+        "events": attempt("The list of events", lambda: _list_events(store), [])[:_MAX_ROWS],
     }
-    notes = parts.make("The notes", lambda: _list_notes(store, len(rows) - len(listed)), [])
-    if parts.failed and summary["level"] == "ok":
+    if notes and summary["level"] == "ok":
         summary["level"] = "warn"
-    return result | {"notes": [*parts.notes, *notes]}
-
-
-def _list_events(store: GraphStore) -> list[dict[str, Any]]:
-    """Return the events, newest first."""
-    return [
-        {"at_text": store.time_of_day(at), "what": what} for at, what in reversed(store.events)
-    ]
-
-
-def join_summary(shown: Mapping[str, Any]) -> str:
-    """Return the summary of a document as a single string."""
-    summary = shown["tiles"]["summary"]
-    return f"{summary['word']} {summary['sentence']}".strip()
+    if len(rows) > _MAX_ROWS:
+        notes.append(f"{len(rows) - _MAX_ROWS} more alarms are not shown.")
+    return result | {"notes": notes + attempt("The list of notes", lambda: _list_notes(store), [])}
 
 
 def _write_heading(store: GraphStore) -> str:
@@ -118,55 +112,115 @@ def _write_heading(store: GraphStore) -> str:
     return f"{heading}, " + ("in real time" if times == "1" else f"{times} times real time")
 
 
-def _list_notes(store: GraphStore, hidden: int) -> list[str]:
-    notes = [*store.notes]
-    if missing := store.judge.missing:
-        listed = [
-            f"{words.name_source(name)}: {diagnosis.sentence}."
-            for name, diagnosis in missing.items()
-        ]
-        notes[:0] = ["The site is starting. Still missing:", *map(clean_text, listed)]
-    if hidden:
-        notes.append(f"{hidden} more alarms are not shown.")
-    weather = store.graph.node("weather")
-    if weather is not None and (source := weather.text("forecast_by")):
-        notes.append(f"{source[:1].upper()}{source[1:]}.")
-    return [note for note in notes if note]
+def _list_notes(store: GraphStore) -> list[str]:
+    missing = [alarm for alarm in store.alarms if not alarm.number]
+    notes = ["The site is starting. Still missing:", *(
+        f"{words.name_source(alarm.name, alarm.role)}: {alarm.sentence}." for alarm in missing
+    )] if missing else []
+    weather = store.graph.node("weather", store.wall)
+    source = "" if weather is None else words.text_of(weather.values, "forecast_by")
+    return [*notes, *filter(None, store.notes), *(
+        [f"{source[:1].upper()}{source[1:]}."] if source else []
+    )]
 
 
-# --- the sentence above the tiles -----------------------------------------------------------------
+# --- alarms and events ----------------------------------------------------------------------------
+
+
+def list_alarms(store: GraphStore) -> list[dict[str, Any]]:
+    """Return the present alarms as they are published, the most important one first.
+
+    An alarm that follows from another one is left out. If the site's program as a whole no longer
+    runs, that is the only alarm.
+    """
+    if (since := store.gone_since) is not None:
+        space = f" --namespace {store.namespace.strip('/')}" if store.namespace else ""
+        return [{
+            "id": "site", "name": "Site", "level": "error", "code": "not_heard",
+            "what": "the site's program no longer runs", "do": words.complete_commands(
+                "Start it with: sudo systemctl start greenroof, if it is a service, or else with: "
+                f"greenroof live{space} and its options. If the pump is still turning, stop it at "
+                "its drive's panel or at the main switch."
+            ), "since": since, "since_text": store.time_of_day(since),
+        }]
+
+    def order(alarm: Alarm) -> tuple[bool, int, bool, float]:
+        # The pump node comes first (without it, no one knows whether the pump runs), then its
+        # state; other devices come last.
+        rank = {(PUMP, ""): 0, (PUMP, PUMP): 1}.get((alarm.role, alarm.part), 2)
+        return not alarm.role, rank, not alarm.is_serious, -alarm.since
+
+    return [
+        {
+            "id": alarm.name, "name": words.name_source(alarm.name, alarm.role),
+            "level": "error" if alarm.is_serious else "warn", "code": alarm.code,
+            "what": alarm.sentence,
+            "do": words.complete_commands(advise(alarm.code, alarm.role, alarm.node)),
+            "since": alarm.since, "since_text": store.time_of_day(alarm.since),
+        }
+        for alarm in sorted(store.present, key=order) if not alarm.follows
+    ]
+
+
+def _list_events(store: GraphStore) -> list[dict[str, Any]]:
+    """Return the events, newest first: one for each alarm, and others such as requests."""
+    events = [*reversed(store.events)]
+    for alarm in store.alarms:
+        if alarm.number and not alarm.follows:
+            what = f"{words.name_source(alarm.name, alarm.role)}: {alarm.sentence}"
+            if alarm.ended is not None:
+                what += f", until {store.time_of_day(alarm.ended)}"
+            events.append((alarm.since, what))
+    events.sort(key=lambda event: event[0], reverse=True)
+    return [{"at_text": store.time_of_day(at), "what": what} for at, what in events]
+
+
+# --- the sentence above the tiles, and the next step ----------------------------------------------
+
+
+def join_summary(shown: Mapping[str, Any]) -> str:
+    """Return the summary of a document as a single string."""
+    summary = shown["tiles"]["summary"]
+    return f"{summary['word']} {summary['sentence']}".strip()
 
 
 def _summarize(
-    store: GraphStore, shown: dict[str, Tile], rows: list[dict[str, Any]], warning: str, waits: str
-) -> dict[str, str]:
-    """Return the sentence on the state of the site, the words before it, and the level of both."""
-    serious = sum(row["level"] != "warn" for row in rows)
+    store: GraphStore, shown: dict[str, Tile], rows: list[dict[str, Any]], stop: dict[str, Any]
+) -> tuple[dict[str, str], str]:
+    """Return the sentence on the state of the site, with its level, and the next step."""
+    serious = sum(row["level"] == "error" for row in rows)
     counts = [
-        f"{count} {name}" if count == 1 else f"{count} {name}s"
+        number_of(count, name)
         for count, name in ((serious, "alarm"), (len(rows) - serious, "warning")) if count
     ]
-    wrong = serious or warning or shown["pump"]["alarm"]
+    known = store.alarms_known or store.ended
     # It is not green if a value is not as it should be, even if no action is needed.
-    attention = rows or store.mode == "none" or (
+    attention = rows or not known or store.mode == "none" or (
         any(shown[tank]["state"] != "good" for tank in ("roof", "cistern"))
         or shown["pump"]["state"] in ("unknown", "fault", "held")
     )
-    level = "error" if wrong else "warn" if attention else "ok"
+    wrong = serious or stop["warning"] or shown["pump"]["alarm"]
+    waits = tiles.describe_wait(store, shown["pump"])
+    starting = any(not alarm.number for alarm in store.alarms)
     if store.mode == "none":
         word = "Nothing received yet."
-    elif store.gone_since is not None or not (counts or level == "ok"):
+    elif store.gone_since is not None:
         word = ""
+    elif not known:
+        word = "Whether there are alarms is unknown."
     else:
-        word = f"{', '.join(counts)}." if counts else "All is well."
-    starting = " The site is starting." if store.judge.missing else ""
+        word = f"{', '.join(counts)}." if counts else "" if attention else "All is well."
     return {
-        "word": word + starting, "sentence": _write_sentence(store, shown, waits), "level": level,
-    }
+        "word": word + (" The site is starting." if starting else ""),
+        "sentence": _write_sentence(store, shown, rows, waits),
+        "level": "error" if wrong else "warn" if attention else "ok",
+    }, _advise(store, shown, rows, stop, waits, starting)
 
 
-def _write_sentence(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
-    """Return a sentence on the state of the roof and the pump, and on any rain that is awaited."""
+def _write_sentence(
+    store: GraphStore, shown: dict[str, Tile], rows: list[dict[str, Any]], waits: str
+) -> str:
+    """Return a sentence on the worst alarm or the state of the roof, and on the pump."""
     if store.mode == "none":
         return "No run or site has been found."
     if (since := store.gone_since) is not None:
@@ -174,21 +228,24 @@ def _write_sentence(store: GraphStore, shown: dict[str, Tile], waits: str) -> st
             f"The site's program has not run since {store.time_of_day(since)}; nobody waters the "
             "roof."
         )
-    if store.pump is not None and store.pump.runs_on and not store.ended:
-        return "Water is leaving the cistern although the pump is off. Open the main switch."
+    if tiles.runs_on(store) and not store.ended:
+        return _WELDED
+    roof, clause = shown["roof"], _write_pump_clause(shown["pump"])
     if store.ended:
-        doubt = f"; {_write_pump_clause(shown['pump'])}" if shown["pump"]["alarm"] else ""
+        doubt = f"; {clause}" if shown["pump"]["alarm"] else ""
         return f"The run has ended, and its last state is shown{doubt}."
-    roof = shown["roof"]
+    if shown["pump"]["alarm"]:
+        return "The pump may be running."
+    if rows and rows[0]["level"] == "error":
+        first = f"{rows[0]['name']}: {rows[0]['what']}"
+        pump = "" if rows[0]["name"] == "Pump" else tiles.write_pump(shown["pump"]["value"])
+        return f"{'; '.join(filter(None, (first, pump)))}."
     if roof["state"] in ("unknown", "alarm"):
-        level_clause = f"The roof's level is {roof['value']}"
-        if roof["state"] == "unknown":
-            level_clause = f"The roof's level is unknown now ({roof['sentence']})"
+        level_clause = f"The roof's level is {roof['value']} ({roof['sentence']})"
     else:
         judged = {"low": "too dry, ", "high": "wetter than it should be, "}.get(roof["state"], "")
         level_clause = f"The roof is {judged}{roof['sentence']}"
-    clause = f"the pump is {waits}" if waits else _write_pump_clause(shown["pump"])
-    return f"{level_clause}; {clause}."
+    return f"{level_clause}; {f'the pump is {waits}' if waits else clause}."
 
 
 def _write_pump_clause(pump: Tile) -> str:
@@ -202,7 +259,7 @@ def _write_pump_clause(pump: Tile) -> str:
 
 def _advise(
     store: GraphStore, shown: dict[str, Tile], rows: list[dict[str, Any]], stop: dict[str, Any],
-    waits: str,
+    waits: str, starting: bool,
 ) -> str:
     """Return what the page's box states: what is being done to the pump, and the next step.
 
@@ -211,29 +268,38 @@ def _advise(
     """
     first = next((
         row["do"] for row in rows if row["code"] != "hold" and (
-            row["level"] != "warn" or not stop["hold"]
+            row["level"] == "error" or not stop["hold"]
         )
     ), "")
     if stop["warning"]:
         return " ".join(filter(None, (stop["warning"], first)))
     if stop["hold"]:
-        return " ".join(filter(None, (stop["hold"], first, explain_release(store, stop))))
-    return " ".join(filter(None, (stop["dose"]["text"], first or _explain(store, shown, waits))))
+        return " ".join(filter(None, (stop["hold"], first, _explain_release(store, stop))))
+    explained = first or _explain(store, shown, waits, starting)
+    return " ".join(filter(None, (stop["dose"]["text"], explained)))
 
 
-def _explain(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
+def _explain_release(store: GraphStore, stop: Mapping[str, Any]) -> str:
+    """Explain how to release the pump; empty if it cannot be released now."""
+    if "release" in stop["actions"]:
+        return "If it may run again, release it with the button below."
+    if store.pump is None or not stop["stopped"]:
+        return ""
+    command = words.complete_commands(command_for(store.pump.name, "release"))
+    return f"If it may run again, release it with: {command}"
+
+
+def _explain(store: GraphStore, shown: dict[str, Tile], waits: str, starting: bool) -> str:
     """Return the advice or explanation to show if there is no alarm."""
-    if store.judge.missing:
-        return (
-            "Nothing to do: the site is starting. Whatever is still missing is listed below."
-        )
     roof, pump = shown["roof"]["state"], shown["pump"]
+    if starting:
+        return "Nothing to do: the site is starting. Whatever is still missing is listed below."
     if store.mode == "none":
         return (
             "Start a run or a site. If one is already running, check that this watcher uses the "
             "same ROS_DOMAIN_ID and --namespace."
         )
-    if store.mode == "ended":
+    if store.ended:
         return "The run is over, so the values shown are not current."
     if {shown[name]["state"] for name in ("roof", "cistern", "pump")} & {"unknown", "alarm"}:
         return (
@@ -250,12 +316,6 @@ def _explain(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
         return "Nothing to do."
     why = f": {pump['why']}" if pump["why"] else ""
     return f"The roof is not being watered, since the pump is {pump['state']}{why}."
-
-
-def _trim(rows: list[dict[str, Any]], max_length: int) -> list[dict[str, Any]]:
-    """Return the first rows, as many as fit into ``max_length`` characters of JSON."""
-    lengths = accumulate(len(json.dumps(row)) + 2 for row in rows)
-    return [row for row, length in zip(rows, lengths, strict=True) if length <= max_length]
 
 
 # --- the charts -----------------------------------------------------------------------------------
@@ -279,19 +339,20 @@ def make_series(store: GraphStore, hours: float) -> dict[str, Any]:
             return {"now": None, "lines": {}}
         newest = max((value.time_ns for value in store.newest.values()), default=0)
         last = max(newest, round(now * 1e9))
-        oldest = [past.first_ns for past in store.past.values() if past.first_ns is not None]
+        past = {name: store.past[name] for name in LINES}
+        oldest = [each.first_ns for each in past.values() if each.first_ns is not None]
         first = max(last - round(hours * 3.6e12), min(oldest, default=last))
         stretch = choose_stretch(first, last, _POINTS)
         gap = max(_HOLDS_S, INTERVALS * site.tau, 2 * stretch / 1e9)
-        lines = {
-            name: past.line(first, last, stretch, gap) for name, past in store.past.items()
-        }
-        plan = [] if store.plan is None else store.plan.rows(now)
-        rain = [] if store.forecast is None else store.forecast.rows(now)
-        begin, end = first / 1e9, max((rows[-1][1] for rows in (plan, rain) if rows), default=now)
+        lines = {name: each.line(first, last, stretch, gap) for name, each in past.items()}
+        plan, forecast = store.plan, store.forecast
+        flow = [] if plan is None else plan.rows(plan.flow, now)
+        levels = [] if plan is None else plan.rows(plan.level, now)
+        rain = [] if forecast is None else forecast.rows(forecast.rain.mean(axis=0), now)
+        begin, end = first / 1e9, max((rows[-1][1] for rows in (flow, rain) if rows), default=now)
         end = max(now, min(end, now + AHEAD_S, 2 * now - begin))
-        lines["roof_planned"] = [[at, level] for _, at, _, level in plan if at <= end]
-        lines["flow_planned"] = _step([(start, stop, flow) for start, stop, flow, _ in plan], end)
+        lines["roof_planned"] = [[at, level] for _, at, level in levels if at <= end]
+        lines["flow_planned"] = _step(flow, end)
         lines["rain_forecast"] = _step(rain, end)
         lines["target"] = [[begin, site.z_veg], [end, site.z_veg]]
         return {

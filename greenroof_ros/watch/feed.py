@@ -2,7 +2,8 @@
 
 A watcher must not slow down the graph: see :mod:`greenroof_ros.watch.graph_client`. Each of a
 watcher's subscriptions nevertheless costs the publisher time in every tick, so the watcher receives
-the values of a run only up to a certain speed. Above this speed, it receives only /diagnostics.
+the values of a run only up to a certain speed. Above this speed, it receives only /diagnostics and
+/alarms.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -24,13 +25,12 @@ from greenroof_ros.base.standard_error import print_seldom
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.site.file import read_site
 from greenroof_ros.watch import wire
-from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, PumpRequestError
+from greenroof_ros.watch.graph_client import ALARMS, DIAGNOSTICS, GraphClient, PumpRequestError
 from greenroof_ros.watch.history import read_histories, write_histories
-from greenroof_ros.watch.message_times import MessageTimes
 from greenroof_ros.watch.store import GraphStore
 
 # Speed of the fastest run, in multiples of real time, whose numbers are received: 60 and some
-# jitter.
+# jitter. A run that was held up on a busy machine is faster for a while.
 FASTEST = 66.0
 _CATCHING_UP = 2.0
 # Interval at which the watcher receives new messages, and at which it updates the state of the
@@ -38,15 +38,13 @@ _CATCHING_UP = 2.0
 _POLL_S = 0.1
 # If this process pauses for longer than this (s), the silence of other nodes means nothing.
 _OWN_PAUSE_S = 0.5
-# How long an error of the watcher itself is shown, and how long the watcher rests after one (s).
-_SHOWN_S, _REST_S = 60.0, 1.0
+# How long the watcher rests after an error of its own (s).
+_REST_S = 1.0
 _STOP_S = 3.0
-# Interval at which the past of a live site is saved (s).
-_SAVE_S = 600.0
-# Longest wait at the end until the past is saved (s).
-_SAVED_S = 10.0
+# Interval at which the past of a live site is saved, and longest wait at the end for this (s).
+_SAVE_S, _SAVED_S = 600.0, 10.0
 
-_CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
+CLOCK, CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 
 
 class Feed:
@@ -64,17 +62,14 @@ class Feed:
         self._graph = store.graph
         self._past_file = past_file
         self._topics = read_topics()
-        self._times = MessageTimes(self._graph)
+        self._runs = 0
         self._subscribed = False
-        self._site: tuple[Path, int] | None = None  # file, and when it was written (ns)
-        self._awake = time.monotonic()
-        self._saved_at = time.monotonic()
-        self._problem, self._problem_until = "", 0.0
+        self._site_file: Path | None = None
+        self._awake = self._saved_at = time.monotonic()
         self._requesting = threading.Lock()  # held by the thread that makes a request
         self._requesting.acquire()  # until the graph is joined
         # The stops that are waiting or in progress, and the last one; each is a separate object.
         self._stops, self._last_stop = set[object](), object()
-        self._reported: Collection[str] = ()  # the nodes that report to be the pump node
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._watch_graph, name="graph", daemon=True)
         self._client: GraphClient | None = None
@@ -132,10 +127,10 @@ class Feed:
                 if self._last_stop is not last_stop or self._stops:
                     raise PumpRequestError("Nothing was done: someone is stopping the pump.")
                 with self._store.lock:
-                    two = self._graph.two_pumps(time.monotonic())
+                    two = self._store.two_pumps
                 if two:  # a stop goes to each of them
                     raise PumpRequestError(two)
-            return self._client.request(action, _STOP_S, self._reported, **request)
+            return self._client.request(action, _STOP_S, **request)
         finally:
             self._stops.discard(this)
             self._requesting.release()
@@ -144,52 +139,51 @@ class Feed:
 
     def _watch_graph(self) -> None:
         """Receive messages and update the store, even if one of the steps fails."""
-        steps = self._receive, self._find_pumps, self._update_graph
-        while not self._closing.is_set():
-            if sum(map(self._fails, steps)):  # it may fail again immediately
-                self._closing.wait(_REST_S)
         assert self._client is not None
+        steps = self._excuse_own_pause, self._client.receive, self._find_pumps, self._update_graph
+        while not self._closing.is_set():
+            if sum(map(_fails, steps)):  # it may fail again immediately
+                self._closing.wait(_REST_S)
+            time.sleep(_POLL_S)
         self._requesting.acquire()
         self._client.close()
 
-    def _fails(self, act: Callable[[], None]) -> bool:
-        """Carry out a step; if it fails, print and show the error, and return True."""
-        try:
-            act()
-        except Exception as error:  # whatever the error, the others go on
-            print_seldom("step", traceback.format_exc())
-            self._problem = (
-                f"A step of the watcher failed; everything else continues "
-                f"({type(error).__name__}: {error})."
-            )
-            self._problem_until = time.monotonic() + _SHOWN_S
-            return True
-        return False
+    def _excuse_own_pause(self) -> None:
+        """Exclude a pause in this process from the time for which the nodes have been silent."""
+        before, self._awake = self._awake, time.monotonic()
+        if self._awake - before > _OWN_PAUSE_S:
+            self._store.excuse_silence(self._awake - before)
 
-    def _receive(self) -> None:
+    def _find_pumps(self) -> None:
         assert self._client is not None
-        self._client.receive(_POLL_S)
-        self._excuse_own_pause()
+        if not self._requesting.acquire(blocking=False):
+            return  # a request itself finds them
+        try:
+            pumps = self._client.find_pumps()
+        finally:
+            self._requesting.release()
+        with self._store.lock:
+            self._graph.offered = pumps
 
     def _update_graph(self) -> None:
-        store, was_live, now = self._store, self._times.live, time.monotonic()
-        if self._times.update(now):
+        store, was_live, now = self._store, self._graph.live, time.monotonic()
+        with store.lock:
+            mode = self._graph.update(now)
+        if self._graph.runs != self._runs:
+            self._runs = self._graph.runs
+            self._graph.forget_clock()
             store.reset()
             store.add_event("Another run has started.")
-        if self._times.live and not was_live:
+        if self._graph.live and not was_live:
             self._load()
-        mode = self._times.mode
         if mode == "ended" and store.mode not in ("none", "ended"):
             store.add_event("The run has ended.")
         self._set_site()
-        # Simulated time per wall time.
         factor = self._graph.factor(store.site.tau) if mode == "simulated" else None
-        note = self._problem if now < self._problem_until else ""
-        if not self._subscribed and (factor or 0.0) > FASTEST:
-            note = (
-                "This run is faster than 60 times real time, so its values are not shown. Use "
-                "greenroof report after the run."
-            )
+        note = "" if self._subscribed or (factor or 0.0) <= FASTEST else (
+            "This run is faster than 60 times real time, so its values are not shown. Use "
+            "greenroof report after the run."
+        )
         store.set_present(mode=mode, factor=factor, note=note)
         store.update(now, time.time())
         self._choose_topics(mode, factor)
@@ -198,34 +192,27 @@ class Feed:
 
     def _set_site(self) -> None:
         """Set the site whose parameters are used to judge levels: the graph's or the paper's."""
-        path = self._graph.site()
-        file = path or default_site_file()
-        try:
-            as_is = file, file.stat().st_mtime_ns
-        except OSError:
-            as_is = file, 0
-        if as_is == self._site:
+        file = self._graph.site(time.monotonic()) or default_site_file()
+        if file == self._site_file:
             return
-        self._site = as_is
-        note = "" if path else (
+        self._site_file, note = file, "" if self._graph.site(time.monotonic()) else (
             "Levels are judged by the parameters of the paper's site, config/site.yaml."
         )
         try:
             site = read_site(file)
         except ConfigurationError as error:
+            site = read_site(default_site_file())
             note = (
                 "The site file cannot be read; levels are judged by the parameters of the "
                 f"paper's site: {error}"
             )
-            site = read_site(default_site_file())
         self._store.set_site(site, note)
 
     def _choose_topics(self, mode: str, factor: float | None) -> None:
         """Subscribe to as many topics as a graph of this kind and speed can serve."""
         assert self._client is not None
         live = mode == "live"
-        # The speed of a run that has not begun, or that is not moving, is unknown. A run that was
-        # held up on a busy machine is faster for a while.
+        # The speed of a run that has not begun, or that is not moving, is unknown.
         fastest = _CATCHING_UP * FASTEST if self._subscribed else FASTEST
         wanted = live or (
             mode == "simulated" and (factor <= fastest if factor else self._subscribed)
@@ -234,37 +221,33 @@ class Feed:
             return
         self._client.subscribe([
             name for name, topic in self._topics.items()
-            if (topic.live and name != DIAGNOSTICS) or (topic.per_tick and not live)
+            if (topic.per_tick and not live) or (live and topic.live)
         ] if wanted else ())
         self._subscribed = wanted
-        self._times.forget_clock()
+        self._graph.forget_clock()
 
     # --- incoming messages ----------------------------------------------------------------------
 
     def _on_message(self, *message: Any) -> None:
         """Receive a message; after a message that cannot be processed, continue with the next."""
-        self._fails(lambda: self._receive_message(*message))
-
-    def _excuse_own_pause(self) -> None:
-        """Exclude a pause in this process from the time for which the nodes have been silent."""
-        before, self._awake = self._awake, time.monotonic()
-        if self._awake - before > _OWN_PAUSE_S:
-            with self._store.lock:
-                self._graph.excuse_silence(self._awake - before)
+        _fails(partial(self._receive_message, *message))
 
     def _receive_message(
         self, name: str, message: bytes, number: int | None, arrived_ns: int
     ) -> None:
-        self._excuse_own_pause()
-        if name == DIAGNOSTICS:
-            if (received := wire.read_statuses(message)) is not None:
+        store = self._store
+        if name in (DIAGNOSTICS, ALARMS):
+            if (received := wire.read_reports(message)) is not None:
                 stamp_ns, statuses = received
-                self._store.add_statuses(time.monotonic(), statuses, stamp_ns, number)
-        elif name == _CLOCK:
-            if (time_ns := wire.read_value(_CLOCK_TYPE, message)) is not None:
-                self._times.receive_clock(number, time_ns)
-        elif time_ns := self._times.time_of(self._topics[name], number, arrived_ns):
-            self._store.receive(name, time_ns, message)
+                if name == ALARMS:
+                    store.add_alarms(time.monotonic(), stamp_ns, statuses)
+                else:
+                    store.add_statuses(time.monotonic(), statuses, stamp_ns)
+        elif name == CLOCK:
+            if (time_ns := wire.read_value(CLOCK_TYPE, message)) is not None:
+                self._graph.receive_clock(number, time_ns)
+        elif time_ns := self._graph.time_of(self._topics[name], number, arrived_ns):
+            store.receive(name, time_ns, message)
 
     # --- the past of a live site ----------------------------------------------------------------
 
@@ -284,24 +267,22 @@ class Feed:
     def _save(self) -> None:
         """Save the history of a live site, without waiting for the disk."""
         self._saved_at = time.monotonic()
-        if self._past_file is None or not self._times.live:
+        if self._past_file is None or not self._graph.live:
             return
         with self._store.lock:
             rows = {name: past.rows.copy() for name, past in self._store.past.items()}
         size = sum(each.nbytes for each in rows.values())
         DISK.do(partial(_write, self._past_file, rows), size)
 
-    def _find_pumps(self) -> None:
-        assert self._client is not None
-        if not self._requesting.acquire(blocking=False):
-            return  # a request itself finds them
-        try:
-            pumps = self._client.find_pumps()
-        finally:
-            self._requesting.release()
-        with self._store.lock:
-            self._graph.offered = {*pumps}
-            self._reported = self._graph.pumps(time.monotonic())
+
+def _fails(act: Callable[[], None]) -> bool:
+    """Carry out a step; if it fails, print why, and return True."""
+    try:
+        act()
+    except Exception:  # whatever the error, the others go on
+        print_seldom("step", traceback.format_exc())
+        return True
+    return False
 
 
 def _write(file: Path, rows: Any) -> None:

@@ -17,14 +17,13 @@ from greenroof_ros.base.processes import Signals
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.results.bag_write import read_definition
 from greenroof_ros.watch import wire
+from greenroof_ros.watch.feed import CLOCK, CLOCK_TYPE
+from greenroof_ros.watch.graph import Graph
 from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient
 from greenroof_ros.watch.listening import LOOPBACK
-from greenroof_ros.watch.message_times import MessageTimes
-from greenroof_ros.watch.registry import Registry
 
 # Interval at which new messages are passed on (s).
 _POLL_S = 0.05
-_CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 
 
 def refuse_unusable(port: int) -> None:
@@ -67,8 +66,7 @@ class FoxgloveServer:
 
         self._topics = read_topics()
         self._client = GraphClient(namespace, self._on_message)
-        self._registry = Registry(namespace)
-        self._times, self._time_ns = MessageTimes(self._registry), 0
+        self._graph, self._runs, self._time_ns = Graph(namespace), 0, 0
         self._waiting: list[tuple[int, str, bytes]] = []
         self._channels = {
             name: foxglove.Channel(
@@ -96,8 +94,9 @@ class FoxgloveServer:
             while True:
                 signals.check()
                 shown = [name for name, channel in self._channels.items() if channel.has_sinks()]
-                self._client.subscribe([_CLOCK, *shown] if shown else ())
-                self._client.receive(_POLL_S)
+                self._client.subscribe([CLOCK, *shown] if shown else ())
+                time.sleep(_POLL_S)
+                self._client.receive()
                 self._pass_on()
         finally:
             self._client.close()
@@ -105,15 +104,17 @@ class FoxgloveServer:
 
     def _on_message(self, name: str, message: bytes, number: int | None, arrived_ns: int) -> None:
         """Receive a message and determine its time; on a new run, clear the viewers' old data."""
-        if name == DIAGNOSTICS and (received := wire.read_statuses(message)) is not None:
+        if name == DIAGNOSTICS and (received := wire.read_reports(message)) is not None:
             now = time.monotonic()
-            self._registry.receive(now, received[1], stamp_ns=received[0])
-            if self._times.update(now):
-                self._time_ns = 0
+            self._graph.receive(now, 0.0, received[1], received[0])
+            self._graph.update(now)
+            if self._graph.runs != self._runs:
+                self._runs, self._time_ns = self._graph.runs, 0
+                self._graph.forget_clock()
                 self._server.clear_session()
-        if name == _CLOCK and (time_ns := wire.read_value(_CLOCK_TYPE, message)) is not None:
-            self._times.receive_clock(number, time_ns)
-        if time_ns := self._times.time_of(self._topics[name], number, arrived_ns):
+        if name == CLOCK and (time_ns := wire.read_value(CLOCK_TYPE, message)) is not None:
+            self._graph.receive_clock(number, time_ns)
+        if time_ns := self._graph.time_of(self._topics[name], number, arrived_ns):
             self._waiting.append((time_ns, name, message))
 
     def _pass_on(self) -> None:

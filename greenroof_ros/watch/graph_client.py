@@ -30,7 +30,7 @@ _DEPTH = 64
 # interval at which it looks for an answer (s).
 _DISCOVERY_S, _SPIN_S = 2.0, 0.02
 
-DIAGNOSTICS = "/diagnostics"
+DIAGNOSTICS, ALARMS = "/diagnostics", "/alarms"
 # The service of the pump node for each action.
 _SERVICES = {
     "stop": "hold", "release": "stop", "clear": "clear", "reset": "reset", "dose": "dose",
@@ -58,7 +58,7 @@ class GraphClient:
     def __init__(
         self, namespace: str, on_message: Callable[[str, bytes, int | None, int], None]
     ) -> None:
-        """Join the graph's domain, and subscribe to /diagnostics.
+        """Join the graph's domain, and subscribe to /diagnostics and /alarms.
 
         Args:
             namespace: namespace of the graph, such as ``/site1``; empty for none.
@@ -92,24 +92,22 @@ class GraphClient:
             "dose": SetParametersAtomically,
         }
         self._namespace, self._joined_at = namespace, time.monotonic()
-        self._pumps: set[str] = set()
         self._clients: dict[tuple[str, str], Any] = {}  # by node and service
         self._on_message = on_message
-        self._interface = read_topics()
         self._subscriptions: dict[str, Any] = {}
         self.subscribe(())
 
     def subscribe(self, topics: Collection[str]) -> None:
-        """Subscribe to the given topics of the interface and to /diagnostics, and to no others."""
+        """Subscribe to /diagnostics, /alarms and the given topics of the interface only."""
         from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
         from greenroof_ros.ros.messages import message_class
 
-        needed = {DIAGNOSTICS, *topics}
+        needed = {DIAGNOSTICS, ALARMS, *topics}
         for name in self._subscriptions.keys() - needed:
             self._node.destroy_subscription(self._subscriptions.pop(name))
         for name in needed - self._subscriptions.keys():
-            topic = self._interface[name]
+            topic = read_topics()[name]
             self._subscriptions[name] = self._node.create_subscription(
                 message_class(topic.type), topic.graph_name, lambda message: None,
                 QoSProfile(
@@ -119,51 +117,48 @@ class GraphClient:
                 raw=True,
             )
 
-    def receive(self, wait_s: float) -> None:
-        """Wait, and then pass on the messages that have arrived, starting with /diagnostics."""
-        time.sleep(wait_s)
+    def receive(self) -> None:
+        """Pass on the messages that have arrived, starting with the reports."""
         for name in sorted(self._subscriptions, key=lambda name: name != DIAGNOSTICS):
             subscription = self._subscriptions[name]
             for message, info in islice(take_messages(subscription), _DEPTH):
                 number = info["publication_sequence_number"]
                 self._on_message(name, message, number, info["received_timestamp"])
 
-    def find_pumps(self) -> Collection[str]:
-        """Return the names of the nodes that offer a hold service, regardless of any reports.
+    def find_pumps(self) -> dict[str, int]:
+        """Return the names of the nodes that offer a hold service, with how many have this name.
 
-        A client is opened for each hold service, so that the service is ready for a later stop.
+        The names do not depend on any reports. A client is opened for each service, so that it is
+        ready for a later stop.
         """
-        hold = "rcl_interfaces/srv/SetParametersAtomically"
         pattern = re.compile(re.escape(self._namespace) + "(/[^/]+)/hold")
-        self._pumps = {
-            self._namespace + offered[1]
+        pumps = {
+            self._namespace + offered[1]: count
             for service, types in self._caller.get_service_names_and_types()
-            if hold in types and (offered := pattern.fullmatch(service))
-            and self._caller.count_services(service)  # it is also listed for this client alone
+            if "rcl_interfaces/srv/SetParametersAtomically" in types
+            and (offered := pattern.fullmatch(service))
+            and (count := self._caller.count_services(service))  # listed for this client alone: 0
         }
-        for key in [key for key in self._clients if key[0] not in self._pumps]:
+        for key in [key for key in self._clients if key[0] not in pumps]:
             self._caller.destroy_client(self._clients.pop(key))
-        self._open_clients("hold")
-        return self._pumps
+        for name in pumps:
+            self._open_client(name, "hold")
+        return pumps
 
-    def _open_clients(self, service: str) -> None:
-        for name in self._pumps:
-            if (name, service) not in self._clients:
-                self._clients[name, service] = self._caller.create_client(
-                    self._types[service], f"{name}/{service}"
-                )
+    def _open_client(self, name: str, service: str) -> Any:
+        if (name, service) not in self._clients:
+            self._clients[name, service] = self._caller.create_client(
+                self._types[service], f"{name}/{service}"
+            )
+        return self._clients[name, service]
 
-    def request(
-        self, action: str, timeout_s: float, reported: Collection[str] = (),
-        **parameters: float | str,
-    ) -> str:
+    def request(self, action: str, timeout_s: float, **parameters: float | str) -> str:
         """Make a request to the pump node, and return its answer.
 
-        A stop is sent to every node that may control the pump. The answer warns of nodes that claim
-        to be the pump node but do not offer the service. If more than one node may control the
-        pump, no other request is sent to any of them. If two nodes have the same name, an answer
-        from one node reveals nothing about the other, so the request is repeated once only one of
-        the two nodes is left.
+        A stop is sent to every node that may control the pump. If more than one node may control
+        the pump, no other request is sent to any of them. If two nodes have the same name, an
+        answer from one node reveals nothing about the other, so the request is repeated once only
+        one of the two nodes is left.
 
         Args:
             action: name of the action. ``stop`` holds the pump until someone releases it, or until
@@ -171,7 +166,6 @@ class GraphClient:
                 clears a latched fault that may be cleared remotely. ``reset`` clears any fault, and
                 is meant for a person at the pump. ``dose`` delivers a volume.
             timeout_s: maximum time to wait for the answer (s).
-            reported: full names of the nodes that claim to be the pump node.
             parameters: parameters of the action. A stop has an ``owner`` (the person or program
                 that requests it), a ``reason`` (may be empty) and, if it ends at a given time, this
                 time as ``until`` (s since 1970). A dose has a ``volume`` (m3) and ``asked_at``, the
@@ -180,70 +174,38 @@ class GraphClient:
         Raises:
             PumpRequestError: if the pump node does not confirm the request.
         """
-        service, to_all = _SERVICES[action], action == "stop"
-        request = {"data": False} if action == "release" else _make_parameters(parameters)
+        service = _SERVICES[action]
+        request = self._types[service].Request(**(
+            {"data": False} if action == "release" else _make_parameters(parameters)
+        ))
         until = time.monotonic() + timeout_s
         settled = min(until, self._joined_at + _DISCOVERY_S)
         sent: dict[str, Any] = {}
-        twice, waiting = set[str](), True
+        twins, waiting = set[str](), True
         while waiting:
-            self.find_pumps()
-            self._open_clients(service)
-            before, twice = twice, {
-                name for name in self._pumps
-                if self._caller.count_services(f"{name}/{service}") > 1
-            }
-            for name in before - twice:
+            pumps = self.find_pumps()
+            before, twins = twins, {name for name, count in pumps.items() if count > 1}
+            for name in before - twins:
                 sent.pop(name, None)
-            if (len({*self._pumps, *reported}) > 1 or twice) and not to_all:
+            if sum(pumps.values()) > 1 and action != "stop":
                 raise PumpRequestError(
                     "Nothing was done, because it is unclear which of these nodes controls the "
-                    f"pump: {list_names([*self._pumps, *reported, *twice])}. "
-                    "Shut down the nodes that should not be running."
+                    f"pump: {list_names(pumps)}. Shut down the nodes that should not be running."
                 )
-            for name in self._pumps - sent.keys():
-                client = self._clients[name, service]
+            for name in pumps.keys() - sent.keys():
+                client = self._open_client(name, service)
                 if client.service_is_ready():
-                    sent[name] = client.call_async(self._types[service].Request(**request))
+                    sent[name] = client.call_async(request)
             self._executor.spin_once(timeout_sec=_SPIN_S)
             now = time.monotonic()
-            waiting = now < until and (now < settled or bool(twice) or not sent or not (
-                self._pumps <= sent.keys() and all(future.done() for future in sent.values())
-            ))
-        silent = {*reported} - self._pumps
-        if not self._pumps:
-            raise PumpRequestError(
-                "There is no pump node to send the request to: no node provides the service "
-                f"{service}"
-                + (f" of {list_names(silent)}" if silent else "") + ". Start the pump node's graph "
-                "first, with the same ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE and --namespace."
-            )
-        answers = {
-            name: _explain(name, sent.get(name), timeout_s) for name in sorted(self._pumps)
-        }
-        for name in twice & answers.keys():
-            answers[name] = False, (
-                f"two nodes are named {name}, and one of them may not have carried out the "
-                f"request ({answers[name][1]}): shut down the node that should not be running, and "
-                "try again"
-            )
+            answered = pumps.keys() <= sent.keys() and all(map(_is_done, sent.values()))
+            waiting = now < until and (now < settled or bool(twins) or not sent or not answered)
         for name, future in sent.items():
-            if not future.done() and name in self._pumps:
+            if not future.done() and name in pumps:
                 self._clients[name, service].remove_pending_request(future)
-        said = [text for _, text in answers.values()]
-        if len(answers) > 1:
-            said = [f"{name}: {text}" for name, text in zip(answers, said, strict=True)]
-        if silent:
-            said.append(
-                "but the request could not be sent to other nodes that claim to be the pump "
-                f"node ({list_names(silent)}): if the pump is still turning, stop it at its "
-                "drive's panel"
-            )
-        if not all(ok for ok, _ in answers.values()):
-            # A hold with this answer may be in force, but it would not survive a restart.
-            answered = any(future.done() for future in sent.values())
-            raise PumpRequestError("; ".join(said), answered=answered)
-        return "; ".join(said)
+        return _read_answers(service, timeout_s, {
+            name: (sent.get(name), name in twins) for name in sorted(pumps)
+        })
 
     def close(self) -> None:
         """Leave the domain."""
@@ -255,6 +217,10 @@ class GraphClient:
         signal.alarm(before)
 
 
+def _is_done(future: Any) -> bool:
+    return bool(future.done())
+
+
 def _make_parameters(values: Mapping[str, float | str]) -> dict[str, Any]:
     """Return the fields of a request with the given parameters; empty if there are none."""
     from rclpy.parameter import Parameter
@@ -264,14 +230,45 @@ def _make_parameters(values: Mapping[str, float | str]) -> dict[str, Any]:
     ]} if values else {}
 
 
-def _explain(name: str, future: Any, timeout_s: float) -> tuple[bool, str]:
-    """Return whether a node carried out the request, and its answer.
+def _read_answers(
+    service: str, timeout_s: float, asked: Mapping[str, tuple[Any, bool]]
+) -> str:
+    """Return the answers of all nodes as a sentence.
 
     Args:
-        name: name of the node.
-        future: future for the response; None if the node's service could not be reached.
-        timeout_s: time spent waiting for the answer (s).
+        service: name of the service.
+        timeout_s: time spent waiting for the answers (s).
+        asked: by the name of each node, the future for its answer (None if it could not be
+            reached), and whether another node has the same name.
+
+    Raises:
+        PumpRequestError: if a node does not confirm the request.
     """
+    if not asked:
+        raise PumpRequestError(
+            "There is no pump node to send the request to: no node provides the service "
+            f"{service}. Start the pump node's graph first, with the same ROS_DOMAIN_ID, "
+            "ROS_AUTOMATIC_DISCOVERY_RANGE and --namespace."
+        )
+    said, confirmed = [], True
+    for name, (future, has_twin) in asked.items():
+        ok, text = _read_answer(name, future, timeout_s)
+        if has_twin:
+            ok, text = False, (
+                f"two nodes are named {name}, and one of them may not have carried out the request "
+                f"({text}): shut down the node that should not be running, and try again"
+            )
+        confirmed = confirmed and ok
+        said.append(f"{name}: {text}" if len(asked) > 1 else text)
+    if not confirmed:
+        # A hold with this answer may be in force, but it would not survive a restart.
+        answered = any(future is not None and future.done() for future, _ in asked.values())
+        raise PumpRequestError("; ".join(said), answered=answered)
+    return "; ".join(said)
+
+
+def _read_answer(name: str, future: Any, timeout_s: float) -> tuple[bool, str]:
+    """Return whether a node carried out the request, and its answer; see :func:`_read_answers`."""
     if future is None:
         return False, f"{name} could not be reached within {timeout_s:g} s."
     if not future.done():

@@ -61,6 +61,17 @@ class History:
         """Time of the end of the first stretch (ns since 1970); None if there are no values."""
         return int(self.rows["ended"][0]) if self._count else None
 
+    @property
+    def last(self) -> float:
+        """The last value; 0 if there are no values."""
+        return float(self.rows["last"][-1]) if self._count else 0.0
+
+    def value_at(self, time_ns: int) -> float:
+        """Return the last value at a time (ns since 1970); 0 if there was none yet."""
+        rows = self.rows
+        number = int(np.searchsorted(rows["ended"], time_ns, "right"))
+        return float(rows["last"][number - 1]) if number else 0.0
+
     def add(self, time_ns: int, value: float) -> None:
         """Add a value that is newer than all previous values.
 

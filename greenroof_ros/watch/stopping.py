@@ -1,7 +1,6 @@
 """Actions on the pump that the page offers: stop, release, clear a fault and request a dose.
 
-The actions do not depend on the tiles or the alarms, so the pump can be stopped even if neither can
-be shown.
+The actions do not depend on the tiles, so the pump can be stopped even if none can be shown.
 """
 
 from __future__ import annotations
@@ -11,10 +10,9 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from greenroof_ros.interface.conditions import command_for
 from greenroof_ros.watch import words
-from greenroof_ros.watch.registry import Node
 from greenroof_ros.watch.store import GraphStore
+from greenroof_ros.watch.tiles import runs_on
 
 LOCK_OUT = (
     "Anyone working on the pump must lock it out at the pump itself; this page does not lock it "
@@ -40,32 +38,29 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
     as soon as ``situation`` changes. A request for a dose includes ``asked_at``, so that a delayed
     request is recognized.
     """
-    two = store.graph.two_pumps(store.wall)
-    pump = None if two else store.graph.pump(store.wall)
-    node = None if store.is_lost(pump) else pump
+    two, pump = store.two_pumps, store.pump
+    node = None if two or pump is None or store.is_lost(pump) or pump.has_ended else pump
     values = {} if node is None else node.values
-    hold = "" if node is None else describe_hold(store, node)
-    at_rest = node is not None and values.get("stands") is True and not node.runs_on
+    hold = _describe_hold(store, values)
+    at_rest = values.get("stands") is True and not runs_on(store)
     warning = two
     if hold and not at_rest:
         warning = (
             "The stop was accepted, but the pump is still turning, or it is unknown whether it has "
             "stopped. If it does not stop within seconds, stop it at its drive's panel."
         )
-    report = store.pump_report
-    off = report is not None and report.state in ("off", "held", "fault") and at_rest
-    stopped = bool(hold) and at_rest
+    off = values.get("pump_state") in ("off", "held", "fault") and at_rest
     dose = _describe_dose(values, store.allow_release, store.site.a2)
+    others = _list_others(values, hold, at_rest, dose)
     return {
-        "possible": bool(store.graph.pumps(store.wall)), "stopped": stopped, "hold": hold,
-        "warning": warning, "dose": dose, "asked_at": time.time(),
-        "label": "Stop again" if stopped else "Keep the pump off" if off else "Stop the pump",
-        "actions": {"stop": _STOP, **(
-            {} if node is None or not store.allow_release
-            else _list_others(node, hold, at_rest, dose)
-        )},
+        "possible": bool(store.graph.offered), "hold": hold,
+        "stopped": bool(hold) and at_rest, "warning": warning, "dose": dose,
+        "asked_at": time.time(),
+        "label": "Stop again" if hold and at_rest else "Keep the pump off" if off
+        else "Stop the pump",
+        "actions": {"stop": _STOP, **(others if store.allow_release else {})},
         "situation": [bool(hold), at_rest, *(
-            node is not None and bool(node.text(key)) for key in ("fault", "unknown", "no_dose")
+            bool(words.text_of(values, key)) for key in ("fault", "unknown", "no_dose")
         )],
     }
 
@@ -79,48 +74,37 @@ def make_bare_stop() -> dict[str, Any]:
     }
 
 
-def describe_hold(store: GraphStore, node: Node) -> str:
+def _describe_hold(store: GraphStore, values: Mapping[str, Any]) -> str:
     """Describe who holds the pump, since when, until when and why; empty if no one does."""
-    hold = node.values.get("hold")
+    hold = values.get("hold")
     owner = hold.get("owner") if isinstance(hold, dict) else None
     if not isinstance(hold, dict) or not isinstance(owner, str):
         return ""
-    part, until, reason = node.parts.get("pump"), hold.get("until"), hold.get("reason")
-    known = part is not None and part.diagnosis.code == "hold"
-    since = part.diagnosis.since if part is not None and known else None
-    begin = "" if since is None else f" since {store.time_of_day(since)}"
-    end = "someone releases it"
-    if isinstance(until, (int, float)) and math.isfinite(until):
+    until, reason, end = hold.get("until"), hold.get("reason"), "someone releases it"
+    if isinstance(until, (int, float)):
         end = store.hour(until)
+    since = hold.get("since")
+    begin = f" since {store.time_of_day(since)}" if isinstance(since, (int, float)) else ""
     why = f" ({reason})" if isinstance(reason, str) and reason else ""
     return words.clean_sentence(f"The pump is held off by {owner}{begin}, until {end}{why}.")
 
 
-def explain_release(store: GraphStore, stop: Mapping[str, Any]) -> str:
-    """Explain how to release the pump; empty if it cannot be released now."""
-    if "release" in stop["actions"]:
-        return "If it may run again, release it with the button below."
-    if store.pump is None or not stop["stopped"]:
-        return ""
-    return f"If it may run again, release it with: {command_for(store.pump.name, 'release')}"
-
-
 def _list_others(
-    node: Node, hold: str, at_rest: bool, dose: Mapping[str, Any]
+    values: Mapping[str, Any], hold: str, at_rest: bool, dose: Mapping[str, Any]
 ) -> dict[str, str]:
     """Return the questions of the possible actions other than a stop.
 
     Args:
-        node: the pump node.
+        values: values that the pump node reports.
         hold: description of the hold; empty if there is none.
         at_rest: whether the pump is at standstill.
         dose: what is known of doses.
     """
-    fault, unknown = node.text("fault"), node.text("unknown")
+    fault, unknown = (words.text_of(values, key) for key in ("fault", "unknown"))
     questions = {}
     if hold and at_rest:
         questions["release"] = _write_then(fault, unknown) + LOCK_OUT
-    if fault and not node.text("no_clear") and at_rest:
+    if fault and not words.text_of(values, "no_clear") and at_rest:
         stays = hold.removesuffix(".")
         questions["clear"] = (
             f"The fault is cleared: {fault}. {_write_then(stays, unknown)}{LOCK_OUT}"
@@ -154,8 +138,8 @@ def _describe_dose(values: Mapping[str, Any], allowed: bool, area: float) -> dic
     return {
         "text": _write_dose(last, values.get("flow")) if isinstance(last, dict) else "",
         "min": least, "max": largest,
-        "limits": f"{' to '.join(map(write_litres, volumes))}, which is {' to '.join(depths)} of "
-        "water on the roof",
+        "limits": f"{' to '.join(map(words.write_litres, volumes))}, which is "
+        f"{' to '.join(depths)} of water on the roof",
         "refusal": "" if runs or largest is None else words.clean_sentence(
             str(values.get("no_dose") or "")
         ),
@@ -170,12 +154,7 @@ def _write_dose(dose: Mapping[str, Any], flow: Any) -> str:
     volume, delivered = dose.get("volume"), dose.get("delivered")
     if not isinstance(volume, (int, float)) or not isinstance(delivered, (int, float)):
         return ""
-    progress = f"A dose: {words.write_number(delivered * 1e3, 0)} of {write_litres(volume)}"
+    progress = f"A dose: {words.write_number(delivered * 1e3, 0)} of {words.write_litres(volume)}"
     if not isinstance(flow, (int, float)) or flow <= 0:
         return f"{progress}; it is waiting."
     return f"{progress}, {max(1, math.ceil((volume - delivered) / flow / 60))} min left."
-
-
-def write_litres(volume: float) -> str:
-    """Write a volume (m3) in litres."""
-    return words.write_quantity(volume, "L", 0, 1e3)

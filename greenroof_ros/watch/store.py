@@ -1,8 +1,8 @@
-"""State of one graph: latest values and their history, plan, forecast, and reports of the nodes.
+"""State of one graph: latest values and their history, plan, forecast, alarms, and reports.
 
-Each message that :mod:`.feed` receives is passed to the store once, with :meth:`GraphStore.receive`
-or :meth:`GraphStore.add_statuses`. From the store, :mod:`.document` creates the document shown to
-operators.
+Each message that :mod:`.feed` receives is passed to the store once, with
+:meth:`GraphStore.receive`, :meth:`GraphStore.add_statuses` or :meth:`GraphStore.add_alarms`. From
+the store, :mod:`.document` creates the document shown to operators.
 """
 
 from __future__ import annotations
@@ -11,25 +11,25 @@ import math
 import threading
 from collections import deque
 from collections.abc import Sequence
-from typing import Any
+from contextlib import suppress
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.text import clean_text
 from greenroof_ros.base.times import duration
+from greenroof_ros.interface.alarm import Alarm
 from greenroof_ros.interface.states import PUMP, PUMP_STATES, PumpState
 from greenroof_ros.interface.topics import read_topics
-from greenroof_ros.ros.alarms import Judge
+from greenroof_ros.ros.alarm_status import read_status
+from greenroof_ros.ros.reports import NodeReport, Status
 from greenroof_ros.site.file import read_site
-from greenroof_ros.site.horizon import MAX_MEMBERS
 from greenroof_ros.site.site import Site
 from greenroof_ros.watch import wire, words
-from greenroof_ros.watch.history import History, Values
-from greenroof_ros.watch.outlook import Forecast, Plan
-from greenroof_ros.watch.registry import Node, Registry
-from greenroof_ros.watch.wire import WireStatus
-from greenroof_ros.watch.words import name_source
+from greenroof_ros.watch.graph import Graph
+from greenroof_ros.watch.history import History
+from greenroof_ros.watch.outlook import Forecast, Plan, read_forecast, read_plan
 
 FLOW, RAIN_FORECAST, PLAN = "/pump/flow", "/forecast/precipitation", "/controller/plan"
 LINES = {
@@ -37,59 +37,41 @@ LINES = {
     "rain": "/weather/precipitation",
 }
 """Lines of the charts, each with its topic."""
-EXPECTED = "roof_expected"
-"""Additional line: the roof level as expected an hour earlier."""
+GIVEN = "given"
+"""Additional history: the volume that has been pumped since the first value (m3)."""
 _NAMES = {topic: name for name, topic in LINES.items()}
 
 _NUMBER = "std_msgs/msg/Float64"
 # No quantity of any site is greater than this in any unit, even if its topic has no limit.
 _MAX_VALUE = 1e9
-# A value is stale after this many of its usual intervals, but at the earliest after the second
-# number (s). The usual interval is assumed to be at most the third number (s).
+# A value is stale after this many ticks or after the age at which readers no longer use it, but at
+# the earliest after the second number (s). A flow holds for at most the third number (s).
 INTERVALS, _STALE_S, _MAX_S = 3, 5.0, 600.0
+# Alarms older than this mean that the program of the site no longer runs (s): they are published
+# once a second, and a process that died is back within a few seconds.
+ALARMS_OLD_S = 10.0
 # Times of a graph are before this (ns since 1970): the year 2116.
 _LATEST_NS = 2**62
 # By how much the system's clock may be set back (s), which is made up for within a minute.
 _SET_BACK_S = 60.0
-# How far ahead a level that is compared with the measured one was expected, and the interval at
-# which such an expectation is kept (s).
-_LEAD_S, _EXPECTED_EVERY_S = 3600.0, 300.0
-# Maximum number of steps of a forecast or a plan, which is that of the longest look-ahead.
-_MAX_STEPS = 1000
 _MAX_EVENTS = 50
+_TWO = "two_pump_nodes", "two_processes"
 
 
-class TopicValue:
-    """The latest value on a topic; every update checks whether the next value is overdue.
+class Newest(NamedTuple):
+    """The latest value on a topic.
 
     Attributes:
         time_ns: time of the value (ns since 1970).
         value: the value; None if it is implausible.
-        stale: whether the next value is overdue.
+        received_at: when it was received (steady clock, s).
+        stale_after_s: time after which the next value is overdue (s).
     """
 
-    def __init__(self) -> None:
-        """Initialize without a value."""
-        self.time_ns = 0
-        self.value: float | None = None
-        self.stale = False
-        self._received = False
-        self._received_at: float | None = None  # wall time (s)
-        self._intervals: deque[float] = deque(maxlen=9)
-
-    def receive(self, time_ns: int, value: float) -> None:
-        """Receive a value, which is NaN if it is implausible."""
-        self._received = True
-        self.time_ns, self.value = time_ns, None if math.isnan(value) else value
-
-    def update(self, wall: float, *, ended: bool) -> None:
-        """Update ``stale``; no value is overdue once the run has ended."""
-        if self._received or self._received_at is None:
-            if self._received_at is not None:
-                self._intervals.append(min(wall - self._received_at, _MAX_S))
-            self._received, self._received_at = False, wall
-        usual = float(np.median(self._intervals)) if self._intervals else 0.0
-        self.stale = not ended and wall - self._received_at > max(_STALE_S, INTERVALS * usual)
+    time_ns: int
+    value: float | None
+    received_at: float
+    stale_after_s: float
 
 
 class GraphStore:
@@ -108,22 +90,19 @@ class GraphStore:
             run that is over.
         factor: ratio of simulated to wall time; None if there is no such ratio.
         allow_release: whether the pump may be released from the page.
-        graph: registry of the nodes and their reports.
-        judge: judge of the current faults, and of nodes that are missing only because the site is
-            still starting.
-        events: latest events, each with its time (s since 1970).
+        graph: the nodes and their reports.
+        alarms: the alarms as last published, also those that are over or are not counted yet.
+        events: latest events other than alarms, each with its time (s since 1970).
         newest: latest value on each topic.
-        past: history of each line of the charts.
+        past: history of each line of the charts, and of the pumped volume.
         forecast: latest rain forecast; None if unknown.
-        plan: plan of the controller; None if unknown or if there is none.
     """
 
     def __init__(self, namespace: str = "") -> None:
         """Initialize the store with an empty state.
 
         Args:
-            namespace: namespace of the graph; empty if it has none. Nodes in other namespaces are
-                treated as other devices.
+            namespace: namespace of the graph; empty if it has none.
         """
         self.lock = threading.RLock()
         self.namespace = namespace
@@ -132,7 +111,7 @@ class GraphStore:
         self.notes = ["", ""]
         self.mode = "none"
         self.factor: float | None = None
-        self.graph = Registry(namespace, self.add_event)
+        self.graph = Graph(namespace)
         self._interface = read_topics()
         self.wall = 0.0
         self._system: float | None = None  # the system's time at the last update (s since 1970)
@@ -141,26 +120,24 @@ class GraphStore:
     def reset(self) -> None:
         """Reset everything for a new run, except the nodes and the settings for watching them."""
         with self.lock:
-            self.judge = Judge()
+            self.alarms: list[Alarm] = []
+            self._alarms_at = -math.inf  # when they came (steady clock, s)
+            self._alarms_of = 0.0  # the graph's time then (s since 1970)
             self.events: deque[tuple[float, str]] = deque(maxlen=_MAX_EVENTS)
-            self._was_gone = False
             self._forget_values()
 
     def _forget_values(self) -> None:
-        self.newest: dict[str, TopicValue] = {}
-        self.past = {name: History() for name in (*LINES, EXPECTED)}
-        self._expected_at = -math.inf  # when an expected level was last kept (s since 1970)
+        self.newest: dict[str, Newest] = {}
+        self.past = {name: History() for name in (*LINES, GIVEN)}
         self.forecast: Forecast | None = None
-        self.plan: Plan | None = None
-        self._controller: tuple[str, str] | None = None  # name and process
-        self._controller_at = -math.inf  # when it last reported (s since 1970)
+        self._plan: Plan | None = None
 
     # --- the graph that is watched --------------------------------------------------------------
 
     @property
-    def pump(self) -> Node | None:
+    def pump(self) -> NodeReport | None:
         """The pump node with its last report; None if no pump node has reported."""
-        return self.graph.node(PUMP)
+        return self.graph.node(PUMP, self.wall)
 
     def set_site(self, site: Site, note: str = "") -> None:
         """Set the site whose parameters are used to judge levels.
@@ -187,7 +164,7 @@ class GraphStore:
             self.notes[1] = clean_text(note)
 
     def update(self, wall: float, system: float | None = None) -> None:
-        """Update the overdue values and the alarms; call this often, even if no document is made.
+        """Update the overdue values; call this often, even if no document is made.
 
         If the clock of a live site is set back, the charts start afresh, since new values would be
         older than the existing ones.
@@ -207,24 +184,27 @@ class GraphStore:
                     "start again"
                 )
             self.wall = wall
-            self._judge(wall)
-            for newest in self.newest.values():
-                newest.update(wall, ended=self.ended)
-                newest.stale |= self.gone_since is not None
 
     @property
     def ended(self) -> bool:
         """Whether the run is over, so that no more messages will arrive."""
         return self.mode == "ended"
 
-    @property
-    def gone_since(self) -> float | None:
-        """When the program of a live site last reported (s since 1970); None while it runs."""
-        return self.graph.gone_since(self.wall) if self.mode == "live" else None
-
-    def is_lost(self, node: Node | None) -> bool:
+    def is_lost(self, node: NodeReport | None) -> bool:
         """Return whether a node was present and is now silent; False if the run is over."""
         return node is not None and not self.ended and not node.is_online(self.wall)
+
+    @property
+    def two_pumps(self) -> str:
+        """A warning if it is unclear which node is the pump node; otherwise empty."""
+        twins = any(alarm.role == PUMP and alarm.code in _TWO for alarm in self.present)
+        if not twins and not self.graph.has_two_pumps:
+            return ""
+        return (
+            f"Two nodes claim to be the pump node ({words.list_names(self.graph.offered)}), so it "
+            "is unknown which of them controls the pump. A stop is sent to all of them; no other "
+            "request is sent from here. Shut down the node that should not be running."
+        )
 
     @property
     def pump_report(self) -> PumpState | None:
@@ -232,21 +212,73 @@ class GraphStore:
 
         The state is unknown if it is unclear which node is the pump node.
         """
-        if two := self.graph.two_pumps(self.wall):
+        if two := self.two_pumps:
             return PumpState("unknown", two)
-        if self.pump is None or not (state := self.pump.text("pump_state")):
+        values = {} if self.pump is None else self.pump.values
+        if not (state := words.text_of(values, "pump_state")):
             return None
-        return PumpState(state if state in PUMP_STATES else "unknown", self.pump.text("pump_why"))
+        known = state if state in PUMP_STATES else "unknown"
+        # Of a hold, the page states more, and in the site's time.
+        hold = values.get("hold")
+        said = words.text_of(hold, "said") if isinstance(hold, dict) else ""
+        return PumpState(known, words.text_of(values, "pump_why").removeprefix(said).lstrip("; "))
 
     @property
     def flow_known(self) -> bool:
         """Whether the pump node knows the flow; if not, its flow topic reports 0."""
         return self.pump is None or self.pump.values.get("flow", 0.0) is not None
 
+    # --- alarms ---------------------------------------------------------------------------------
+
+    def add_alarms(self, wall: float, stamp_ns: int, statuses: Sequence[Status]) -> None:
+        """Receive the alarms in a message on /alarms; a status that is not an alarm is left out.
+
+        Args:
+            wall: current time (steady clock, s).
+            stamp_ns: time of the message (ns since 1970).
+            statuses: statuses of the message.
+        """
+        alarms = []
+        for status in statuses:
+            with suppress(ValueError, OverflowError):
+                alarms.append(read_status(
+                    clean_text(status.name), status.level, words.clean_sentence(status.message),
+                    {key: clean_text(value) for key, value in status.values.items()},
+                ))
+        with self.lock:
+            self.alarms = alarms
+            self._alarms_at, self._alarms_of = wall, stamp_ns / 1e9
+
+    @property
+    def present(self) -> list[Alarm]:
+        """The present alarms."""
+        return [alarm for alarm in self.alarms if alarm.ended is None and alarm.number]
+
+    @property
+    def alarms_known(self) -> bool:
+        """Whether the alarms are of now."""
+        return self.wall - self._alarms_at <= ALARMS_OLD_S
+
+    @property
+    def gone_since(self) -> float | None:
+        """When the program of a live site last published its alarms (s since 1970).
+
+        None while it publishes them. Nothing else about the state of the nodes is concluded here.
+        """
+        if self.mode != "live" or self.alarms_known or not self._alarms_of:
+            return None
+        return self._alarms_of
+
+    def excuse_silence(self, seconds: float) -> None:
+        """Exclude a pause of this process (s) from the time for which others have been silent."""
+        with self.lock:
+            self.graph.excuse_silence(seconds)
+            self._alarms_at += seconds
+
     # --- messages -------------------------------------------------------------------------------
 
     def receive(self, topic: str, time_ns: int, message: bytes) -> None:
-        """Receive a message on any topic that is shown, except /diagnostics and /clock.
+        """Receive a message with values, that is, of any topic but those of reports and alarms.
 
         Args:
             topic: name of the topic in the interface, without a namespace.
@@ -256,9 +288,9 @@ class GraphStore:
         if topic in (PLAN, RAIN_FORECAST):
             if (rows := wire.read_rows(message)) is not None:
                 if topic == PLAN:
-                    self.add_plan(time_ns, np.asarray(rows.values))
+                    self.add_plan(time_ns, rows.values)
                 else:
-                    self.add_forecast(time_ns, np.asarray(rows.values), np.asarray(rows.front))
+                    self.add_forecast(time_ns, rows.values, rows.front)
         elif self._interface[topic].type == _NUMBER:
             value = wire.read_value(_NUMBER, message)
             if value is not None:
@@ -279,21 +311,37 @@ class GraphStore:
         low, high = max(entry.low, -_MAX_VALUE), min(entry.high, _MAX_VALUE)
         value = value + 0.0 if low <= value <= high else math.nan  # no minus zero
         with self.lock:
-            newest = self.newest.get(topic) or TopicValue()
-            if not newest.time_ns < time_ns < _LATEST_NS:
+            before = self.newest.get(topic)
+            if not (before.time_ns if before else 0) < time_ns < _LATEST_NS:
                 return
-            self.newest[topic] = newest
-            newest.receive(time_ns, value)
+            interval = self.site.tau / (self.factor or 1.0)
+            if self.mode == "live" and entry.max_age is not None:
+                interval = entry.max_age.default / INTERVALS
+            self.newest[topic] = Newest(
+                time_ns, None if math.isnan(value) else value, self.wall,
+                max(_STALE_S, INTERVALS * interval),
+            )
+            if topic == FLOW and not self.flow_known:
+                value = math.nan
             if topic in _NAMES:
-                is_known = topic != FLOW or self.flow_known
-                self.past[_NAMES[topic]].add(time_ns, value if is_known else math.nan)
+                self.past[_NAMES[topic]].add(time_ns, value)
+            passed = (time_ns - before.time_ns) / 1e9 if before else math.inf
+            if topic == FLOW and before and before.value and passed <= _MAX_S:
+                self.past[GIVEN].add(time_ns, self.past[GIVEN].last + before.value * passed)
+
+    def is_stale(self, topic: str) -> bool:
+        """Return whether the next value on a topic is overdue; None is once the run has ended."""
+        newest = self.newest.get(topic)
+        return newest is not None and not self.ended and (
+            self.gone_since is not None or self.wall - newest.received_at > newest.stale_after_s
+        )
 
     def present_value(self, topic: str) -> float | None:
         """Return the current value on a topic; None if there is none or it is stale."""
         newest = self.newest.get(topic)
-        return None if newest is None or newest.stale else newest.value
+        return None if newest is None or self.is_stale(topic) else newest.value
 
-    def add_forecast(self, time_ns: int, values: Values, front: Values) -> None:
+    def add_forecast(self, time_ns: int, values: Any, front: Any) -> None:
         """Add a rain forecast; an invalid forecast clears the current one.
 
         Args:
@@ -303,25 +351,14 @@ class GraphStore:
             front: time of issue (s since 1970, NaN if unknown), and the end of each step (s after
                 ``time_ns``), shape (1 + steps,).
         """
-        if not 0 < time_ns < _LATEST_NS:
-            return
-        rain = np.atleast_2d(np.asarray(values, dtype=np.float64))
-        limits, at = self._interface[RAIN_FORECAST], time_ns / 1e9
-        members, steps = rain.shape if rain.ndim == 2 else (0, 0)
-        ends = front[1:]
-        fits = (
-            0 < members <= MAX_MEMBERS and 0 < steps <= _MAX_STEPS and len(ends) == steps
-            and np.all(np.diff(ends, prepend=0.0) > 0) and ends[-1] < _MAX_VALUE
-            and np.all((rain >= limits.low) & (rain <= limits.high))
-        )
-        with self.lock:
-            if not fits:
-                self.forecast = None
-            elif self.forecast is None or at > self.forecast.at:
-                issued = float(front[0]) if 0 < front[0] <= at else None
-                self.forecast = Forecast(at, at + ends, rain, issued)
+        at = time_ns / 1e9
+        if 0 < time_ns < _LATEST_NS:
+            with self.lock:
+                forecast = read_forecast(at, values, front)
+                if forecast is None or self.forecast is None or at > self.forecast.at:
+                    self.forecast = forecast
 
-    def add_plan(self, time_ns: int, rows: Values) -> None:
+    def add_plan(self, time_ns: int, rows: Any) -> None:
         """Add a plan of the controller.
 
         Args:
@@ -332,21 +369,24 @@ class GraphStore:
                 rows leave the plan unchanged. Rows with an impossible value clear the plan.
         """
         at = time_ns / 1e9
-        if not 0 < time_ns < _LATEST_NS:
-            return
         with self.lock:
-            if np.size(rows) and (self.plan is None or at > self.plan.at):
-                self.plan = _read_plan(at, rows)
-            plan, later = self.plan, at + _LEAD_S
-            due = at >= self._expected_at + _EXPECTED_EVERY_S
-            if due and plan is not None and later <= plan.ends[-1]:
-                level = float(np.interp(later, plan.ends, plan.level))
-                self.past[EXPECTED].add(round(later * 1e9), level)
-                self._expected_at = at
+            if 0 < time_ns < _LATEST_NS and np.size(rows) and (
+                self._plan is None or at > self._plan.at
+            ):
+                self._plan = read_plan(at, rows)
+
+    @property
+    def plan(self) -> Plan | None:
+        """The latest plan of the controller; None if it was made before the controller's start."""
+        node, plan, now = self.graph.node("controller", self.wall), self._plan, self.now
+        age = None if node is None else node.values.get("up_s")
+        if plan is None or now is None or self.gone_since is not None:
+            return None
+        old = self.mode == "live" and isinstance(age, (int, float)) and plan.at < now - age - 2.0
+        return None if old else plan
 
     def add_statuses(
-        self, wall: float, statuses: Sequence[WireStatus], stamp_ns: int = 0,
-        number: int | None = None,
+        self, wall: float, statuses: Sequence[Status], stamp_ns: int = 0
     ) -> None:
         """Add the statuses in a message on /diagnostics.
 
@@ -354,38 +394,10 @@ class GraphStore:
             wall: current time (steady clock, s).
             statuses: statuses of one message.
             stamp_ns: time stamp of the message (ns since 1970); in a simulation, a simulated time.
-            number: number of the message, as counted by its publisher; None if unknown.
         """
         with self.lock:
             self.wall = wall
-            self.graph.receive(
-                wall, statuses, now=self._event_time, stamp_ns=stamp_ns, number=number
-            )
-            self._judge(wall)
-            node = self.graph.node("controller")
-            if node is None:
-                return
-            # The plan of a controller that another controller or process has replaced is dropped.
-            # The first plan of the new one may have arrived before its first status, and is kept.
-            controller = node.name, node.process
-            if self._controller not in (None, controller) and self.plan is not None and (
-                self.plan.at <= self._controller_at
-            ):
-                self.plan = None
-            self._controller, self._controller_at = controller, self._event_time
-
-    def _judge(self, wall: float) -> None:
-        gone = self.gone_since is not None
-        if gone != self._was_gone:
-            self._was_gone = gone
-            self.add_event(f"The site's program {'no longer runs' if gone else 'runs again'}")
-        if gone:
-            return  # this explains everything else
-        diagnoses, starting = self.graph.diagnoses(wall), self.graph.starting(wall)
-        for what, alarm in self.judge.update(wall, self._event_time, diagnoses, starting=starting):
-            if what in ("begins", "ends") and not alarm.follows:
-                over = "Over: " if what == "ends" else ""
-                self.add_event(f"{over}{name_source(alarm.name)}: {alarm.sentence}")
+            self.graph.receive(wall, self._event_time, statuses, stamp_ns)
 
     def add_event(self, text: str) -> None:
         """Add an event that has just happened."""
@@ -411,20 +423,37 @@ class GraphStore:
         """Time at which an event that occurs now is recorded (s since 1970)."""
         return (self._system or 0.0) if self.now is None else self.now
 
-    def clock(self) -> dict[str, Any]:
-        """Return the time as text, and the clock for the page's charts.
+    def given_since(self, begin: float) -> float | None:
+        """Return the volume pumped since a time (s since 1970, m3); None if that is not known."""
+        first, given = self.past["flow"].first_ns, self.past[GIVEN]
+        if first is None or begin < first / 1e9:
+            return None
+        return given.last - given.value_at(round(begin * 1e9))
 
-        The clock is a list of times (s since 1970), each with the offset from UTC (h) that applies
-        from this time on. The list covers the longest chart.
+    def given_today(self) -> float | None:
+        """Return the volume pumped on the present day of the site's clock (m3); None if unknown."""
+        now = None if self.now is None else words.convert_time(self.now, self.site.zone)
+        midnight = None if now is None else now.replace(hour=0, minute=0, second=0)
+        return None if midnight is None else self.given_since(midnight.timestamp())
+
+    def clock(self) -> dict[str, Any]:
+        """Return the time as text, and the clock of the page's charts.
+
+        The clock is the name of a time zone, or an offset from UTC, as browsers know it.
         """
         now, zone = self.now, self.site.zone
-        if now is None or words.convert_time(now, zone) is None:
-            return {"now": now, "text": words.UNKNOWN, "clock": []}
-        text = f"{words.write_time(now, zone)} {words.name_clock(now, zone)}"
-        return {"now": now, "text": text, "clock": words.list_offsets(zone, int(now // 86400))}
+        at = None if now is None else words.convert_time(now, zone)
+        if now is None or at is None:
+            return {"now": now, "text": words.UNKNOWN, "zone": "UTC"}
+        name, offset = at.strftime("%Z"), at.isoformat()[-6:]
+        name = name if name[:1].isalpha() else f"UTC{offset}"  # some are called by a number
+        return {
+            "now": now, "text": f"{at:%Y-%m-%d %H:%M:%S} {name}",
+            "zone": self.site.time_zone or offset,
+        }
 
     def time_of_day(self, at: float) -> str:
-        """Write a time of the graph (s since 1970).
+        """Write a past time of the graph (s since 1970), with the date unless it is today.
 
         In a simulation, events before the first tick are stamped with the system time, which is
         later than the simulated time. Their time is written as ``the start``.
@@ -436,14 +465,3 @@ class GraphStore:
     def hour(self, at: float) -> str:
         """Write a future time (s since 1970)."""
         return words.write_coming_time(at, self.site.zone, self.now or at)
-
-
-def _read_plan(at: float, rows: Values) -> Plan | None:
-    """Return the plan made at a time (s since 1970); None if any of its values is impossible."""
-    plan = np.asarray(rows, dtype=np.float64)
-    if plan.ndim != 2 or plan.shape[1] != 4 or len(plan) > _MAX_STEPS:
-        return None
-    ends, flow, level, _ = plan.T
-    if not np.all((plan >= 0) & (plan <= _MAX_VALUE)) or np.any(np.diff(ends, prepend=0.0) <= 0):
-        return None
-    return Plan(at, at + ends, flow, level)

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+import os
 import re
-from collections.abc import Iterable
-from datetime import datetime, timedelta, tzinfo
-from functools import cache, lru_cache
-from zoneinfo import ZoneInfo
+import sys
+from collections.abc import Iterable, Mapping
+from datetime import datetime, tzinfo
+from functools import cache
+from pathlib import Path
+from shutil import which
+from typing import Any
 
 from greenroof_ros.base.text import clean_text
 from greenroof_ros.base.times import duration
@@ -17,9 +21,10 @@ NOT_PLAUSIBLE = "not a plausible value"
 UNKNOWN = "unknown"
 # The unit as it is written in logs.
 _CUBIC = re.compile(r"\bm3\b")
+# A command in an advice, rather than the service of that name.
+_COMMAND = re.compile(r"\bgreenroof(?= (?:live|release|reset|watch)\b)")
 SPACE = "\N{NO-BREAK SPACE}"
 """Space between a number and its unit, where no line may end."""
-_HOUR = timedelta(hours=1)
 # Maximum number of names of nodes that are listed.
 _MAX_NAMES = 3
 
@@ -77,6 +82,11 @@ def write_command(share: float) -> str:
     return write_value("/pump/command", share)
 
 
+def write_litres(volume: float) -> str:
+    """Write a volume (m3) in litres."""
+    return write_quantity(volume, "L", 0, 1e3)
+
+
 def write_horizon(seconds: float) -> str:
     """Format the time covered by a forecast or plan, in whole hours from 90 min on: ``12 h``."""
     if seconds >= 5400:
@@ -92,47 +102,13 @@ def convert_time(seconds: float, zone: tzinfo) -> datetime | None:
         return None
 
 
-def write_time(seconds: float, zone: tzinfo) -> str:
-    """Write a time since 1970 (s): ``2021-07-20 05:00:00``."""
-    at = convert_time(seconds, zone)
-    return UNKNOWN if at is None else at.strftime("%Y-%m-%d %H:%M:%S")
-
-
-def name_clock(seconds: float, zone: tzinfo) -> str:
-    """Write a clock's name at a time (s since 1970): ``EDT, America/Toronto`` or ``UTC-05:00``."""
-    at = convert_time(seconds, zone)
-    name = "" if at is None else at.strftime("%Z")
-    if not isinstance(zone, ZoneInfo) or zone.key == name:
-        return name
-    offset = "" if at is None else at.isoformat()[-6:]  # some zones have a number as their name
-    return f"{name if name.isalpha() else f'UTC{offset}'}, {zone.key}"
-
-
-@lru_cache(maxsize=8)
-def list_offsets(zone: tzinfo, day: int) -> list[tuple[int, float]]:
-    """Return a clock's offsets from UTC (h), each with the time from which it applies.
-
-    Args:
-        zone: time zone of the clock.
-        day: number of days since 1970. The times (s since 1970) range from eight days before this
-            day to two days after it.
-    """
-    changes: list[tuple[int, float]] = []
-    for at in range((day - 8) * 86400, (day + 3) * 86400, 900):
-        time = convert_time(at, zone)
-        offset = None if time is None else time.utcoffset()
-        if offset is not None and (not changes or changes[-1][1] != offset / _HOUR):
-            changes.append((at, offset / _HOUR))
-    return changes
-
-
 def write_clock_time(seconds: float, zone: tzinfo, now: float) -> str:
     """Write a time since 1970 (s), as in ``05:00:00``, with the date unless it is today."""
     at, today = convert_time(seconds, zone), convert_time(now, zone)
     if at is None:
         return UNKNOWN
     same = today is not None and at.date() == today.date()
-    return at.strftime("%H:%M:%S" if same else "%Y-%m-%d %H:%M:%S")
+    return at.strftime("%H:%M:%S" if same else "%d %b %H:%M:%S")
 
 
 def write_coming_time(seconds: float, zone: tzinfo, now: float) -> str:
@@ -150,9 +126,21 @@ def clean_sentence(text: str) -> str:
     return _CUBIC.sub("m³", clean_text(text))
 
 
-def name_source(status: str) -> str:
-    """Return a plain name for the source of a status: ``Roof sensor`` for ``/roof_sensor: x``."""
-    name = status.partition(": ")[0].rpartition("/")[2].replace("_", " ")
+def text_of(values: Mapping[str, Any], key: str) -> str:
+    """Return a text among the values that a node reports; empty if it reports none."""
+    value = values.get(key)
+    return clean_sentence(value) if isinstance(value, str) else ""
+
+
+def name_source(status: str, role: str = "") -> str:
+    """Return a plain name for the source of a status: ``Roof sensor`` for ``/roof_sensor: x``.
+
+    Args:
+        status: name of the status.
+        role: role of the node, which is the name of a controller; empty if it has none.
+    """
+    name = "controller" if role == "controller" else status.partition(": ")[0].rpartition("/")[2]
+    name = name.replace("_", " ")
     return f"{name[:1].upper()}{name[1:]}"
 
 
@@ -161,3 +149,13 @@ def list_names(names: Iterable[str]) -> str:
     listed = sorted({*names})
     more = len(listed) - _MAX_NAMES
     return " and ".join(listed[:_MAX_NAMES] + ([f"{more} more"] if more > 0 else []))
+
+
+def complete_commands(text: str) -> str:
+    """Return an advice with its commands as they work in a terminal of this machine.
+
+    They have the path of the program, if the shell does not find it, and the ROS domain.
+    """
+    domain, path = os.environ.get("ROS_DOMAIN_ID", "0"), Path(sys.executable).with_name("greenroof")
+    before = "" if domain in ("", "0") else f"ROS_DOMAIN_ID={domain} "
+    return _COMMAND.sub(before + ("greenroof" if which("greenroof") else str(path)), text)

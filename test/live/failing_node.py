@@ -1,7 +1,8 @@
 """Live nodes whose code fails while they run; the first argument states which.
 
 ``alone`` is a process with one node, which needs three seconds to stop its device. ``station`` is a
-station of two nodes, of which the first fails again and again, and the second goes on.
+station of two nodes, of which the first fails again and again, and the second goes on. ``alarms``
+is one whose alarms node fails.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from functools import partial
 
 from greenroof_ros.live import restarts, station
 from greenroof_ros.live.node import LiveNode, spin
+from greenroof_ros.nodes.alarms import AlarmsNode
 from greenroof_ros.ros.executable import run_nodes
 
 
@@ -32,10 +34,15 @@ class Working(LiveNode):
         super().__init__("weather", "weather")
 
 
+class FailingAlarms(AlarmsNode):
+    def check(self, now: float) -> None:
+        print(1 / 0)
+
+
 kind = sys.argv[1]
 sys.argv[1:] = ["--ros-args"]
 if kind == "alone":
     sys.exit(run_nodes(partial(Failing, 3.0), spin))
 restarts.MAX_WAIT_S, restarts.MAX_RESTARTS = 0.5, 2
-makers = [partial(Failing, 0.0), Working]
+makers = [partial(Failing, 0.0) if kind == "station" else FailingAlarms, Working]
 sys.exit(run_nodes(lambda: [make() for make in makers], partial(station.keep_nodes, makers)))

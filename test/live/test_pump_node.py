@@ -36,8 +36,7 @@ from std_srvs.srv import SetBool, Trigger
 from greenroof_ros.base.times import to_people
 from greenroof_ros.commands.pump_requests import _parse_future_time
 from greenroof_ros.live.devices.drive_file import find_drive_file
-from greenroof_ros.live.devices.endpoint import read_endpoint
-from greenroof_ros.live.devices.exchange import DriveExchange, DriveSnapshot
+from greenroof_ros.live.devices.exchange import DriveExchange, DriveSnapshot, read_endpoint
 from greenroof_ros.live.pumping.state_file import StateFile
 
 

@@ -8,16 +8,15 @@ from typing import Any
 
 import pytest
 
-from greenroof_ros.interface.alarm import ERROR, FOREIGN, OK, OTHER, STALE, WARN, Alarm, advise
-from greenroof_ros.interface.conditions import LATCHED, read_conditions, read_interlocks
-from greenroof_ros.ros.alarms import (
-    SILENT_S,
-    Judge,
-    NodeReport,
-    StatusDiagnosis,
-    find_causes,
-    is_starting,
+from greenroof_ros.interface.alarm import ERROR, FOREIGN, OTHER, STALE, WARN, Alarm, advise
+from greenroof_ros.interface.conditions import (
+    LATCHED,
+    Diagnosis,
+    read_conditions,
+    read_interlocks,
 )
+from greenroof_ros.ros.alarms import Judge, find_causes
+from greenroof_ros.ros.reports import StatusDiagnosis
 
 NOON = 1_800_000_000.0
 
@@ -58,7 +57,7 @@ def test_an_alarm_begins_and_ends() -> None:
     Other words under the same code are the same alarm.
     """
     site = Site()
-    lost = wrong("drive_lost", since=NOON - 3600, age_s=3600.0)
+    lost = wrong("drive_fault", since=NOON - 3600, age_s=3600.0)
     site.pass_time(1, drive=lost)
     site.pass_time(9, drive=replace(lost, sentence="for 9 s"))
     (alarm,) = site.judge.present.values()
@@ -69,7 +68,7 @@ def test_an_alarm_begins_and_ends() -> None:
     site.judge.update(111.0, NOON - 7200, {})  # the system's clock was set back
     (alarm,) = site.judge.over
     assert (alarm.ended, alarm.seconds) == (NOON - 7200, 3610.8)
-    assert site.told == [("begins", "/pump: drive", "drive_lost")]
+    assert site.told == [("begins", "/pump: drive", "drive_fault")]
 
 
 @pytest.mark.parametrize(("code", "level", "seconds"), [
@@ -230,75 +229,86 @@ def test_causes(
     assert find_causes(dict(reversed(diagnoses.items()))).keys() == causes.keys()
 
 
-# --- reports of nodes -----------------------------------------------------------------------------
+# --- devices on one line, and an operator's words -------------------------------------------------
 
 
-def node(state: str = "ready", **values: Any) -> NodeReport:
-    """Return a weather node that was first received at 0 s."""
-    report = NodeReport("/weather", "weather", "host 1", state, {}, 0.0)
-    report.receive(0.0, NOON, state, values)
-    return report
+def test_devices_that_fall_silent_together_are_one_alarm() -> None:
+    """Behind one broker or line, within seconds; the missing levels follow from it, too."""
+    site = Site()
+    broker = {"line": "192.168.0.2:1883"}
+    parts = {
+        "/a/roof_sensor: sensor": wrong("broker_lost", "roof_sensor", **broker),
+        "/a/cistern_sensor: sensor": wrong("sensor_lost", "cistern_sensor", **broker),
+        "/a/pump: drive": wrong("drive_lost", **broker),
+    }
+    follows = {
+        "/a/pump: levels": wrong("input_silent", about=("/roof/level",)),
+        "/a/rain_gauge: gauge": wrong("sensor_lost", "rain_gauge", WARN, line="/dev/ttyUSB0"),
+    }
+    site.passes(5, parts | follows)
+    alarms = {alarm.name: alarm for alarm in site.judge.present.values()}
+    group = "/a/alarms: 192.168.0.2:1883"
+    assert {name: alarm.follows for name, alarm in alarms.items()} == {
+        group: "", "/a/rain_gauge: gauge": "", "/a/pump: levels": group,
+        **dict.fromkeys(parts, group),
+    }
+    assert alarms[group].sentence == (
+        "roof sensor, cistern sensor and pump fell silent at the same time"
+    )
+    assert "power" in advise("devices_lost", "alarms", "/a/alarms")
+    site.passes(1, follows)
+    assert site.judge.present.keys() == {*follows}
 
 
-def codes(report: NodeReport, wall: float) -> dict[str, str]:
-    return {name: diagnosis.code for name, diagnosis in report.diagnoses(wall)}
+def test_devices_that_fall_silent_one_after_another_are_several() -> None:
+    site = Site()
+    line = {"line": "/dev/ttyUSB0"}
+    roof = {"/roof_sensor: sensor": wrong("sensor_lost", "roof_sensor", **line)}
+    site.passes(16, roof)
+    cistern = {"/cistern_sensor: sensor": wrong("sensor_lost", "cistern_sensor", **line)}
+    site.passes(4, roof | cistern)
+    assert [alarm.follows for alarm in site.judge.present.values()] == ["", ""]
 
 
-def test_a_node_that_does_not_respond() -> None:
-    """It is lost since its last report, and what it last reported stays; also if it has ended."""
-    for ended in ("", "ended (SIGKILL); starts again in 1 s"):
-        report = node()
-        report.receive_part("frost", 0.0, ERROR, "bad", {"code": "temperature_unknown"})
-        assert codes(report, SILENT_S) == {"/weather: frost": "temperature_unknown"}
-        report.ended = ended
-        at = 0.5 if ended else SILENT_S + 0.5
-        found = dict(report.diagnoses(at))
-        assert found["/weather"].code == "not_heard"
-        assert (found["/weather"].since, found["/weather"].level) == (NOON, STALE)
-        assert found["/weather"].sentence == ended or not ended
-        assert found["/weather: frost"].code == "temperature_unknown"
-        report.receive(5.0, NOON + 5, "ready", {})
-        assert codes(report, 5.0) == {"/weather: frost": "not_heard"}  # it no longer mentions it
+@pytest.mark.parametrize(("code", "about", "sentence"), [
+    ("input_silent", ("/roof/level",), "no roof level arrives"),
+    ("input_refused", ("/cistern/level", "/roof/level"),
+     "no valid cistern level or roof level arrives"),
+    ("two_pumps", ("/pump/flow",), "a second program reports the pump's flow"),
+    ("forecast_missing", (), "it is forecast_missing"),
+])
+def test_an_alarm_names_no_topic(code: str, about: tuple[str, ...], sentence: str) -> None:
+    site = Site()
+    site.pass_time(6, part=wrong(code, about=about))
+    assert [alarm.sentence for alarm in site.judge.present.values()] == [sentence]
 
 
-def test_what_is_wrong_with_a_node() -> None:
-    report = node("starting", waiting=["roof_sensor"])
-    (waits,) = dict(report.diagnoses(2.0)).values()
-    assert (waits.code, waits.about, waits.age_s) == ("peers_awaited", ("roof_sensor",), 2.0)
-    report.receive(3.0, NOON, "ready", {"refused": {"/a": 7}})
-    assert codes(report, 3.0) == {"/weather: refused": "values_refused"}
-    report.receive(3.5, NOON, "ready", {"refused": {"/a": 7}})
-    assert codes(report, 6.9) == {}
-    report.receive(7.0, NOON, "ended", {})  # as it was asked to
-    assert codes(report, 600.0) == {}
-    report.receive(7.5, NOON, "ended", {"failure": "[Errno 28] No space left on device"})
-    (failed,) = dict(report.diagnoses(600.0)).values()
-    assert (failed.code, failed.level) == ("node_failed", ERROR)
-    assert "No space left" in failed.sentence
+def test_no_headline_has_a_topic_or_an_address() -> None:
+    for code, condition in read_conditions().items():
+        assert not re.search(r"{(topic|problem|why)}|/|%", condition.headline), code
 
 
-def test_a_part_reports_code_start_age_and_subject() -> None:
-    """What is no number or time is left out, and topics lose the namespace."""
-    report = NodeReport("/site1/pump", "pump", "host 1", "ready", {}, 0.0)
-    report.receive(0.0, NOON, "ready", {})
-    report.receive_part("drive", 0.0, OK, "well", {})
-    for values, since, age in (
-        ({"since": "2027-01-15T08:00:00.000+00:00", "age_s": "12.5"}, NOON, 12.5),
-        ({"since": "yesterday", "age_s": "nan"}, None, 0.0), ({"age_s": "-1"}, None, 0.0),
-    ):
-        report.receive_part("drive", 0.0, ERROR, "bad", {
-            "code": "drive_fault", "fault": "2310", "topics": "/site1/roof/level /x", **values,
-        })
-        (found,) = dict(report.diagnoses(0.0)).values()
-        assert (found.code, found.fault, found.was_good) == ("drive_fault", "2310", True)
-        assert (found.about, found.since, found.age_s) == (("/roof/level", "/x"), since, age)
+def test_a_restarted_sensor_is_no_second_publisher() -> None:
+    """It is known for 3 s after its death; a program that stays is an alarm."""
+    site = Site()
+    site.pass_time(4, levels=wrong("input_publishers"))
+    site.pass_time(1)
+    assert not site.changes
+    site.pass_time(5.25, levels=wrong("input_publishers"))
+    assert site.told == [("begins", "/pump: levels", "input_publishers")]
 
 
-def test_a_site_starts_while_all_its_nodes_are_young() -> None:
-    young, old, unknown = node(up_s=59.0), node(up_s=61.0), node()
-    assert is_starting([young, young], 1.0)
-    assert not any(is_starting(nodes, 1.0) for nodes in ([young, old], [young, unknown], []))
-    assert not is_starting([young], 60.0)  # silent
+def test_frost_is_told_with_its_temperature() -> None:
+    """As the weather node knows it; the pump's state follows from it."""
+    causes = find_causes({
+        "/pump: pump": wrong("frost", level=WARN), "/pump: frost": wrong("frost", level=WARN),
+        "/weather: frost": wrong("freezing", "weather", WARN),
+    })
+    assert causes == dict.fromkeys(["/pump: pump", "/pump: frost"], "/weather: frost")
+    diagnosis = Diagnosis.of("freezing", "measured", temperature=-1.25)
+    assert diagnosis.sentence == (
+        "it is freezing, at -1.2 °C as measured; pumping goes on above 0 °C"
+    )
 
 
 # --- advice ---------------------------------------------------------------------------------------

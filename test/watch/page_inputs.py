@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from paper import PAPER_SITE
 
+from greenroof_ros.ros.reports import Status
 from greenroof_ros.site.site import Site
 from greenroof_ros.watch.store import GraphStore
-from greenroof_ros.watch.wire import WireStatus
 
 OK, WARN, ERROR, STALE = range(4)
 SECOND = 10**9
@@ -21,26 +21,23 @@ HOLD = {"owner": "the operator", "reason": "", "until": None, "said": HELD}
 
 
 def node(
-    name: str, role: str, *parts: tuple[Any, ...], process: str = "host 1",
-    state: str = "ready", **values: Any,
-) -> list[WireStatus]:
-    """Return a node's messages: its own status, and each part's.
-
-    Each part has a name, level and sentence, and optionally a code and other values.
-    """
+    name: str, role: str, *, process: str = "host 1", state: str = "ready", **values: Any
+) -> list[Status]:
+    """Return what a node reports of itself on /diagnostics."""
     pairs = {"role": role, "process": process, **values}
-    own = {key: json.dumps(value) for key, value in pairs.items()}
-    return [
-        WireStatus(name, OK, state, own),
-        *(
-            WireStatus(f"{name}: {part}", level, text, _values(*more))
-            for part, level, text, *more in parts
-        ),
-    ]
+    return [Status(name, OK, state, {key: json.dumps(value) for key, value in pairs.items()})]
 
 
-def _values(code: str = "", values: Mapping[str, str] | None = None) -> dict[str, str]:
-    return {"code": code, **(values or {})} if code else {}
+def alarm(
+    name: str, role: str, code: str, sentence: str, level: int = ERROR, *,
+    since: str = "2021-07-20T05:00:30+00:00", **values: str,
+) -> Status:
+    """Return the status of an alarm on /alarms; other devices have no role, and only warn."""
+    pairs = {
+        "number": "1", "role": role, "code": code, "since": since,
+        "serious": "true" if role and level != WARN else "false", **values,
+    }
+    return Status(name, level, sentence, {key: text for key, text in pairs.items() if text})
 
 
 def pump_report(text: str) -> dict[str, str]:
@@ -49,11 +46,15 @@ def pump_report(text: str) -> dict[str, str]:
     return {"pump_state": state, "pump_why": why}
 
 
-def store(mode: str = "simulated", site: Site = PAPER_SITE) -> GraphStore:
-    """Return a store that knows only the site of its graph."""
+def store(
+    mode: str = "simulated", site: Site = PAPER_SITE, *alarms: Status, wall: float = 100.0
+) -> GraphStore:
+    """Return a store that knows only the site of its graph, and its alarms at a time."""
     graph = GraphStore()
     graph.set_site(site)
     graph.set_present(mode=mode, factor=30.0, note="")
+    graph.update(wall)
+    graph.add_alarms(wall, START + 60 * SECOND, alarms)
     return graph
 
 

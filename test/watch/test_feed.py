@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import signal
 import threading
 import time
@@ -40,13 +39,13 @@ class Kept(GraphStore):
 
     Attributes:
         messages: by topic, the message of each time (ns since 1970).
-        present: the states of the graph that it was given, each once.
+        modes: the states of the graph that it was given, each once.
         runs: how often it started again.
     """
 
     def __init__(self) -> None:
         self.messages: defaultdict[str, dict[int, bytes]] = defaultdict(dict)
-        self.present: list[tuple[str, str]] = []
+        self.modes: list[tuple[str, str]] = []
         self.runs = -1  # it starts once on its own
         super().__init__()
 
@@ -57,8 +56,8 @@ class Kept(GraphStore):
 
     def set_present(self, **present: Any) -> None:
         said = present["mode"], present["note"]
-        if said not in self.present:
-            self.present.append(said)
+        if said not in self.modes:
+            self.modes.append(said)
         super().set_present(**present)
 
     def reset(self) -> None:
@@ -148,31 +147,10 @@ def test_of_a_run_that_is_too_fast_only_the_reports_are_shown(
         wait_for(lambda: watched.mode == "ended", 60, "the end of the run")
         shown = _shown(watched)
     reason = "This run is faster than 60 times real time"
-    assert any(note.startswith(reason) for _, note in watched.present)
+    assert any(note.startswith(reason) for _, note in watched.modes)
     assert not watched.messages
     assert shown["tiles"]["roof"]["state"] == "unknown"
     assert shown["time"]["text"].startswith("2021-07-")  # by the plant's last report
-
-
-def test_what_is_reported_of_pumps_never_stops_a_stop(domain: int) -> None:
-    """That no node can be asked is reported soon, with those that are reported."""
-    pumps = node("pump", process="a 1"), node("pump", name="/other", process="b 1")
-    with fed(domain) as (watched, feed), someone(domain) as say:
-
-        def warning() -> str:
-            say(*pumps)
-            warned: str = _shown(watched)["stop"]["warning"]
-            return warned
-
-        wait_for(warning, 60, "a warning")
-        for action, request, said in (
-            ("release", {}, "claim to be the pump node (/other and /pump"),
-            ("stop", {"owner": "the page"}, "the service hold of /other and /pump. Start"),
-        ):
-            began = time.monotonic()
-            with pytest.raises(PumpRequestError, match=re.escape(said)):
-                feed.request_action(action, **request)
-            assert time.monotonic() - began < 15
 
 
 def test_a_live_site_after_a_run_has_nothing_of_it(domain: int) -> None:
@@ -181,8 +159,8 @@ def test_a_live_site_after_a_run_has_nothing_of_it(domain: int) -> None:
     Before both nothing is received, and after them it ends at once.
     """
     with fed(domain) as (watched, _), someone(domain) as say:
-        wait_for(lambda: watched.present, 60, "a word")
-        assert watched.present == [("none", "")]
+        wait_for(lambda: watched.modes, 60, "a word")
+        assert watched.modes == [("none", "")]
 
         def is_so(mode: str, *nodes: DiagnosticStatus) -> bool:
             say(*nodes, stamp_s=1_626_757_200)

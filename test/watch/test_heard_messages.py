@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
+from greenroof_ros.ros.reports import Status
 from greenroof_ros.watch import wire
-from greenroof_ros.watch.wire import WireStatus
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 NUMBER, CLOCK = "std_msgs/msg/Float64", "rosgraph_msgs/msg/Clock"
@@ -70,11 +70,11 @@ def test_messages_are_read_as_written() -> None:
         assert read is not None
         np.testing.assert_array_equal(np.asarray(read.values), expected, strict=True)
         np.testing.assert_array_equal(np.asarray(read.front), values[:offset], strict=True)
-    assert wire.read_statuses(diagnostics()) == (
+    assert wire.read_reports(diagnostics()) == (
         1_700_000_000_000_000_005,
         [
-            WireStatus("/plant", 0, "ready", {"role": '"plant"'}),
-            WireStatus("/pump: drive", 3, "ü <b>"),
+            Status("/plant", 0, "ready", {"role": '"plant"'}, "machine"),
+            Status("/pump: drive", 3, "ü <b>"),
         ],
     )
 
@@ -89,7 +89,7 @@ READERS: list[tuple[Callable[[bytes], Any], bytes]] = [
         wire.read_rows,
         written("std_msgs/Float64MultiArray", *rows_message(np.arange(6.0), (2, 3))),
     ),
-    (wire.read_statuses, diagnostics()),
+    (wire.read_reports, diagnostics()),
 ]
 
 
@@ -123,7 +123,7 @@ def test_hostile_messages_are_cut_or_left_out() -> None:
         [made("diagnostic_msgs/DiagnosticStatus", 9, "/x", "m" * 1_000_000, "", pairs)]
         + [made("diagnostic_msgs/DiagnosticStatus", 2, "/y", "", "", [])] * 9_999,
     )
-    read = wire.read_statuses(many)
+    read = wire.read_reports(many)
     assert read is not None
     first = read[1][0]
     assert (len(read[1]), first.level, len(first.message)) == (1000, 2, 20_000)

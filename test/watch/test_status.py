@@ -12,13 +12,16 @@ from pathlib import Path
 import pytest
 from commands import run_command
 from graphs import Process, environment, wait_for
-from page_inputs import ERROR, node, pump_report, store
+from page_inputs import START, alarm, node, pump_report, store
 from peers import Peer, in_domain, repeating
+from places import CONFIG
 from test_watch_command import WITHOUT
 
+from greenroof_ros.ros.reports import Status
+from greenroof_ros.site.file import read_site
 from greenroof_ros.watch.document import join_summary, make_document
 
-TILES = ["Roof level", "Cistern level", "Pump", "Rain", "Watering"]
+TILES = ["Roof level", "Cistern level", "Pump", "Watering", "Rain", "Temperature"]
 
 
 def status(domain: int, cwd: Path, *arguments: str) -> tuple[int, list[str]]:
@@ -84,64 +87,60 @@ def test_a_run_that_is_well_and_then_has_warnings(domain: int, tmp_path: Path) -
     assert lines[1].startswith("What to do: ")
     assert re.match("Simulated run, [0-9.]+ times real time; /site1; 20", lines[2])
     assert [line[:14].strip() for line in lines[3:]] == TILES
-    assert re.match("Pump +running +[0-9.]+ L/min; commanded 100 % of its maximum flow", lines[5])
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-
-    with in_domain(domain), closing(Peer(domain, "camera")) as peer:
-        publisher = peer.node.create_publisher(DiagnosticArray, "/diagnostics", 8)
-        message = DiagnosticArray(status=[
-            DiagnosticStatus(name=f"/camera{number}", level=b"\x02", message="\x1b[31mno picture")
-            for number in range(30)
-        ])
-        with repeating(lambda: publisher.publish(message), 0.5):
-            code, lines = wait_for(
-                lambda: (seen := status(domain, tmp_path, "--namespace", "site1"))[0] == 1
-                and seen, 60, "a warning",
-            )
-    assert (code, len(lines)) == (1, 15)
-    assert lines[0].startswith("30 warnings. The roof is ")
-    assert lines[8] == "Warning: /camera0: \\x1b[31mno picture"
-    assert lines[-1] == "and 24 more lines; see 'greenroof watch'"
+    assert re.match("Pump +running +[0-9.]+ L/min", lines[5])
     run.process.send_signal(signal.SIGINT)
     assert run.wait(300) == 130
 
 
-
-
-def test_it_gives_the_pages_reasons(domain: int, tmp_path: Path) -> None:
-    """Why the pump is off, and why a level is unknown: the words of the same document."""
+def test_it_gives_the_pages_words(domain: int, tmp_path: Path) -> None:
+    """Why the pump is off, and of each alarm what to do; what does not fit is counted."""
     pytest.importorskip("rclpy", reason="nodes need ROS 2")
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
     why = "the level of the roof is unknown"
-    reports = [
-        *node("/roof_sensor", "roof_sensor", ("sensor", ERROR, "no answer", "sensor_lost"),
-              lockstep=False),
-        *node("/pump", "pump", ("pump", ERROR, f"held: {why}", "roof_level_unknown"),
-              lockstep=False, stands=True, **pump_report(f"held: {why}")),
+    reports = node("/pump", "pump", stands=True, **pump_report(f"held: {why}"))
+    alarms = [
+        alarm("/roof_sensor: sensor", "roof_sensor", "sensor_lost", "\x1b[31mno answer"),
+        *(alarm(f"/camera{number}", "", "", "no picture") for number in range(30)),
     ]
-    graph = store("live")
-    graph.add_statuses(10.0, reports)
-    graph.add_statuses(14.0, reports)  # it has lasted
-    page = make_document(graph, 14.0)
-    tiles = page["tiles"]
-    assert tiles["pump"]["why"] == why
-    assert tiles["roof"]["sentence"].endswith("no answer")
+    graph = store("live", read_site(CONFIG / "site.yaml"), *alarms)
+    graph.add_statuses(100.0, reports)
+    page = make_document(graph, 100.0)
     with in_domain(domain), closing(Peer(domain, "nodes")) as peer:
-        publisher = peer.node.create_publisher(DiagnosticArray, "/diagnostics", 8)
-        message = DiagnosticArray(status=[
-            DiagnosticStatus(
-                name=each.name, level=bytes([each.level]), message=each.message,
-                values=[KeyValue(key=key, value=text) for key, text in each.values.items()],
-            ) for each in reports
-        ])
-        with repeating(lambda: publisher.publish(message), 0.5):
+
+        def message(statuses: list[Status]) -> DiagnosticArray:
+            said = DiagnosticArray(status=[
+                DiagnosticStatus(
+                    name=each.name, level=bytes([each.level]), message=each.message,
+                    values=[KeyValue(key=key, value=text) for key, text in each.values.items()],
+                ) for each in statuses
+            ])
+            said.header.stamp.sec = START // 10**9
+            return said
+
+        topics = [
+            (peer.node.create_publisher(DiagnosticArray, topic, 8), message(statuses))
+            for topic, statuses in (("/diagnostics", reports), ("/alarms", alarms))
+        ]
+
+        def say() -> None:
+            for publisher, said in topics:
+                publisher.publish(said)
+
+        with repeating(say, 0.5):
             code, lines = wait_for(
                 lambda: (seen := status(domain, tmp_path))[1][0] == join_summary(page) and seen,
                 60, "the page's summary",
             )
-    assert code == 2
-    assert lines[1] == f"What to do: {page['advice']}"
+    assert (code, len(lines)) == (2, 15)
+    assert lines[0] == (
+        "1 alarm, 30 warnings. Roof sensor: \\x1b[31mno answer; the pump is off."
+    )
+    assert lines[1].startswith("What to do: ") and page["alarms"][0]["do"] in lines[1]
     for line, name in ((lines[3], "roof"), (lines[5], "pump")):
-        tile = tiles[name]
+        tile = page["tiles"][name]
         assert line.startswith(f"{tile['label']:14} {tile['value']:14} {tile['sentence']}")
+    first = "Alarm, Roof sensor: \\x1b[31mno answer since 20 Jul 00:00:30. "
+    assert lines[9] == first + page["alarms"][0]["do"]
+    assert lines[10].startswith("Warning, Camera0: no picture since ")
+    assert lines[-1] == "and 28 more lines; see 'greenroof watch'"

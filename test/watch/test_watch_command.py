@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import resource
-import shlex
 import signal
 import socket
 import subprocess
@@ -255,24 +254,27 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
         wait_for(lambda: read_state(port)["stop"]["stopped"], 60, "the stop")
         assert tile()["state"] == "held"
         advice = read_state(port)["advice"]
-        greenroof, *release = shlex.split(advice.partition("release it with: ")[2])
-        assert greenroof == "greenroof" and advice.startswith("The pump is held off by the page s")
+        command = advice.partition("release it with: ")[2]
+        assert advice.startswith("The pump is held off by the page since ")
         held = wait_for(
             lambda: (seen := status_of(domain, tmp_path))[0] == 1
             and "stopped, according to the drive" in seen[1] and seen[1], 90, "a warning",
         )
         assert "\nLive site; /site1; 20" in held and "\nPump           held " in held
-        assert "\nWarning: /site1/pump: pump: held: " in held and "\nAlarm: " not in held
+        assert "\nWarning, Pump: held: " in held and "\nAlarm, " not in held
         os.kill(child_of(process, b"greenroof_ros.live.controller"), signal.SIGKILL)
         wait_for(
-            lambda: "Onoff was restarted" in str(read_state(port)["events"]), 60,
+            lambda: "Controller: " in str(read_state(port)["events"]), 60,
             "another controller",
         )
         wait_for(
             lambda: read_state(port)["tiles"]["watering"]["value"] == "wanted", 60, "a command"
         )
         assert tile()["state"] == "held" and drive.speed() < 0.005
-        assert Process(domain, *release, cwd=tmp_path).wait(300) == 0
+        done = subprocess.run(
+            command, shell=True, cwd=tmp_path, env=environment(0), timeout=300, check=False,
+        )
+        assert done.returncode == 0  # in any terminal of this machine
         wait_for(lambda: not read_state(port)["stop"]["hold"], 60, "the pump released")
         assert "stopped" not in tile()["why"]
         drive.inject("drive_fault")
@@ -280,7 +282,7 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
             lambda: (seen := status_of(domain, tmp_path))[0] == 2
             and "\nPump           fault " in seen[1] and seen[1], 90, "an alarm",
         )
-        assert "\nAlarm: /site1/pump: pump: " in fault
+        assert "\nAlarm, Pump: " in fault
         page = child_of(process)
     assert page and not alive(page)
     assert "the watcher has exited" not in process.stderr()
@@ -363,5 +365,4 @@ def test_a_killed_site_is_told_first(domain: int, tmp_path: Path) -> None:
         assert [row["id"] for row in told["alarms"]] == ["site"]
         states = {name: told["tiles"][name]["state"] for name in ("roof", "pump", "watering")}
         assert {*states.values()} <= {"unknown", "alarm"}, states
-        assert told["events"][0]["what"] == "The site's program no longer runs"
         end(page)

@@ -6,8 +6,8 @@ const { uPlot } = window;
 // Of each chart: the quantities of its axes, and its lines with their names, labels, colours and dashes.
 const CHARTS = [
   { left: "roof", right: "cistern", height: 240, lines: [
-    ["roof", "roof", "--roof"], ["roof_expected", "expected an hour before", "--roof", [2, 3]],
-    ["roof_planned", "planned", "--roof", [6, 4]], ["target", "target", "--target", [1, 3]],
+    ["roof", "roof", "--roof"], ["roof_planned", "planned", "--roof", [6, 4]],
+    ["target", "target", "--target", [1, 3]],
     ["cistern", "cistern", "--cistern"],
   ] },
   { left: "flow", right: "rain", height: 200, steps: true, lines: [
@@ -20,15 +20,12 @@ const FONT = "12px Arial, Helvetica, sans-serif";
 export const plots = [];
 let shown = null; // the series
 let zoomed = null; // times between which it is shown (s since 1970)
-let offsets = []; // of the site's clock: times (s since 1970) from which on each offset from UTC (h) holds
+let clock = null; // of the site: writes a time as 2021-07-20 05:00:00
 
-export const setClock = (clock) => { offsets = clock; };
-// A time (s since 1970) as a date whose UTC is the site's time.
-const local = (at) => {
-  const [, offset] = offsets.findLast(([from]) => from <= at) ?? offsets[0] ?? [0, 0];
-  return new Date((at + offset * 3600) * 1000);
+export const setZone = (zone) => {
+  clock = new Intl.DateTimeFormat("sv-SE", { timeZone: zone, dateStyle: "short", timeStyle: "medium" });
 };
-export const timeText = (at) => local(at).toISOString().slice(0, 19).replace("T", " ");
+export const timeText = (at) => clock.format(new Date(at * 1000));
 // A time on the axis: the date at midnight, otherwise the time.
 const tickText = (at) => {
   const [date, time] = timeText(at).split(" ");
@@ -51,7 +48,7 @@ const options = (chart, width) => {
   };
   return {
     width, height: chart.height,
-    tzDate: (at) => uPlot.tzDate(local(at), "Etc/UTC"),
+    tzDate: (at) => uPlot.tzDate(new Date(`${timeText(at).replace(" ", "T")}Z`), "Etc/UTC"),
     scales: { x: { range: () => zoomed ?? [shown.from, shown.to] }, [chart.left]: { range }, [chart.right]: { range } },
     axes: [
       { font: FONT, stroke: colour("--ink"), space: 60, grid: { stroke: colour("--grid") }, values: (_, splits) => splits.map(tickText) },

@@ -1,15 +1,15 @@
 // The page polls the state and the charts, and shows them. Every text is set as text, never as HTML, since
 // some texts come from other devices.
 
-import { draw, follow, plots, setClock, timeText } from "/charts.js";
+import { draw, follow, plots, setZone, timeText } from "/charts.js";
 
 const POLL = 1000; // ms between two states
 const CHARTS_POLL = 10_000; // ms between two drawings of the charts
 const SILENT = 6000; // ms after which the last state counts as old
 const REPORTED = 3000; // ms after which the state contains the effect of an action
-const LEVELS = { error: "Alarm", warn: "Warning", stale: "Not responding" };
+const LEVELS = { error: "Alarm", warn: "Warning" };
 // Colours of the values, by their state; other states have none.
-const TONES = { good: "ok", running: "ok", starting: "ok", low: "warn", high: "warn", held: "warn", alarm: "error", fault: "error" };
+const TONES = { good: "ok", running: "ok", starting: "ok", low: "warn", high: "warn", held: "warn", doubtful: "warn", cold: "warn", alarm: "error", fault: "error" };
 // Of each action: its question, the answer that confirms it, and what is unknown if it fails.
 const ACTIONS = {
   stop: ["Stop the pump?", "Yes, stop the pump", "the pump will stop"],
@@ -119,7 +119,7 @@ const show = (received) => {
   heard = Date.now();
   const failed = [];
   const parts = {
-    "the stop": showStop, "the clock": ({ time }) => setClock(time.clock), "what to do": showBox, "the summary": showSummary,
+    "the stop": showStop, "the clock": ({ time }) => setZone(time.zone), "what to do": showBox, "the summary": showSummary,
     "the heading": showHead, "the values": showTiles, "the alarms": showAlarms, "the events": showEvents,
   };
   for (const [name, part] of Object.entries(parts)) {
