@@ -45,19 +45,24 @@ class Clock:
             self._turn.wait_for(lambda: self._due is None)
 
     def wake(self) -> None:
-        if self._wakes:
-            self._due = self.now
+        with self._turn:
+            if self._wakes and self._due is not None:
+                self._due = self.now
 
     def advance(self, thread: threading.Thread) -> None:
-        """Let time pass until the thread goes on, at most one step."""
+        """Let at most one step pass; the thread is parked before and after."""
         with self._turn:
-            while self._due is None and thread.is_alive():
-                self._turn.wait(0.01)
+            self._wait_for(thread)
             if self._due is not None:
                 self.now = max(self.now, min(self._due, self.now + STEP_S))
                 if self.now >= self._due:
                     self._due = None
                     self._turn.notify_all()
+                    self._wait_for(thread)
+
+    def _wait_for(self, thread: threading.Thread) -> None:
+        while self._due is None and thread.is_alive():
+            self._turn.wait(0.01)
 
 
 class Wake(threading.Event):

@@ -273,7 +273,7 @@ class PumpNode(ActuatorNode):
             reasons=[*self._reasons(snapshot, now)],
         ))
         self._decision = decision
-        self._exchange.disbelieved = decision.flows_at_rest
+        self._exchange.flows_at_rest = decision.flows_at_rest
         self._exchange.request_speed(decision.speed)
         if decision.shown != before.shown:
             self.publish("/pump/state", decision.shown.message())

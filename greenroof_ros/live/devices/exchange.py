@@ -222,20 +222,20 @@ class StopMonitor:
         self._unread_from = math.inf
 
     def check(
-        self, status: DriveStatus, now: float, disbelieved: bool = False
+        self, status: DriveStatus, now: float, flows_at_rest: bool = False
     ) -> DriveStatus:
         """Return a drive's status, with a fault added if the drive runs on after *stop*.
 
         Args:
             status: the status.
             now: the time.
-            disbelieved: whether the pump is running although the drive reports standstill.
+            flows_at_rest: whether the pump is running although the drive reports standstill.
 
         Raises:
             RunsOnError: if the fault has been visible for long enough or is certain.
         """
         fall, reported_at, self._reported_at = self._fall, self._reported_at, math.inf
-        if disbelieved and fall is not None and status.at_rest:
+        if flows_at_rest and fall is not None and status.at_rest:
             raise RunsOnError(
                 "drive", f"{self._where}: the drive reports standstill, but water is flowing"
             )
@@ -356,7 +356,7 @@ class DriveExchange(DeviceThread):
 
     Attributes:
         endpoint: the drive.
-        disbelieved: whether the caller knows that the pump is running although the drive reports
+        flows_at_rest: whether the caller knows that the pump is running although the drive reports
             standstill.
     """
 
@@ -377,7 +377,7 @@ class DriveExchange(DeviceThread):
         """
         super().__init__("communication with the drive")
         self._snapshot, self._lock = DriveSnapshot(), threading.Lock()
-        self.endpoint, self.disbelieved = endpoint, False
+        self.endpoint, self.flows_at_rest = endpoint, False
         self._drive: Connection = endpoint.connection(TIMEOUT_S)
         self._drive_lock: socket.socket | None = None
         self._period_s = max(PERIOD_S, endpoint.period)
@@ -645,7 +645,7 @@ class DriveExchange(DeviceThread):
             time.sleep(self._period_s)
             return
         self._unanswered = 0
-        status = self._stop_monitor.check(status, time.monotonic(), self.disbelieved)
+        status = self._stop_monitor.check(status, time.monotonic(), self.flows_at_rest)
         self._update(
             status=status, read_at=boot_time(), problem=problem, unguarded=self._unguarded()
         )

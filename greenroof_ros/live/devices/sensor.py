@@ -570,7 +570,7 @@ class MqttReader(SensorReader):
         first = Reading(problem=f"{sensor.address}: not yet connected", code="broker_lost")
         super().__init__(sensor, unit, spread_s, first)
         # When the last message arrived, and until when messages are rejected (s).
-        self._heard_at, self._ignoring_until = -math.inf, -math.inf
+        self._received_at, self._ignoring_until = -math.inf, -math.inf
         self._client = make_client(
             broker, f"greenroof_{name}", self._on_connect, self._on_message, self._on_disconnect,
         )
@@ -595,7 +595,7 @@ class MqttReader(SensorReader):
     # --- in the client's thread -------------------------------------------------------------------
 
     def _on_connect(self) -> None:
-        self._heard_at = -math.inf
+        self._received_at = -math.inf
         self._fail("has sent nothing yet")
         self._client.subscribe(self._topic)
 
@@ -619,7 +619,7 @@ class MqttReader(SensorReader):
         if retained:
             raise ValueError("has not yet sent a new message; the retained message may be old")
         suspended = self._clear_after_suspend()
-        before, self._heard_at = self._heard_at, now
+        before, self._received_at = self._received_at, now
         if suspended or now - before > self.sensor.max_age:
             self._ignoring_until = now + _IGNORING_S
             raise ValueError("is sending again, but its first messages may be old")
