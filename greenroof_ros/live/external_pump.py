@@ -29,7 +29,7 @@ from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.states import DriveState, PumpState
 from greenroof_ros.live.actuator import STATE_FILE, ActuatorNode
 from greenroof_ros.live.boot_clock import boot_time
-from greenroof_ros.live.engine import LIMITS, live_parameters
+from greenroof_ros.live.levels import LIMITS, live_parameters
 from greenroof_ros.live.live_diagnostics import ERROR, OK, WARN
 from greenroof_ros.live.node import live_command
 from greenroof_ros.live.pumping.input_rules import AWAITED
@@ -114,7 +114,7 @@ class ExternalPumpNode(ActuatorNode):
         """Judge the driver, publish the hold, and return the state of the pump."""
         now = boot_time()
         dt, self._stepped = min(now - self._stepped, PAUSE_S), now
-        self._engine.check_inputs()
+        self.check_inputs()
         flow = self._known_flow()
         command = float(self._command.value) if self._command.good else 0.0
         must_stop = command == 0 or bool(self._hold_sent)

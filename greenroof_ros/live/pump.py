@@ -41,7 +41,7 @@ from greenroof_ros.live.devices.exchange import (
     Endpoint,
     read_endpoint,
 )
-from greenroof_ros.live.engine import LIMITS, Levels, live_parameters
+from greenroof_ros.live.levels import LIMITS, Levels, live_parameters
 from greenroof_ros.live.live_diagnostics import ERROR, OK, WARN
 from greenroof_ros.live.live_input import bad_inputs, join_diagnoses
 from greenroof_ros.live.node import live_command
@@ -255,7 +255,7 @@ class PumpNode(ActuatorNode):
     def _step(self) -> Decision:
         """Decide based on the current observations, command the drive, and publish the state."""
         now, dt = boot_time(), self._elapsed()
-        self._engine.check_inputs()
+        self.check_inputs()
         snapshot = self._exchange.snapshot
         status = snapshot.status_at(now)
         # A trip of the drive's own timeout clears automatically, and one that is being
