@@ -54,7 +54,7 @@ from greenroof_ros.interface.conditions import (
     read_interlocks,
 )
 from greenroof_ros.interface.topics import Topic, read_topics
-from greenroof_ros.live.devices import drive_file, relay_file, sensor_file
+from greenroof_ros.live.devices import drive_file, sensor_file
 from greenroof_ros.live.pumping.limits import pump_parameters
 from greenroof_ros.physics.storm_water import Event
 from greenroof_ros.results.metrics import METRICS
@@ -322,15 +322,15 @@ _DRIVE_PARTS = {
 
 
 _RELAY_PARTS = {
-    "the file": relay_file.RelayFile,
+    "the file": drive_file.RelayFile,
     "`sources`, each": drive_file.Source,
-    "`questions`, each": relay_file.Question,
-    "`state`": relay_file.RelayState,
-    "`timer`": relay_file.Timer,
-    "`timer.scales`, each": relay_file.Scale,
-    "`must`, each": relay_file.Setting,
-    "`name`": relay_file.Value,
-    "`switch_on`, `switch_off`": relay_file.RelayMessage,
+    "`questions`, each": drive_file.Question,
+    "`state`": drive_file.RelayState,
+    "`timer`": drive_file.Timer,
+    "`timer.scales`, each": drive_file.Scale,
+    "`must`, each": drive_file.Setting,
+    "`name`": drive_file.Value,
+    "`switch_on`, `switch_off`": drive_file.RelayMessage,
 }
 
 
@@ -406,7 +406,7 @@ def relays() -> str:
     """Return the relays with files in the package, and what is not verified in them."""
     parts = []
     for path in _files_of_drives(relays=True):
-        relay = relay_file.read_relay_file(path)
+        relay = drive_file.read_relay_file(path)
         parts += [
             f"### {path.stem}\n\n{cell(relay.make)}: {cell(relay.model)}.\n",
             "**Timer of the relay**\n",

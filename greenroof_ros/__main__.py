@@ -74,6 +74,7 @@ GROUPS = {
         "verify": Command("verify", "compare rain forecasts with records"),
     },
     "connect your own parts": {
+        "simulators live": Command("simulated_live", "try a live site on simulated devices"),
         "check-controller": Command("check_controller", "check a controller class or a controller "
         "node"),
         "check-pump": Command("check_pump", "check whether a pump driver conforms to the "

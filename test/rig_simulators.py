@@ -27,20 +27,24 @@ from pathlib import Path
 from greenroof_ros.base.command_line import add_site, command
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.mqtt import parse_topic
-from greenroof_ros.live.devices.drive_file import DriveFile, find_drive_file, read_drive_file
+from greenroof_ros.live.devices.drive_file import (
+    DriveFile,
+    find_drive_file,
+    read_drive_file,
+    read_relay_file,
+)
 from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine, parse_address
-from greenroof_ros.live.devices.relay_file import read_relay_file
 from greenroof_ros.live.devices.sensor_file import default_sensors, read_sensors
-from greenroof_ros.live.simulators.control_profiles import DRIVES
-from greenroof_ros.live.simulators.server import WRITES, Connection, Device, Server
-from greenroof_ros.live.simulators.simulated_drive import (
+from greenroof_ros.live.simulators.drive import (
+    DRIVES,
     DriveSettings,
     Motion,
     SimulatedDrive,
     drive_server,
 )
-from greenroof_ros.live.simulators.simulated_relay import RELAYS, RelayOnBroker, SimulatedRelay
-from greenroof_ros.live.simulators.simulated_site import SimulatedSite
+from greenroof_ros.live.simulators.relay import RELAYS, RelayOnBroker, SimulatedRelay
+from greenroof_ros.live.simulators.server import WRITES, Connection, Device, Server
+from greenroof_ros.live.simulators.site import SimulatedSite
 from greenroof_ros.physics.parameters import State
 from greenroof_ros.physics.pump import flow_at
 from greenroof_ros.physics.start import initial_states
@@ -350,7 +354,6 @@ class FaultyDrive(SimulatedDrive):
                     self.write_raw(self.timeout.action.register, min(self.timeout.action.runs_on))
                 else:
                     self.write_raw(self.timeout.register, min(self.timeout.off_values, default=0))
-                self.apply_settings()
 
     def power_cycle(self) -> None:
         """Lose power for a moment: the motor coasts, and nothing answers until it has booted."""

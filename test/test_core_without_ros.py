@@ -16,7 +16,7 @@ import greenroof_ros
 for name in ("rclpy", "rcl_interfaces", "std_msgs", "std_srvs", "rosgraph_msgs", "diagnostic_msgs",
              "builtin_interfaces", "ament_index_python", "launch", "rosbag2_py"):
     sys.modules[name] = None  # its import fails
-graph = r"(nodes|graph|model|common|bringup\.composition)\b"  # see below
+graph = r"(nodes|ros|model|common|bringup\.composition)\b"  # see below
 graph += r"|live\.(?!devices|pumping|simulators)"
 if importlib.util.find_spec("gymnasium") is None:
     graph += r"|gym|analysis\.api\.(gym|vector)\b"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from greenroof_ros.base.command_line import Parser, command
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.live.devices.drive_file import find_drive_file
-from greenroof_ros.live.devices.endpoint import Endpoint, read_endpoint
+from greenroof_ros.live.devices.exchange import Endpoint, read_endpoint
 from greenroof_ros.live.devices.modbus_line import check_installed
 from greenroof_ros.live.devices.relay import RelayEndpoint
 from greenroof_ros.live.devices.sensor_file import Sensors, default_sensors, read_sensors
@@ -90,15 +90,15 @@ def _find_make(simulated: Mapping[str, type[_Device]], make: str) -> type[_Devic
 
 
 async def _simulate(run: Run, sensors: Sensors, endpoint: Endpoint) -> None:
-    from greenroof_ros.live.simulators.control_profiles import DRIVES
-    from greenroof_ros.live.simulators.server import Server
-    from greenroof_ros.live.simulators.simulated_drive import (
+    from greenroof_ros.live.simulators.drive import (
+        DRIVES,
         DriveSettings,
         SimulatedDrive,
         drive_server,
     )
-    from greenroof_ros.live.simulators.simulated_relay import RELAYS, RelayOnBroker, SimulatedRelay
-    from greenroof_ros.live.simulators.simulated_site import SimulatedSite
+    from greenroof_ros.live.simulators.relay import RELAYS, RelayOnBroker, SimulatedRelay
+    from greenroof_ros.live.simulators.server import Server
+    from greenroof_ros.live.simulators.site import SimulatedSite
 
     began, ended = time.monotonic(), asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):

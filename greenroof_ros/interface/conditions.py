@@ -95,9 +95,7 @@ def command_for(node: str, name: str) -> str:
 @functools.cache
 def read_conditions() -> dict[str, Condition]:
     """Return all conditions, keyed by code, in the order of the table."""
-    table: dict[str, dict[str, Any]] = read_yaml(
-        shared_directory() / "msg_defs" / "conditions.yaml"
-    )
+    table = read_yaml(shared_directory() / "msg_defs" / "conditions.yaml")
     return {
         code: Condition(**row, interlock=None if interlock is None else Interlock(**interlock))
         for code, row in table.items() for interlock in (row.pop("interlock", None),)

@@ -9,7 +9,13 @@ from pathlib import Path
 from greenroof_ros.base.command_line import refuse
 from greenroof_ros.controllers.registry import EXTERNAL
 from greenroof_ros.live.devices.drive_file import find_drive_file
-from greenroof_ros.live.devices.endpoint import CHOICE, Endpoint, read_endpoint
+from greenroof_ros.live.devices.exchange import (
+    CHOICE,
+    DriveInUseError,
+    Endpoint,
+    read_endpoint,
+    stop_drive,
+)
 from greenroof_ros.live.supervisor import StopDrive
 
 _MAY_RUN = (
@@ -56,9 +62,6 @@ class DriveChoice:
         Raises:
             ConfigurationError: if the file or the address is invalid.
         """
-        from greenroof_ros.live.devices.exchange import stop_drive
-        from greenroof_ros.live.devices.lock import DriveInUseError
-
         endpoint = self.read()
         endpoint.connection()  # load its library now, since the disk may hang when it is needed
 

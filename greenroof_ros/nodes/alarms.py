@@ -27,11 +27,12 @@ from rclpy.time import Time
 from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.standard_error import Lines
-from greenroof_ros.interface.alarm import ALARMS, ERROR, to_status
+from greenroof_ros.interface.alarm import ALARMS, ERROR
 from greenroof_ros.interface.states import READY
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.nodes.alarm_log import AlarmLog
 from greenroof_ros.nodes.start_list import StartList
+from greenroof_ros.ros.alarm_status import to_status
 from greenroof_ros.ros.alarms import RESTARTED, ROLE, Judge
 from greenroof_ros.ros.diagnostics import NodeDiagnostics
 from greenroof_ros.ros.errors import MalformedMessageError

@@ -19,9 +19,10 @@ import numpy as np
 from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.text import clean_text
 from greenroof_ros.base.times import duration
-from greenroof_ros.interface.alarm import Alarm, read_status
+from greenroof_ros.interface.alarm import Alarm
 from greenroof_ros.interface.states import PUMP, PUMP_STATES, PumpState
 from greenroof_ros.interface.topics import read_topics
+from greenroof_ros.ros.alarm_status import read_status
 from greenroof_ros.ros.reports import NodeReport, Status
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site

@@ -24,7 +24,7 @@ from greenroof_ros.base.processes import lock_file
 from greenroof_ros.bringup.simulated import make_parser, simulated_run
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.live.devices.drive_file import find_drive_file
-from greenroof_ros.live.devices.lock import acquire_drive_lock
+from greenroof_ros.live.devices.exchange import acquire_drive_lock
 from greenroof_ros.live.drive_choice import DriveChoice
 from greenroof_ros.live.live_site import LiveSite
 from greenroof_ros.live.live_site import make_parser as live_site_parser

@@ -130,8 +130,7 @@ def test_a_site_is_kept_up_and_systemd_told(
     assert counts.keys() == {
         *LEVELS, *FORECASTS, "/gauge/temperature", "/weather/frost", "/weather/precipitation",
         "/weather/evapotranspiration", "/pump/command", "/pump/hold", "/pump/state",
-        "/diagnostics", "/controller/cost",
-        "/controller/solver_status", "/alarms",
+        "/diagnostics", "/controller/cost", "/controller/solver_status", "/alarms",
     }
     assert counts["/pump/command"] == pytest.approx(len(commands), abs=30)
     assert stamps == sorted(stamps)

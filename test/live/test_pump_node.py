@@ -36,8 +36,7 @@ from std_srvs.srv import SetBool, Trigger
 from greenroof_ros.base.times import to_people
 from greenroof_ros.commands.pump_requests import _parse_future_time
 from greenroof_ros.live.devices.drive_file import find_drive_file
-from greenroof_ros.live.devices.endpoint import read_endpoint
-from greenroof_ros.live.devices.exchange import DriveExchange, DriveSnapshot
+from greenroof_ros.live.devices.exchange import DriveExchange, DriveSnapshot, read_endpoint
 from greenroof_ros.live.pumping.state_file import StateFile
 
 
@@ -257,7 +256,10 @@ def test_commands_that_must_not_pump(rig: PumpRig) -> None:
     volatile = Node("volatile", context=rig.observer.context)
     volatile.create_publisher(Float64, "/pump/command", 10)
     rig.until_at_rest()
-    rig.until_reported("command", ERROR, "incompatible QoS (volatile)")
+    rig.until_reported(
+        "command", ERROR, "incompatible QoS (volatile): it has no liveliness lease, but must be "
+        "reliable, transient local",
+    )
     volatile.destroy_node()
     rig.run()
     assert rig.shows("command", OK)

@@ -7,9 +7,14 @@ from __future__ import annotations
 
 import os
 
-from greenroof_ros.live.devices.exchange import FIRST_WAIT_S, PERIOD_S, SILENCE_MARGIN_S
-from greenroof_ros.live.devices.stop_monitor import RUNS_ON_S, VISIBLE_S
-from greenroof_ros.live.engine import LIMITS
+from greenroof_ros.live.devices.exchange import (
+    FIRST_WAIT_S,
+    PERIOD_S,
+    RUNS_ON_S,
+    SILENCE_MARGIN_S,
+    VISIBLE_S,
+)
+from greenroof_ros.live.levels import LIMITS
 from greenroof_ros.live.live_bag import FLUSH_S
 from greenroof_ros.live.pump import parameters as parameters_of_pump
 from greenroof_ros.physics.pump import flow_at

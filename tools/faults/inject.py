@@ -37,7 +37,6 @@ from greenroof_ros.base.processes import child_environment
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.live.devices.drive_file import read_drive_file
 from greenroof_ros.live.devices.modbus_line import encode, parse_address
-from greenroof_ros.live.simulators.control_profiles import DRIVES
 
 _SIGNALS = {"kill": signal.SIGKILL, "term": signal.SIGTERM}
 # Shorter than every limit (s).
@@ -316,8 +315,6 @@ def _rewrite_timeout(rig: Rig, case: Case, undo: ExitStack) -> None:
         words = encode(seconds / register.scale, register.type, register.word_order)
         for number, word in enumerate(words):
             line.write(register.address + number, word)
-        if refresh := DRIVES[file.make].EXTRA.get("refresh"):  # without it an ABB keeps the former
-            line.write(refresh, 1)
         line.close()
 
     write(min(register.high, _LONG_TIMEOUT_S))

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.devices.drive_file import (
+    LIMIT_S,
     Codes,
     DriveFile,
     Register,
@@ -270,7 +271,8 @@ class Drive:
         if same or not self._echoes:
             return None
         return Diagnosis.of(
-            "second_master", "word", where=self.line.where, word=word, written=self._word
+            "second_master", "word", "pause", where=self.line.where, word=word, written=self._word,
+            pause=LIMIT_S,
         )
 
     # --- sequences --------------------------------------------------------------------------------

@@ -1,80 +1,298 @@
-"""Control of a drive from a separate thread, which stops the drive when requests cease."""
+"""Control of a drive or a relay from a separate thread, which stops it when requests cease."""
 
 from __future__ import annotations
 
-import enum
 import math
 import socket
+import threading
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeAlias
 
+from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.files import read_yaml
+from greenroof_ros.base.mqtt import parse_topic
+from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.base.processes import LockedError, acquire_name_lock
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.boot_clock import boot_time
-from greenroof_ros.live.devices.drive import DriveStatus
-from greenroof_ros.live.devices.drive_file import MAX_RAMP_S
-from greenroof_ros.live.devices.endpoint import Connection, Endpoint
-from greenroof_ros.live.devices.lock import DriveInUseError, acquire_drive_lock
-from greenroof_ros.live.devices.modbus_line import DeviceSnapshot, DeviceThread, DriveError
-from greenroof_ros.live.devices.stop_monitor import (
-    RUNS_ON_S,
-    Deceleration,
-    RunsOnError,
-    StopMonitor,
+from greenroof_ros.live.devices.drive import Drive, DriveEndpoint, DriveStatus
+from greenroof_ros.live.devices.drive_file import (
+    LIMIT_S,
+    MAX_RAMP_S,
+    read_drive_file,
+    read_relay_file,
 )
+from greenroof_ros.live.devices.modbus_line import DeviceThread, DriveError, parse_drive_address
+from greenroof_ros.live.devices.relay import Relay, RelayEndpoint
 
-# Time between two rounds of requests (s).
-PERIOD_S = 0.1
+# Time between two rounds of requests (s), and how long each may wait for its response (s).
+PERIOD_S, TIMEOUT_S = 0.1, 0.5
+# Time without a request of the caller after which the drive is stopped (s).
+DEAD_MAN_S = 1.0
+# Longest time until a change is noticed (s): two rounds whose requests wait for their responses.
+NOTICE_S = 1.0
+# The connection is treated as lost after this many consecutive rounds without a valid answer.
+LOST_AFTER = 2
 # Wait before a new attempt to connect (s): the first, and the longest.
-FIRST_WAIT_S, MAX_WAIT_S = 0.25, 5.0
-# A drive being stopped must not keep its speed for longer than this (s), or it is
-# treated as one that does not stop.
-STEADY_S = 3.0
+FIRST_WAIT_S, MAX_WAIT_S = 0.25, LIMIT_S / 2
+# Time in which the drive must acknowledge its fault (s); after that, the fault counts again.
+RESET_S = LIMIT_S / 2
+# Interval at which the drive's safety-relevant settings are read again (s).
+SETTINGS_S = MAX_RAMP_S
+# By how much a silence exceeds the drive's own communication timeout (s).
+SILENCE_MARGIN_S = NOTICE_S
+
+# The minimum decrease of the speed that counts (share of the rated speed).
+SLOWER = 0.005
+# A drive that acknowledges *stop* has a fault if its speed has not fallen for RUNS_ON_S (s), which
+# is longer than a drive needs to begin its ramp. It is left in silence once the fault has been
+# visible for VISIBLE_S (s), which is longer than the caller's step, even if a connection breaks
+# meanwhile. Together they do not exceed the default time for which pump control waits for a speed
+# to follow beyond the ramp (follow_time).
+RUNS_ON_S, VISIBLE_S = LIMIT_S, 2 * NOTICE_S
+# Minimum time from a silence that did not help to the next one (s): the fault may need a person.
+RUNS_ON_AGAIN_S = 2 * MAX_RAMP_S
 # A drive whose speed cannot be read may still receive orders for this long (s); after that, a
 # silence follows in which its own timeout can expire.
 UNREAD_S = RUNS_ON_S + MAX_WAIT_S
+# At the end, a drive that keeps its speed for longer than this (s) is treated as one that does not
+# stop.
+STEADY_S = 3 * NOTICE_S
 # Longest time for which driver and supervisor each wait for a drive to come to rest (s): its ramp
 # and the requests. It must fit into the 40 s that bringup gives the pump node to end. Both waits,
 # one after the other, must fit into the 120 s of examples/greenroof.service.
-REST_LIMIT_S = MAX_RAMP_S + 3.0
-# For how long a drive that failed to start is left off before the next attempt (s).
-PAUSE_S = 2.0
-# The same after the last sign of another writer (s), which is longer than a slow writer's period.
-SECOND_MASTER_PAUSE_S = 10.0
-# Time in which the drive must acknowledge its fault (s); after that, the fault counts again.
-RESET_S = 5.0
-# Maximum age of the drive's status (s). During a start, no status arrives for some seconds; a lost
-# connection is noticed sooner.
-STATUS_AGE_S = 10.0
-# Interval at which the drive's safety-relevant settings are read again (s).
-SETTINGS_S = 30.0
-# By how much a silence exceeds the drive's own communication timeout (s).
-SILENCE_MARGIN_S = 1.0
-# Wait before a new attempt to acquire the lock of the drive (s).
-LOCK_WAIT_S = 1.0
-# The connection is treated as lost after this many consecutive cycles without a valid answer.
-LOST_AFTER = 2
+REST_LIMIT_S = MAX_RAMP_S + STEADY_S
+
+# How a user chooses a drive: parameters of the pump node, and options of bringup.
+CHOICE = (
+    Parameter(
+        "drive", "", meaning="make of the drive: a name in config/drives/, or a drive file",
+    ),
+    Parameter(
+        "address", "", meaning="address of the drive: tcp://HOST:PORT for its own Ethernet port, "
+        "gateway://HOST:PORT for a gateway to its serial port, or a serial line such as "
+        "/dev/ttyUSB0. If the device id differs from that in the drive file, append it after a "
+        "comma: gateway://HOST:PORT,17. For a relay: mqtt://HOST[:PORT]/DEVICE, where DEVICE is "
+        "the relay's topic at the broker; mqtts:// for TLS",
+    ),
+    Parameter(
+        "broker_login", "", meaning="YAML file with the username and password for a relay's broker",
+    ),
+    Parameter(
+        "broker_authority", "", meaning="file of trusted certificates (PEM) for a relay's broker, "
+        "if the system does not trust its certificate",
+    ),
+)
+
+Endpoint: TypeAlias = DriveEndpoint | RelayEndpoint
+Connection: TypeAlias = Drive | Relay
 
 
-class ExchangeState(enum.Enum):
-    """The state of the exchange with a drive; see `DriveExchange`."""
+def read_endpoint(
+    file: Path, at: str, key: str, login: str = "", authority: str = ""
+) -> Endpoint:
+    """Read a drive file or a relay file (recognized by its key ``protocol``), and add an address.
 
-    CONNECTING = "connecting"
-    STOPPED = "stopped"
-    RUNNING = "running"
-    STOPPING = "stopping"
-    SILENT = "silent"
+    Args:
+        file: the drive file or relay file.
+        at: address of the drive or relay. For a relay, this is ``mqtt://HOST[:PORT]/DEVICE``, or
+            ``mqtts`` over TLS; for a drive, see
+            :func:`greenroof_ros.live.devices.modbus_line.parse_drive_address`.
+        key: name of the option or parameter that gives the address, for messages.
+        login: file with ``username`` and ``password`` for a relay's broker; empty for none.
+        authority: file of trusted certificates (PEM) for a relay's broker; empty to use those of
+            the system.
+
+    Raises:
+        ConfigurationError: if the file or the address is invalid.
+    """
+    if "protocol" in read_yaml(file):
+        return RelayEndpoint(read_relay_file(file), *parse_topic(at, key, login, authority))
+    if login or authority:
+        raise ConfigurationError(
+            "has no broker to log in to: a login and certificates are only used for a relay on "
+            "MQTT",
+            key=key, value=at,
+        )
+    return DriveEndpoint(read_drive_file(file), parse_drive_address(at, key))
+
+
+class DriveInUseError(DriveError):
+    """Error for a drive that another process controls.
+
+    Attributes:
+        holder: id of the process that holds the lock; None if it is unknown.
+    """
+
+    def __init__(self, message: str, holder: int | None) -> None:
+        super().__init__("drive", message)
+        self.holder = holder
+
+
+def acquire_drive_lock(drive: Endpoint) -> socket.socket:
+    """Acquire the lock of a drive, and return it; closing the socket releases the lock.
+
+    Only one process on this machine, regardless of its user, can hold the lock at a time. A serial
+    line is locked as a whole, with all devices on it. The lock does not exclude a driver on another
+    computer, or in a container with its own network.
+
+    Raises:
+        DriveInUseError: if another process holds the lock.
+        DriveError: if the system denies the lock or the host is unknown.
+    """
+    try:
+        name = drive.lock_name()
+    except OSError as error:
+        raise DriveError(
+            "connection", f"{drive}: cannot connect: the host was not found ({error.strerror})"
+        ) from error
+    try:
+        return acquire_name_lock(f"drive-{name}")
+    except LockedError as error:
+        raise DriveInUseError(
+            f"{drive}: process {error.holder or 'unknown'} on this computer is already running "
+            "this drive; once that process ends, this one continues automatically", error.holder,
+        ) from None
+    except OSError as error:
+        raise DriveError(
+            "drive",
+            f"{drive}: its lock cannot be acquired ({error.strerror}); without the lock, two "
+            "programs could run the same drive",
+        ) from error
+
+
+class RunsOnError(DriveError):
+    """Error for a drive that runs on after *stop*; nothing must be sent to it for a while."""
+
+
+class Deceleration:
+    """The fall of a drive's speed after *stop*."""
+
+    def __init__(self) -> None:
+        self._lowest, self._fell_at = math.inf, -math.inf
+
+    def update(self, status: DriveStatus, now: float) -> float:
+        """Process a drive's status, and return the time since its speed last fell (s)."""
+        if abs(status.speed) < self._lowest - SLOWER:
+            self._lowest, self._fell_at = abs(status.speed), now
+        return now - self._fell_at
+
+
+class StopMonitor:
+    """Monitor that checks whether a drive obeys *stop*, even across lost connections.
+
+    A drive obeys if its speed falls, however slowly. A drive under local control is left to the
+    person at its panel. All times are those of `time.monotonic` (s).
+    """
+
+    def __init__(self, where: str) -> None:
+        """Initialize the monitor without any knowledge of the drive.
+
+        Args:
+            where: address of the drive, for messages.
+        """
+        self._where = where
+        # The fall since *stop* became the last order; None if the drive runs or is stopped.
+        self._fall: Deceleration | None = None
+        # For how long reports have shown that the speed does not fall, and the time of the last
+        # such report on this connection.
+        self._visible_s, self._reported_at = 0.0, math.inf
+        # Time since which *stop* has been written without any speed being read.
+        self._unread_from = math.inf
+        # The number of consecutive connections on which the last *stop* could not be written.
+        self._refusals = 0
+        # End of the last silence because the drive ran on or its speed could not be read; reset
+        # when it comes to rest or runs.
+        self._silent_until = -math.inf
+
+    def stop_written(self, now: float) -> None:
+        """Record that *stop* was written as the last command."""
+        self._fall = self._fall or Deceleration()
+        self._unread_from = min(self._unread_from, now)
+
+    def order_changed(self) -> None:
+        """Record that the last command was not *stop*, or may have come from another program."""
+        self._fall = None
+
+    def speed_read(self) -> None:
+        """Record that the speed was read, or that a person at the panel controls the drive."""
+        self._unread_from = math.inf
+
+    def check(
+        self, status: DriveStatus, now: float, flows_at_rest: bool = False
+    ) -> DriveStatus:
+        """Return a drive's status, with a fault added if the drive runs on after *stop*.
+
+        Args:
+            status: the status.
+            now: the time.
+            flows_at_rest: whether the pump is running although the drive reports standstill.
+
+        Raises:
+            RunsOnError: if the fault has been visible for long enough or is certain.
+        """
+        fall, reported_at, self._reported_at = self._fall, self._reported_at, math.inf
+        if flows_at_rest and fall is not None and status.at_rest:
+            raise RunsOnError(
+                "drive", f"{self._where}: the drive reports standstill, but water is flowing"
+            )
+        if fall is None or status.at_rest or not status.remote:
+            self._fall, self._silent_until = None, -math.inf
+            return status
+        steady_s = fall.update(status, now)
+        if steady_s <= RUNS_ON_S:
+            self._visible_s = 0.0
+            return status
+        self._reported_at, self._visible_s = now, self._visible_s + max(0.0, now - reported_at)
+        problem = f"the drive acknowledges *stop*, but its speed has not fallen for {RUNS_ON_S:g} s"
+        if self._visible_s > VISIBLE_S and now - self._silent_until > RUNS_ON_AGAIN_S:
+            raise RunsOnError(
+                "drive", f"{self._where}: {problem} (the speed is {status.speed:.1%})"
+            )
+        fault = "; ".join(filter(None, (status.fault, problem)))
+        return replace(status, fault=fault, timed_out=False, runs_on=True)
+
+    def connection_lost(self, stopped: bool | None, now: float) -> str | None:
+        """Record that the connection was lost.
+
+        Args:
+            stopped: whether the last *stop* was written; None if no *stop* was attempted.
+            now: the time.
+
+        Returns: The reason why nothing may be sent to the drive for a while, worded to be appended
+        to the problem; None if no silence is needed.
+        """
+        self._reported_at = math.inf
+        if stopped is not None:
+            self._refusals = 0 if stopped else self._refusals + 1
+        unread = now - self._unread_from > RUNS_ON_S
+        if stopped and unread and now - self._silent_until > RUNS_ON_AGAIN_S:
+            return (
+                f"; the speed cannot be read, and for {RUNS_ON_S:g} s it has been unknown "
+                "whether the drive has stopped, although *stop* is written"
+            )
+        if self._refusals > 1:
+            return "; *stop* could not be written on two successive connections"
+        return None
+
+    def silence_started(self, until: float) -> None:
+        """Record the start of a silence, and the time of its end."""
+        if not self._refusals:
+            self._silent_until = until
 
 
 @dataclass(frozen=True)
-class DriveSnapshot(DeviceSnapshot):
+class DriveSnapshot:
     """A snapshot of a drive and of the exchange with it.
 
     Attributes:
         read_at: time of the drive's last response (s, `boot_time`, which keeps running while the
             computer is suspended).
-        state: state of the exchange; after `close`, the drive is no longer connected.
+        problem: description of the last problem if it persists; otherwise empty.
+        connected: whether the drive is connected and responding; after `close`, it is not.
         status: last status of the drive; None without a connection. After `close`, this is the
             status at the time when the drive was released, possibly before it reached standstill,
             or None if the status could not be read.
@@ -91,7 +309,9 @@ class DriveSnapshot(DeviceSnapshot):
         errors: number of failures since the thread was started.
     """
 
-    state: ExchangeState = ExchangeState.CONNECTING
+    read_at: float = -math.inf
+    problem: str = "not yet connected"
+    connected: bool = False
     status: DriveStatus | None = None
     identity: str = ""
     timeout_s: float | None = None
@@ -102,14 +322,9 @@ class DriveSnapshot(DeviceSnapshot):
     start_failed: Diagnosis | None = None
     errors: int = 0
 
-    @property
-    def connected(self) -> bool:
-        """Whether the drive is connected and responding."""
-        return self.state in (ExchangeState.STOPPED, ExchangeState.RUNNING, ExchangeState.STOPPING)
-
     def status_at(self, now: float) -> DriveStatus | None:
         """Return the drive's last status; None if the status is too old at the given time."""
-        return self.status if now - self.read_at < STATUS_AGE_S else None
+        return self.status if now - self.read_at < LIMIT_S else None
 
     def absence_at(self, now: float) -> Diagnosis | None:
         """Return the reason why there is no status at the given time; None if one is available."""
@@ -117,62 +332,41 @@ class DriveSnapshot(DeviceSnapshot):
             return None
         if self.problem:
             return Diagnosis.of("drive_lost", "problem", problem=self.problem)
-        return Diagnosis.of("drive_lost", "silent", time=STATUS_AGE_S)
+        return Diagnosis.of("drive_lost", "silent", time=LIMIT_S)
 
 
-class DriveExchange(DeviceThread[DriveSnapshot]):
+class DriveExchange(DeviceThread):
     """A thread that keeps a drive running at the last requested speed, or off.
 
     In every period, the thread writes the control word and reads the status, so the drive's own
-    communication timeout does not expire. If the thread dies, that timeout stops the drive:
+    communication timeout does not expire. If the thread dies, that timeout stops the drive.
 
-    .. code-block:: text
+    Every connection begins with *stop*. The drive runs only while a speed is requested: it is
+    stopped if off is requested, a call to `request_speed` is late, the drive fails to start, or
+    another program controls it. After a failed start, or if the connection is lost while a speed is
+    requested, the drive stays off until `request_speed` requests off. The caller, which limits the
+    number of starts, decides when to start the drive again.
 
-        CONNECTING ---> STOPPING <----> STOPPED     *stop* is written; the pump turns, or is at rest
-          ^    ^         |    ^            |
-          |    |         v    |            |
-          |    |         RUNNING <---------+        a speed is requested; the timeout is in effect
-          |    |            |
-          |    |            |                       from each of these three:
-          |    +------------+                       two rounds without a valid answer, or closed
-          |                 v                       and from these and CONNECTING:
-          +-------------- SILENT                    *stop* is rejected on two connections, or the
-                                                    speed does not fall, or is unknown
-
-    From CONNECTING, a stopped drive becomes STOPPED directly.
-
-    Every connection begins with *stop*. RUNNING ends if off is requested, a call to `request_speed`
-    is late, the drive fails to start, or another program controls it. After a failed start, or if
-    the connection is lost while a speed is requested, the drive stays off until `request_speed`
-    requests off. The caller, which limits the number of starts, decides when to start the drive
-    again. During a silence, nothing is sent for longer than the drive's own timeout, which then
-    stops the drive; any message might restart that timeout. A timeout above the limit is treated as
-    unknown. `stop` ends a silence early. `close` may be called in any state, and stops the drive.
-    From the first connection until `close`, no other program on this machine can use the drive.
+    The connection is lost after two rounds without a valid answer, or if it is closed. If *stop* is
+    rejected on two connections, or the speed does not fall, or is unknown, a silence follows:
+    nothing is sent for longer than the drive's own timeout, which then stops the drive; any message
+    might restart that timeout. A timeout above the limit is treated as unknown. `stop` ends a
+    silence early. `close` may be called at any time, and stops the drive. From the first connection
+    until `close`, no other program on this machine can use the drive.
 
     Attributes:
         endpoint: the drive.
-        disbelieved: whether the caller knows that the pump is running although the drive reports
+        flows_at_rest: whether the caller knows that the pump is running although the drive reports
             standstill.
     """
 
     def __init__(
-        self,
-        endpoint: Endpoint,
-        period_s: float = PERIOD_S,
-        dead_man_s: float = 1.0,
-        *,
-        timeout_s: float = 0.5,
-        timeout_limit_s: float = 10.0,
-        stops_locally: bool = False,
+        self, endpoint: Endpoint, *, timeout_limit_s: float = LIMIT_S, stops_locally: bool = False
     ) -> None:
         """Prepare the exchange.
 
         Args:
             endpoint: the drive.
-            period_s: polling interval (s); a relay file may set a longer interval.
-            dead_man_s: time without a call to `request_speed` after which the drive is stopped (s).
-            timeout_s: maximum time to wait for each response (s).
             timeout_limit_s: maximum usable communication timeout of the drive (s), which is also
                 the length of a silence if the timeout is longer, unknown or off.
             stops_locally: whether the operator has confirmed that local settings of the drive,
@@ -181,13 +375,12 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         Raises:
             ConfigurationError: if a library is not installed or a login file is invalid.
         """
-        super().__init__("communication with the drive", DriveSnapshot())
-        self.endpoint, self.disbelieved = endpoint, False
-        self._drive: Connection = endpoint.connection(timeout_s)
+        super().__init__("communication with the drive")
+        self._snapshot, self._lock = DriveSnapshot(), threading.Lock()
+        self.endpoint, self.flows_at_rest = endpoint, False
+        self._drive: Connection = endpoint.connection(TIMEOUT_S)
         self._drive_lock: socket.socket | None = None
-        self._waits_for_lock = False
-        self._period_s = max(period_s, endpoint.period)
-        self._dead_man_s, self._timeout_s = dead_man_s, timeout_s
+        self._period_s = max(PERIOD_S, endpoint.period)
         self._timeout_limit_s, self._stops_locally = timeout_limit_s, stops_locally
         # Read and written as a whole, so no lock is needed.
         self._requested: tuple[float | None, float] = (None, -math.inf)
@@ -198,7 +391,8 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         self._connect_at, self._wait_s = -math.inf, FIRST_WAIT_S
         self._last_attempt = False
         self._stop_requested = False
-        self._paused_until = -math.inf
+        # Time until which another writer is given way.
+        self._other_until = -math.inf
         self._settings_read_at = -math.inf
         # Number of consecutive rounds without a valid answer.
         self._unanswered = 0
@@ -206,6 +400,11 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         guard = endpoint.guard
         self._unguarded_s = 0.0 if guard is None else guard.unguarded_after_power_up_s
         self._guarded_from = -math.inf
+
+    @property
+    def snapshot(self) -> DriveSnapshot:
+        """The latest snapshot."""
+        return self._snapshot
 
     def close(self) -> None:
         """Stop the drive, check for standstill, and release it; `snapshot` contains the result.
@@ -216,8 +415,10 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         self._requested = (None, -math.inf)
         self._rest_deadline = time.monotonic() + REST_LIMIT_S
         if not self._stop_thread(REST_LIMIT_S + MAX_WAIT_S):
-            self._update(state=ExchangeState.CONNECTING, status=None)
-            self._fail("could not confirm that the pump has stopped: the connection hangs")
+            self._fail("could not confirm that the pump has stopped: the connection hangs",
+                       connected=False, status=None)
+        elif self._drive_lock is not None:
+            self._drive_lock.close()
 
     def outcome(self) -> str:
         """Return a message about the release of the drive, after `close`.
@@ -259,7 +460,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         return Diagnosis.of("drive_timeout", case, *cases, **values, **more)
 
     def request_speed(self, speed: float | None) -> None:
-        """Request a speed (share of the rated speed), or off (None); valid for `dead_man_s`.
+        """Request a speed (share of the rated speed), or off (None); valid for `DEAD_MAN_S`.
 
         A speed outside the range from 0 to 1 is reported as a problem, and treated as off.
         """
@@ -291,17 +492,19 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
 
     # --- in the thread ----------------------------------------------------------------------------
 
-    def _fail(self, problem: str, **changes: Any) -> None:
+    def _update(self, **changes: Any) -> None:
         with self._lock:
-            errors = self._snapshot.errors + 1
-            self._snapshot = replace(self._snapshot, problem=problem, errors=errors, **changes)
+            self._snapshot = replace(self._snapshot, **changes)
+
+    def _fail(self, problem: str, **changes: Any) -> None:
+        self._update(problem=problem, errors=self._snapshot.errors + 1, **changes)
 
     def _must_not_wait(self) -> bool:
         return self._closing or self._stop_requested
 
     def _target_speed(self) -> float | None:
         speed, at = self._requested
-        fresh = boot_time() - at <= self._dead_man_s  # a suspension counts
+        fresh = boot_time() - at <= DEAD_MAN_S  # a suspension counts
         return speed if fresh and not self._closing and self._unguarded() is None else None
 
     def _unguarded(self) -> Diagnosis | None:
@@ -315,15 +518,19 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         return Diagnosis.of("drive_guards_later", time=self._unguarded_s)
 
     def _step(self) -> None:
-        if self._snapshot.state is ExchangeState.SILENT:
-            self._pause_until(self._connect_at)
-            self._update(state=ExchangeState.CONNECTING)
-        elif self._snapshot.state is ExchangeState.CONNECTING:
-            self._connect()
-        elif self._closing:
-            self._stop_and_release()
-        else:
+        """Connect, and control the drive until the connection is lost or the exchange is closed."""
+        self._pause_until(self._connect_at)
+        self._stop_requested, self._last_attempt = False, self._closing
+        if self._drive_lock is None:
+            self._acquire_lock()
+            return
+        self._connect()
+        while not self._closing:
             self._run_cycle()
+        status = _stop_until_at_rest(self._drive, self._rest_deadline)
+        self._done = True
+        self._update(connected=False, status=status, read_at=boot_time())
+        self._drive.line.close()
 
     def _handle_failure(self, error: Exception, problem: str) -> None:
         """Close the connection; begin a silence, schedule the next attempt or end the thread."""
@@ -338,9 +545,9 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             # A drive that closes its connections is given as much time as one that does not answer:
             # two closed connections in quick succession must not lead to a silence.
             closes = drive.stopped is False and not drive.line.connected
-            self._connect_at = now + self._wait_s + (self._timeout_s if closes else 0.0)
+            self._connect_at = now + self._wait_s + (TIMEOUT_S if closes else 0.0)
             self._wait_s = min(2 * self._wait_s, MAX_WAIT_S)
-            self._fail(problem, state=ExchangeState.CONNECTING, status=None)
+            self._fail(problem, connected=False, status=None)
         else:
             silence_s, timeout = self._silence()
             self._connect_at = now + silence_s
@@ -349,9 +556,9 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
                 f"{problem}{why}, so nothing is sent for {silence_s:g} s, during which the drive's "
                 f"own communication timeout ({timeout}) must stop it; any message could restart "
                 "that timeout",
-                state=ExchangeState.SILENT, status=None,
+                connected=False, status=None,
             )
-        self._disconnect()
+        drive.line.close()
 
     def _silence(self) -> tuple[float, str]:
         """Return the length of a silence (s), and a description of the drive's own timeout.
@@ -368,23 +575,10 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             )
         return min(own_s + SILENCE_MARGIN_S, limit_s), f"{own_s:g} s"
 
-    def _disconnect(self) -> None:
-        """Close the connection; if the thread is about to end, also release the lock."""
-        try:
-            self._drive.line.close()
-        finally:
-            if self._done and self._drive_lock is not None:
-                self._drive_lock.close()
-
     def _connect(self) -> None:
         """Connect and stop the drive; then read its nameplate and its own timeout."""
-        self._pause_until(self._connect_at)
-        self._stop_requested = False
-        if self._drive_lock is None:
-            self._acquire_lock()
-            return
-        self._drive = drive = self.endpoint.connection(self._timeout_s)
-        self._last_attempt, self._unanswered = self._closing, 0
+        self._drive = drive = self.endpoint.connection(TIMEOUT_S)
+        self._unanswered = 0
         drive.line.connect()
         self._guarded_from = time.monotonic() + self._unguarded_s
         try:
@@ -408,9 +602,8 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         self._reset_until = -math.inf
         self._wait_s = FIRST_WAIT_S
         self._update(
-            state=ExchangeState.STOPPED if status.at_rest else ExchangeState.STOPPING,
-            status=status,
-            read_at=boot_time(), problem="", identity=identity, unguarded=self._unguarded(),
+            connected=True, status=status, read_at=boot_time(), problem="", identity=identity,
+            unguarded=self._unguarded(),
         )
 
     def _acquire_lock(self) -> None:
@@ -419,12 +612,9 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         if not self._done:
             try:
                 self._drive_lock = acquire_drive_lock(self.endpoint)
-                self._waits_for_lock = False
             except DriveError as error:
-                report = self._update if self._waits_for_lock else self._fail
-                report(problem=str(error))
-                self._waits_for_lock = True
-                self._connect_at = time.monotonic() + LOCK_WAIT_S
+                self._fail(str(error))
+                self._connect_at = time.monotonic() + NOTICE_S
 
     def _read_settings(self) -> None:
         """Read the safety-relevant settings again, since they may be changed at the panel."""
@@ -442,7 +632,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         started = time.monotonic()
         self._stop_requested = False
         try:
-            runs, problem = self._write_order()
+            problem = self._write_order()
             status = self._read()
             if time.monotonic() - self._settings_read_at > SETTINGS_S:
                 self._read_settings()
@@ -455,23 +645,12 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             time.sleep(self._period_s)
             return
         self._unanswered = 0
-        status = self._stop_monitor.check(status, time.monotonic(), self.disbelieved)
-        standing = ExchangeState.STOPPED if status.at_rest else ExchangeState.STOPPING
-        if not problem and time.monotonic() < self._paused_until:
-            problem = self._snapshot.problem  # the reason for the pause, which still lasts
+        status = self._stop_monitor.check(status, time.monotonic(), self.flows_at_rest)
         self._update(
-            state=ExchangeState.RUNNING if runs else standing, status=status, read_at=boot_time(),
-            problem=problem, unguarded=self._unguarded(),
+            status=status, read_at=boot_time(), problem=problem, unguarded=self._unguarded()
         )
         if not self._closing:
             self._pause(self._period_s - (time.monotonic() - started))
-
-    def _stop_and_release(self) -> None:
-        """Stop the drive; release it at standstill, or when its speed does not fall."""
-        status = _stop_until_at_rest(self._drive, self._rest_deadline)
-        self._done = True
-        self._update(state=ExchangeState.CONNECTING, status=status, read_at=boot_time())
-        self._disconnect()
 
     def _read(self) -> DriveStatus:
         """Return the drive's status; first acknowledge a trip of its communication timeout.
@@ -498,41 +677,34 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             status = drive.read()
         return status
 
-    def _write_order(self) -> tuple[bool, str]:
-        """Write the current request; return whether the drive is running, or else the problem."""
-        pause_s = PAUSE_S
+    def _write_order(self) -> str:
+        """Write the current request; return the reason why the drive is kept off despite it."""
+        now, other = time.monotonic(), self._drive.second_master()
+        if other is not None:
+            self._other_until = now + LIMIT_S
+            self._stop_monitor.order_changed()  # the drive may obey the other writer
+            self._fail(other.sentence, second_master=other)
+        elif now >= self._other_until:
+            self._update(second_master=None)
+        if self._requested[0] is None:
+            self._update(start_failed=None)
+        against = self._snapshot.second_master or self._snapshot.start_failed
         try:
-            other = self._drive.second_master()
-            if other is not None:
-                pause_s = SECOND_MASTER_PAUSE_S
-                self._stop_monitor.order_changed()  # the drive may obey the other writer
-                other = Diagnosis.of(
-                    other.code, str(other.values["case"]), "pause", **other.values, pause=pause_s
-                )
-                self._update(second_master=other)
-                raise DriveError("drive", other.sentence)
-            if self._snapshot.second_master and time.monotonic() >= self._paused_until:
-                self._update(second_master=None)
-            if time.monotonic() < self._reset_until:
+            if other is None and now < self._reset_until:
                 self._reset_until = -math.inf
-                self._paused_until = -math.inf
                 self._drive.reset()
             speed = self._target_speed()
-            if self._requested[0] is None:
-                self._update(start_failed=None)
-            kept_off = self._snapshot.start_failed or time.monotonic() < self._paused_until
-            if speed is None or kept_off:
+            if speed is None or against:
                 self._stop()
-                return False, ""
-            self._run(speed)
+            else:
+                self._run(speed)
         except DriveError as error:
             if error.kind != "drive":
                 raise
             self._stop()
             self._fail(str(error))
-            self._paused_until = time.monotonic() + pause_s
-            return False, str(error)
-        return True, ""
+            return str(error)
+        return against.sentence if against else ""
 
     def _run(self, speed: float) -> None:
         try:

@@ -20,10 +20,11 @@ import time
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from greenroof_ros.base.errors import ConfigurationError, require_extra
 from greenroof_ros.base.mqtt import parse_host
@@ -493,45 +494,22 @@ def encode(value: float, kind: str, word_order: str = "") -> list[int]:
 # --- a thread for one device ----------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class DeviceSnapshot:
-    """A snapshot of a device's known state.
-
-    Attributes:
-        read_at: time of the device's last response (s, `time.monotonic`).
-        problem: description of the last problem if it persists; otherwise empty.
-    """
-
-    read_at: float = -math.inf
-    problem: str = "not yet connected"
-
-
-S = TypeVar("S", bound=DeviceSnapshot)
-
-
-class DeviceThread(ABC, Generic[S]):
+class DeviceThread(ABC):
     """A thread that carries out steps with a device, one after another, until it is closed.
 
-    A failed step does not end the thread. A failure raises no error in the caller; `snapshot`
-    describes the problem.
+    A failed step does not end the thread, and raises no error in the caller.
     """
 
-    def __init__(self, name: str, snapshot: S) -> None:
+    def __init__(self, name: str) -> None:
         """Prepare the thread.
 
         Args:
             name: name of the thread's task, for messages.
-            snapshot: the initial snapshot.
         """
-        self._name, self._snapshot, self._lock = name, snapshot, threading.Lock()
+        self._name = name
         self._closing = self._done = False
         self._wake = threading.Event()
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
-
-    @property
-    def snapshot(self) -> S:
-        """The latest snapshot."""
-        return self._snapshot
 
     @property
     def started(self) -> bool:
@@ -568,19 +546,14 @@ class DeviceThread(ABC, Generic[S]):
     def _work(self) -> None:
         while not self._done:
             try:
-                try:
-                    self._step()
-                except DriveError as error:
-                    self._handle_failure(error, str(error))
-                except Exception as error:  # whatever the error, the next step follows
+                self._step()
+            except Exception as error:  # whatever the error, the next step follows
+                problem = str(error)
+                if not isinstance(error, DriveError):
+                    problem = f"{self._name} failed: {error!r}"
                     logging.getLogger(__name__).exception("%s failed", self._name)
-                    self._handle_failure(error, f"{self._name} failed: {error!r}")
-            except Exception as error:
-                self._update(problem=f"{self._name} failed: {error!r}")
-
-    def _update(self, **changes: Any) -> None:
-        with self._lock:
-            self._snapshot = replace(self._snapshot, **changes)
+                with suppress(OSError):  # a connection that cannot be closed
+                    self._handle_failure(error, problem)
 
     def _pause(self, seconds: float) -> None:
         """Wait for a given time (s), or until the thread is woken."""

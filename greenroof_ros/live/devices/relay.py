@@ -24,9 +24,9 @@ from typing import Any
 from greenroof_ros.base.mqtt import Broker, make_client
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.devices.drive import DriveStatus
+from greenroof_ros.live.devices.drive_file import LIMIT_S, RelayFile, RelayMessage, Timer, Value
 from greenroof_ros.live.devices.json_path import value_at
 from greenroof_ros.live.devices.modbus_line import Address, DriveError
-from greenroof_ros.live.devices.relay_file import RelayFile, RelayMessage, Timer, Value
 
 # Longest wait for the broker (s).
 _CONNECT_S = 3.0
@@ -148,8 +148,8 @@ class RelayLine:
         self._client.disconnect()
         self._client.loop_stop()
 
-    def publish(self, message: RelayMessage, **values: str) -> None:
-        """Publish a message once.
+    def publish(self, message: RelayMessage, **values: str) -> str:
+        """Publish a message once, and return its number.
 
         Args:
             message: message to the relay.
@@ -159,7 +159,11 @@ class RelayLine:
         Raises:
             DriveError: if the connection has been lost.
         """
-        self._publish(message.topic, message.payload, str(next(self._numbers)), values)
+        number = str(next(self._numbers))
+        topic, payload = self._fill(message.topic), self._fill(message.payload, id=number, **values)
+        if not self.connected or self._client.publish(topic, payload).rc:
+            raise self.error("connection", f"the connection was closed: {self._closed_by}")
+        return number
 
     def request(self, name: str) -> Any:
         """Send a request to the relay, and return its reply, parsed from JSON.
@@ -167,11 +171,11 @@ class RelayLine:
         Raises:
             DriveError: if no valid response arrives in time.
         """
-        question, number = self._file.questions[name], str(next(self._numbers))
+        question = self._file.questions[name]
         if not self._awaited.total():
             self._received.clear()  # earlier messages answer no question
         self._awaited[name] += 1
-        self._publish(question.topic, question.payload, number, {})
+        number = self.publish(question)
         topic, until = self._fill(question.answer), time.monotonic() + self._timeout_s
         payload = b""
         while (message := self._receive(until)) is not None:
@@ -213,11 +217,6 @@ class RelayLine:
 
     def _fill(self, text: str, **values: str) -> str:
         return Template(text).substitute(self._placeholders, **values)
-
-    def _publish(self, topic: str, payload: str, number: str, values: dict[str, str]) -> None:
-        filled = self._fill(payload, id=number, **values)
-        if not self.connected or self._client.publish(self._fill(topic), filled).rc:
-            raise self.error("connection", f"the connection was closed: {self._closed_by}")
 
     # --- in the client's thread -------------------------------------------------------------------
 
@@ -396,7 +395,9 @@ class Relay:
         is_on = self._read()
         if self._ordered is None or is_on == self._ordered:
             return None
-        return Diagnosis.of("second_master", "on" if is_on else "off", where=self.line.where)
+        return Diagnosis.of(
+            "second_master", "on" if is_on else "off", "pause", where=self.line.where, pause=LIMIT_S
+        )
 
     def _read(self) -> bool:
         """Return whether the relay reports that it is on."""

@@ -277,11 +277,13 @@ def _mistakes(
     for section, sensor in sensors.by_section.items():
         quantity = QUANTITIES[section]
         max_age = max_ages.get(quantity.limit, math.inf)
-        mistakes = (
-            _modbus_mistakes(sensor, quantity, max_age) if isinstance(sensor, ModbusSensor)
-            else _mqtt_mistakes(sensor, quantity, max_age)
-        )
-        for key, expected in (*_sensor_mistakes(sensor, section), *mistakes):
+        if isinstance(sensor, ModbusSensor):
+            own = _modbus_mistakes(sensor, quantity.topic.unit)
+            times = _time_mistakes(sensor, quantity, "period", sensor.period, max_age / 2)
+        else:
+            own = _mqtt_mistakes(sensor)
+            times = _time_mistakes(sensor, quantity, "max_age", sensor.max_age, max_age)
+        for key, expected in (*_sensor_mistakes(sensor, section), *own, *times):
             yield f"{section}.{key}", expected
     for (first, earlier), (second, later) in combinations(sensors.by_section.items(), 2):
         of = first.replace("_", " ")
@@ -334,8 +336,8 @@ def _sensor_mistakes(sensor: Sensor, section: str) -> Iterator[tuple[str, str]]:
         )
 
 
-def _period_mistakes(
-    sensor: Sensor, quantity: MeasuredQuantity, interval: float
+def _time_mistakes(
+    sensor: Sensor, quantity: MeasuredQuantity, key: str, interval: float, limit: float
 ) -> Iterator[tuple[str, str]]:
     late = sensor.median // 2 * interval
     shown = late + interval
@@ -349,11 +351,15 @@ def _period_mistakes(
             f"delays the value by {late:g} s, at one reading every {interval:g} s; the delay must "
             f"be at most {_MAX_FILTER_S:g} s"
         )
+    if interval > limit:
+        half = "half of " if key == "period" else ""
+        yield key, (
+            f"must be at most {limit:g} s, which is {half}{quantity.limit}: older values are not "
+            "used"
+        )
 
 
-def _modbus_mistakes(
-    sensor: ModbusSensor, quantity: MeasuredQuantity, max_age: float
-) -> Iterator[tuple[str, str]]:
+def _modbus_mistakes(sensor: ModbusSensor, unit: str) -> Iterator[tuple[str, str]]:
     try:
         parse_address(sensor.address)
     except ConfigurationError as error:
@@ -362,23 +368,15 @@ def _modbus_mistakes(
     if sensor.register + sensor.registers > 65536:
         yield "register", "is too high: the value would extend beyond the last register address"
     ends = sorted(map(sensor.convert, limits(sensor.type)))
-    step, unit = abs(sensor.scale) * (sensor.substrate_depth or 1.0), quantity.topic.unit
+    step = abs(sensor.scale) * (sensor.substrate_depth or 1.0)
     if not sensor.counts and (ends[0] > sensor.low + step or ends[1] < sensor.high - step):
         yield "scale", (
             f"cannot yield {sensor.low:g} to {sensor.high:g} {unit}: {sensor.type} with offset "
             f"{sensor.offset:g} yields {ends[0]:g} to {ends[1]:g} {unit}"
         )
-    yield from _period_mistakes(sensor, quantity, sensor.period)
-    if sensor.period > max_age / 2:
-        yield "period", (
-            f"must be at most {max_age / 2:g} s, which is half of {quantity.limit}: values older "
-            f"than {quantity.limit} are not used"
-        )
 
 
-def _mqtt_mistakes(
-    sensor: MqttSensor, quantity: MeasuredQuantity, max_age: float
-) -> Iterator[tuple[str, str]]:
+def _mqtt_mistakes(sensor: MqttSensor) -> Iterator[tuple[str, str]]:
     try:
         sensor.broker_and_topic()
     except ConfigurationError as error:
@@ -393,8 +391,3 @@ def _mqtt_mistakes(
         file = getattr(sensor, key)
         if file and not Path(file).is_absolute():
             yield key, "must be an absolute path, because the program reads a copy of this file"
-    yield from _period_mistakes(sensor, quantity, sensor.max_age)
-    if sensor.max_age > max_age:
-        yield "max_age", (
-            f"must be at most {max_age:g} s, which is {quantity.limit}: older values are not used"
-        )

@@ -16,13 +16,11 @@ from pathlib import Path
 
 import pytest
 from brokers import Mosquitto, Talker, mosquitto, needs_mosquitto
-from places import CONFIG
-from refusals import refusal
 from simulators import until
 
-from greenroof_ros.live.devices import readings
-from greenroof_ros.live.devices.mqtt_sensor import MqttReader, read_number
-from greenroof_ros.live.devices.sensor_file import MqttSensor, read_sensors
+from greenroof_ros.live.devices import sensor as devices
+from greenroof_ros.live.devices.sensor import MqttReader, read_number
+from greenroof_ros.live.devices.sensor_file import MqttSensor
 
 pytestmark = needs_mosquitto
 TOPIC = "tele/roof/SENSOR"
@@ -210,7 +208,7 @@ def test_nothing_of_before_a_suspend_counts_after_it(
 ) -> None:
     """The machine was suspended for an hour: messages within a second after it may be old."""
     slept = 0.0
-    monkeypatch.setattr(readings, "suspended_time", lambda: slept)
+    monkeypatch.setattr(devices, "suspended_time", lambda: slept)
     with reading(shared, median=3) as reader, Talker(shared) as talker:
         begin(reader, talker, "1")
         assert after(reader, talker, "1") == [1.0]
@@ -252,40 +250,3 @@ def test_a_broker_that_comes_or_is_killed_or_stops_answering_is_used(tmp_path: P
         until(lambda: reader.snapshot.code == "broker_lost" and reader.snapshot.problem, 15)
         broker.resume()
         talk("3")
-
-
-# --- the file -------------------------------------------------------------------------------------
-
-SHIPPED = (CONFIG / "sensors_mqtt.yaml").read_text()
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "line", "message"),
-    [
-        ("/cistern/sensor/level/state  #", " #", 10, "cistern.address = "
-         "'mqtt://127.0.0.1:1883': must be mqtt://HOST[:PORT]/TOPIC"),
-        ("sensors[0].distance  ", "sensors[x].distance  ", 21, "roof.value = "
-         "'sensors[x].distance': must be a path made up of names and indices"),
-        ("  max_age: 5.0  ", "  max_age: 6.0  ", 16, "cistern.max_age = 6.0: must be at most 5 s, "
-         "which is level_limit"),
-        ("# login: /etc/greenroof/broker.yaml", "login: broker.yaml", 17, "cistern.login = "
-         "'broker.yaml': must be an absolute path"),
-        ("# login:", "authority: /ca.pem #", 10, "certificates can be used only with mqtts://"),
-        ("counts: true ", "period: 1.0 #", 31, "rain_gauge.period = 1.0: is not a valid key"),
-        ("  low: -40.0   ", "  counts: true\n  low: -40.0   ", 41, "thermometer.counts = True: is "
-         "only allowed for a flow meter or a rain gauge"),
-        ("0.0001               ", "0.1 ", 34, "rain_gauge.high = 0.1: must be at most 0.001 m/s"),
-        ("  high: 0.0001    ", "  # high: 0.0001 ", 29, "rain_gauge.high: is missing"),
-        ("median: 1", "median: 3", 31, "rain_gauge.counts = True: requires median: 1"),
-        ("roof/temperature", "roof/rain", 39, "thermometer.address = 'mqtt://127.0.0.1:1883/roof/"
-         "rain': is also the address of the rain gauge: the two"),
-    ],
-)
-def test_a_wrong_file_is_refused_with_line_key_and_value(
-    tmp_path: Path, old: str, new: str, line: int, message: str
-) -> None:
-    assert old in SHIPPED
-    file = tmp_path / "own.yaml"
-    file.write_text(SHIPPED.replace(old, new, 1))
-    refused = refusal(read_sensors, file, {"level_limit": 5.0})
-    assert f"own.yaml, line {line}: " in refused and message in refused

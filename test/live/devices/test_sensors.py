@@ -6,21 +6,16 @@ import threading
 import time
 from contextlib import closing, suppress
 from itertools import chain, cycle, islice, pairwise, repeat
-from pathlib import Path
 
 import pytest
 from graphs import free_ports
 from modbus_wire import Answer, SerialWire, Wire, crc
-from places import CONFIG
-from refusals import refusal
 from simulators import until
 
-from greenroof_ros.live.devices import readings
+from greenroof_ros.live.devices import sensor as devices
 from greenroof_ros.live.devices.modbus_line import DriveError, ModbusLine
-from greenroof_ros.live.devices.modbus_sensor import ModbusReader, SensorLine
-from greenroof_ros.live.devices.sensor_file import ModbusSensor, read_sensors
-
-SHIPPED = (CONFIG / "sensors.yaml").read_text()
+from greenroof_ros.live.devices.sensor import ModbusReader, SensorLine
+from greenroof_ros.live.devices.sensor_file import ModbusSensor
 
 
 def sensor(at: str, **changed: object) -> ModbusSensor:
@@ -109,7 +104,7 @@ def test_the_median_leaves_single_wrong_readings_out_and_starts_again_after_a_re
 def test_no_level_of_before_a_suspend_counts_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """The machine was suspended for an hour between the third reading and the fourth."""
     slept = chain([0.0] * 4, repeat(3600.0))  # the first call is before any reading
-    monkeypatch.setattr(readings, "suspended_time", lambda: next(slept))
+    monkeypatch.setattr(devices, "suspended_time", lambda: next(slept))
     assert levels(["2710"] * 3 + ["9C40"] * 2, median=3) == [1.0, 1.0, 1.0, 4.0, 4.0]
 
 
@@ -135,8 +130,8 @@ def test_too_many_refused_readings(
 ) -> None:
     """More than a tenth of a minute's, and five: for how long (s), and what comes in a period."""
     now = 1000.0
-    monkeypatch.setattr(readings.time, "monotonic", lambda: now)
-    share = readings.RefusedShare()
+    monkeypatch.setattr(devices.time, "monotonic", lambda: now)
+    share = devices.RefusedShare()
     for seconds, period, pattern in stretches:
         for good in islice(cycle(pattern), round(seconds / period)):
             now += period
@@ -323,72 +318,3 @@ def test_sensors_behind_one_gateway_share_a_connection() -> None:
             until(lambda: "device 9: reading register 16: rejected with exception 11" in (
                 lost.snapshot.problem))
             assert len(gaps(good, 4.0)) > 3
-
-
-# --- the file -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("changes", "line", "message"),
-    [
-        (["tcp://127.0.0.1:5030", "127.0.0.1"], 11, "cistern.address = '127.0.0.1': must be tcp"),
-        (["  median: 5", "  median: 4"], 21, "cistern.median = 4: must be odd"),
-        (["  median: 5", "  median: 99"], 21, "cistern.median = 99: delays the value by 49 s"),
-        (["low: 0.0 ", "low: -0.2 "], 18,
-         "cistern.low = -0.2: must be at least -0.1 m: sensor noise cannot account for a lower"),
-        (["high: 6.0 ", "high: -6.0 "], 19, "cistern.high = -6.0: must be above low, which is 0 m"),
-        (["scale: 0.0001 ", "scale: 0.00001 "], 16, "cistern.scale = 1e-05: cannot yield 0 to 6 m"),
-        (["median: 5  ", "substrate_depth: 0.5\n  median: 5  "], 21,
-         "cistern.substrate_depth = 0.5: is only allowed for the roof"),
-        (["high: 0.6 ", "substrate_depth: 0.5\n  high: 0.6 "], 34,
-         "roof.high = 0.6: must be at most substrate_depth, which is 0.5 m: the substrate"),
-        (["high: 0.6 ", "substrate_depth: 0.1\n  high: 0.1 ",
-          "scale: 0.0001                  # m per count [", "scale: 0.00001  # ["], 30,
-         "roof.scale = 1e-05: cannot yield 0 to 0.1 m: uint16 with offset 0 yields 0 to 0.065535"),
-        (["5031", "5030"], 27, "roof.register = 0: is also the register of the cistern: the two"),
-    ],
-)
-def test_a_wrong_file_is_refused_with_line_key_and_value(
-    tmp_path: Path, changes: list[str], line: int, message: str
-) -> None:
-    """Errors common to all files, such as an unknown key, are in test_drive_files.py."""
-    text = SHIPPED
-    for old, new in zip(changes[::2], changes[1::2], strict=True):
-        text = text.replace(old, new, 1)
-    file = tmp_path / "own.yaml"
-    file.write_text(text)
-    assert f"own.yaml, line {line}: {message}" in refusal(read_sensors, file)
-
-
-@pytest.mark.parametrize(
-    ("device_id", "keys", "line", "message"),
-    [
-        (2, "", 0, ""),
-        (2, "parity: even\n  stop_bits: 1\n  baud_rate: 19200", 0, ""),  # the defaults
-        (1, "register: 4", 26, "roof.device_id = 1: is also the device id of the cistern on the "
-         "same serial line, so a late response could be mistaken for that of the other sensor: "
-         "give each sensor its own device id"),
-        (2, "baud_rate: 9600", 37, "roof.baud_rate = 9600: must be 19200, as for the cistern on "
-         "the same line"),
-        (2, "parity: none", 37, "roof.parity = 'none': must be even, as for the cistern"),
-    ],
-)
-def test_two_sensors_on_one_serial_line(
-    tmp_path: Path, device_id: int, keys: str, line: int, message: str
-) -> None:
-    """By any name. They need slave addresses of their own, and the same settings."""
-    link, file = tmp_path / "line", tmp_path / "own.yaml"
-    link.symlink_to("/dev/ttyS0")
-    cistern, roof = SHIPPED.split("\nroof:")
-    roof = roof.replace("tcp://127.0.0.1:5031", str(link)).replace(": 1   ", f": {device_id}   ")
-    if keys.startswith("register"):
-        roof = roof.replace("register: 0", keys)
-    elif keys:
-        roof += f"  {keys}\n"
-    file.write_text(f"{cistern.replace('tcp://127.0.0.1:5030', '/dev/ttyS0')}\nroof:{roof}")
-    if not message:
-        sensors = read_sensors(file)
-        assert isinstance(sensors.cistern, ModbusSensor) and isinstance(sensors.roof, ModbusSensor)
-        assert sensors.cistern.connection == sensors.roof.connection == "/dev/ttyS0"
-        return
-    assert f"own.yaml, line {line}: {message}" in refusal(read_sensors, file)

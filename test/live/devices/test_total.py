@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import pytest
 
-from greenroof_ros.live.devices import total
+from greenroof_ros.live.devices import sensor as devices
+from greenroof_ros.live.devices.sensor import Total
 from greenroof_ros.live.devices.sensor_file import MqttSensor
-from greenroof_ros.live.devices.total import Total
 
 # Time between two looks of a sensor's node (s), and what they may add to the last rise (mm).
 LOOK_S = 0.05
@@ -35,8 +35,8 @@ def published(
         until: end of the integral (s).
         suspended: how long (s) the machine sleeps before the last message.
     """
-    monkeypatch.setattr(total.time, "monotonic", lambda: Clock.now)
-    monkeypatch.setattr(total, "boot_time", lambda: Clock.now + Clock.slept)
+    monkeypatch.setattr(devices.time, "monotonic", lambda: Clock.now)
+    monkeypatch.setattr(devices, "boot_time", lambda: Clock.now + Clock.slept)
     Clock.now = Clock.slept = 0.0
     sensor = MqttSensor(
         address="mqtt://h/t", scale=scale, low=0.0, high=high, median=1, max_age=60.0, counts=True

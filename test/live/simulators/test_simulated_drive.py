@@ -23,7 +23,7 @@ from greenroof_ros.live.devices.modbus_line import (
     parse_address,
     parse_drive_address,
 )
-from greenroof_ros.live.simulators.simulated_drive import DriveSettings
+from greenroof_ros.live.simulators.drive import DriveSettings
 
 
 def test_a_drive_that_reports_its_flow_follows_the_sites_curve() -> None:

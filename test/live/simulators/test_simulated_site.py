@@ -15,12 +15,10 @@ from places import CONFIG
 from simulators import Simulator, until
 
 from greenroof_ros.live.devices.drive_file import find_drive_file
-from greenroof_ros.live.devices.endpoint import read_endpoint
-from greenroof_ros.live.devices.exchange import DriveExchange
-from greenroof_ros.live.devices.modbus_sensor import ModbusReader, SensorLine
-from greenroof_ros.live.devices.mqtt_sensor import MqttReader
+from greenroof_ros.live.devices.exchange import DriveExchange, read_endpoint
+from greenroof_ros.live.devices.sensor import ModbusReader, MqttReader, SensorLine
 from greenroof_ros.live.devices.sensor_file import ModbusSensor, MqttSensor, read_sensors
-from greenroof_ros.live.simulators.simulated_site import SimulatedSite
+from greenroof_ros.live.simulators.site import SimulatedSite
 
 SENSORS = read_sensors(CONFIG / "sensors.yaml")
 

@@ -1,7 +1,10 @@
-"""The part of a simulated drive that is common to all makes: registers, ramp and timeout.
+"""Simulated drives with their motors: registers, control word, ramp and communication timeout.
 
-A subclass in `control_profiles` adds the state machine of a make. A `SimulatedDrive` neither waits
-nor uses Modbus, and reads the time from a clock; `drive_server` connects the drive to Modbus.
+The state machines are based on the manufacturers' manuals. The driver, in contrast, uses the
+control words and conditions of the drive file, so the simulator and the driver verify each other.
+Where a manual is ambiguous, and for words that no drive file writes, the interpretation that is
+stricter for the driver is implemented: the drive stops. A drive neither waits nor uses Modbus, and
+reads the time from a clock; `drive_server` connects the drive to Modbus.
 """
 
 from __future__ import annotations
@@ -21,9 +24,6 @@ from greenroof_ros.live.devices.drive_file import DriveFile, Register
 from greenroof_ros.live.devices.modbus_line import Address, decode, encode
 from greenroof_ros.live.simulators.server import Device, Server
 
-_RATED_RPM = 1500
-_RATED_FREQUENCY = 500
-"""0.1 Hz"""
 _AT_SPEED = 0.01
 
 
@@ -31,7 +31,6 @@ class Motion(enum.Enum):
     """The way in which a drive moves its motor."""
 
     FOLLOW = "ramps to its reference"
-    HOLD = "keeps its speed"
     RAMP_DOWN = "ramps to rest"
     COAST = "lets the motor coast"
 
@@ -62,18 +61,14 @@ class SimulatedDrive(ABC):
         log: function that prints a line about an event.
         settings: settings and properties of the drive.
         timeout: the communication timeout of the interface in use.
-        guard: raw time and raw action of the timeout that are in effect.
         local: whether the drive is controlled from its panel.
         lost: whether the bus has been silent for longer than the timeout.
         fault: code, or bits, of the active fault; 0 for none.
-        last_fault: code, or bits, of the last fault that tripped the drive.
         loss: code, or bits, of the fault that the expiry of the timeout raises.
         word: the control word.
         state: state of the drive's state machine; None for a make without states.
     """
 
-    DELIVERED: ClassVar[tuple[int, int]]
-    """time and action of the timeout as set at the factory (raw)"""
     TRIPS: ClassVar[tuple[int, ...]] = ()
     """actions of the timeout that trip the drive; the first is the one that is set"""
     LOSS: ClassVar[Mapping[str, int]] = {}
@@ -82,8 +77,6 @@ class SimulatedDrive(ABC):
     """bit of the control word whose rising edge resets a fault"""
     INITIAL: ClassVar[Any] = None
     """state after power-up and after a reset"""
-    EXTRA: ClassVar[Mapping[str, int]] = {}
-    """addresses of further writable registers in the manual; a drive file may lack them"""
 
     def __init__(
         self, file: DriveFile, settings: DriveSettings, clock: Callable[[], float] = time.monotonic,
@@ -96,7 +89,7 @@ class SimulatedDrive(ABC):
             settings: settings and properties of this drive.
             clock: function that returns the time (s).
             interface: interface in use, ``serial`` or ``tcp``; the timeout of the other interface
-                has factory settings, and has no effect.
+                is off.
 
         Raises:
             ConfigurationError: if the drive file has no timeout for that interface.
@@ -113,24 +106,19 @@ class SimulatedDrive(ABC):
         self.log: Callable[[str], None] = lambda text: None
         self.speed = 0.0
         self.local = self.lost = False
-        self.word = 0
+        self.word = self.fault = 0
         self.loss = self.LOSS.get(interface, 0)
-        self.fault = self.last_fault = 0
         self._file, self._clock = file, clock
         self._at = clock()
         self._last_request: float | None = None
-        self._registers = {
-            name: Register(address, address, "uint16", name, "none")
-            for name, address in self.EXTRA.items()
-        } | file.registers
+        self._registers = file.registers
         self._commands = {"control", "reference"} | {
             step.write for steps in vars(file.sequences).values() for step in steps
         }
         self._words = {address: 0 for name in self._registers for address in self._addresses(name)}
         self._write_constants()
         self._writable = {
-            address: name
-            for name in self._commands | self._write_timeouts() | set(self.EXTRA)
+            address: name for name in self._commands | self._write_timeout()
             for address in self._addresses(name)
         }
         self.power_up()
@@ -144,28 +132,22 @@ class SimulatedDrive(ABC):
                 for offset in range(register.width):
                     two = padded[2 * offset:2 * offset + 2]
                     self._words[register.address + offset] = int.from_bytes(two, "big")
-            if register.full_scale:
+            if register.full_scale:  # 50 Hz or 750 rpm
                 scale = self._registers[register.full_scale]
-                rated = _RATED_FREQUENCY if "Hz" in scale.meaning else _RATED_RPM
-                self.write_raw(register.full_scale, rated / scale.scale)
+                self.write_raw(register.full_scale, 2.5 * scale.low / scale.scale)
 
-    def _write_timeouts(self) -> set[str]:
-        """Set the registers of all timeouts, and return the names of these registers."""
-        names = set()
-        for timeout in (*self._file.timeout.by_interface.values(), self.timeout):
-            when, action = self.DELIVERED
-            if timeout is self.timeout:
-                register = self._registers[timeout.register]
-                seconds = min(self.settings.timeout_s, register.high)
-                when, action = max(1, round(seconds / register.scale)), next(iter(self.TRIPS), 0)
-            self.write_raw(timeout.register, when)
-            names.add(timeout.register)
-            if timeout.action is not None:
-                names.add(timeout.action.register)
-                self.write_raw(timeout.action.register, action)
-            if timeout.mode is not None:
-                names.add(timeout.mode.register)
-                self.write_raw(timeout.mode.register, min(timeout.mode.stops))
+    def _write_timeout(self) -> set[str]:
+        """Set the registers of the timeout, and return their names."""
+        timeout, register = self.timeout, self._registers[self.timeout.register]
+        seconds = min(self.settings.timeout_s, register.high)
+        self.write_raw(timeout.register, max(1, round(seconds / register.scale)))
+        names = {timeout.register}
+        if timeout.action is not None:
+            names.add(timeout.action.register)
+            self.write_raw(timeout.action.register, self.TRIPS[0])
+        if timeout.mode is not None:
+            names.add(timeout.mode.register)
+            self.write_raw(timeout.mode.register, min(timeout.mode.stops))
         return names
 
     # --- what differs between the makes -----------------------------------------------------------
@@ -200,39 +182,18 @@ class SimulatedDrive(ABC):
     def trip(self, fault: int) -> None:
         """Trip with a fault; 0 clears the current fault."""
         self.fault = fault
-        self.last_fault = fault or self.last_fault
         if not fault:
             self.state = self.INITIAL
 
-    @property
-    def fault_register(self) -> int:
-        """The value of the fault register."""
-        return self.fault
-
-    def on_write(self, name: str) -> None:
-        """Handle a write of a register: obey a control word, or apply a setting."""
-        if name == "control":
-            self.control(self.read_raw(name))
-        elif name not in self._commands:
-            self.apply_settings()
-
-    def apply_settings(self) -> None:
-        """Put the settings of the timeout into effect."""
-        action = self.timeout.action
-        self.guard = (
-            self.read_raw(self.timeout.register),
-            self.read_raw(action.register) if action else 0,
-        )
-
     def communication_lost(self) -> None:
         """Trip after the timeout if the drive is set to do so."""
-        if self.guard[1] in self.TRIPS:
+        action = self.timeout.action
+        if action is not None and self.read_raw(action.register) in self.TRIPS:
             self.trip(self.loss)
 
     def power_up(self) -> None:
         """Switch on with the control word 0 and the current values of the registers."""
         self.word, self.state = 0, self.INITIAL
-        self.apply_settings()
 
     @property
     def setpoint(self) -> float:
@@ -258,7 +219,7 @@ class SimulatedDrive(ABC):
 
     def _loss_at(self) -> float:
         """Return the time at which the timeout will expire without another request, or infinity."""
-        raw, _ = self.guard
+        raw = self.read_raw(self.timeout.register)
         if self._last_request is None or self.lost or raw == 0 or raw in self.timeout.off_values:
             return math.inf
         seconds = raw * self._registers[self.timeout.register].scale
@@ -273,11 +234,10 @@ class SimulatedDrive(ABC):
 
     def turn(self, step: float, motion: Motion) -> None:
         """Update the speed after a time step (s) with a given motion."""
-        if motion is not Motion.HOLD:
-            setpoint = self.setpoint if motion is Motion.FOLLOW else 0.0
-            full = self.settings.coast_s if motion is Motion.COAST else self.settings.ramp_s
-            reach = step / full if full else math.inf
-            self.speed += min(max(setpoint - self.speed, -reach), reach)
+        setpoint = self.setpoint if motion is Motion.FOLLOW else 0.0
+        full = self.settings.coast_s if motion is Motion.COAST else self.settings.ramp_s
+        reach = step / full if full else math.inf
+        self.speed += min(max(setpoint - self.speed, -reach), reach)
 
     @property
     def moving(self) -> bool:
@@ -316,7 +276,7 @@ class SimulatedDrive(ABC):
         """Update all registers, and return their values by address."""
         self.advance()
         self.write_raw("status", self.status())
-        self.write_raw(self._file.faults.register, self.fault_register)
+        self.write_raw(self._file.faults.register, self.fault)
         self.write_raw("speed", self.speed / self._unit(self._registers["speed"]))
         if "flow" in self._registers:
             self.write_raw("flow", self.flow(self.speed) / self._registers["flow"].scale)
@@ -344,7 +304,8 @@ class SimulatedDrive(ABC):
         for at, value in zip(addresses, values, strict=True):
             self._words[at] = value
             before, name = self.motion, self._writable[at]
-            self.on_write(name)
+            if name == "control":
+                self.control(value)
             if self.restarts_timeout(name):
                 self._restart_timeout()
             if self.motion is not before:
@@ -357,6 +318,242 @@ class SimulatedDrive(ABC):
             self.log("the drive receives requests again")
         self.lost = False
         self._last_request = self._at
+
+
+class _Abb(enum.Enum):
+    INHIBITED = "switch-on inhibited"
+    NOT_READY = "not ready to switch on"
+    READY_ON = "ready to switch on"
+    READY_RUN = "ready to operate"
+    OPERATION = "operation enabled"
+    OFF1 = "OFF1 active"
+
+
+class AbbDrives(SimulatedDrive):
+    """ABB Drives profile on the embedded fieldbus interface of the ACS880.
+
+    The source is the firmware manual 3AUA0000085967, "Control Word", "Status Word" and "State
+    transition diagram", pages 617 to 620. After OFF1, the drive must come to a standstill before it
+    can be switched on again. In the control word, bits 0 to 2 are OFF1 to OFF3 (active low), bit 3
+    is run, bits 4 to 6 control the ramp, bit 7 is reset and bit 10 is remote. OFF2 and OFF3 have
+    the same effect, and a word without bit 10 is ignored.
+    """
+
+    TRIPS = (1, 4)  # with other actions it warns at most, and the motor runs on
+    LOSS: ClassVar = {"serial": 0x6681}
+    RESET = 0x0080
+    INITIAL = _Abb.INHIBITED
+
+    def restarts_timeout(self, name: str) -> bool:
+        """Return True for any message if 58.15 is 1, else only for control word and reference."""
+        mode = self.timeout.mode
+        only = mode is None or self.read_raw(mode.register) != 1
+        return not only or name in ("control", "reference")
+
+    def control(self, word: int) -> None:
+        """Obey only words from the bus."""
+        if word & 0x0400:
+            super().control(word)
+
+    def standstill(self) -> None:
+        """Leave OFF1 now that the motor is at standstill; a run then needs a new OFF1."""
+        if self.state is _Abb.OFF1 and not self.fault and not self.local:
+            self.state = _Abb.NOT_READY if self.word & 0x0001 else _Abb.READY_ON
+
+    def next_state(self) -> _Abb:
+        """Return the state of the diagram to which the control word leads."""
+        word, state = self.word, _Abb(self.state)
+        if word & 0x0006 != 0x0006:  # OFF2 or OFF3
+            return _Abb.INHIBITED
+        if state is _Abb.OFF1:
+            return state
+        if not word & 0x0001:
+            on = state in (_Abb.READY_RUN, _Abb.OPERATION)
+            return _Abb.OFF1 if on else _Abb.READY_ON
+        if state in (_Abb.INHIBITED, _Abb.NOT_READY):
+            return state
+        return _Abb.OPERATION if word & 0x0008 else _Abb.READY_RUN
+
+    @property
+    def motion(self) -> Motion:
+        """The motion, which bits 4 to 6 of the control word determine during operation."""
+        if self.fault:
+            return Motion.COAST
+        if self.local or self.state is _Abb.OFF1:
+            return Motion.RAMP_DOWN
+        if self.state is not _Abb.OPERATION:
+            return Motion.COAST
+        return Motion.FOLLOW if self.word & 0x0070 == 0x0070 else Motion.RAMP_DOWN
+
+    def status(self) -> int:
+        """Return the status word as on page 619 of the manual; external run enable is wired."""
+        state, on = self.state, (_Abb.READY_RUN, _Abb.OPERATION)
+        ramps = state is _Abb.OFF1 and self.moving
+        return _word({
+            0: not self.fault and state in (_Abb.READY_ON, *on),
+            1: not self.fault and state in on,
+            2: not self.fault and (state is _Abb.OPERATION or ramps),
+            3: self.fault, 4: True, 5: True, 6: state is _Abb.INHIBITED, 7: self.warning,
+            8: self.at_speed and state is _Abb.OPERATION, 9: not self.local, 12: True,
+        })
+
+
+class FcProfile(SimulatedDrive):
+    """FC profile of the Danfoss VLT AQUA Drive FC 202.
+
+    The source is the design guide, "Danfoss FC Control Profile". In the control word, bits 2
+    (brake), 3 (coast), 4 (quick stop) and 5 (hold) are active low, bit 6 is start and bit 7 is
+    reset; all but coasting stop on the ramp. A word without bit 10 ("data valid") is ignored. After
+    the timeout, 5 in parameter 8-04 stops and trips the drive, and with other values it runs on.
+    """
+
+    TRIPS = (5,)
+    LOSS: ClassVar = {"serial": 1 << 4}
+    RESET = 0x0080
+
+    def restarts_timeout(self, name: str) -> bool:
+        """Return True only for valid control words."""
+        return name == "control" and bool(self.read_raw(name) & 0x0400)
+
+    def control(self, word: int) -> None:
+        """Obey only valid control words."""
+        if word & 0x0400:
+            super().control(word)
+
+    @property
+    def motion(self) -> Motion:
+        """The motion: coasting takes precedence over the ramp."""
+        if self.fault:
+            return Motion.RAMP_DOWN if self.fault == self.loss else Motion.COAST
+        if not self.word & 0x0008:
+            return Motion.COAST
+        starts = not self.local and self.word & 0x0074 == 0x0074
+        return Motion.FOLLOW if starts else Motion.RAMP_DOWN
+
+    def status(self) -> int:
+        """Return the status word as in the manual's table "Definition of the status bits"."""
+        return _word({
+            0: True, 1: not self.fault, 2: self.word & 0x0008, 3: self.fault, 7: self.warning,
+            8: self.at_speed, 9: not self.local, 10: True,
+            11: self.motion is Motion.FOLLOW or self.moving,
+        })
+
+
+class CimProfile(SimulatedDrive):
+    """Modbus profile of Grundfos pumps with a CIM 200 or CIM 500 module.
+
+    The source is the functional profile, sections 9.4 and 9.5. In the control word, bit 0 requests
+    bus control, bit 1 switches the pump on and bit 2 resets an alarm. Without bus control, or after
+    its loss, the pump follows its local setting, which stops it, as this project requires.
+    """
+
+    RESET = 0x0004
+    _CONTROL_MODE, _OPERATION_MODE = 101, 102
+    _CONSTANT_PRESSURE, _CONSTANT_FREQUENCY = 4, 1
+    _OTHER_MODE = 0.6  # a speed that no set-point requested (share of the rated speed)
+
+    def power_up(self) -> None:
+        """Start in local control."""
+        super().power_up()
+        self._words[self._CONTROL_MODE] = self._CONSTANT_PRESSURE
+
+    @property
+    def _remote(self) -> bool:
+        return bool(self.word & 0x0001) and not self.local
+
+    @property
+    def _on(self) -> bool:
+        return self._remote and bool(self.word & 0x0002)
+
+    @property
+    def motion(self) -> Motion:
+        """The motion: the pump follows the set-point if it is on, and otherwise ramps down to 0."""
+        if self.fault:
+            return Motion.COAST
+        return Motion.FOLLOW if self._on else Motion.RAMP_DOWN
+
+    @property
+    def setpoint(self) -> float:
+        """The set-point, which applies only in constant-frequency mode under bus control."""
+        modes = self._words[self._CONTROL_MODE], self._words.get(self._OPERATION_MODE)
+        follows = self._remote and modes == (self._CONSTANT_FREQUENCY, 0)
+        return super().setpoint if follows else self._OTHER_MODE
+
+    def status(self) -> int:
+        """Return the status word as in section 9.5 of the manual."""
+        return _word({
+            6: self.moving, 8: self._remote, 9: self._on, 10: self.fault, 12: self.local,
+        })
+
+    def communication_lost(self) -> None:
+        """Return to local control; there is no alarm."""
+        self.word = 0
+
+
+class _Cia(enum.Enum):
+    DISABLED = 0x0040
+    READY = 0x0021
+    SWITCHED_ON = 0x0023
+    ENABLED = 0x0027
+    FAULT = 0x0008
+
+
+class Cia402(SimulatedDrive):
+    """CiA 402 profile of the Schneider Electric Altivar drives.
+
+    The source is BBV51701, state chart, pages 9 to 13. The value of a state consists of bits 0 to
+    3, 5 and 6 of the status word ETA. In the control word, bit 0 is 'switch on', bit 1 'enable
+    voltage', bit 2 'quick stop' (active low, here with the effect of bit 1), bit 3 'enable
+    operation', bit 7 'fault reset' and bit 8 'halt'. After the timeout, the values 1 (freewheel), 6
+    (ramp), 7 (fast stop) and 8 (DC injection) of SLL and ETHL trip the drive, and the motor coasts.
+    """
+
+    TRIPS = (1, 6, 7, 8)
+    LOSS: ClassVar = {"serial": 5, "tcp": 150}
+    RESET = 0x0080
+    INITIAL = _Cia.DISABLED
+
+    def next_state(self) -> _Cia:
+        """Return the next state of the state chart; 'ready' first leads to 'switched on'."""
+        word, state = self.word, self.state
+        if word & 0x0006 != 0x0006:  # disable voltage, or quick stop
+            return _Cia.DISABLED
+        if not word & 0x0001:  # shutdown
+            return _Cia.READY
+        if state is _Cia.DISABLED:
+            return _Cia.DISABLED
+        if not word & 0x0008 or state is _Cia.READY:
+            return _Cia.SWITCHED_ON
+        return _Cia.ENABLED
+
+    def trip(self, fault: int) -> None:
+        """Trip, and enter the state 'fault'."""
+        super().trip(fault)
+        if fault:
+            self.state = _Cia.FAULT
+
+    @property
+    def motion(self) -> Motion:
+        """The motion: the drive follows its reference only in the state 'operation enabled'."""
+        if self.state is _Cia.ENABLED and not self.local:
+            return Motion.RAMP_DOWN if self.word & 0x0100 else Motion.FOLLOW
+        ramps = self.state is _Cia.SWITCHED_ON or (self.local and not self.fault)
+        return Motion.RAMP_DOWN if ramps else Motion.COAST
+
+    def status(self) -> int:
+        """Return the status word ETA: state, voltage, warning, remote, reference reached."""
+        return int(self.state.value) | _word({
+            4: True, 7: self.warning, 9: not self.local, 10: self.at_speed,
+        })
+
+
+DRIVES: Mapping[str, type[SimulatedDrive]] = {
+    "ABB": AbbDrives, "Danfoss": FcProfile, "Grundfos": CimProfile, "Schneider Electric": Cia402,
+}
+
+
+def _word(bits: Mapping[int, object]) -> int:
+    return sum(1 << bit for bit, on in bits.items() if on)
 
 
 def drive_server(drive: SimulatedDrive, file: DriveFile, address: Address) -> Server:

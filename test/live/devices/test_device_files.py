@@ -1,4 +1,4 @@
-"""The drive files, and the errors for wrong ones."""
+"""The files of drives, relays and sensors, and the errors for wrong ones."""
 
 from __future__ import annotations
 
@@ -8,11 +8,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from places import CONFIG
 from refusals import refusal
 
 from greenroof_ros.base.files import shared_directory
 from greenroof_ros.live.devices.drive import DriveEndpoint
-from greenroof_ros.live.devices.drive_file import Codes, find_drive_file, read_drive_file
+from greenroof_ros.live.devices.drive_file import (
+    Codes,
+    find_drive_file,
+    read_drive_file,
+    read_relay_file,
+)
 from greenroof_ros.live.devices.exchange import DriveExchange
 from greenroof_ros.live.devices.modbus_line import (
     Address,
@@ -21,6 +27,7 @@ from greenroof_ros.live.devices.modbus_line import (
     parse_address,
     parse_drive_address,
 )
+from greenroof_ros.live.devices.sensor_file import ModbusSensor, read_sensors
 
 SHIPPED = [
     path for path in sorted((shared_directory() / "config" / "drives").glob("*.yaml"))
@@ -45,14 +52,12 @@ def test_shipped_files_are_right(path: Path) -> None:
     assert drive.unverified_and_vital
 
 
-ABB = SHIPPED[0].read_text(encoding="utf-8")
-BIT_2 = "running: {mask: 0x0004, value: 0x0004}"
-SECONDS = "    type: uint16\n    unit: s"
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
+ABB_BIT_2 = "running: {mask: 0x0004, value: 0x0004}"
+ABB_SECONDS = "    type: uint16\n    unit: s"
+# By file of config/: what is replaced (pairs of old and new), and the error: for sensors with the
+# line, which is that of the change, or of the head of the section that lacks something.
+WRONG: dict[str, list[tuple[str, ...]]] = {
+    "drives/abb_acs880.yaml": [
         ("{address: 0, manual: 400001,", "{address: 1, manual: 400001,",
          "registers.control.manual = 400001: must be 400002, which is address 1 + "
          "numbering.offset 400001"),
@@ -62,12 +67,12 @@ SECONDS = "    type: uint16\n    unit: s"
         ("    - {write: reference, value: speed}\n", "", "sequences.run: must write the speed"),
         ("- {write: reference, value: 0}", "- {write: reference, value: speed}",
          "sequences.stop.2.value = 'speed': may only be written in sequences.run"),
-        (BIT_2, BIT_2.replace("value: 0x0004", "value: 0x0005"),
+        (ABB_BIT_2, ABB_BIT_2.replace("value: 0x0004", "value: 0x0005"),
          "status.running.value = 5: has bits outside the mask 0x0004, so the condition"),
         ("stop_bits: 1", "stop_bits: 3", "serial.stop_bits = 3: must be a whole number from 1"),
-        (BIT_2, BIT_2.replace("}", ", register: speed}"),
+        (ABB_BIT_2, ABB_BIT_2.replace("}", ", register: speed}"),
          "status.running.register = 'speed': must be a register of the type uint16 or uint32"),
-        (SECONDS, SECONDS.replace("16", "32"),
+        (ABB_SECONDS, ABB_SECONDS.replace("16", "32"),
          "registers.timeout_time.word_order: must be 'high first' or 'low first'"),
         ("    scale: 0.1\n", "    scale: 0\n", "registers.timeout_time.scale = 0: must be fin"),
         ("    low: -1.6\n", "    low: 2\n", "registers.speed.low = 2: must be at most high, which"),
@@ -81,15 +86,92 @@ SECONDS = "    type: uint16\n    unit: s"
          "unverified.5 = 'registers.faulty': is not a key of this file"),
         ("  speed:\n    address: 4", "  pace:\n    address: 4", "registers: must contain speed"),
     ],
-)
+    "drives/tasmota.yaml": [
+        ("state: {question: state,", "state: {question: status,",
+         "state.question = 'status': must be the name of a request under questions in this file: "
+         "state, timer"),
+        ("payload: \"ON\"}", "payload: $on}",
+         "switch_on.payload = '$on': may contain only these placeholders: $device, $me, $id, "
+         "$seconds"),
+        ('is_off: "OFF"', 'is_off: "ON"', "state.is_off = 'ON': must differ from is_on"),
+        ("{low: 1, high: 111,", "{low: 112, high: 111,", "must be at most high, which is"),
+        ("unverified: []", "unverified: [clock]", "is not a key of this file"),
+    ],
+    "drives/shelly_gen2.yaml": [
+        ('{"id": $id, "src": "$me", "method": "Shelly.GetDeviceInfo"}', "{}",
+         "number = 'id': requires $id in the payload of every request"),
+        ("protocol: mqtt", "protocol: coap", "protocol = 'coap': must be one of mqtt"),
+    ],
+    "sensors.yaml": [
+        ("tcp://127.0.0.1:5030", "127.0.0.1",
+         "line 11: cistern.address = '127.0.0.1': must be tcp"),
+        ("  median: 5", "  median: 4", "line 21: cistern.median = 4: must be odd"),
+        ("  median: 5", "  median: 99", "line 21: cistern.median = 99: delays the value by 49 s"),
+        ("low: 0.0 ", "low: -0.2 ",
+         "line 18: cistern.low = -0.2: must be at least -0.1 m: sensor noise cannot account for "
+         "a lower"),
+        ("high: 6.0 ", "high: -6.0 ",
+         "line 19: cistern.high = -6.0: must be above low, which is 0 m"),
+        ("scale: 0.0001 ", "scale: 0.00001 ",
+         "line 16: cistern.scale = 1e-05: cannot yield 0 to 6 m"),
+        ("median: 5  ", "substrate_depth: 0.5\n  median: 5  ",
+         "line 21: cistern.substrate_depth = 0.5: is only allowed for the roof"),
+        ("high: 0.6 ", "substrate_depth: 0.5\n  high: 0.6 ",
+         "line 34: roof.high = 0.6: must be at most substrate_depth, which is 0.5 m: the "
+         "substrate"),
+        ("high: 0.6 ",
+         "substrate_depth: 0.1\n  high: 0.1 ",
+         "scale: 0.0001                  # m per count [",
+         "scale: 0.00001  # [",
+         "line 30: roof.scale = 1e-05: cannot yield 0 to 0.1 m: uint16 with offset 0 yields 0 to"
+         " 0.065535"),
+        ("5031", "5030",
+         "line 27: roof.register = 0: is also the register of the cistern: the two"),
+    ],
+    "sensors_mqtt.yaml": [
+        ("/cistern/sensor/level/state  #", " #",
+         "line 10: cistern.address = 'mqtt://127.0.0.1:1883': must be mqtt://HOST[:PORT]/TOPIC"),
+        ("sensors[0].distance  ", "sensors[x].distance  ",
+         "line 21: roof.value = 'sensors[x].distance': must be a path made up of names and "
+         "indices"),
+        ("  max_age: 5.0  ", "  max_age: 6.0  ",
+         "line 16: cistern.max_age = 6.0: must be at most 5 s, which is level_limit"),
+        ("# login: /etc/greenroof/broker.yaml", "login: broker.yaml",
+         "line 17: cistern.login = 'broker.yaml': must be an absolute path"),
+        ("# login:", "authority: /ca.pem #",
+         "line 10: cistern.address = "
+         "'mqtt://127.0.0.1:1883/cistern/sensor/level/state': certificates can be used only"),
+        ("counts: true ", "period: 1.0 #", "line 31: rain_gauge.period = 1.0: is not a valid key"),
+        ("  low: -40.0   ", "  counts: true\n  low: -40.0   ",
+         "line 41: thermometer.counts = True: is only allowed for a flow meter or a rain gauge"),
+        ("0.0001               ", "0.1 ",
+         "line 34: rain_gauge.high = 0.1: must be at most 0.001 m/s"),
+        ("  high: 0.0001    ", "  # high: 0.0001 ", "line 29: rain_gauge.high: is missing"),
+        ("median: 1", "median: 3", "line 31: rain_gauge.counts = True: requires median: 1"),
+        ("roof/temperature", "roof/rain",
+         "line 39: thermometer.address = 'mqtt://127.0.0.1:1883/roof/rain': is also the address "
+         "of the rain gauge: the two"),
+    ],
+}
+
+
+@pytest.mark.parametrize(("name", "changes", "message"), [
+    (name, changes, message) for name, rows in WRONG.items() for *changes, message in rows
+])
 def test_wrong_files_are_refused_by_line_key_and_value(
-    tmp_path: Path, old: str, new: str, message: str
+    tmp_path: Path, name: str, changes: list[str], message: str
 ) -> None:
-    """The error names the changed line, or the head of the section that lacks something."""
-    assert ABB.count(old) == 1, f"{old!r} is not once in the file"
-    path = tmp_path / "drive.yaml"
-    path.write_text(ABB.replace(old, new), encoding="utf-8")
-    refusal(read_drive_file, path, match=rf"^{path}, line \d+: {re.escape(message)}")
+    text = (CONFIG / name).read_text(encoding="utf-8")
+    for old, new in zip(changes[::2], changes[1::2], strict=True):
+        assert old in text
+        text = text.replace(old, new, 1)
+    path = tmp_path / "own.yaml"
+    path.write_text(text, encoding="utf-8")
+    if name.startswith("sensors"):
+        refused = refusal(read_sensors, path, {"level_limit": 5.0})
+    else:
+        refused = refusal(read_relay_file if "protocol" in text else read_drive_file, path)
+    assert re.match(rf"{path}, line \d+: ", refused) and message in refused
 
 
 @pytest.mark.parametrize(("name", "remedy"), [
@@ -99,6 +181,40 @@ def test_wrong_files_are_refused_by_line_key_and_value(
 def test_a_drive_that_is_unknown(name: str, remedy: str) -> None:
     message = f"drive = '{name}': is neither a file nor a name in config/drives/; {remedy}"
     assert message in refusal(find_drive_file, name)
+
+
+@pytest.mark.parametrize(
+    ("device_id", "keys", "line", "message"),
+    [
+        (2, "", 0, ""),
+        (2, "parity: even\n  stop_bits: 1\n  baud_rate: 19200", 0, ""),  # the defaults
+        (1, "register: 4", 26, "roof.device_id = 1: is also the device id of the cistern on the "
+         "same serial line, so a late response could be mistaken for that of the other sensor: "
+         "give each sensor its own device id"),
+        (2, "baud_rate: 9600", 37, "roof.baud_rate = 9600: must be 19200, as for the cistern on "
+         "the same line"),
+        (2, "parity: none", 37, "roof.parity = 'none': must be even, as for the cistern"),
+    ],
+)
+def test_two_sensors_on_one_serial_line(
+    tmp_path: Path, device_id: int, keys: str, line: int, message: str
+) -> None:
+    """By any name. They need slave addresses of their own, and the same settings."""
+    link, file = tmp_path / "line", tmp_path / "own.yaml"
+    link.symlink_to("/dev/ttyS0")
+    cistern, roof = (CONFIG / "sensors.yaml").read_text().split("\nroof:")
+    roof = roof.replace("tcp://127.0.0.1:5031", str(link)).replace(": 1   ", f": {device_id}   ")
+    if keys.startswith("register"):
+        roof = roof.replace("register: 0", keys)
+    elif keys:
+        roof += f"  {keys}\n"
+    file.write_text(f"{cistern.replace('tcp://127.0.0.1:5030', '/dev/ttyS0')}\nroof:{roof}")
+    if not message:
+        sensors = read_sensors(file)
+        assert isinstance(sensors.cistern, ModbusSensor) and isinstance(sensors.roof, ModbusSensor)
+        assert sensors.cistern.connection == sensors.roof.connection == "/dev/ttyS0"
+        return
+    assert f"own.yaml, line {line}: {message}" in refusal(read_sensors, file)
 
 
 @pytest.mark.parametrize(

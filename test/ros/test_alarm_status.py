@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from greenroof_ros.interface.alarm import Alarm, read_status, to_status
+from greenroof_ros.interface.alarm import Alarm
+from greenroof_ros.ros.alarm_status import read_status, to_status
 
 FROST = Alarm(
     7, "/site1/pump", "inputs", "pump", "input_silent", "error", "the roof sensor is silent",

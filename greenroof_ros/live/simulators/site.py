@@ -92,24 +92,19 @@ class SimulatedSite:
 
     def device(self, sensors: Mapping[str, ModbusSensor]) -> Device:
         """Return the Modbus device that serves these sensors."""
-        ranges = {
-            section: range(sensor.register, sensor.register + sensor.registers)
-            for section, sensor in sensors.items()
-        }
 
         def read() -> dict[int, int]:
             return {
-                register: word for section, sensor in sensors.items()
-                for register, word in zip(ranges[section], self.words(section, sensor), strict=True)
+                sensor.register + offset: word for section, sensor in sensors.items()
+                for offset, word in enumerate(self.words(section, sensor))
             }
 
-        if len(read()) < sum(map(len, ranges.values())):
+        if len(read()) < sum(sensor.registers for sensor in sensors.values()):
             raise ConfigurationError(
                 "is used by two sensors, which cannot be simulated: the simulator does not "
                 "distinguish input registers from holding registers",
-                key="register", value=max(registers[0] for registers in ranges.values()),
+                key="register", value=max(sensor.register for sensor in sensors.values()),
             )
-
         return Device(read)
 
     @property
@@ -143,32 +138,18 @@ class SimulatedSite:
         """Run the site until the simulator stops; after a pause of this process, catch up."""
         publishing = [asyncio.create_task(publisher.run(ended)) for publisher in self._publishers]
         started_at = time.monotonic()
-        speed = self._speed()
         while not ended.is_set():
-            due = started_at + (self.tick + 1) * self._site.tau
-            flow, speed = await self._mean_flow(speed, due)
-            self.step(speed, flow)
+            flow = await self._mean_flow(started_at + (self.tick + 1) * self._site.tau)
+            self.step(self._speed(), flow)
         await asyncio.gather(*publishing)
 
-    async def _mean_flow(self, speed: float, due: float) -> tuple[float, float]:
-        """Sample the drive's speed until a tick ends; return mean flow (m3/s) and final speed.
-
-        Args:
-            speed: speed at the beginning of the tick (share of the rated speed).
-            due: time at which the tick ends (s, `time.monotonic`).
-        """
-        pause = max(self._site.tau / _POLLS, _MIN_PAUSE_S)
-        pumped = passed = 0.0
-        flow = self.flow(speed)
-        at = time.monotonic()
-        while True:
-            await asyncio.sleep(max(0.0, min(pause, due - at)))
-            speed = self._speed()
-            before, at, former, flow = at, time.monotonic(), flow, self.flow(speed)
-            pumped += (at - before) * (former + flow) / 2
-            passed += at - before
-            if at >= due:
-                return (pumped / passed if passed else flow), speed
+    async def _mean_flow(self, due: float) -> float:
+        """Return the mean flow (m3/s) until a tick ends (s, `time.monotonic`)."""
+        pause, flows = max(self._site.tau / _POLLS, _MIN_PAUSE_S), list[float]()
+        while not flows or time.monotonic() < due:
+            await asyncio.sleep(max(0.0, min(pause, due - time.monotonic())))
+            flows.append(self.flow(self._speed()))
+        return sum(flows) / len(flows)
 
     def flow(self, speed: float) -> float:
         """Return the pump's flow from the cistern at a speed (m3/s); 0 if it runs dry."""

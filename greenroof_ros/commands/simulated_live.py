@@ -1,0 +1,127 @@
+"""Try a live site without any devices: ``greenroof simulators live``."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import yaml
+
+from greenroof_ros.base.command_line import Parser, add_site, command, refuse
+from greenroof_ros.base.processes import child_environment, scratch_directory
+from greenroof_ros.live.devices.drive_file import find_drive_file
+from greenroof_ros.site.file import read_site
+from greenroof_ros.site.site import Site
+
+_DRIVE = "danfoss_fc202"
+# Options of `greenroof live` that name the devices, and therefore have no effect here.
+_DEVICES = "--sensors", "--drive", "--drive-at", "--pump", "--thermometer"
+# How full the cistern, and the roof relative to its target, are at the start: the roof is thirsty.
+_CISTERN, _ROOF = 0.6, 0.7
+# Time for which the simulated devices may end (s).
+_ENDING_S = 5.0
+
+
+def make_parser() -> Parser:
+    """Return the command's parser."""
+    parser = Parser(
+        prog="greenroof simulators live",
+        usage="%(prog)s [--site FILE] [--state DIR] [options of greenroof live]",
+        description="Try a live site without any devices: simulate its sensors and its drive, with "
+        "a dry roof, and run greenroof live on them. The roof is watered within a minute. No "
+        "broker and no forecast are needed; other options are passed to greenroof live.",
+        epilog="examples:\n"
+        "  greenroof simulators live --watch\n"
+        "  greenroof simulators live --site my_site.yaml --controller onoff --watch\n\n"
+        "Ctrl-C ends the site, and then its devices.\n\n"
+        "exit codes: those of greenroof live",
+    )
+    add_site(parser)
+    parser.add_argument(
+        "--state", type=Path, default=Path("simulated_live"), metavar="DIR",
+        help="directory of the simulated site, which should not be that of a real one (default: "
+        "%(default)s)",
+    )
+    return parser
+
+
+@command
+def main() -> None:
+    """Start the simulated devices, and run the live site until it ends."""
+    arguments, others = make_parser().parse_known_args()
+    refuse(*(
+        (word.partition("=")[0] == option, option, None,
+         "must be left out: the devices are simulated; use greenroof live for devices of your own")
+        for word in others for option in _DEVICES
+    ))
+    site = read_site(arguments.site)
+    with scratch_directory() as directory:
+        sensors = directory / "sensors.yaml"
+        drive_port, sensor_port = _find_free_ports(2)
+        sensors.write_text(_describe_sensors(site, sensor_port), encoding="utf-8")
+        drive = directory / "drive.yaml"
+        drive.write_text(_describe_drive(), encoding="utf-8")
+        drive_at = f"gateway://127.0.0.1:{drive_port}"
+        devices = subprocess.Popen(
+            [
+                sys.executable, "-m", "greenroof_ros", "simulators", "site",
+                "--site", str(arguments.site), "--sensors", str(sensors),
+                "--drive", str(drive), "--at", drive_at,
+                f"--cistern={_CISTERN * site.cistern_volume(site.z_o)}",
+                f"--roof={_ROOF * site.x2_star}",
+            ],
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=child_environment(),
+            start_new_session=True,  # Ctrl-C is for the site, which still has to stop the pump
+        )
+        try:
+            assert devices.stdout is not None
+            if devices.stdout.readline():  # they are ready
+                print(f"the simulated devices are process {devices.pid}", flush=True)
+                _run_live([
+                    "--site", str(arguments.site), "--state", str(arguments.state),
+                    "--sensors", str(sensors), "--drive", str(drive), "--drive-at", drive_at,
+                    *others,
+                ])
+            sys.exit(devices.wait(_ENDING_S))  # it has printed why it cannot start
+        finally:
+            devices.terminate()
+            devices.wait(_ENDING_S)
+
+
+def _run_live(options: list[str]) -> None:
+    """Run the live site in this process, and exit with its exit code."""
+    from greenroof_ros.bringup import live
+
+    sys.argv = ["greenroof live", *options]
+    live.main()
+
+
+def _describe_drive() -> str:
+    """Return a drive file in which nothing is unverified: the simulated drive follows the file."""
+    content = yaml.safe_load(find_drive_file(_DRIVE).read_text(encoding="utf-8"))
+    return yaml.safe_dump({**content, "unverified": []}, sort_keys=False)
+
+
+def _describe_sensors(site: Site, port: int) -> str:
+    """Return a sensor file with two level sensors and a thermometer behind one Modbus port."""
+    names = {
+        "cistern": (0.0, 2.0 * site.z_o), "roof": (0.0, 2.0 * site.z_soil),
+        "thermometer": (-40.0, 60.0),
+    }
+    return "".join(
+        f'{name}: {{address: "tcp://127.0.0.1:{port}", device_id: {number}, register: 0, '
+        f"kind: input, type: float32, word_order: high first, scale: 1.0, offset: 0.0, low: {low}, "
+        f"high: {high}, median: 5, period: 1.0}}\n"
+        for number, (name, (low, high)) in enumerate(names.items(), start=1)
+    )
+
+
+def _find_free_ports(count: int) -> list[int]:
+    """Return TCP ports of the loopback address that are free now."""
+    sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(count)]
+    ports = [each.getsockname()[1] for each in sockets]
+    for each in sockets:
+        each.close()
+    return ports
