@@ -128,7 +128,9 @@ def _describe_dose(values: Mapping[str, Any], allowed: bool, area: float) -> dic
         allowed: whether doses may be requested here.
         area: area of the roof (m2).
     """
-    least, largest = float(values.get("min_dose") or 0.0), values.get("max_dose")
+    least, largest = values.get("min_dose"), values.get("max_dose")
+    if not isinstance(least, (int, float)):
+        least = 0.0
     if not allowed or not isinstance(largest, (int, float)):
         largest = None
     last = values.get("dose")

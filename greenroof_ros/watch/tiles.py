@@ -171,15 +171,14 @@ def make_rain_tile(store: GraphStore) -> Tile:
 def make_temperature_tile(store: GraphStore) -> Tile:
     """Return the tile of the temperature, or of frost if there is no thermometer."""
     frost = store.present_value(_FROST)
+    measured = _THERMOMETER in store.newest
+    source = "measured" if measured else "according to the forecast" if store.mode == "live" else ""
     stops = "the pump stays off until it is above 0 °C" if frost else ""
-    if _THERMOMETER in store.newest:
-        return _make_tile(
-            store, "Temperature", _THERMOMETER,
-            lambda _: ("cold" if frost else "good", f"measured; {stops}" if stops else "measured"),
-        )
-    tile = _make_tile(store, "Temperature", _FROST, lambda _: (
-        "cold" if frost else "good", "; ".join(filter(None, ("according to the forecast", stops)))
+    tile = _make_tile(store, "Temperature", _THERMOMETER if measured else _FROST, lambda _: (
+        "cold" if frost else "good", "; ".join(filter(None, (source, stops)))
     ))
+    if measured:
+        return tile
     if tile["number"] is not None:
         tile["value"] = "0 °C or below" if frost else "above 0 °C"
     elif tile["stale"]:

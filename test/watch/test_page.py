@@ -40,7 +40,8 @@ from greenroof_ros.watch.document import make_document, make_series
 from greenroof_ros.watch.store import GraphStore
 
 BEGIN = START // SECOND
-SITE = read_site(CONFIG / "site.yaml")
+CONTACT = "Call 555-0199; the main switch is beside the cellar door."
+SITE = replace(read_site(CONFIG / "site.yaml"), contact=CONTACT)
 HOSTILE = "<img src=x onerror=hacked=1><script>hacked=2</script>\x00\x1b[31m\u202e" + "A" * 5000
 LONG_MS = 60_000  # the machine may be busy
 CANNOT = "cannot solve its program"
@@ -183,6 +184,8 @@ def test_it_shows_the_words_of_the_state(open_page: Open) -> None:
     watched = site_watched()
     page = open_page(watched)
     until_drawn(page)
+    watched.set_site(SITE)
+    until_shown(page, "#contact", CONTACT)
     state = document_of(watched)
     for key in ("roof", "cistern", "pump", "watering", "rain", "temperature"):
         tile, row = state["tiles"][key], page.locator(f"#values [data-key={key}]")
