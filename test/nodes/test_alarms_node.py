@@ -13,8 +13,9 @@ from typing import Any
 from graphs import environment, wait_for
 from ros_rig import LATE, Observer
 
-from greenroof_ros.interface.alarm import Alarm, read_status
+from greenroof_ros.interface.alarm import Alarm
 from greenroof_ros.results.alarm_file import read_alarms
+from greenroof_ros.ros.alarm_status import read_status
 
 
 class Reporter:
