@@ -88,6 +88,7 @@ def test_a_class_that_takes_signals(
     _, error = process.communicate(timeout=60)
     assert process.returncode == 130, error
     assert "Traceback" not in error and "interrupted" in error
+    assert "recorded" not in error  # neither command records
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert (summary["status"], summary["reason"]) == (
         "interrupted", f"interrupted by {number.name}"

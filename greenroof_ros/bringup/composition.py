@@ -9,22 +9,22 @@ from contextlib import ExitStack
 from typing import Any
 
 from greenroof_ros.bringup.progress import RunProgress
-from greenroof_ros.bringup.watchdog import Watchdog
 from greenroof_ros.controllers.registry import EXTERNAL
 from greenroof_ros.interface.states import RECORDER
 from greenroof_ros.nodes.alarms import AlarmsNode
-from greenroof_ros.nodes.controller import ControllerNode
+from greenroof_ros.nodes.controller import SimulatedController
 from greenroof_ros.nodes.plant import PlantNode
 from greenroof_ros.nodes.recorder import RecorderNode
-from greenroof_ros.nodes.weather import WeatherNode
+from greenroof_ros.nodes.weather import RecordedWeather
 from greenroof_ros.ros.node import SimulationNode
 from greenroof_ros.ros.spin import destroy_nodes, end_nodes, ros, spin
+from greenroof_ros.ros.watchdog import Watchdog
 from greenroof_ros.simulation.run import Run
 
 # How long messages of a node that is not composed here are still received after the last tick (s):
 # a node that publishes twice per tick can be found only then.
 _EXTRA_S = 0.5
-# How often the progress is shown: at every this many checks of the wall clock.
+# How often the progress is shown: at every this many checks of the steady clock.
 _SHOWN_EVERY = 4
 
 
@@ -99,13 +99,13 @@ class Composition:
         """
         run = self._run
         plant = self._nodes["plant"] = PlantNode()
-        self._nodes["weather"] = WeatherNode()
+        self._nodes["weather"] = RecordedWeather()
         if run.controller.reference != EXTERNAL:
-            self._nodes[run.controller.name] = ControllerNode(run.controller.reference)
+            self._nodes[run.controller.name] = SimulatedController(run.controller.reference)
         if self._record:
             self._nodes[RECORDER] = RecorderNode()
         self._beside.append(AlarmsNode())
-        with Watchdog(plant.limit) as watchdog:
+        with Watchdog(plant.limit, exits=True) as watchdog:
 
             def may_end() -> bool:
                 watchdog.report()
@@ -137,7 +137,7 @@ class Composition:
             self._progress.warn(node.warnings)
         plant = self._nodes["plant"]
         if not plant.acted:
-            missing = ", ".join(map(plant.peers.name_of, plant.absent()))
+            missing = ", ".join(map(plant.peers.name_of, plant.peers.absent()))
             self._progress.show(f"waiting for {missing}" if missing else "starting", 0.0)
             return
         shown = plant.progress()

@@ -22,13 +22,6 @@ _SETTLED_S, _MAX_S = 2.0, 5.0
 _POLL_S = 0.1
 _MAX_LINES = 15
 _TILES = "roof", "cistern", "pump", "watering", "rain", "temperature"
-# For a pump that should be off: its drive reports standstill, or its timeout must have stopped it.
-_STANDS = {
-    True: "stopped, according to the drive",
-    False: "the pump may still be turning; if it should be off, stop it at the drive or the main "
-    "switch",
-    None: "",
-}
 _LEVELS = {"error": "Alarm", "warn": "Warning"}
 
 _DESCRIPTION = """\
@@ -65,11 +58,8 @@ def main() -> int:
     store = GraphStore(arguments.namespace)
     with Feed(store):
         shown = _read_status(store)
-        with store.lock:
-            pump = None if store.is_lost(store.pump) else store.pump
     code = _judge(shown)
-    lines = _write_lines(shown, code, None if pump is None else pump.values.get("stands"))
-    print("\n".join(lines).replace(SPACE, " "))
+    print("\n".join(_write_lines(shown, code)).replace(SPACE, " "))
     return code
 
 
@@ -114,7 +104,7 @@ def _judge(shown: Mapping[str, Any]) -> int:
     return WARNING if unknown or shown["alarms"] or not shown["known"] else EXIT_DONE
 
 
-def _write_lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> list[str]:
+def _write_lines(shown: Mapping[str, Any], code: int) -> list[str]:
     tiles, summary, advice = shown["tiles"], join_summary(shown), shown["advice"]
     if code == NOTHING:
         return [f"{summary} {advice}"]
@@ -122,12 +112,9 @@ def _write_lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> li
     lines = [summary, f"What to do: {advice}", "; ".join(where)]
     for name in _TILES:
         tile = tiles[name]
-        is_off = name == "pump" and tile["state"] in ("off", "held", "fault", "stopping")
-        sentence = "; ".join(filter(None, (
-            tile["sentence"], _STANDS[stands] if is_off else "",
-        )))
-        lines.append(f"{tile['label']:14} {tile['value']:14} {sentence}".rstrip())
-    lines += [*map(_write_alarm, shown["alarms"]), *shown["notes"]]
+        lines.append(f"{tile['label']:14} {tile['value']:14} {tile['sentence']}".rstrip())
+    lines += [*map(_write_alarm, shown["alarms"]), *filter(None, [shown["contact"]])]
+    lines += shown["notes"]
     if (hidden := len(lines) - _MAX_LINES + 1) > 1:
         lines[-hidden:] = [f"and {hidden} more lines; see 'greenroof watch'"]
     return lines

@@ -26,7 +26,6 @@ from greenroof_ros.base.ranges import Range
 from greenroof_ros.base.times import from_epoch_ns, to_people
 from greenroof_ros.controllers.decide import (
     ControllerError,
-    decide,
     find_place,
     locate_error,
     may_decide,
@@ -35,23 +34,18 @@ from greenroof_ros.controllers.onoff import FRACTION, OnOff
 from greenroof_ros.controllers.protocol import set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.interface.topics import optional_topics
-from greenroof_ros.live.engine import RECOVERY, Levels, live_parameters
+from greenroof_ros.live.levels import RECOVERY, Levels, live_parameters
 from greenroof_ros.live.live_diagnostics import ERROR, WARN
+from greenroof_ros.live.live_input import LiveInput, bad_inputs
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.live.number_file import NumberFile
 from greenroof_ros.live.time_limit import deciding_limit, time_limit
+from greenroof_ros.nodes.controller import FORECASTS, FROST, LEVELS, ControllerNode, Outputs
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import pump_flow
-from greenroof_ros.ros.controller_parameters import ControllerParameters, of_reference
 from greenroof_ros.ros.parameters import declare, site_file
 from greenroof_ros.site.site import Site
 
-# The inputs; without the forecasts, the flow or the gauge, the node still commands.
-_INPUTS = (
-    "/cistern/level", "/roof/level", "/forecast/precipitation", "/forecast/evapotranspiration",
-    "/weather/frost",
-)
 _FLOW, _GAUGE, _HOLD = "/pump/flow", "/gauge/precipitation", "/pump/hold"
 # On/off takes over once the controller has failed, or a forecast has been missing, for this
 # multiple of recovery_time. A short gap, such as after a pause of the node itself, then starts no
@@ -59,13 +53,11 @@ _FLOW, _GAUGE, _HOLD = "/pump/flow", "/gauge/precipitation", "/pump/hold"
 _GIVEN_UP = 3
 # How long after a failure the controller is tried again while on/off commands, as such a multiple.
 _ASKED_AGAIN = 60
-# How long it may take to return its outputs after its command (s).
-_OUTPUTS_S = 1.0
 # How long the import of its class, and then its first instantiation, which imports a solver, may
 # each take (s). Both, and the start of ROS before them, fit into the 30 s for which a starting node
 # may be silent.
 _STARTING_S = 12.0
-LIVE_PARAMETERS = live_parameters([*_INPUTS, _FLOW, _GAUGE, _HOLD])
+LIVE_PARAMETERS = live_parameters([*LEVELS, *FORECASTS, FROST, _FLOW, _GAUGE, _HOLD])
 EXTERNAL_PUMP = Parameter(
     "external_pump", False, meaning="whether your own node runs the pump: the command is then 0 "
         "while /pump/hold is 1 or is not arriving",
@@ -89,8 +81,8 @@ def parameters(choice: ControllerChoice | None) -> list[Parameter]:
     return [site_file(), STATE_FILE, GIVEN_UP, EXTERNAL_PUMP, *of_class, *LIVE_PARAMETERS]
 
 
-class LiveControllerNode(LiveNode):
-    """Node that runs a controller; in frost, in quiet hours and on invalid inputs, it commands 0.
+class LiveControllerNode(ControllerNode, LiveNode):
+    """Controller node of a live site, which commands even if its controller or a forecast fails.
 
     On/off control with default parameters takes over from a controller that needs a forecast but
     has no valid forecast, or whose code fails, that is, raises an error, does not return, or
@@ -102,6 +94,9 @@ class LiveControllerNode(LiveNode):
     If the node cannot run its controller, it exits. Bringup then restarts the node with
     ``given_up``, and on/off control is used until the site is restarted.
     """
+
+    _rain: LiveInput
+    _evapotranspiration: LiveInput
 
     def __init__(self, controller: str) -> None:
         """Declare the controller's parameters and open the topics.
@@ -117,29 +112,21 @@ class LiveControllerNode(LiveNode):
         values = declare(self, [STATE_FILE, GIVEN_UP, EXTERNAL_PUMP])
         if why := values[GIVEN_UP.name]:
             choice = replace(choice, given=_given_up(why))
-        self._choice = choice
         with time_limit(_STARTING_S):
             _ = choice.kind
-        self._site = site = self.declare_site()
-        self._tick = 0
-        self._settings = ControllerParameters(self, choice, site, lambda: self._tick)
-        self._optional = optional_topics(choice.outputs)
-        self.open_outputs("/pump/command", *(topic.name for topic, _ in self._optional))
+        self.prepare(choice)
         live = declare(self, LIVE_PARAMETERS)
         self._values: dict[str, float | None] = {}
-        self._levels = Levels(site, live, self.subscribe)
+        self._levels = Levels(self._site, live, self.subscribe)
         self._cistern, self._roof = self._levels.cistern, self._levels.roof
-        self._rain, self._evapotranspiration = (
-            self.subscribe(name, optional=True)
-            for name in ("/forecast/precipitation", "/forecast/evapotranspiration")
+        self._frost = self.subscribe(FROST)
+        # Without the others, the node still commands.
+        self._rain, self._evapotranspiration, self._flow, self._gauge = (
+            self.subscribe(name, optional=True) for name in (*FORECASTS, _FLOW, _GAUGE)
         )
-        self._frost = self.subscribe("/weather/frost")
         self._hold = self.subscribe(_HOLD) if values[EXTERNAL_PUMP.name] else None
-        self._flow = self.subscribe(_FLOW, optional=True)
-        self._gauge = self.subscribe(_GAUGE, optional=True)
-        self._time_ns, self._quiet = 0, False
         self._failure, self._failed_at = "", -math.inf  # the controller's last (steady clock, s)
-        self._stand_in = OnOff(site, FRACTION.default)
+        self._stand_in = OnOff(self._site, FRACTION.default)
         self._stand_in_after = _GIVEN_UP * live[RECOVERY.name]
         self._asked_again_after = _ASKED_AGAIN * live[RECOVERY.name]
         self._lacking_since = math.inf  # lacking a forecast or a working controller (s)
@@ -154,44 +141,36 @@ class LiveControllerNode(LiveNode):
 
     def on_inputs(self) -> None:
         """Publish the command and the controller's optional outputs."""
-        held = self._hold is not None and self._hold.value
-        allowed = bool(self.good and not self._frost.value and not held)
-        if self._site.quiet is not None:
-            self._time_ns = self.get_clock().now().nanoseconds
-            self._quiet = self._site.quiet.quiet_at(self._time_ns)
-        command, decides = 0.0, False
+        super().on_inputs()
+        self._expect(self.command)
+        self._values = {
+            "command": self.command,
+            "cistern_level": self._cistern.value if self._cistern.good else None,
+            "roof_level": self._roof.value if self._roof.good else None,
+        }
+
+    def find_command(self, allowed: bool) -> tuple[float, Outputs]:
+        """Return the command of the controller or of on/off, and the former's optional outputs."""
+        held = self._hold is not None and bool(self._hold.value)
+        allowed = allowed and not held
+        command, outputs, decided = 0.0, Outputs(), False
         failed_for = time.monotonic() - self._failed_at
         if not self._failure or not self._stand_in_since or failed_for >= self._asked_again_after:
             with self._controllers_code(deciding_limit(self._site.tau)):
-                command, decides = self._ask(allowed)
-        if decides and failed_for >= self._stand_in_after:
+                command, outputs, decided = self._command_by_controller(allowed)
+        if decided and failed_for >= self._stand_in_after:
             self._failure = ""
         self._update_stand_in()
         self._diagnose_failure()
         self._diagnose_forecast()
         self._save_learned(_SAVE_S)
-        cistern, roof = self._cistern.value, self._roof.value
         if self._stand_in_since:
-            command = self._stand_in.command(cistern, roof, (), ()) if allowed else 0.0
+            levels = self._cistern.value, self._roof.value
+            command = self._stand_in.command(*levels, (), ()) if allowed else 0.0
             self._outdated |= command > 0
         if command and (self._quiet or held or not self.good):
             command = 0.0
-        self.publish("/pump/command", command)
-        self._tick += 1
-        with self._controllers_code(_OUTPUTS_S):
-            for topic, attribute in self._optional:
-                of_controller = decides and self._settings.controller is not None
-                self.publish(
-                    topic.name,
-                    getattr(self._settings.controller, attribute) if of_controller
-                    else topic.undecided,
-                )
-        self._expect(command)
-        self._values = {
-            "command": command,
-            "cistern_level": cistern if self._cistern.good else None,
-            "roof_level": roof if self._roof.good else None,
-        }
+        return command, outputs
 
     @contextmanager
     def _controllers_code(self, limit: float) -> Iterator[None]:
@@ -204,27 +183,32 @@ class LiveControllerNode(LiveNode):
             self._failure = str(locate_error(self._choice.kind, error))
         self._failed_at, self._settings.controller = time.monotonic(), None
 
-    def _ask(self, allowed: bool) -> tuple[float, bool]:
-        """Return the controller's command (0 if it made no decision), and whether it made one.
+    def _command_by_controller(self, allowed: bool) -> tuple[float, Outputs, bool]:
+        """Return the controller's command and outputs, and whether it has decided.
 
         A forecast that the controller cannot use is rejected.
         """
         if self._settings.controller is None:
             self._make()
         allowed = may_decide(self._settings.controller, allowed, self._quiet)
-        decides = allowed and not self._forecast_problem()
+        decides = allowed and self._may_use_forecast
         if decides and self._outdated:
             self._make()
         try:
-            command = self._decide(decides)
+            command, outputs = self.decide(decides)
         except ControllerError:
             raise
         except ConfigurationError as error:
             self._rain.refuse(str(error))  # any other error is the controller's
-            decides = allowed and not self._forecast_problem()
-            command = self._decide(decides)
+            decides = allowed and self._may_use_forecast
+            command, outputs = self.decide(decides)
         self._learned = self._read_learned()
-        return command, decides
+        return command, outputs, decides
+
+    def decide(self, decides: bool) -> tuple[float, Outputs]:
+        """Tell the controller the measured rain, and return its command and optional outputs."""
+        set_optional(self._settings.controller, gauge_rain=self._measured_rain())
+        return super().decide(decides)
 
     def _read_learned(self) -> dict[str, float] | None:
         """Return the values that the controller has learned, which must all be finite numbers."""
@@ -253,28 +237,16 @@ class LiveControllerNode(LiveNode):
                 self.get_logger().warning(f"learned values are lost: {error}")
                 self._settings.make()
 
-    def _decide(self, decides: bool) -> float:
-        controller = self._settings.controller
-        set_optional(controller, time_ns=self._time_ns, gauge_rain=self._measured_rain())
-        rain, evapotranspiration, forecast = self._rain, self._evapotranspiration, ((), ())
-        if decides and rain.good and evapotranspiration.good:
-            forecast = self._choice.own_forecast(
-                None, rain.value, evapotranspiration.value, rain.name
-            )
-        return decide(
-            controller, decides, self._cistern.value, self._roof.value, *forecast, self._quiet
-        )
-
     def _update_stand_in(self) -> None:
         """Switch to on/off control once the controller has failed to decide for too long."""
-        if not (self._failure or self._forecast_problem()):
+        if not self._failure and self._may_use_forecast:
             self._lacking_since, self._stand_in_since = math.inf, ""
             return
         now = time.monotonic()
         self._lacking_since = min(self._lacking_since, now)
         if not self._stand_in_since and now - self._lacking_since >= self._stand_in_after:
-            wall = from_epoch_ns(self.get_clock().now().nanoseconds)
-            self._stand_in_since = to_people(wall.replace(microsecond=0))
+            system_time = from_epoch_ns(self.time_ns)
+            self._stand_in_since = to_people(system_time.replace(microsecond=0))
 
     def _diagnose_failure(self) -> None:
         if self._failure:
@@ -334,15 +306,13 @@ class LiveControllerNode(LiveNode):
         rain: float = self._gauge.value if self._gauge.good else 0.0
         return rain
 
-    def _forecast_problem(self) -> str:
-        """Return the problem with the forecasts; empty if the controller can decide."""
-        return self._bad_forecasts() if self._choice.needs_forecast else ""
+    @property
+    def _may_use_forecast(self) -> bool:
+        """Whether the controller has the forecasts that it needs, if it needs any."""
+        return not self._choice.needs_forecast or self._find_bad_forecast() is None
 
-    def _bad_forecasts(self) -> str:
-        return "; ".join(
-            diagnosis.sentence for forecast in (self._rain, self._evapotranspiration)
-            if (diagnosis := forecast.diagnosis) is not None
-        )
+    def _find_bad_forecast(self) -> Diagnosis | None:
+        return bad_inputs((self._rain, self._evapotranspiration))
 
     def _diagnose_forecast(self) -> None:
         """Report a problem with the forecasts.
@@ -353,24 +323,21 @@ class LiveControllerNode(LiveNode):
         needs = self._choice.needs_forecast
         if not needs and not ("horizon" in self._choice.parameters and self._rain.received):
             return
-        problem = self._bad_forecasts()
-        if not problem:
+        bad = self._find_bad_forecast()
+        if bad is None:
             self.reports.diagnose("forecast", None, "the forecast is valid")
             return
-        values, case = {"problem": problem}, "bad" if needs else "without"
+        values = {"problem": bad.sentence, "topic": bad.values["topic"]}
+        case = "bad" if needs else "without"
         if needs and self._stand_in_since:
             case, values["since"] = "onoff", self._stand_in_since
-        forecast = self._evapotranspiration if self._rain.good else self._rain
-        bad = forecast.diagnosis
-        values["topic"] = forecast.publishers.full_name
         self.reports.diagnose(
-            "forecast", Diagnosis.of("no_forecast", case, **values), level=WARN,
-            cause=bad.code if bad else "",
+            "forecast", Diagnosis.of("no_forecast", case, **values), level=WARN, cause=bad.code
         )
 
     def progress(self) -> dict[str, Any]:
         """Return the changed parameters, and the values that bringup shows."""
-        return {**self._settings.changes(), **self._values}
+        return {**super().progress(), **self._values}
 
 
 def _given_up(why: str) -> type[OnOff]:
@@ -386,7 +353,8 @@ def _given_up(why: str) -> type[OnOff]:
 
 
 main = live_command(
-    LiveControllerNode, "live.controller", __doc__, of_reference(parameters), "--controller"
+    LiveControllerNode, "live.controller", __doc__,
+    lambda name: parameters(name and find_controller(name)), "--controller",
 )
 
 

@@ -29,9 +29,10 @@ from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.states import DriveState, PumpState
 from greenroof_ros.live.actuator import STATE_FILE, ActuatorNode
 from greenroof_ros.live.boot_clock import boot_time
-from greenroof_ros.live.engine import LIMITS, live_parameters
+from greenroof_ros.live.levels import LIMITS, live_parameters
 from greenroof_ros.live.live_diagnostics import ERROR, OK, WARN
 from greenroof_ros.live.node import live_command
+from greenroof_ros.live.pumping.input_rules import AWAITED
 from greenroof_ros.live.pumping.interlocks import evaluate, latch, state_of, stored_reasons
 from greenroof_ros.live.pumping.limits import check_command_limit, pump_parameters
 from greenroof_ros.live.pumping.state_file import GUARD
@@ -113,7 +114,7 @@ class ExternalPumpNode(ActuatorNode):
         """Judge the driver, publish the hold, and return the state of the pump."""
         now = boot_time()
         dt, self._stepped = min(now - self._stepped, PAUSE_S), now
-        self._engine.check_inputs()
+        self.check_inputs()
         flow = self._known_flow()
         command = float(self._command.value) if self._command.good else 0.0
         must_stop = command == 0 or bool(self._hold_sent)
@@ -155,12 +156,11 @@ class ExternalPumpNode(ActuatorNode):
         publishers = self._flow.publishers
         if second := publishers.describe_second():
             yield Diagnosis.of("two_pumps", topic=publishers.full_name, problem=second)
-        elif not publishers.compatible or self._flow.diagnosis is not None:
-            why = self._flow.diagnosis
-            yield Diagnosis.of(
-                "driver_lost", "age" if why and publishers.compatible else "lease",
-                topic=publishers.full_name, why=why.sentence if why else "",
-            )
+        elif not publishers.compatible:
+            yield Diagnosis.of("driver_lost", "lease", topic=publishers.full_name)
+        elif (why := self._flow.diagnosis) is not None:
+            case = "awaited" if why.code in AWAITED else "age"
+            yield Diagnosis.of("driver_lost", case, why=why.sentence)
 
     def _send_hold(self, hold: float, now: float) -> None:
         if hold != self._hold_sent or now - self._sent_at >= _HOLD_S:

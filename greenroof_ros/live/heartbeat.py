@@ -29,16 +29,18 @@ class Beat(IntFlag):
     REACHED = 4  # the drive has been reached
 
 
-_states: dict[str, Beat] = {}
+# The state of each node of this process. A node enters when it is made, so that the process is not
+# ready without it; the first heartbeat follows with its first report, since making it takes time.
+states: dict[str, Beat] = {}
 
 
 def send_beat(node: str, state: Beat) -> None:
     """Send the state of a node, together with the last states of this process's other nodes."""
-    _states[node] = state
+    states[node] = state
     beat = Beat(0)
-    for each in _states.values():
+    for each in states.values():
         beat |= each
-    if not all(Beat.READY in each for each in _states.values()):
+    if not all(Beat.READY in each for each in states.values()):
         beat &= ~Beat.READY
     if PIPE in os.environ:
         # A stopped bringup must not block the process, nor one that has ended end it.

@@ -13,7 +13,8 @@ from rclpy.node import Node
 from greenroof_ros.base.times import iso
 from greenroof_ros.interface.conditions import Diagnosis, Value, identity_of
 from greenroof_ros.interface.states import READY, DriveState
-from greenroof_ros.live.heartbeat import NOT_REQUIRED, Beat, send_beat
+from greenroof_ros.live import heartbeat
+from greenroof_ros.live.heartbeat import NOT_REQUIRED, Beat
 from greenroof_ros.ros.diagnostics import NodeDiagnostics
 
 # The levels of a diagnosis, as ROS tools know them.
@@ -82,7 +83,7 @@ class LiveDiagnostics(NodeDiagnostics):
         self.urgent = False
         self._published: tuple[object, ...] = ()
         self._published_at = 0.0
-        send_beat(node.get_name(), Beat(0))  # not ready before the first report
+        heartbeat.states[node.get_name()] = Beat(0)
 
     def diagnose(
         self, part: str, diagnosis: Diagnosis | None, well: str = "", level: bytes = ERROR,
@@ -158,4 +159,4 @@ class LiveDiagnostics(NodeDiagnostics):
             beat |= Beat.AT_REST
         if values.get("drive_state") not in (None, DriveState.CONNECTING.value):
             beat |= Beat.REACHED
-        send_beat(self._node.get_name(), beat)
+        heartbeat.send_beat(self._node.get_name(), beat)

@@ -33,23 +33,26 @@ class LivePublishers(Publishers):
     publishers count; they are known from events.
     """
 
-    def __init__(self, node: Node, topic: Topic, *, recorded: bool = False) -> None:
+    def __init__(
+        self, node: Node, topic: Topic, *, optional: bool = False, recorded: bool = False
+    ) -> None:
         """Prepare for a subscription.
 
         Args:
             node: the subscribing node.
             topic: topic in the interface.
+            optional: whether the node acts without the topic.
             recorded: whether the node only records the topic, and must not miss a message.
         """
         super().__init__(node, topic, replace(
             topic.qos, durability="volatile",
             # Every message on a topic with a lease restarts a timer in every reader.
             lease_s=math.inf if recorded else topic.qos.lease_s,
-        ))
+        ), optional=optional or recorded)
         self._by_lease = math.isfinite(self.required.lease_s)
         self._depth = _RECORDED_DEPTH if recorded else 1
         self._alive = 0  # counted only if there is a lease
-        self._unfit_since = -math.inf  # when the middleware last reported an incompatible one
+        self._incompatible_at = -math.inf  # when the middleware last reported an incompatible one
 
     def profile(self) -> QoSProfile:
         """Return the quality of service of the subscription, which requests no past messages."""
@@ -62,14 +65,14 @@ class LivePublishers(Publishers):
         if not self._by_lease:
             return None
         return SubscriptionEventCallbacks(
-            liveliness=self._on_liveliness, incompatible_qos=self._on_unfit
+            liveliness=self._on_liveliness, incompatible_qos=self._on_incompatible
         )
 
     def _on_liveliness(self, event: Any) -> None:
         self._alive = event.alive_count
 
-    def _on_unfit(self, event: Any) -> None:
-        self._unfit_since = time.monotonic()
+    def _on_incompatible(self, event: Any) -> None:
+        self._incompatible_at = time.monotonic()
 
     @property
     def count(self) -> int:
@@ -87,11 +90,11 @@ class LivePublishers(Publishers):
         If only one of two publishers is known, the middleware has miscounted after a lease expired
         on a busy computer.
         """
-        if self._unfit_since > -math.inf:
+        if self._incompatible_at > -math.inf:
             if incompatible := self.describe_incompatible():
                 return incompatible
-            if time.monotonic() - self._unfit_since > DISCOVERY_S:
-                self._unfit_since = -math.inf  # it has gone
+            if time.monotonic() - self._incompatible_at > DISCOVERY_S:
+                self._incompatible_at = -math.inf  # it has gone
         return super().describe_second(wait_s)
 
 
@@ -103,24 +106,21 @@ class LiveInput(Input):
         rules: rules of the input.
         diagnosis: diagnosis of the violated rule; None if the latest value may be used.
         received: whether any message has been received.
-        optional: whether the node acts without the input.
     """
 
     diagnosis: Diagnosis | None = Diagnosis("input_waiting")
 
-    def __init__(self, publishers: LivePublishers, rules: InputRules, *, optional: bool) -> None:
+    def __init__(self, publishers: LivePublishers, rules: InputRules) -> None:
         """Initialize without a value.
 
         Args:
             publishers: publishers of the topic.
             rules: rules of the input.
-            optional: whether the node acts without the input.
         """
         super().__init__(publishers.topic, publishers.full_name)
         self.publishers = publishers
         self.rules = rules
         self.received = self._unknown = False
-        self.optional = optional
         self.check()
 
     @property
@@ -164,7 +164,7 @@ class LiveInput(Input):
         super()._refuse(value, instead)
 
 
-def bad_inputs(inputs: Iterable[Input]) -> Diagnosis | None:
+def bad_inputs(inputs: Iterable[LiveInput]) -> Diagnosis | None:
     """Return a joint diagnosis of the invalid inputs, with the code of the worst input.
 
     The worst input is the first that violates a rule or, if none does, the first that is awaited.

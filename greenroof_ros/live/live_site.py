@@ -162,7 +162,10 @@ class LiveSite:
         nodes[RECORDER] = NodeSetup("greenroof_ros.live.recorder", {
             "directory": str(state / "bag"), "total_limit": self.bag_limit,
         })
-        expected = {*nodes, self.controller.name, *([PUMP] if self.drive is not None else [])}
+        pump, module = PUMP, "greenroof_ros.live.pump"
+        if self.drive is None:
+            pump, module = GUARD, "greenroof_ros.live.external_pump"
+        expected = {*nodes, self.controller.name, pump}
         nodes[ROLE] = NodeSetup("greenroof_ros.nodes.alarms", {
             "directory": str(state), "expected": " ".join(sorted(expected - NOT_REQUIRED)),
         })
@@ -179,13 +182,10 @@ class LiveSite:
             },
             partial(_give_up, self.controller),
         )
-        name, module, drive = PUMP, "greenroof_ros.live.pump", self.drive
-        if drive is None:
-            name, module = GUARD, "greenroof_ros.live.external_pump"
-        yield ProcessStart(name, module, (), {
-            name: NodeSetup(module, {
-                **common, **(vars(drive) if drive is not None else {}),
-                "state_file": str(state / STATE_FILE),
+        drive = {} if self.drive is None else vars(self.drive)
+        yield ProcessStart(pump, module, (), {
+            pump: NodeSetup(module, {
+                **common, **drive, "state_file": str(state / STATE_FILE),
             }),
         })
 

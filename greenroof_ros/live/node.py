@@ -1,6 +1,8 @@
 """Nodes of a live site, which act at ticks of the steady clock on the latest value of each input.
 
-The module also contains the entry point of live nodes, and their help.
+A live graph has no plant and no clock topic. A node does not wait for an input that is missing,
+late or invalid. The rules of :mod:`greenroof_ros.live.pumping.input_rules` determine which inputs
+are invalid, and the node acts accordingly.
 """
 
 from __future__ import annotations
@@ -16,22 +18,24 @@ from rclpy.executors import SingleThreadedExecutor
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.interface.states import READY
-from greenroof_ros.live.boot_clock import boot_time
-from greenroof_ros.live.engine import LIMITS, RECOVERY, SampleAndHold
-from greenroof_ros.live.live_diagnostics import LiveDiagnostics
-from greenroof_ros.live.live_input import LiveInput, LivePublishers
+from greenroof_ros.live.boot_clock import boot_time, suspended_time
+from greenroof_ros.live.levels import LIMITS, RECOVERY
+from greenroof_ros.live.live_diagnostics import ERROR, WARN, LiveDiagnostics
+from greenroof_ros.live.live_input import LiveInput, LivePublishers, bad_inputs
 from greenroof_ros.live.live_topics import read_live_topics
-from greenroof_ros.live.pumping.input_rules import InputRules, LevelRule
+from greenroof_ros.live.pumping.input_rules import AWAITED, InputRules, LevelRule
 from greenroof_ros.live.valve import refuse_valve
 from greenroof_ros.ros.executable import node_command
 from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.messages import pass_whole
 from greenroof_ros.ros.parameters import USE_SIM_TIME, fix
-from greenroof_ros.ros.peers import group_by_role
 from greenroof_ros.ros.publishers import DISCOVERY_S
+from greenroof_ros.ros.reports import PAUSE_S
 from greenroof_ros.ros.spin import start_receiving
 from greenroof_ros.site.site import Site
 
+# Longest time after its start at which a node first acts (s).
+_FIRST_S = 1.0
 # Longest time for which a node waits for messages before it checks clocks and signals again (s).
 _CHECK_S = 0.05
 # Interval at which a node reports its state to the supervisor (s), which kills a silent pump node
@@ -40,7 +44,10 @@ _REPORT_S = 0.25
 
 
 class LiveNode(GraphNode):
-    """A node of a live site.
+    """A node of a live site, which acts once per tau of the site even without its peers.
+
+    The steady clock (CLOCK_BOOTTIME) keeps running while the computer is suspended, so inputs
+    received before a suspension are too old.
 
     A subclass opens its topics with :meth:`open_outputs` and :meth:`subscribe`, using their names
     in the interface. The subclass overrides :meth:`on_inputs` and, as needed, the other ``on_``
@@ -60,14 +67,16 @@ class LiveNode(GraphNode):
             ConfigurationError: if the ROS arguments or a parameter file are invalid.
         """
         super().__init__(name, role, read_live_topics(), LiveDiagnostics)
+        self.inputs: dict[str, LiveInput] = {}
         if self.get_parameter(USE_SIM_TIME).value:
             raise ConfigurationError(
                 "must be false: a live site runs on the steady clock",
                 key=f"parameter {USE_SIM_TIME} of {name}", value="true",
             )
         fix(self, USE_SIM_TIME, False, "must be false: this node is in a live graph")
-        self._engine = SampleAndHold(self.on_inputs, self.reports)
-        self._subscribed: list[LivePublishers] = []
+        self._tick = 0
+        self._period = self._due = math.inf  # without a site, the node only reacts
+        self._awake_at = self._ignoring_until = boot_time()
         self._checked = self._reported = self._warned = -math.inf
 
     # --- to override ------------------------------------------------------------------------
@@ -93,7 +102,8 @@ class LiveNode(GraphNode):
         """
         site = super().declare_site()
         refuse_valve(site, Path(self.get_parameter("site_file").value))
-        self._engine.set_period(site.tau)
+        self._period = site.tau
+        self._due = boot_time() + min(site.tau, _FIRST_S)
         return site
 
     def subscribe(
@@ -107,13 +117,20 @@ class LiveNode(GraphNode):
             level: additional rule for a level; None for any other input.
         """
         limit = LIMITS[name].name
-        publishers = LivePublishers(self, self.interface[name])
+        publishers = LivePublishers(self, self.interface[name], optional=optional)
         rules = InputRules(
             boot_time(), self.get_parameter(limit).value, self.get_parameter(RECOVERY.name).value,
             topic=publishers.full_name, limit_name=limit, level=level,
         )
-        self.inputs[name] = entry = LiveInput(publishers, rules, optional=optional)
-        self._open(publishers, self._engine.receiver(entry))
+        self.inputs[name] = entry = LiveInput(publishers, rules)
+
+        def receive(message: bytes) -> None:
+            now = boot_time()
+            self._handle_pause(now)
+            if now >= self._ignoring_until:
+                entry.receive(message)
+
+        self._open(publishers, receive)
         return entry
 
     def record(self, name: str, callback: Callable[[bytes], None]) -> None:
@@ -123,7 +140,7 @@ class LiveNode(GraphNode):
         self._open(publishers, pass_whole(topic.type, callback))
 
     def _open(self, publishers: LivePublishers, callback: Callable[[bytes], None]) -> None:
-        self._subscribed.append(publishers)
+        self.peers.publishers[publishers.topic.name] = publishers
         self.open_subscription(
             publishers.topic, callback, publishers.profile(), publishers.events()
         )
@@ -131,27 +148,35 @@ class LiveNode(GraphNode):
     # --- running ----------------------------------------------------------------------------
 
     @property
+    def tick(self) -> int:
+        """The number of the node's next tick."""
+        return self._tick
+
+    @property
     def acted(self) -> bool:
-        """Whether the node has acted."""
-        return self._engine.has_acted
+        """Whether the node has acted or is acting; always true without a period."""
+        return self._tick > 0 or math.isinf(self._period)
 
     @property
     def good(self) -> bool:
         """Whether all required inputs satisfy their rules."""
-        self._engine.check_inputs()
-        return all(entry.good for entry in self._engine.required)
+        self.check_inputs()
+        return all(entry.good for entry in self._required)
 
-    def absent(self) -> dict[str, list[str]]:
-        """Return the required inputs without a compatible publisher, keyed by the missing role."""
-        topics = {name: entry.topic for name, entry in self.inputs.items()}
-        return group_by_role(self.role, topics, [
-            entry.topic.name for entry in self._engine.required if not entry.publishers.compatible
-        ])
+    @property
+    def _required(self) -> list[LiveInput]:
+        return [entry for entry in self.inputs.values() if not entry.publishers.optional]
+
+    def check_inputs(self) -> None:
+        """Check all inputs at the current time; after a pause of this process, all are too old."""
+        self._handle_pause(boot_time())
+        for entry in self.inputs.values():
+            entry.check()
 
     @property
     def wait_s(self) -> float:
         """Maximum time for which the node may wait for the next message (s)."""
-        return min(_CHECK_S, self._engine.due_in)
+        return min(_CHECK_S, max(0.0, self._due - boot_time()))
 
     def check(self, now: float) -> None:
         """Act if it is time to do so, run the other checks that depend on the clock, and report.
@@ -166,30 +191,52 @@ class LiveNode(GraphNode):
         """
         if self.failure is not None:
             raise self.failure
-        self._engine.check()
+        self._act_if_due()
         if now - self._checked < _CHECK_S:  # asking ROS takes milliseconds: not for every message
             return
         self._checked = now
         self.on_timer(now)
         if now - self._warned >= DISCOVERY_S:
             self._warned = now
-            self._warn(now)
-        begins = not self.ready and self.acted and not self.absent()
+            self.warn(self.peers.warnings(now))
+        begins = not self.ready and self.acted and not self.peers.absent()
         if begins:
             self.reports.state = READY
         if begins or self.reports.urgent or now - self._reported > _REPORT_S:
             self._reported = now
             self.report_state()
 
-    def _warn(self, now: float) -> None:
-        """Warn once about each publisher that does not respond, until that publisher is gone."""
-        before = self.warnings
-        self.warnings = [
-            sentence for publishers in self._subscribed if (sentence := publishers.warning(now))
-        ]
-        for sentence in self.warnings:
-            if sentence not in before:
-                self.get_logger().warning(sentence)
+    def _act_if_due(self) -> None:
+        """Act if the period has passed; periods that were missed during a pause are skipped."""
+        now = boot_time()
+        self._handle_pause(now)
+        if now < self._due:
+            return
+        self._due += (math.floor((now - self._due) / self._period) + 1) * self._period
+        before = suspended_time()
+        self.check_inputs()
+        if required := self._required:
+            bad = bad_inputs(required)
+            level = WARN if bad is not None and bad.code in AWAITED else ERROR
+            self.reports.diagnose("inputs", bad, "all inputs are valid", level)
+        self._tick += 1
+        self.on_inputs()
+        # The time that a node takes to decide is not a pause, so it must not make its inputs too
+        # old. A suspension of the machine while it decides is a pause.
+        slept = suspended_time() - before
+        self._awake_at = boot_time() - slept
+
+    def _handle_pause(self, now: float) -> None:
+        """Clear all inputs if this process was paused.
+
+        Messages that arrive shortly after the pause are ignored, since they may have been waiting.
+        """
+        passed, self._awake_at = now - self._awake_at, now
+        if passed > PAUSE_S:
+            self._ignoring_until = now + PAUSE_S
+            for entry in self.inputs.values():
+                entry.rules.clear(passed)
+                entry.check()
 
 
 def spin(nodes: Sequence[LiveNode], check: Callable[[], None]) -> NoReturn:

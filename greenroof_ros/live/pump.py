@@ -20,14 +20,14 @@ begin_node(__name__)
 import math
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 from rcl_interfaces.srv import SetParametersAtomically
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.parameter import Parameter
-from greenroof_ros.interface.conditions import Diagnosis
+from greenroof_ros.interface.conditions import Diagnosis, read_interlocks
 from greenroof_ros.interface.states import DriveState, PumpState
 from greenroof_ros.live.actuator import REPORTED_S, STATE_FILE, ActuatorNode, read_fields
 from greenroof_ros.live.boot_clock import boot_time, suspended_time
@@ -41,15 +41,17 @@ from greenroof_ros.live.devices.exchange import (
     Endpoint,
     read_endpoint,
 )
-from greenroof_ros.live.engine import LIMITS, Levels, live_parameters
+from greenroof_ros.live.levels import LIMITS, Levels, live_parameters
+from greenroof_ros.live.live_diagnostics import ERROR, OK, WARN
+from greenroof_ros.live.live_input import bad_inputs, join_diagnoses
 from greenroof_ros.live.node import live_command
-from greenroof_ros.live.pump_reports import PumpReports
+from greenroof_ros.live.pumping.dose import DONE, Dose
 from greenroof_ros.live.pumping.limits import (
     PumpSettings,
     check_command_limit,
     pump_parameters,
 )
-from greenroof_ros.live.pumping.pump_control import Decision, PumpControl
+from greenroof_ros.live.pumping.pump_control import Decision, PumpControl, drive_fault
 from greenroof_ros.live.pumping.pump_inputs import INPUTS, Observation
 from greenroof_ros.ros.parameters import declare, site_file
 from greenroof_ros.ros.reports import PAUSE_S
@@ -72,6 +74,10 @@ _OWN = (
     ),
     STATE_FILE,
 )
+# The parts that report on inputs, as in the interlocks of the table.
+_PARTS = {
+    "command": ("command",), "levels": ("cistern_level", "roof_level"), "frost": ("frost",),
+}
 # The fields of a request for a dose.
 _DOSE = (
     Parameter("volume", 0.0, "m3", meaning="the volume"),
@@ -83,7 +89,7 @@ def parameters(site: Site) -> list[Parameter]:
     """Return the node's parameters."""
     return [
         site_file(), *_OWN, *pump_parameters(site),
-        *live_parameters(row.topic for row in INPUTS),
+        *live_parameters(INPUTS.values()),
     ]
 
 
@@ -108,6 +114,7 @@ class PumpNode(ActuatorNode):
             endpoint, timeout_limit_s=values["drive_timeout_limit"],
             stops_locally=values["local_settings_stop_the_pump"],
         )
+        self.reports.hardware = str(endpoint)
         settings = {parameter.name: values[parameter.name] for parameter in pump_parameters(site)}
         settings["min_speed"] = max(settings["min_speed"], endpoint.file.min_speed)
         self._settings = PumpSettings(**settings)
@@ -123,13 +130,10 @@ class PumpNode(ActuatorNode):
         self._levels = Levels(site, values, self.subscribe)
         of_levels = {"cistern_level": self._levels.cistern, "roof_level": self._levels.roof}
         self._by_name = {
-            row.name: of_levels.get(row.name) or self.subscribe(
-                row.topic, optional=not row.unknown
-            )
-            for row in INPUTS
+            name: of_levels.get(name) or self.subscribe(topic, optional=name == "flow")
+            for name, topic in INPUTS.items()
         }
         self._flows = self.subscribe("/pump/flow", optional=True).publishers
-        self._pump_reports = PumpReports(self.reports, self._by_name, self._exchange)
         self.open_outputs("/pump/flow", "/pump/state")
         self.open_service("dose", SetParametersAtomically, self._dose)
 
@@ -161,7 +165,7 @@ class PumpNode(ActuatorNode):
     def _dose(self, request: SetParametersAtomically.Request) -> tuple[bool, str]:
         fields = read_fields("dose", request, _DOSE, {"volume", "asked_at"})
         self._step()  # a reason against the dose may have just arrived
-        refusal = self._control.request_dose(fields["asked_at"], fields["volume"])
+        refusal = self._control.doses.request(fields["asked_at"], fields["volume"], time.time())
         return not refusal, refusal or str(self.decide())
 
     # --- by the clock -----------------------------------------------------------------------------
@@ -186,9 +190,7 @@ class PumpNode(ActuatorNode):
         if now - self._reported_at > _REPORT_S:
             self._reported_at = now
             self.check_state_file()
-            self._pump_reports.update(
-                now, self._decision, self._control.doses, self._second_pump()
-            )
+            self._report(now)
 
     def on_stop(self) -> None:
         """Stop the drive and confirm that it is stopped, whatever ends the node.
@@ -253,14 +255,14 @@ class PumpNode(ActuatorNode):
     def _step(self) -> Decision:
         """Decide based on the current observations, command the drive, and publish the state."""
         now, dt = boot_time(), self._elapsed()
-        self._engine.check_inputs()
+        self.check_inputs()
         snapshot = self._exchange.snapshot
         status = snapshot.status_at(now)
         # A trip of the drive's own timeout clears automatically, and one that is being
         # acknowledged does not count.
         counts = status is not None and not status.timed_out and now >= self._resetting_until
         before, decision = self._decision, self._control.step(dt, Observation(
-            **{row.name: self._value(row.name) for row in INPUTS},
+            **{name: self._value(name) for name in INPUTS},
             displacements=self._levels.displacements,
             time_ns=time.time_ns(),
             speed=None if status is None else status.speed,
@@ -299,7 +301,8 @@ class PumpNode(ActuatorNode):
 
     def progress(self) -> dict[str, Any]:
         """Return the values that bringup shows and waits for."""
-        decision, dose = self._decision, self._control.doses.last
+        decision, doses = self._decision, self._control.doses
+        dose = doses.last
         return {
             "pump_state": decision.state, "pump_why": decision.why,
             "stands": decision.at_rest,
@@ -308,10 +311,115 @@ class PumpNode(ActuatorNode):
             "drive_state": self.device_state(self._trouble()).value,
             **super().progress(),
             "max_dose": self._site.max_dose,
-            "min_dose": self._control.min_pulse,
-            "no_dose": self._control.dose_refusal,
+            "min_dose": doses.minimum,
+            "no_dose": doses.refusal,
             "dose": None if dose is None else {**asdict(dose), "said": dose.sentence},
         }
+
+    # --- reports on the parts; messages that contain numbers are not logged -----------------------
+
+    def _report(self, now: float) -> None:
+        """Report on every part of the node, at a time of `boot_time` (s)."""
+        decision = self._decision
+        diagnose = self.reports.diagnose
+        first = next(iter(decision.interlocks.values()), None)
+        wrong = first is not None and first.code != "quiet_hours"  # these are as intended
+        level, shown = ERROR if decision.state == "fault" else WARN if wrong else OK, first
+        if decision.state != "fault" and not decision.at_rest:
+            # What the pump does matters more than why it should be off.
+            if decision.reported_speed is None:
+                level, shown = ERROR, Diagnosis("stands_unknown")
+            elif "hold" in decision.interlocks:
+                shown = Diagnosis("stop_not_followed")
+        diagnose(
+            "pump", shown and replace(shown, text=str(decision.shown)), str(decision.shown), level,
+            self._cause(first.code) if first else "", log=False,
+        )
+        warnings = join_diagnoses(decision.warnings)
+        diagnose("limits", warnings, "nothing limits the pump", WARN, log=False)
+        if self._site.max_dose is not None:
+            self._diagnose_dose(self._control.doses.last)
+        diagnose("flow", self._second_pump(), f"source: {decision.source}")
+        self._diagnose_inputs(decision)
+        levels_known = self._levels.cistern.good and self._levels.roof.good
+        diagnose(
+            "delivery",
+            None if levels_known else Diagnosis.of("delivery_blind"),
+            "the pumped volume is compared with both levels" if decision.delivery_checked
+            else "the levels have not yet been known for long enough",
+            WARN,
+        )
+        self._diagnose_drive(now)
+
+    def _diagnose_inputs(self, decision: Decision) -> None:
+        for part, names in _PARTS.items():
+            diagnosis, level = bad_inputs(self._by_name[name] for name in names), ERROR
+            if diagnosis is None:  # a good value may still keep the pump off
+                level, diagnosis = WARN, next((
+                    reason for code, reason in decision.interlocks.items()
+                    if part in read_interlocks()[code].explained_by
+                ), None)
+            elif part == "frost":
+                level, diagnosis = WARN, diagnosis.change_code(self._cause("frost_unknown"))
+            well = " and ".join(name.replace("_", " ") for name in names)
+            self.reports.diagnose(part, diagnosis, f"known: {well}", level)
+
+    def _cause(self, code: str) -> str:
+        """Return the code that caused an interlock; empty if unknown."""
+        entry = self._by_name.get(code.removesuffix("_unknown"))
+        if entry is None or (diagnosis := entry.diagnosis) is None:
+            return ""
+        unknown = code == "frost_unknown" and diagnosis.code == "input_refused"  # NaN means unknown
+        return "temperature_unknown" if unknown else diagnosis.code
+
+    def _diagnose_dose(self, dose: Dose | None) -> None:
+        """Report the progress of a dose and, for a minute after its end, its outcome."""
+        if dose is None:
+            self.reports.diagnose("dose", None, "no dose is under way", log=False)
+            return
+        early = dose.ended_early if dose.over not in ("", DONE) else None
+        self.reports.diagnose("dose", early, dose.sentence, WARN, dose.cause, log=False)
+
+    def _diagnose_drive(self, now: float) -> None:
+        snapshot = self._exchange.snapshot
+        status, absence = snapshot.status_at(now), snapshot.absence_at(now)
+        file = self._exchange.endpoint.file
+        if unverified := ", ".join(file.unverified_and_vital):
+            self.reports.diagnose("drive file", Diagnosis.of(
+                "drive_file_unverified", file=str(file.path), settings=unverified
+            ), level=WARN)
+        if absence is not None:
+            lost = bool(snapshot.errors)
+            self.reports.diagnose(
+                "drive", absence if lost else absence.change_code("drive_awaited"),
+                level=ERROR if lost else WARN,
+            )
+        if status is None:
+            return
+        self.reports.hardware = f"{snapshot.identity}, {self._exchange.endpoint}"
+        warning = "; ".join(filter(None, (snapshot.problem, status.warning)))
+        level, diagnosis = WARN, None
+        if status.fault:
+            level, diagnosis = ERROR, drive_fault(status.fault, status.runs_on)
+        elif not status.remote:
+            more = {"problem": warning} if warning else {}
+            diagnosis = Diagnosis.of("drive_local", "local", *more, **more)
+        elif snapshot.second_master:
+            diagnosis = snapshot.second_master
+        elif warning:
+            diagnosis = Diagnosis.of("drive_warning", warning=warning)
+        self.reports.diagnose("drive", diagnosis, f"connected to {snapshot.identity}", level)
+        self._diagnose_timeout(snapshot)
+
+    def _diagnose_timeout(self, snapshot: DriveSnapshot) -> None:
+        guard = self._exchange.endpoint.guard
+        well = f"if this computer fails, the drive stops after {snapshot.timeout_s or 0:g} s"
+        if guard is not None and guard.traps:
+            well += f"; beware: {guard.traps}"
+        diagnosis, level = self._exchange.timeout_problem(snapshot), ERROR
+        if diagnosis is None:
+            diagnosis, level = snapshot.unguarded, WARN
+        self.reports.diagnose("drive timeout", diagnosis, well, level)
 
 
 def _read_endpoint(values: Mapping[str, Any], node_name: str) -> Endpoint:

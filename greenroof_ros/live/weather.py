@@ -38,12 +38,12 @@ from greenroof_ros.forecast.service import (
 )
 from greenroof_ros.forecast.steps import Outlook
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.live.engine import live_parameters
+from greenroof_ros.live.levels import live_parameters
 from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.live_input import LiveInput
 from greenroof_ros.live.node import LiveNode, live_command
+from greenroof_ros.nodes.weather import WeatherNode
 from greenroof_ros.ros.parameters import declare, look_ahead_parameters, site_file
-from greenroof_ros.ros.weather_outputs import EVAPOTRANSPIRATION, FROST, RAIN, WeatherOutputs
 from greenroof_ros.site.site import Site
 
 # How long the start waits for the first forecast (s), which is more than most files take.
@@ -87,8 +87,8 @@ def parameters(site: Site) -> list[Parameter]:
     ]
 
 
-class LiveWeatherNode(LiveNode):
-    """Node that publishes weather and forecasts from gauges and from a file or a service."""
+class LiveWeatherNode(WeatherNode, LiveNode):
+    """Weather node of a live site, with gauges, and forecasts from a file or a service."""
 
     def __init__(self) -> None:
         """Declare the parameters and open the topics.
@@ -122,52 +122,34 @@ class LiveWeatherNode(LiveNode):
         self._rain_gauge, self._thermometer = (
             self.subscribe(name, optional=True) for name in _GAUGES
         )
-        self._weather = WeatherOutputs(self, site, values["horizon"])
+        self.open_weather(site, values["horizon"])
 
     def on_inputs(self) -> None:
         """Publish the values known now; subscribers recognize a missing value by its age."""
-        now = from_epoch_ns(self.get_clock().now().nanoseconds)
+        now = from_epoch_ns(self.time_ns)
         rain = self._rain_gauge.value if self._rain_gauge.good else None
-        if self._fetcher is not None:
-            unfetched = Diagnosis.if_any("forecast_not_fetched", self._fetcher.problem)
-            self.reports.diagnose("forecast service", unfetched, ATTRIBUTION, WARN)
-            before, self._unkept = self._unkept, self._kept.problem
-            if self._unkept not in ("", before):
-                self.get_logger().warning(
-                    f"the forecast is used, but has not been saved: {self._unkept}")
-        forecast = self._forecast
-        outlook = None if forecast is None else self._outlook(forecast, now, rain)
-        temperature = math.nan if outlook is None else outlook.temperature
+        forecast, outlook, instead = self._forecast, None, "unknown"
+        why = "no thermometer reading"
+        if self._thermometer.received and self._thermometer.diagnosis is not None:
+            why = self._thermometer.diagnosis.sentence
+        if forecast is not None:
+            outlook, instead = self._outlook(forecast, now, rain), "forecast"
+            lacks = "no forecast" if outlook is None else "the forecast has no temperature column"
+            why += f", and {lacks}"
+        temperature, evapotranspiration = math.nan, _find_monthly_mean(self._site, now)
+        if outlook is not None:
+            temperature, rain = outlook.temperature, outlook.rain_now
+            evapotranspiration = outlook.evapotranspiration_now
         if self._thermometer.good:
             temperature = self._thermometer.value
-        instead = "" if forecast is None else (
-            ", and no forecast" if outlook is None
-            else ", and the forecast has no temperature column"
-        )
-        thermometer = self._thermometer
-        why = "no thermometer reading"
-        if thermometer.received and thermometer.diagnosis is not None:
-            why = thermometer.diagnosis.sentence
-        source = "measured" if thermometer.good else "forecast"
-        self.publish(FROST, self._frost(temperature, source, f"{why}{instead}"))
-        evapotranspiration: float | None
-        if outlook is not None:
-            self._weather.publish_forecasts(
-                outlook.issued, outlook.rain, outlook.evapotranspiration
-            )
-            rain, evapotranspiration = outlook.rain_now, outlook.evapotranspiration_now
-        else:
-            at_site = now.astimezone(timezone(timedelta(hours=self._site.utc_offset or 0.0)))
-            evapotranspiration = _find_monthly_mean(self._site, at_site.month)
-        if rain is not None:
-            self.publish(RAIN, rain)
-        if evapotranspiration is not None:
-            self.publish(EVAPOTRANSPIRATION, evapotranspiration)
-        instead = "unknown" if forecast is None else "forecast"
+        source = "measured" if self._thermometer.good else "forecast"
+        frost = self._frost(temperature, source, why)
+        self.publish_weather(frost, outlook, rain, evapotranspiration)
         self._diagnose_gauge("rain gauge", self._rain_gauge, f"the current rain rate is {instead}")
         self._diagnose_gauge(
             "thermometer", self._thermometer, f"the current temperature is {instead}"
         )
+        self._diagnose_service()
 
     def _fetch(self, values: dict[str, Any], file: Path) -> Fetcher:
         """Start fetching forecasts on a separate thread."""
@@ -181,6 +163,16 @@ class LiveWeatherNode(LiveNode):
         fetcher = Fetcher(service, self._kept.write, 60 * values["fetch_every"])
         fetcher.start()
         return fetcher
+
+    def _diagnose_service(self) -> None:
+        if self._fetcher is None:
+            return
+        unfetched = Diagnosis.if_any("forecast_not_fetched", self._fetcher.problem)
+        self.reports.diagnose("forecast service", unfetched, ATTRIBUTION, WARN)
+        before, self._unkept = self._unkept, self._kept.problem
+        if self._unkept not in ("", before):
+            self.get_logger().warning(
+                f"the forecast is used, but has not been saved: {self._unkept}")
 
     def progress(self) -> dict[str, Any]:
         """Return the source of the forecast, which its licence requires to be shown."""
@@ -271,11 +263,12 @@ class LiveWeatherNode(LiveNode):
         self.reports.diagnose(part, bad, well, WARN, diagnosis.code if diagnosis else "")
 
 
-def _find_monthly_mean(site: Site, month: int) -> float | None:
-    """Return the mean evapotranspiration of the bed in a month, 1 to 12 (m3/s), if known."""
+def _find_monthly_mean(site: Site, now: datetime) -> float | None:
+    """Return the mean evapotranspiration of the bed in a month (m3/s), if known."""
     if site.monthly_evapotranspiration is None:
         return None
-    reference = site.monthly_evapotranspiration[month - 1]
+    at_site = now.astimezone(timezone(timedelta(hours=site.utc_offset or 0.0)))
+    reference = site.monthly_evapotranspiration[at_site.month - 1]
     return site.crop_coefficient * reference / 1000 / 86400 * site.a2
 
 

@@ -36,6 +36,7 @@ class AlarmLog:
         self.last_number = 0
         self._tell, self._file = tell, file
         self._lasting: dict[int, Alarm] = {}
+        self._warnings = set[str]()
         try:
             if file is not None:
                 self._resume(file)
@@ -67,6 +68,12 @@ class AlarmLog:
             if alarm.ended is None:
                 self._lasting[alarm.number] = alarm
             self._store(alarm)
+
+    def warn(self, warnings: set[str]) -> None:
+        """Print the warnings of nodes that are new."""
+        for text in sorted(warnings - self._warnings):
+            self._tell(f"warning: {text}")
+        self._warnings = warnings
 
     def _store(self, alarm: Alarm) -> None:
         if self._file is not None:

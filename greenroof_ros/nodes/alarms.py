@@ -142,6 +142,7 @@ class AlarmsNode(GraphNode):
         starting = self._reports.is_starting(now)
         changes = self._judge.update(now, self._now, diagnoses, starting=starting)
         self._log.add(changes)
+        self._log.warn(self._reports.warnings)
         if self._start is not None and self._start.update(now, self._judge, self._reports):
             self._start = None
         if changes or now - self._published >= _PUBLISH_S:

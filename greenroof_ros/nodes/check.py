@@ -287,7 +287,7 @@ class NodeCheck(ABC):
 
     @property
     def _now(self) -> float:
-        """The time of the ticks (s): that of the wall unless they are as fast as possible."""
+        """The time of the ticks (s): real, unless they are as fast as possible."""
         return time.monotonic() if self.period else self._ticks * self.site.tau
 
     def until(

@@ -14,15 +14,24 @@ from typing import Any
 
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.controllers.decide import decide, may_decide, read_statistics
+from greenroof_ros.controllers.outlet import OutletPolicy
 from greenroof_ros.controllers.protocol import set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.interface.topics import optional_topics
 from greenroof_ros.physics.storm_water import WITHOUT_RAIN
-from greenroof_ros.ros.controller_parameters import ControllerParameters, of_reference
+from greenroof_ros.ros.controller_parameters import ControllerParameters
 from greenroof_ros.ros.executable import node_command
+from greenroof_ros.ros.graph_node import GraphNode
+from greenroof_ros.ros.inputs import Input
 from greenroof_ros.ros.lockstep import CLOCK
 from greenroof_ros.ros.node import SimulationNode
 from greenroof_ros.ros.parameters import declare, site_file
+
+LEVELS = "/cistern/level", "/roof/level"
+FORECASTS = "/forecast/precipitation", "/forecast/evapotranspiration"
+FROST = "/weather/frost"
+Outputs = dict[str, Any]
+"""values of a controller's optional outputs, by attribute; empty if it has not decided"""
 
 
 def parameters(choice: ControllerChoice | None) -> list[Parameter]:
@@ -30,12 +39,92 @@ def parameters(choice: ControllerChoice | None) -> list[Parameter]:
     return [site_file(), WITHOUT_RAIN, *([] if choice is None else choice.parameters.values())]
 
 
-class ControllerNode(SimulationNode):
+class ControllerNode(GraphNode):
     """Node that runs a controller, commanding 0 in frost, in quiet hours and for invalid inputs.
 
     At a site with an outlet valve, the node also commands the valve, even in frost and in quiet
-    hours.
+    hours. A subclass, which adds the pace, opens the inputs.
+
+    Attributes:
+        command: the latest command (share of the maximum flow).
     """
+
+    _cistern: Input
+    _roof: Input
+    _rain: Input
+    _evapotranspiration: Input
+    _frost: Input
+
+    def prepare(self, choice: ControllerChoice) -> None:
+        """Declare the controller's parameters and open the outputs.
+
+        Raises:
+            ConfigurationError: if a parameter is invalid.
+        """
+        self._choice, self._site = choice, self.declare_site()
+        self._settings = ControllerParameters(self, choice, self._site)
+        self._optional = optional_topics(choice.outputs)
+        self.open_outputs("/pump/command", *(topic.name for topic, _ in self._optional))
+        self._outlet: OutletPolicy | None = None
+        self._own_steps: int | None = None  # of a forecast; None for all
+        self._quiet = False
+        self.command = 0.0
+
+    def on_inputs(self) -> None:
+        """Publish the command and, if the controller has decided, its optional outputs."""
+        allowed = bool(self.good and self._site.irrigated and not self._frost.value)
+        if self._site.quiet is not None:
+            self._quiet = self._site.quiet.quiet_at(self.time_ns)
+        self.command, outputs = self.find_command(allowed)
+        self.publish("/pump/command", self.command)
+        if self._outlet is not None:
+            self.publish("/outlet/command", self._command_outlet(self._outlet))
+        for topic, attribute in self._optional:
+            self.publish(topic.name, outputs[attribute] if outputs else topic.undecided)
+
+    def find_command(self, allowed: bool) -> tuple[float, Outputs]:
+        """Return the command, and the values of the optional outputs.
+
+        Args:
+            allowed: whether pumping is allowed.
+        """
+        return self.decide(may_decide(self._settings.controller, allowed, self._quiet))
+
+    def decide(self, decides: bool) -> tuple[float, Outputs]:
+        """Return the controller's command and optional outputs, or 0 if it must not decide.
+
+        Raises:
+            ConfigurationError: if the controller's code fails, or cannot use the forecast.
+        """
+        controller = self._settings.controller
+        if self._site.quiet is not None:
+            set_optional(controller, time_ns=self.time_ns)
+        rain, evapotranspiration, forecast = self._rain, self._evapotranspiration, ((), ())
+        if decides and rain.good and evapotranspiration.good:
+            forecast = self._choice.own_forecast(
+                self._own_steps, rain.value, evapotranspiration.value, rain.name
+            )
+        levels = self._cistern.value, self._roof.value
+        command = decide(controller, decides, *levels, *forecast, self._quiet)
+        if not decides:
+            return command, {}
+        return command, {name: getattr(controller, name) for _, name in self._optional}
+
+    def _command_outlet(self, outlet: OutletPolicy) -> float:
+        levels, share = (self._cistern.value, self._roof.value), 0.0
+        if self.good:  # the policy must not learn from a rejected input: it would be a 0
+            share = outlet(*levels, self._rain.value, self._evapotranspiration.value)
+        elif not self._rain.good:
+            outlet(*levels, (), ())  # unknown rain counts as wet weather
+        return 0.0 if self._site.valve_closed_in_frost and self._frost.value else share
+
+    def progress(self) -> dict[str, Any]:
+        """Return the changes to the controller's parameters."""
+        return self._settings.changes()
+
+
+class SimulatedController(ControllerNode, SimulationNode):
+    """Controller node of a simulated graph."""
 
     def __init__(self, controller: str) -> None:
         """Declare the controller's parameters and open the topics.
@@ -46,70 +135,32 @@ class ControllerNode(SimulationNode):
         Raises:
             ConfigurationError: if the controller does not exist.
         """
-        self._choice = choice = find_controller(controller)
+        choice = find_controller(controller)
         _ = choice.kind  # fail before a node is made
         super().__init__(choice.name, "controller")
-        self._site = site = self.declare_site()
-        self._settings = ControllerParameters(self, choice, site, lambda: self.lockstep.tick)
-        self._controller = self._settings.make()
-        self._outlet = self._settings.make_outlet(
-            declare(self, [WITHOUT_RAIN])[WITHOUT_RAIN.name]
-        )
-        self._own_steps = self._settings.count_own_steps()
-        self._optional = optional_topics(choice.outputs)
+        self.prepare(choice)
+        made, values = self._settings.make(), self._settings.values
+        without_rain = declare(self, [WITHOUT_RAIN])[WITHOUT_RAIN.name]
+        self._outlet = choice.make_outlet(self._site, values, made, without_rain)
+        self._own_steps = choice.count_own_steps(self._site, values)
         if self._outlet is not None:
             self.open_outputs("/outlet/command")
-        self.open_outputs("/pump/command", *(topic.name for topic, _ in self._optional))
         self._cistern, self._roof, self._rain, self._evapotranspiration, self._frost = (
-            self.subscribe(name) for name in (
-                "/cistern/level", "/roof/level", "/forecast/precipitation",
-                "/forecast/evapotranspiration", "/weather/frost",
-            )
+            self.subscribe(name) for name in (*LEVELS, *FORECASTS, FROST)
         )
-        if site.quiet is None:
+        if self._site.quiet is None:
             self.listen(CLOCK, self.set_time)
         else:
-            self._time = self.subscribe(CLOCK)  # a tick has to wait for its time
-
-    def on_inputs(self) -> None:
-        """Publish the command and the controller's optional outputs."""
-        controller = self._controller
-        allowed, quiet = self.good and self._site.irrigated and not self._frost.value, False
-        if self._site.quiet is not None:
-            time_ns = self._time.value
-            self.set_time(time_ns)
-            set_optional(controller, time_ns=time_ns)
-            quiet = self._site.quiet.quiet_at(time_ns)
-            allowed = may_decide(controller, allowed, quiet)
-        levels = self._cistern.value, self._roof.value
-        rain, evapotranspiration = self._rain.value, self._evapotranspiration.value
-        own = self._choice.own_forecast(
-            self._own_steps, rain, evapotranspiration, self._rain.name
-        )
-        self.publish("/pump/command", decide(controller, allowed, *levels, *own, quiet))
-        if self._outlet is not None:
-            share = 0.0
-            if self.good:  # the policy must not learn from a rejected input: it would be a 0
-                share = self._outlet(*levels, rain, evapotranspiration)
-            elif not self._rain.good:
-                self._outlet(*levels, (), ())  # unknown rain counts as wet weather
-            closed = self._site.valve_closed_in_frost and self._frost.value
-            self.publish("/outlet/command", 0.0 if closed else share)
-        for topic, attribute in self._optional:
-            value = getattr(controller, attribute) if allowed else topic.undecided
-            self.publish(topic.name, value)
-
-    def progress(self) -> dict[str, Any]:
-        """Return the changes to the controller's parameters."""
-        return self._settings.changes()
+            self.follow_clock()
 
     def summary(self) -> dict[str, Any]:
         """Return the solver's statistics."""
-        return {"solver": read_statistics(self._controller)}
+        return {"solver": read_statistics(self._settings.controller)}
 
 
 main = node_command(
-    ControllerNode, "nodes.controller", __doc__, of_reference(parameters), "--controller"
+    SimulatedController, "nodes.controller", __doc__,
+    lambda name: parameters(name and find_controller(name)), "--controller",
 )
 
 

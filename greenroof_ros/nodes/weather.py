@@ -6,6 +6,8 @@ from greenroof_ros.ros import begin_node
 
 begin_node(__name__)
 
+import math
+from array import array
 from dataclasses import replace
 from typing import Any
 
@@ -13,18 +15,21 @@ from greenroof_ros.base.errors import rename_keys
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.forecast.choice import INPUTS, MODELS, OPTIONS, PERFECT, ForecastChoice, choose
-from greenroof_ros.forecast.steps import make_forecast
+from greenroof_ros.forecast.steps import Outlook, make_forecast
 from greenroof_ros.ros.errors import LockstepError
 from greenroof_ros.ros.executable import node_command
-from greenroof_ros.ros.lockstep import CLOCK
+from greenroof_ros.ros.graph_node import GraphNode
+from greenroof_ros.ros.messages import WithFront
 from greenroof_ros.ros.node import SimulationNode
 from greenroof_ros.ros.parameters import declare, look_ahead_parameters, site_file
-from greenroof_ros.ros.weather_outputs import EVAPOTRANSPIRATION, FROST, RAIN, WeatherOutputs
-from greenroof_ros.site.horizon import MAX_HORIZON
+from greenroof_ros.site.horizon import MAX_HORIZON, look_ahead_ends
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.read import default_weather, find_files, read_weather
 from greenroof_ros.weather.series import GAPS, REFUSE, Hour, WeatherSeries
 
+_FROST = "/weather/frost"
+_RAIN, _EVAPOTRANSPIRATION = "/weather/precipitation", "/weather/evapotranspiration"
+_FORECASTS = "/forecast/precipitation", "/forecast/evapotranspiration"
 # A parameter of a node must have a value: this one stands for the usual delay (h).
 _USUAL_DELAY = -1.0
 
@@ -83,8 +88,49 @@ def _choose_forecast(values: dict[str, Any]) -> ForecastChoice:
         })
 
 
-class WeatherNode(SimulationNode):
-    """Node that publishes the weather and the forecasts of a run."""
+class WeatherNode(GraphNode):
+    """Node that publishes weather and forecasts; a subclass adds their source and the pace."""
+
+    def open_weather(self, site: Site, horizon: float, outlet_horizon: float = 0.0) -> None:
+        """Open the topics.
+
+        Args:
+            site: the site.
+            horizon: length of the forecasts (h); 0 for the next M ticks.
+            outlet_horizon: length of the forecasts for planning the outlet valve (h); 0 if the
+                valve is not planned.
+        """
+        # Prefix of every forecast: the time of its issue (s since 1970), and the ends of its steps
+        # (s from now).
+        self._front = array("d", [math.nan, *look_ahead_ends(site, horizon, outlet_horizon)[1:]])
+        self.open_outputs(_FROST, _RAIN, _EVAPOTRANSPIRATION, *_FORECASTS)
+
+    def publish_weather(
+        self, frost: float, outlook: Outlook | None, rain: float | None,
+        evapotranspiration: float | None,
+    ) -> None:
+        """Publish what is known; the controller's inputs come first, since it takes the longest.
+
+        Args:
+            frost: 1 in frost, otherwise 0; NaN if unknown.
+            outlook: the forecasts; None if there are none.
+            rain: current rain (m/s); None if unknown.
+            evapotranspiration: current evapotranspiration of the bed (m3/s); None if unknown.
+        """
+        self.publish(_FROST, frost)
+        if outlook is not None:
+            self._front[0] = math.nan if outlook.issued is None else outlook.issued.timestamp()
+            forecasts = outlook.rain, outlook.evapotranspiration
+            for topic, forecast in zip(_FORECASTS, forecasts, strict=True):
+                self.publish(topic, WithFront(self._front, forecast))
+        if rain is not None:
+            self.publish(_RAIN, rain)
+        if evapotranspiration is not None:
+            self.publish(_EVAPOTRANSPIRATION, evapotranspiration)
+
+
+class RecordedWeather(WeatherNode, SimulationNode):
+    """Weather node of a simulated graph, with recorded weather."""
 
     def __init__(self) -> None:
         """Declare the parameters, read the records and open the topics.
@@ -109,32 +155,26 @@ class WeatherNode(SimulationNode):
             values["all_members"], values["outlet_horizon"],
         )
         self._start_ns, self._tick_ns = epoch_ns(start), round(site.tau * 1e9)
-        self._time = self.subscribe(CLOCK)
+        self.follow_clock()
         self._hour: Hour | None = None
-        self._weather = WeatherOutputs(self, site, values["horizon"], values["outlet_horizon"])
+        self.open_weather(site, values["horizon"], values["outlet_horizon"])
 
     def on_inputs(self) -> None:
         """Publish the weather of the tick, and the forecasts known at the time of the tick."""
-        tick, hour = self._tick(self._time.value), self._hour
+        tick, hour = self._find_tick(), self._hour
         if hour is None or tick >= hour.until:
             hour = self._hour = self._series.at(tick)
-        # The controller's inputs come first, since it takes the longest.
-        self.publish(FROST, hour.frost)
-        outlook = self._forecast.at(tick)
-        self._weather.publish_forecasts(
-            outlook.issued, outlook.rain, outlook.evapotranspiration
+        self.publish_weather(
+            hour.frost, self._forecast.at(tick), hour.precipitation, hour.evapotranspiration
         )
-        self.publish(RAIN, hour.precipitation)
-        self.publish(EVAPOTRANSPIRATION, hour.evapotranspiration)
-        self.set_time(self._time.value)
 
-    def _tick(self, time_ns: int) -> int:
-        """Return the number of the tick that begins at a time (ns since 1970).
+    def _find_tick(self) -> int:
+        """Return the number of the tick that begins now.
 
         Raises:
-            LockstepError: if no tick of the run begins at the time.
+            LockstepError: if no tick of the run begins now.
         """
-        tick, remainder = divmod(time_ns - self._start_ns, self._tick_ns)
+        tick, remainder = divmod(self.time_ns - self._start_ns, self._tick_ns)
         if remainder or not 0 <= tick <= self._last_tick:
             raise LockstepError(
                 f"/clock is at tick {tick}, but this run has ticks 0 to {self._last_tick}: the "
@@ -143,7 +183,7 @@ class WeatherNode(SimulationNode):
         return tick
 
 
-main = node_command(WeatherNode, "nodes.weather", __doc__, parameters)
+main = node_command(RecordedWeather, "nodes.weather", __doc__, parameters)
 
 
 if __name__ == "__main__":

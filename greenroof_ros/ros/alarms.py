@@ -7,7 +7,8 @@ shows alarms shows those.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -163,9 +164,8 @@ class Judge:
             if condition is None or not condition.device or not diagnoses[name].line:
                 continue
             together = lines.setdefault(diagnoses[name].line, [])
-            if together and (
-                self._lasting[name].began - self._lasting[together[-1]].began > _TOGETHER_S
-            ) and len(together) < 2:
+            before = self._lasting[together[-1]].began if together else -math.inf
+            if len(together) < 2 and self._lasting[name].began - before > _TOGETHER_S:
                 together.clear()
             together.append(name)
         for line, names in lines.items():
@@ -313,15 +313,16 @@ def _find_candidates(
             if name != node and ": " not in name and waited_for:
                 yield name
     elif condition.no_data:
-        yield from find_publishers(diagnosis.about, diagnosis.role, diagnoses)
-    more: Sequence[str] = condition.explained_by
-    if condition.interlock is not None:
-        more = condition.interlock.parts
-    for explains in more:  # parts of the same node, and then those of others
-        if (own := f"{node}: {explains}") in diagnoses and own != name:
-            yield own
-        elif condition.interlock is not None:
-            yield from (other for other in diagnoses if other.endswith(f": {explains}"))
+        yield from _find_publishers(diagnosis, diagnoses)
+    interlock = condition.interlock
+    more: Sequence[str] = condition.explained_by if interlock is None else interlock.parts
+    if interlock is None or part == PUMP:
+        yield from (own for explains in more if (own := f"{node}: {explains}") in diagnoses)
+    if interlock is not None:  # another node may know more, such as the temperature in frost
+        yield from (
+            other for explains in more for other in diagnoses
+            if other.endswith(f": {explains}") and not other.startswith(f"{node}: ")
+        )
     if part == "inputs":
         # A part of the pump node that stops the pump because of that input reports more about it.
         yield from (
@@ -331,23 +332,17 @@ def _find_candidates(
         )
 
 
-def find_publishers(
-    topics: Iterable[str], reader: str, diagnoses: Mapping[str, StatusDiagnosis]
+def _find_publishers(
+    diagnosis: StatusDiagnosis, diagnoses: Mapping[str, StatusDiagnosis]
 ) -> Iterator[str]:
-    """Yield the names of the diagnoses of the nodes that publish the given topics.
+    """Yield the names of the diagnoses of the nodes that publish what a diagnosis is about.
 
     Diagnoses of whole nodes come before diagnoses of parts of nodes.
-
-    Args:
-        topics: names of topics in the interface.
-        reader: role of the node that reads the topics, to leave out its diagnoses; empty to leave
-            out none.
-        diagnoses: diagnoses of the graph's own nodes, keyed by status name.
     """
     interface, roles = read_topics(), set[str]()
-    for topic in interface.keys() & {*topics}:
+    for topic in interface.keys() & {*diagnosis.about}:
         roles.update(interface[topic].publishers, interface[topic].live_publishers)
-    roles.discard(reader)
+    roles.discard(diagnosis.role)
     names = [
         name for name, other in diagnoses.items()
         if other.role in roles and not name.endswith(_OF_INPUTS)

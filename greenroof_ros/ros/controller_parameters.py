@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import copy
 from collections import deque
-from collections.abc import Callable
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from greenroof_ros.base.errors import rename_keys
-from greenroof_ros.base.parameter import Parameter, replace_infinity
+from greenroof_ros.base.parameter import replace_infinity
 from greenroof_ros.controllers.decide import locate_error
-from greenroof_ros.controllers.outlet import OutletPolicy
-from greenroof_ros.controllers.registry import ControllerChoice, find_controller
+from greenroof_ros.controllers.registry import ControllerChoice
+from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.parameters import declare, find_given
 from greenroof_ros.site.site import Site
 
@@ -27,31 +25,29 @@ class ControllerParameters:
     """A controller created from its node's parameters, some of which may change during a run.
 
     Attributes:
+        values: values of the parameters, by name.
         controller: the controller; None before the first call to :meth:`make`, or if the last call
             failed.
     """
 
-    def __init__(
-        self, node: Node, choice: ControllerChoice, site: Site, tick: Callable[[], int]
-    ) -> None:
+    def __init__(self, node: GraphNode, choice: ControllerChoice, site: Site) -> None:
         """Declare the parameters.
 
         Args:
             node: the node.
             choice: the chosen controller.
             site: the site.
-            tick: function that returns the current tick.
 
         Raises:
             ConfigurationError: if a value is invalid, or if a parameter is for a valve that the
                 site does not have.
         """
-        self._node, self._choice, self._site, self._tick = node, choice, site, tick
+        self._node, self._choice, self._site = node, choice, site
         known = choice.parameters_on(site)
         others = choice.parameters.keys() - {parameter.name for parameter in known}
         with rename_keys({name: f"parameter {name} of {node.get_name()}" for name in others}):
             choice.complete_parameters(site, find_given(node, others))
-        self._values = declare(node, known)
+        self.values = declare(node, known)
         self.controller: Any = None
         # Limited, since every report contains them, and a program may change a parameter in every
         # tick.
@@ -67,20 +63,8 @@ class ControllerParameters:
             ConfigurationError: if :meth:`ControllerChoice.make` raises one.
         """
         self.controller = None
-        self.controller = self._choice.make(self._site, self._values)
+        self.controller = self._choice.make(self._site, self.values)
         return self.controller
-
-    def make_outlet(self, without_rain: float) -> OutletPolicy | None:
-        """Create the policy, if any, that commands the outlet valve alongside the controller.
-
-        Args:
-            without_rain: time without rain before the first tick (s).
-        """
-        return self._choice.make_outlet(self._site, self._values, self.controller, without_rain)
-
-    def count_own_steps(self) -> int | None:
-        """Return the number of forecast steps that the controller itself uses; None for all."""
-        return self._choice.count_own_steps(self._site, self._values)
 
     def changes(self) -> dict[str, Any]:
         """Return the latest parameter changes and their total number, for reports."""
@@ -91,7 +75,7 @@ class ControllerParameters:
     def _check(self, changes: list[RosParameter]) -> SetParametersResult:
         """Try the changes on a copy of the controller; other checks may still reject them."""
         tried = copy.copy(self.controller)
-        for name, value in self._of_controller(changes):
+        for name, value in self._select_changeable(changes):
             try:
                 if tried is not None:
                     setattr(tried, name, value)
@@ -102,11 +86,11 @@ class ControllerParameters:
 
     def _apply(self, changes: list[RosParameter]) -> None:
         """Apply changes that every check has accepted."""
-        tick = self._tick()
-        for name, value in self._of_controller(changes):
+        tick = self._node.tick
+        for name, value in self._select_changeable(changes):
             if self.controller is not None:
                 setattr(self.controller, name, value)
-            before, self._values[name] = self._values[name], value
+            before, self.values[name] = self.values[name], value
             self._change_count += 1
             self._changes.append({
                 "tick": tick, "parameter": name,
@@ -114,15 +98,8 @@ class ControllerParameters:
             })
             self._node.get_logger().info(f"{name} is {value:g} from tick {tick} on")
 
-    def _of_controller(self, changes: list[RosParameter]) -> list[tuple[str, Any]]:
+    def _select_changeable(self, changes: list[RosParameter]) -> list[tuple[str, Any]]:
         may_change = {
             parameter.name for parameter in self._choice.kind.parameters if parameter.may_change
         }
         return [(each.name, each.value) for each in changes if each.name in may_change]
-
-
-def of_reference(
-    parameters: Callable[[ControllerChoice | None], list[Parameter]]
-) -> Callable[[str | None], list[Parameter]]:
-    """Return a function that finds a controller by name and returns its node's parameters."""
-    return lambda name: parameters(None if name is None else find_controller(name))

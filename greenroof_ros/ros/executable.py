@@ -170,7 +170,7 @@ def spin_alone(nodes: Sequence[SimulationNode], check: Callable[[], None]) -> No
         check()
         before = missing
         if not node.acted:
-            missing = sorted(map(node.peers.name_of, node.absent()))
+            missing = sorted(map(node.peers.name_of, node.peers.absent()))
         if missing != before:
             awaited = ", ".join(missing)
             node.get_logger().info(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ from greenroof_ros.ros.errors import LockstepError, MalformedMessageError, descr
 from greenroof_ros.ros.inputs import Input
 from greenroof_ros.ros.messages import encoder, message_class, qos_profile
 from greenroof_ros.ros.parameters import declare, site_file
+from greenroof_ros.ros.peers import Peers
 from greenroof_ros.ros.rclpy_internals import raw_publish
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
@@ -46,6 +47,7 @@ class GraphNode(Node):
         malformed: number of malformed messages, which were dropped, by topic.
         inputs: the topics that the node acts on, keyed by their names in the interface.
         interface: all topics of the graph, by name.
+        peers: the nodes that publish the node's inputs.
         reports: object that reports the node's state.
         warnings: sentences about faults of the node's inputs.
     """
@@ -74,7 +76,8 @@ class GraphNode(Node):
         self.malformed = Counter[str]()
         self._malformed: list[str] = []  # a sentence about the first of every topic
         self.interface = interface
-        self.inputs: dict[str, Input] = {}
+        self.inputs: Mapping[str, Input] = {}
+        self.peers = Peers(role)
         self.warnings: list[str] = []
         self.reports = reports(self, role)
         # The publisher of every topic; its method to publish, and the encoder of its messages.
@@ -86,7 +89,7 @@ class GraphNode(Node):
     # --- to override ------------------------------------------------------------------------
 
     def on_timer(self, now: float) -> None:
-        """Perform the actions that depend on the wall clock; called 20 times a second."""
+        """Perform the actions that depend on the steady clock; called 20 times a second."""
 
     def on_stop(self) -> None:
         """Close open files and connections; called once when the node stops for any reason."""
@@ -167,18 +170,36 @@ class GraphNode(Node):
         self.on_failure()
 
     @property
-    def acted(self) -> bool:
-        """Whether the node has acted at least once."""
+    def tick(self) -> int:
+        """The number of the node's next tick."""
         raise NotImplementedError
+
+    @property
+    def acted(self) -> bool:
+        """Whether the node has acted, or is acting for the first time."""
+        return self.tick > 0
+
+    @property
+    def time_ns(self) -> int:
+        """The time of the graph (ns since 1970)."""
+        return int(self.get_clock().now().nanoseconds)
+
+    @property
+    def good(self) -> bool:
+        """Whether the node may act on all inputs that it requires."""
+        return all(entry.good for entry in self.inputs.values())
 
     @property
     def ready(self) -> bool:
         """Whether every input has had a publisher."""
         return self.reports.state != STARTING
 
-    def absent(self) -> dict[str, list[str]]:
-        """Return the inputs without a compatible publisher, grouped by the missing role."""
-        raise NotImplementedError
+    def warn(self, sentences: Sequence[str]) -> None:
+        """Set the node's warnings, and log those that are new."""
+        before, self.warnings = self.warnings, list(dict.fromkeys(sentences))
+        for sentence in self.warnings:
+            if sentence not in before:
+                self.get_logger().warning(sentence)
 
     # --- ending -----------------------------------------------------------------------------
 
@@ -203,7 +224,7 @@ class GraphNode(Node):
 
     def report_state(self, **values: Any) -> None:
         """Report the node's state together with the given values."""
-        waiting = {} if self.ready else {"waiting": list(self.absent())}
+        waiting = {} if self.ready else {"waiting": list(self.peers.absent())}
         refused = {name: entry.refused for name, entry in self.inputs.items()}
         self.reports.publish({
             **self._site_file, **values, **self.progress(), **waiting,

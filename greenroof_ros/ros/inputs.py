@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.topics import Topic
 from greenroof_ros.ros.messages import decoder
 
@@ -45,13 +44,6 @@ class Input:
     def good(self) -> bool:
         """Whether the node may act on the latest value."""
         return not self.refusal
-
-    @property
-    def diagnosis(self) -> Diagnosis | None:
-        """The reason why the node must not act on the latest value; None if it may."""
-        if self.good:
-            return None
-        return Diagnosis.of("input_refused", "refused", topic=self.name, why=self.refusal)
 
     def receive(self, message: bytes) -> None:
         """Store the value of a message, or 0 if the value has to be rejected."""

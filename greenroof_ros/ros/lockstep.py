@@ -23,7 +23,7 @@ end a run:
 A malformed message is dropped, and the node still waits for a valid message of the tick.
 
 Before the first tick, the plant publishes ``/run`` with N, from which every node knows its last
-tick. No timer or sleep delays a tick. The wall clock is used only to end a run that hangs.
+tick. No timer or sleep delays a tick. The steady clock is used only to end a run that hangs.
 """
 
 from __future__ import annotations

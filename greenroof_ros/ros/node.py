@@ -27,7 +27,6 @@ from greenroof_ros.ros.inputs import Input
 from greenroof_ros.ros.lockstep import CLOCK, RUN, Lockstep
 from greenroof_ros.ros.messages import decoder, pass_whole, qos_profile
 from greenroof_ros.ros.parameters import USE_SIM_TIME, fix
-from greenroof_ros.ros.peers import Peers
 from greenroof_ros.ros.publishers import Publishers
 from greenroof_ros.ros.rclpy_internals import NoClockSubscription
 
@@ -45,7 +44,6 @@ class SimulationNode(NoClockSubscription, GraphNode):
 
     Attributes:
         lockstep: object that makes the node act.
-        peers: the nodes that publish the node's inputs.
         result: values that the node adds to the summary of the run; empty until the run is over.
     """
 
@@ -61,9 +59,10 @@ class SimulationNode(NoClockSubscription, GraphNode):
         """
         self._now_ns = 0  # 0: not set yet
         super().__init__(name, role, read_topics(), NodeDiagnostics)
+        self.inputs: dict[str, Input] = {}
         fix(self, USE_SIM_TIME, True, "must be true: this node is part of a simulated graph")
-        self.peers = Peers(role)
-        self.lockstep = Lockstep(self.on_inputs, self.finish, self.peers.publishers_of)
+        self.lockstep = Lockstep(self._act, self.finish, self.peers.publishers_of)
+        self._clock_input: Input | None = None
         self.result: dict[str, Any] = {}
         self._checked = -math.inf
         if role != PLANT:
@@ -84,6 +83,20 @@ class SimulationNode(NoClockSubscription, GraphNode):
     def set_time(self, time_ns: int) -> None:
         """Set the node's clock to a simulated time (ns since 1970)."""
         self._now_ns = time_ns
+
+    def follow_clock(self) -> None:
+        """Wait in every tick for its time, which then is the node's time."""
+        self._clock_input = self.subscribe(CLOCK)
+
+    def _act(self) -> None:
+        if self._clock_input is not None:
+            self._now_ns = self._clock_input.value
+        self.on_inputs()
+
+    @property
+    def time_ns(self) -> int:
+        """The simulated time (ns since 1970)."""
+        return self._now_ns
 
     def get_clock(self) -> Clock:
         """Return the node's clock; only this method updates the clock, since few ticks use it."""
@@ -130,24 +143,15 @@ class SimulationNode(NoClockSubscription, GraphNode):
 
     # --- running ----------------------------------------------------------------------------
 
-    def absent(self) -> dict[str, list[str]]:
-        """Return the inputs without a compatible publisher, grouped by the missing role."""
-        return self.peers.absent()
-
     @property
-    def acted(self) -> bool:
-        """Whether the node has acted, that is, whether the run has begun for this node."""
-        return self.lockstep.tick > 0
+    def tick(self) -> int:
+        """The number of the node's next tick."""
+        return self.lockstep.tick
 
     @property
     def finished(self) -> bool:
         """Whether the run is over for this node."""
         return self.reports.state == FINISHED
-
-    @property
-    def good(self) -> bool:
-        """Whether the current value of every input was accepted."""
-        return all(entry.good for entry in self.inputs.values())
 
     def finish(self) -> None:
         """Set the state to finished, and report the state and the node's summary."""
@@ -157,7 +161,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
         self.report_state()
 
     def check(self, now: float) -> None:
-        """Check the conditions that depend on the wall clock, and report the node's state.
+        """Check the conditions that depend on the steady clock, and report the node's state.
 
         Args:
             now: time on the steady clock (s).
@@ -176,27 +180,20 @@ class SimulationNode(NoClockSubscription, GraphNode):
                 # Before the run this is a wrong set-up, later a failure.
                 raise (LockstepError if self.acted else OccupiedError)(second)
             self._update_warnings(now)
-            if not self.ready and not self.absent():
+            if not self.ready and not self.peers.absent():
                 self.reports.state = READY
         self.report_state()
 
     def _update_warnings(self, now: float) -> None:
         """Warn about rejected values and, before the run, about incompatible publishers."""
-        if not self.acted:
-            for publishers in self.peers.publishers.values():
-                if sentence := publishers.warning(now):
-                    self._warn(sentence)
+        found = [] if self.acted else self.peers.warnings(now)
         for entry in self.inputs.values():
             if entry.refused:
-                self._warn(
+                found.append(
                     f"rejected a value on {entry.name}: it {entry.topic.range.expected()}; the "
                     "node used 0 instead, and later rejections are counted but not logged"
                 )
-
-    def _warn(self, sentence: str) -> None:
-        if sentence not in self.warnings:
-            self.warnings.append(sentence)
-            self.get_logger().warning(sentence)
+        self.warn([*self.warnings, *found])
 
     # --- ending -----------------------------------------------------------------------------
 

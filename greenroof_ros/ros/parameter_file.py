@@ -22,7 +22,7 @@ from greenroof_ros.site.file import read_site
 
 _TEXTS = {bool: "true or false", str: "text", list: "a list of strings"}
 # Parameters that only bringup sets, by node, each with the option of bringup that sets it.
-_OF_BRINGUP = {
+_SET_BY_BRINGUP = {
     "pump": {
         "drive": "--drive",
         "address": "--drive-at",
@@ -90,47 +90,42 @@ def _refuse_wrong(
     """
     known = {name: _parameters_of(module, controller) for name, module in nodes.items()}
     for section in read_sections(file):
-        matching = list(filter(section.applies_to, known))
+        matching = {node: known[node] for node in filter(section.applies_to, known)}
         if not matching:
             raise ConfigurationError(
                 f"applies to no node that bringup starts: {', '.join(sorted(known))}",
                 file=file, line=section.line, key=section.name,
             )
-        names = set().union(*(known[node] for node in matching))
+        names = sorted(set().union(*matching.values()))
         for name, value in section.values.items():
-            place: dict[str, Any] = {
-                "file": file, "line": section.values.lines[name], "key": f"{section.name}: {name}",
-                "value": value,
-            }
-            for node in matching:
-                last = node.rpartition("/")[2]
-                option = name in known[node] and _find_option(last, nodes[node], name, value, given)
-                if option:
-                    raise ConfigurationError(
-                        f"must not be set for the node {last} in this file: under bringup, "
-                        f"{option} sets it", **place,
-                    )
-                if name in known[node]:
-                    try:
-                        check_value(known[node][name], value)
-                    except ValueError as error:
-                        raise ConfigurationError(str(error), **place) from None
-            if name not in names and name.partition(".")[0] not in OF_EVERY_NODE:
+            try:
+                if name not in names and name.partition(".")[0] not in OF_EVERY_NODE:
+                    raise ValueError(f"there is no such parameter; {suggest_names(name, names)}")
+                for node, parameters in matching.items():
+                    if name in parameters:
+                        _refuse_option(node.rpartition("/")[2], nodes[node], name, value, given)
+                        check_value(parameters[name], value)
+            except ValueError as error:
                 raise ConfigurationError(
-                    f"there is no such parameter; {suggest_names(name, sorted(names))}", **place
-                )
+                    str(error), file=file, line=section.values.lines[name],
+                    key=f"{section.name}: {name}", value=value,
+                ) from None
 
 
-def _find_option(
+def _refuse_option(
     node: str, module: str, name: str, value: object, given: Mapping[str, float]
-) -> str:
-    """Return the option that sets a node's parameter to another value; empty if there is none."""
-    of_node = _OF_BRINGUP.get(node, {})
-    if name in of_node:
-        return of_node[name]
+) -> None:
+    """Reject a parameter of a node that an option of bringup sets to another value."""
     if name in given:
-        return "" if given[name] == value else f"--{name.replace('_', '-')}"
-    return "an option of greenroof run" if module.startswith("greenroof_ros.nodes.") else ""
+        option = "" if given[name] == value else f"--{name.replace('_', '-')}"
+    else:
+        simulated = module.startswith("greenroof_ros.nodes.")
+        usual = "an option of greenroof run" if simulated else ""
+        option = _SET_BY_BRINGUP.get(node, {}).get(name, usual)
+    if option:
+        raise ValueError(
+            f"must not be set for the node {node} in this file: under bringup, {option} sets it"
+        )
 
 
 def _parameters_of(module: str, controller: ControllerChoice) -> dict[str, Parameter]:

@@ -17,7 +17,6 @@ from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
     ParameterDescriptor,
-    SetParametersResult,
 )
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
@@ -145,16 +144,12 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
 
 
 def fix(node: Node, name: str, value: Any, reason: str) -> None:
-    """Set a parameter of a node, and reject every later change with the given reason."""
-    node.set_parameters([RosParameter(name, value=value)])
-
-    def refuse_change(changes: list[RosParameter]) -> SetParametersResult:
-        changed = any(change.name == name and change.value != value for change in changes)
-        return SetParametersResult(
-            successful=not changed, reason=f"{name} {reason}" if changed else ""
-        )
-
-    node.add_on_set_parameters_callback(refuse_change)
+    """Set a parameter of a node, and make it read-only for the given reason."""
+    parameter = RosParameter(name, value=value)
+    node.set_parameters([parameter])
+    node.set_descriptor(name, ParameterDescriptor(
+        type=parameter.type_.value, read_only=True, additional_constraints=reason,
+    ))
 
 
 # --- unknown parameters -----------------------------------------------------------------------

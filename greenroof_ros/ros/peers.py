@@ -1,7 +1,6 @@
 """The publishers of a node's inputs, and the detection of missing, silent and extra publishers.
 
-No tick depends on this module. A node of a simulated graph checks its peers at intervals of wall
-time, before a run and while the node is waiting.
+No tick depends on this module. A node checks its peers at intervals of the steady clock.
 """
 
 from __future__ import annotations
@@ -9,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 
 from greenroof_ros.interface.states import ROLES
-from greenroof_ros.interface.topics import Topic
 from greenroof_ros.ros.publishers import DISCOVERY_S, Publishers, list_nodes
 
 
@@ -32,14 +30,28 @@ class Peers:
     # --- who is missing ---------------------------------------------------------------------
 
     def absent(self) -> dict[str, list[str]]:
-        """Return the inputs without a compatible publisher, grouped by the missing role."""
+        """Return the required inputs without a compatible publisher, by the missing role."""
         return self._by_role([
-            name for name, publishers in self.publishers.items() if not publishers.compatible
+            name for name, publishers in self.publishers.items()
+            if not publishers.optional and not publishers.compatible
         ])
 
     def _by_role(self, names: Collection[str]) -> dict[str, list[str]]:
-        topics = {name: publishers.topic for name, publishers in self.publishers.items()}
-        return group_by_role(self._role, topics, names)
+        """Return inputs, grouped by the role that should publish each of them.
+
+        If the interface names two roles for an input (plant or pump driver), the first role that
+        publishes none of the node's other inputs is used, or else the last role.
+        """
+        present = {self._role} | {
+            role for name, publishers in self.publishers.items() if name not in names
+            for role in publishers.topic.publishers[:1]
+        }
+        roles: dict[str, list[str]] = {}
+        for name in names:
+            candidates = self.publishers[name].topic.publishers
+            role = next((role for role in candidates if role not in present), candidates[-1])
+            roles.setdefault(role, []).append(name)
+        return roles
 
     def describe(self, missing: Mapping[str, Iterable[str]]) -> str:
         """Return a text that lists missing topics and the nodes that should publish them."""
@@ -72,6 +84,17 @@ class Peers:
         """Return the names of the nodes that publish an input, as a list for a sentence."""
         return list_nodes(self.publishers[name].names(DISCOVERY_S))
 
+    def warnings(self, now: float) -> list[str]:
+        """Return a sentence for every input that still has incompatible publishers.
+
+        Args:
+            now: time on the steady clock (s).
+        """
+        return [
+            sentence for publishers in self.publishers.values()
+            if (sentence := publishers.warning(now))
+        ]
+
     def describe_second(self) -> str:
         """Return a sentence about the first input with a second publisher; empty for none."""
         for publishers in self.publishers.values():
@@ -79,24 +102,3 @@ class Peers:
                 return f"{publishers.full_name} {publishers.describe_second(DISCOVERY_S)}"
         return ""
 
-
-def group_by_role(
-    own: str, inputs: Mapping[str, Topic], names: Collection[str]
-) -> dict[str, list[str]]:
-    """Return the given inputs of a node, grouped by the role that should publish each input.
-
-    If the interface names two roles for an input (plant or pump driver), the first role that
-    publishes none of the node's other inputs is used, or else the last role.
-
-    Args:
-        own: the node's own role.
-        inputs: all inputs of the node, keyed by their names in the interface.
-        names: names of the inputs to return.
-    """
-    present = {own} | {topic.publishers[0] for name, topic in inputs.items() if name not in names}
-    roles: dict[str, list[str]] = {}
-    for name in names:
-        candidates = inputs[name].publishers
-        role = next((role for role in candidates if role not in present), candidates[-1])
-        roles.setdefault(role, []).append(name)
-    return roles

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from rclpy.node import Node
@@ -31,17 +32,21 @@ class Publishers:
         topic: the topic in the interface.
         full_name: the topic's full name in ROS, with its namespace.
         required: the quality of service that a publisher must offer to be compatible.
+        optional: whether the subscribing node acts without the topic.
     """
 
-    def __init__(self, node: Node, topic: Topic, required: Qos) -> None:
+    def __init__(
+        self, node: Node, topic: Topic, required: Qos, *, optional: bool = False
+    ) -> None:
         """Create an object for the publishers that a subscription receives messages from.
 
         Args:
             node: the subscribing node.
             topic: the topic in the interface.
             required: the quality of service of the subscription.
+            optional: whether the subscribing node acts without the topic.
         """
-        self.topic = topic
+        self.topic, self.optional = topic, optional
         self.full_name: str = node.resolve_topic_name(topic.graph_name)
         self.required = required
         self._node = node
@@ -101,10 +106,11 @@ class Publishers:
         names = sorted({display_name(info.node_name) for info in incompatible})
         offered = [find_lacking(info.qos_profile, self.required) for info in incompatible]
         why = dict.fromkeys(word for words in offered for word in words)
+        # Of every publisher, though a live node asks for no earlier messages.
+        needed = replace(self.required, durability=self.topic.qos.durability)
         return (
             f"has a publisher with an incompatible QoS ({list_nodes(names)}): it "
-            f"{' and '.join(why)}, but must be {describe_qos(self.required)}; change its QoS, or "
-            "stop it"
+            f"{' and '.join(why)}, but must be {describe_qos(needed)}; change its QoS, or stop it"
         )
 
     def warning(self, now: float) -> str:

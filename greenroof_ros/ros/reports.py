@@ -103,6 +103,8 @@ class StatusDiagnosis:
         age_s: duration of the fault when it was reported (steady clock, s).
         was_good: for a part, True if its status has ever been OK.
         line: the broker, gateway or serial line of the part's device; empty if unknown.
+        received_at: time at which the report was received (steady clock, s).
+        again: True if an earlier report about the part was received.
     """
 
     level: int
@@ -115,6 +117,8 @@ class StatusDiagnosis:
     age_s: float = 0.0
     was_good: bool = False
     line: str = ""
+    received_at: float = 0.0
+    again: bool = False
 
     @property
     def identity(self) -> tuple[str, str]:
@@ -145,37 +149,30 @@ def make_diagnosis(
     return StatusDiagnosis(level, Diagnosis.of(code, *cases, **values).sentence, code, role)
 
 
-@dataclass
-class PartReport:
-    """The last report about a part of a node, or about another device.
+def read_diagnosis(
+    before: StatusDiagnosis | None, wall: float, status: Status, role: str = "",
+    namespace: str = "",
+) -> StatusDiagnosis:
+    """Return the content of a status of a part, or of another device, even if its level is OK.
 
-    Attributes:
-        diagnosis: content of the report, even if the level is OK.
-        received_at: time at which the report was received (steady clock, s).
-        again: True if an earlier report about the part was received.
+    Args:
+        before: content of the previous status; None for the first.
+        wall: current time (steady clock, s).
+        status: the status.
+        role: the node's role in the interface; empty for another device.
+        namespace: namespace of the node, which is removed from the topics.
     """
-
-    diagnosis: StatusDiagnosis
-    received_at: float
-    again: bool
-
-    @classmethod
-    def receive(
-        cls, before: PartReport | None, wall: float, status: Status, role: str = "",
-        namespace: str = "",
-    ) -> PartReport:
-        """Return the next report about a part, with the namespace removed from its topics."""
-        values = {key: clean_text(text) for key, text in status.values.items()}
-        about = (values.get("topics") or values.get("topic", "")).split()[:_ABOUT]
-        code, fault = identity_of(values)
-        line = _LINE.search(status.hardware)
-        return cls(StatusDiagnosis(
-            status.level, clean_text(status.message) or "reports nothing", code, role,
-            tuple(topic.removeprefix(namespace) for topic in about),
-            fault, _parse_time(values.get("since", "")), _parse_number(values.get("age_s", "")),
-            status.level == OK or (before is not None and before.diagnosis.was_good),
-            clean_text(line[1] or line[2]) if line else "",
-        ), wall, before is not None)
+    values = {key: clean_text(text) for key, text in status.values.items()}
+    about = (values.get("topics") or values.get("topic", "")).split()[:_ABOUT]
+    code, fault = identity_of(values)
+    line = _LINE.search(status.hardware)
+    return StatusDiagnosis(
+        status.level, clean_text(status.message) or "reports nothing", code, role,
+        tuple(topic.removeprefix(namespace) for topic in about),
+        fault, _parse_time(values.get("since", "")), _parse_number(values.get("age_s", "")),
+        status.level == OK or (before is not None and before.was_good),
+        clean_text(line[1] or line[2]) if line else "", wall, before is not None,
+    )
 
 
 @dataclass
@@ -208,7 +205,7 @@ class NodeReport:
     received_at: float = -math.inf
     since: float = 0.0
     heard: float = 0.0
-    parts: dict[str, PartReport] = field(default_factory=dict)
+    parts: dict[str, StatusDiagnosis] = field(default_factory=dict)
     refused_at: float = -math.inf
     refused: tuple[str, ...] = ()
     lost: tuple[float, float] | None = None
@@ -259,17 +256,16 @@ class NodeReport:
         return True
 
     def receive_part(self, part: str, wall: float, status: Status) -> None:
-        """Store the status of a part; see :meth:`PartReport.receive`."""
+        """Store the status of a part; see :func:`read_diagnosis`."""
         if part in self.parts or len(self.parts) < _PARTS:
-            self.parts[part] = PartReport.receive(
+            self.parts[part] = read_diagnosis(
                 self.parts.get(part), wall, status, self.role, self.name.rpartition("/")[0],
             )
 
     def excuse_silence(self, seconds: float) -> None:
         """Exclude a period without reception (s) from the silent time."""
         self.received_at += seconds
-        for part in self.parts.values():
-            part.received_at += seconds
+        self.parts = _postpone(self.parts, seconds)
 
     def find_twins(self, wall: float) -> tuple[str, str] | None:
         """Return two processes that alternate under the name, older first; None if none do.
@@ -321,12 +317,12 @@ class NodeReport:
             topics = ", ".join(self.refused)
             refused = make_diagnosis(WARN, self.role, "values_refused", topics=topics)
             yield f"{self.name}: refused", replace(refused, about=self.refused)
-        for part, report in self.parts.items():
+        for part, diagnosis in self.parts.items():
             # Whatever was wrong when a silent node last reported stays.
-            if online and self.received_at - report.received_at > SILENT_S:
+            if online and self.received_at - diagnosis.received_at > SILENT_S:
                 yield f"{self.name}: {part}", lost
-            elif report.diagnosis.level != OK:
-                yield f"{self.name}: {part}", report.diagnosis
+            elif diagnosis.level != OK:
+                yield f"{self.name}: {part}", diagnosis
 
 
 class Reports:
@@ -350,7 +346,7 @@ class Reports:
         self.time_ns = 0
         self._namespace = "/" + namespace.strip("/")
         self.expected = {f"{namespace.rstrip('/')}/{name}": name for name in expected}
-        self._others: dict[str, PartReport] = {}
+        self._others: dict[str, StatusDiagnosis] = {}
 
     def receive(
         self, wall: float, now: float, statuses: Sequence[Status], stamp_ns: int = 0
@@ -403,7 +399,7 @@ class Reports:
         elif part and (node := self.nodes.get(node_name)) is not None:
             node.receive_part(part, wall, status)
         elif name in self._others or len(self._others) < _OTHERS:
-            self._others[name] = PartReport.receive(self._others.get(name), wall, status)
+            self._others[name] = read_diagnosis(self._others.get(name), wall, status)
 
     def _forget(self, name: str) -> None:
         """Remove another device, and its parts."""
@@ -426,14 +422,22 @@ class Reports:
         """Exclude a period without reception (s) from the silent time of all nodes."""
         for node in self.nodes.values():
             node.excuse_silence(seconds)
-        for part in self._others.values():
-            part.received_at += seconds
+        self._others = _postpone(self._others, seconds)
 
     def value(self, role: str, key: str) -> Any:
         """Return a value in the last report of the node with a role; None if there is none."""
         nodes = [node for node in self.nodes.values() if node.role == role]
         latest = max(nodes, key=lambda node: node.received_at, default=None)
         return None if latest is None else latest.values.get(key)
+
+    @property
+    def warnings(self) -> set[str]:
+        """The warnings of the nodes, each with the node's name."""
+        listed = ((node.name, node.values.get("warnings")) for node in self.nodes.values())
+        return {
+            f"{name}: {clean_text(str(text))}" for name, texts in listed if isinstance(texts, list)
+            for text in texts[:_ABOUT]
+        }
 
     def level(self, name: str) -> float | None:
         """Return the level of a tank (m), as a node knows it; None if no node does."""
@@ -457,8 +461,8 @@ class Reports:
             if silent and part.again:
                 silence = make_diagnosis(STALE, "", "not_heard", time=_OTHER_SILENT_S)
                 diagnoses[name] = replace(silence, code="")
-            elif part.diagnosis.level != OK and not silent:
-                diagnoses[name] = part.diagnosis
+            elif part.level != OK and not silent:
+                diagnoses[name] = part
         online = [node for node in self.nodes.values() if node.is_online(wall)]
         for node in self.nodes.values():
             replaced = any(other.role == node.role for other in online if other is not node)
@@ -469,6 +473,15 @@ class Reports:
                 ERROR, PUMP, "two_pump_nodes", nodes=" and ".join(pumps)
             )
         return diagnoses
+
+
+def _postpone(
+    parts: Mapping[str, StatusDiagnosis], seconds: float
+) -> dict[str, StatusDiagnosis]:
+    """Return reports as if they had been received later (s)."""
+    return {
+        name: replace(part, received_at=part.received_at + seconds) for name, part in parts.items()
+    }
 
 
 def _read_value(text: str) -> Any:

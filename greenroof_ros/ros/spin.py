@@ -24,7 +24,7 @@ from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.node import SimulationNode
 from greenroof_ros.ros.rclpy_internals import take_messages
 
-# How often the wall clock, the signals and the ends of the nodes are checked (s).
+# How often the steady clock, the signals and the ends of the nodes are checked (s).
 _CHECK_S = 0.05
 # How long the middleware may take to shut down on a busy machine (s); SHUTDOWN_S is processor time.
 _MAX_SHUTDOWN_S = 30
@@ -65,7 +65,7 @@ def spin(nodes: Sequence[SimulationNode], may_end: Callable[[], bool]) -> None:
     """Run nodes until they may stop.
 
     The executor loops over the messages, since a loop in Python would take a seventh of the time of
-    a tick. Every 50 ms, the loop is interrupted to check conditions that depend on the wall clock.
+    a tick. Every 50 ms, the loop is interrupted to check what depends on the steady clock.
 
     Args:
         nodes: the nodes.

@@ -261,9 +261,8 @@ class Place:
         unit="1", default=1.0,
     )
     monthly_evapotranspiration: tuple[float, ...] | None = entry(
-        "mean reference evapotranspiration of each month, from January to December, as a list in "
-        "brackets; used at a live site without a forecast, and with weather data that lack "
-        "temperature", 0.0, 20.0, unit="mm/day", default=None,
+        "mean reference evapotranspiration of each month, in a list from January to December; used "
+        "without a forecast or temperature", 0.0, 20.0, unit="mm/day", default=None,
     )
     quiet_hours: tuple[str, ...] | None = entry(
         "intervals of the day during which the pump is off, in the local time of time_zone, such "
@@ -313,6 +312,7 @@ class Site(Place, Pump, Roof, Cistern):
         "water volume in the drainage layer at the start of a run, the same for all initial states",
         *_NOT_NEGATIVE, unit="m3", default=0.0,
     )
+    contact: str | None = entry("whom to call, and where the main switch is", default=None)
 
     @property
     def place(self) -> Place:

@@ -55,7 +55,7 @@ class Bridge:
     message, and a stop that a person has requested must be obeyed. The broker does not queue stop
     requests while the bridge is disconnected.
 
-    When the bridge connects, it replaces whatever the broker has retained on its topics.
+    When the bridge connects, it replaces what others have left in its retained messages.
     """
 
     def __init__(self, store: GraphStore, feed: Feed, broker: Broker) -> None:
@@ -151,8 +151,6 @@ class Bridge:
         self._why = ""
         print_seldom("connected", f"connected to {self._broker}; topics: {self._base}/")
         self._client.subscribe([(topic, 0) for topic in (self._stops_on, self._status)])
-        for name in ("state", "alarms"):  # which are not retained
-            self._client.publish(f"{self._base}/{name}", "", retain=True)
         self._publish_all()
 
     def _publish_all(self) -> None:

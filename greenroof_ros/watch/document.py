@@ -2,9 +2,9 @@
 
 :func:`make_document` creates the state from a store, and :func:`make_series` creates the series.
 
-A state has the entries ``heading``, ``mode``, ``namespace``, ``time``, ``notes``, ``tiles`` (with
-the ``summary``), ``advice``, ``known`` (whether the alarms are), ``alarms``, ``events`` and
-``stop``.
+A state has the entries ``heading``, ``mode``, ``namespace``, ``contact``, ``time``, ``notes``,
+``tiles`` (with the ``summary``), ``advice``, ``known`` (whether the alarms are), ``alarms``,
+``events`` and ``stop``.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ _HEADINGS = {
     "none": "Nothing received yet", "ended": "Ended run", "live": "Live site",
     "simulated": "Simulated run",
 }
+_GO_AND_SEE = "Go and see; if the pump is turning, stop it at its drive's panel or the main switch."
 _WELDED = "Water is leaving the cistern although the pump is off. Open the main switch."
 
 
@@ -90,7 +91,7 @@ def _make_document(store: GraphStore, wall: float) -> dict[str, Any]:
     unknown = {"now": None, "text": words.UNKNOWN, "zone": "UTC"}
     result = {
         "heading": attempt("The heading", lambda: _write_heading(store), "Green roof"),
-        "mode": store.mode, "namespace": store.namespace,
+        "mode": store.mode, "namespace": store.namespace, "contact": store.site.contact or "",
         "known": store.alarms_known or store.ended,
         "time": attempt("The time", store.clock, unknown),
         "tiles": {**shown, "summary": summary}, "advice": advice, "stop": stop,
@@ -271,6 +272,8 @@ def _advise(
             row["level"] == "error" or not stop["hold"]
         )
     ), "")
+    if shown["pump"]["alarm"] and all(row["level"] != "error" for row in rows):
+        first = _GO_AND_SEE
     if stop["warning"]:
         return " ".join(filter(None, (stop["warning"], first)))
     if stop["hold"]:
@@ -307,11 +310,6 @@ def _explain(store: GraphStore, shown: dict[str, Tile], waits: str, starting: bo
             "programs are running."
         )
     runs = pump["state"] in ("starting", "running")
-    if roof == "high" and runs:
-        return (
-            "The roof has enough water, but the pump is running: check whether it should be "
-            "running."
-        )
     if roof != "low" or runs or waits or pump["idle"]:
         return "Nothing to do."
     why = f": {pump['why']}" if pump["why"] else ""

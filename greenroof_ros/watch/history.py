@@ -24,17 +24,14 @@ Values = NDArray[np.float64]
 STRETCH_NS = 20_000_000_000
 MAX_STRETCHES = 7 * 24 * 3600 * 1_000_000_000 // STRETCH_NS
 
-# The fields of a stretch: when its greatest change happened and when its last value arrived (ns
-# since 1970), its minimum, maximum and last value, and the size of that change.
-ROW = np.dtype([
-    ("changed", "<i8"), ("ended", "<i8"), ("low", "<f8"), ("high", "<f8"), ("last", "<f8"),
-    ("change", "<f8"),
-])
+# The fields of a stretch: when its last value arrived (ns since 1970), its lowest, highest and
+# last value.
+ROW = np.dtype([("ended", "<i8"), ("low", "<f8"), ("high", "<f8"), ("last", "<f8")])
 END_S = 1e-3
 """Time (s) between two points of a line at the same time, or from a point to the line's end."""
 
 _FORMAT = "format"
-_VERSION = 1
+_VERSION = 2
 
 
 class History:
@@ -80,19 +77,13 @@ class History:
             value: the value; NaN if the value is unknown from this time on.
         """
         row = self._rows[self._count - 1] if self._count else None
-        before = math.nan if row is None else float(row["last"])
-        change = abs(value - before)
-        if math.isnan(change):
-            change = 0.0 if math.isnan(value) and math.isnan(before) else math.inf
         if row is None or row["ended"] // STRETCH_NS != time_ns // STRETCH_NS:
             if self._count == len(self._rows):
                 self._rows[:MAX_STRETCHES] = self._rows[MAX_STRETCHES:]
                 self._count = MAX_STRETCHES
-            self._rows[self._count] = (time_ns, time_ns, value, value, value, change)
+            self._rows[self._count] = (time_ns, value, value, value)
             self._count += 1
             return
-        if change > row["change"]:
-            row["changed"], row["change"] = time_ns, change
         row["low"], row["high"] = np.fmin(row["low"], value), np.fmax(row["high"], value)
         row["ended"], row["last"] = time_ns, value
 
@@ -100,8 +91,7 @@ class History:
         """Return the line of the values from ``first`` to ``last``, inclusive.
 
         Every stretch has a point for its last value and, if it has several values, points for its
-        lowest and highest, at the time of its greatest change; so no short run of a pump is lost,
-        and a step is shown where it happened.
+        lowest and highest; so no short run of a pump is lost.
 
         Args:
             first: beginning (ns).
@@ -117,37 +107,26 @@ class History:
         points: list[list[Any]] = []
         # Whole stretches, which begin at the same times in every call, so a redrawn line does not
         # jitter.
-        for changed, ended, low, high, value, _ in (
+        for ended, low, high, value in (
             _condense(rows, stretch_ns).tolist() if len(rows) else ()
         ):
-            at, (until, before) = changed / 1e9, points[-1] if points else (math.inf, None)
-            if ended / 1e9 - until > gap_s and before is not None:
+            at, (until, before) = ended / 1e9, points[-1] if points else (math.inf, None)
+            if at - until > gap_s and before is not None:
                 points.append([until + END_S, None])
-            if math.isnan(value):
-                points.append([at, None])
-                continue
-            if low < high:
+            if low < high and not math.isnan(value):
                 extremes = (low, high) if high - value < value - low else (high, low)
-                points += [[at, extremes[0]], [at + END_S, extremes[1]]]
-            elif not points or value != before:
-                points.append([at, value])
-            if ended / 1e9 > points[-1][0] or value != points[-1][1]:
-                points.append([max(ended / 1e9, points[-1][0] + END_S), value])
+                points += [[at - 2 * END_S, extremes[0]], [at - END_S, extremes[1]]]
+            points.append([at, None if math.isnan(value) else value])
         return points
 
 
 def _condense(rows: NDArray[np.void], stretch_ns: int) -> NDArray[np.void]:
-    """Combine the rows into longer stretches; if changes are equally large, keep the first."""
+    """Combine the rows into longer stretches."""
     begins = np.flatnonzero(np.diff(rows["ended"] // stretch_ns, prepend=-1))
     ends = np.append(begins[1:], len(rows)) - 1
     condensed: NDArray[np.void] = rows[ends].copy()
     condensed["low"] = np.fmin.reduceat(rows["low"], begins)
     condensed["high"] = np.fmax.reduceat(rows["high"], begins)
-    condensed["change"] = np.maximum.reduceat(rows["change"], begins)
-    greatest = np.flatnonzero(
-        rows["change"] == np.repeat(condensed["change"], ends - begins + 1)
-    )
-    condensed["changed"] = rows["changed"][greatest[np.searchsorted(greatest, begins)]]
     return condensed
 
 
@@ -216,7 +195,6 @@ def _check_rows(rows: NDArray[Any]) -> NDArray[np.void]:
     if rows.dtype != ROW or rows.ndim != 1:
         raise ValueError("it does not contain rows of a history")
     times, values = rows["ended"], np.array([rows[name] for name in ("low", "high", "last")])
-    good = np.all(np.diff(times) > 0) and np.all((rows["changed"] <= times) & (times > 0))
-    if not good or np.isinf(values).any() or np.isnan(rows["change"]).any():
+    if np.any(np.diff(times, prepend=0) <= 0) or np.isinf(values).any():
         raise ValueError("its values are not plausible")
     return rows

@@ -75,13 +75,6 @@ def write_rain(metres: float) -> str:
     return write_quantity(metres, "mm", 0 if abs(metres) >= 0.00995 else 1, 1e3)
 
 
-def write_command(share: float) -> str:
-    """Write a command, such as ``40 %``; a command above zero is never written as 0 %."""
-    if 0 < share < 0.005:
-        return f"less than 1{SPACE}%"
-    return write_value("/pump/command", share)
-
-
 def write_litres(volume: float) -> str:
     """Write a volume (m3) in litres."""
     return write_quantity(volume, "L", 0, 1e3)

@@ -181,3 +181,37 @@ def test_check_pump_passes_the_example(rig: Rig) -> None:
     )
     assert check.wait(400) == 0, check.stdout() + check.stderr()
     assert check.stdout().startswith("THE PUMP WILL RUN. The check takes ")
+
+
+def test_the_controller_commands_0_during_a_hold_and_without_news_of_it(observer: Observer) -> None:
+    """It reads /pump/hold only where the pump is external; until it comes, the command is 0."""
+    site = observer.cwd / "site.yaml"
+    site.write_text(f"extends: {CONFIG / 'site.yaml'}\ntau: 0.2\n")
+    commands: list[float] = observer.collect("/pump/command")
+    inputs = {topic: value for topic, value in GOOD.items() if topic != "/pump/command"}
+    publishers = {topic: observer.publisher(topic) for topic in (*inputs, "/pump/hold")}
+
+    def play(until: Callable[[], Any], event: str, hold: float | None) -> None:
+        values = inputs if hold is None else {**inputs, "/pump/hold": hold}
+
+        def played() -> Any:
+            for topic, value in values.items():
+                publishers[topic].publish(Float64(data=value))
+            time.sleep(0.05)
+            return until()
+
+        commands.clear()
+        observer.until(played, LATE, event)
+
+    def newest(value: float) -> Callable[[], bool]:
+        return lambda: len(commands) > 10 and {*commands[-5:]} == {value}
+
+    observer.start(
+        "live.controller --controller onoff", site_file=site, external_pump=True,
+        recovery_time=0.3, hold_limit=1.0,
+    )
+    play(newest(0.0), "0 without a hold to read", None)
+    play(newest(1.0), "a command", 0.0)
+    play(newest(0.0), "0 during a hold", 1.0)
+    play(newest(1.0), "a command", 0.0)
+    play(newest(0.0), "0 once /pump/hold is too old", None)

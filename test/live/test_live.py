@@ -519,15 +519,13 @@ def test_no_command_of_what_was_before_a_suspend(
 
 
 def test_nothing_takes_a_live_node_off_the_system_clock(observer: Observer) -> None:
-    """Also not later, as by ``ros2 param set``; a value that changes nothing is accepted."""
+    """Also not later, as by ``ros2 param set``."""
     observer.start(f"live.sensors --sensors {CONFIG}/sensors.yaml")
-    for value in (True, False):
-        parameter = Parameter("use_sim_time", value=value).to_parameter_msg()
-        (result,) = observer.call(
-            SetParameters, "/roof_sensor/set_parameters", parameters=[parameter]
-        ).results
-        assert result.successful != value, result.reason
-        assert ("use_sim_time" in result.reason) == value
+    parameter = Parameter("use_sim_time", value=True).to_parameter_msg()
+    (result,) = observer.call(
+        SetParameters, "/roof_sensor/set_parameters", parameters=[parameter]
+    ).results
+    assert not result.successful and "use_sim_time" in result.reason
 
 
 def test_no_command_of_what_was_before_a_stop(site: Site) -> None:
@@ -606,9 +604,10 @@ def test_monthly_means_are_of_the_whole_bed_with_its_crop() -> None:
     """2.5 mm/day from 68.8 m2 are 172 litres a day; of them, the crop has half."""
     months = (0.0, 1.0, *[2.5] * 9, 20.0)
     site = replace(PAPER_SITE, monthly_evapotranspiration=months, crop_coefficient=0.5)
-    assert _find_monthly_mean(site, 3) == pytest.approx(0.5 * 0.172 / 86400)
-    assert _find_monthly_mean(site, 12) == pytest.approx(0.5 * 1.376 / 86400)
-    assert _find_monthly_mean(PAPER_SITE, 3) is None
+    march, december = (datetime(2025, month, 15, tzinfo=UTC) for month in (3, 12))
+    assert _find_monthly_mean(site, march) == pytest.approx(0.5 * 0.172 / 86400)
+    assert _find_monthly_mean(site, december) == pytest.approx(0.5 * 1.376 / 86400)
+    assert _find_monthly_mean(PAPER_SITE, march) is None
 
 
 def test_live_weather(site: Site) -> None:

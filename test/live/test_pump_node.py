@@ -256,7 +256,10 @@ def test_commands_that_must_not_pump(rig: PumpRig) -> None:
     volatile = Node("volatile", context=rig.observer.context)
     volatile.create_publisher(Float64, "/pump/command", 10)
     rig.until_at_rest()
-    rig.until_reported("command", ERROR, "incompatible QoS (volatile)")
+    rig.until_reported(
+        "command", ERROR, "incompatible QoS (volatile): it has no liveliness lease, but must be "
+        "reliable, transient local",
+    )
     volatile.destroy_node()
     rig.run()
     assert rig.shows("command", OK)

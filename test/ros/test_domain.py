@@ -22,8 +22,11 @@ def test_one_bringup_in_a_namespace(monkeypatch: pytest.MonkeyPatch) -> None:
     before = {file for place in places for file in place.glob("greenroof_ros*")}
     with lock_namespace("/site1"):
         assert {file for place in places for file in place.glob("greenroof_ros*")} <= before
-        with pytest.raises(OccupiedError), lock_namespace("/site1"):
+        with pytest.raises(OccupiedError) as occupied, lock_namespace("/site1"):
             pass
+        # Of a run or a live site: another place is chosen in the same way for both.
+        assert "use another --namespace or another domain" in str(occupied.value)
+        assert "greenroof" not in str(occupied.value)
         with lock_namespace("/site2"):
             pass
     with lock_namespace("/site1"):

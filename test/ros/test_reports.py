@@ -106,7 +106,7 @@ def test_a_part_reports_code_start_age_subject_and_line() -> None:
     ):
         node = NodeReport("/pump", "pump")
         node.receive_part("drive", 0.0, Status("/pump: drive", ERROR, "bad", {}, hardware))
-        assert node.parts["drive"].diagnosis.line == line
+        assert node.parts["drive"].line == line
 
 
 def test_a_site_starts_while_all_its_nodes_are_young() -> None:

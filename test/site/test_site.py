@@ -43,6 +43,7 @@ def test_packaged_site_is_table_i() -> None:
     absent = {
         *FIELD_CAPACITY, "mains_level", "mains_flow", "low_outlet_level", "low_outlet_radius",
         "initial_cistern", "initial_roof", "quiet_hours", "time_zone", "max_dose", "irrigation",
+        "contact",
     }
     assert {key for key, value in site.items() if value is None} == absent
     assert (site["initial_layer"], site["runoff_coefficient"]) == (0, 1)

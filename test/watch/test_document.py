@@ -628,8 +628,10 @@ def test_what_is_known_of_the_pump(said: dict[str, Any], value: str, may_turn: b
     assert (tile["value"], tile["alarm"]) == (value, may_turn)
     assert ("60.0 L/min" in tile["sentence"]) == (said["flow"] is not None)
     assert ("flow is unknown" in tile["sentence"]) == (said["flow"] is None)
-    tile = tile_of(graph, "pump", 104.0)  # its node is gone: it ran
+    document = shown(graph, 104.0)  # its node is gone: it ran
+    tile = document["tiles"]["pump"]
     assert (tile["value"], tile["alarm"]) == ("may be running", True)
+    assert document["advice"].startswith("Go and see")
     # It stood at last contact, or must stand by now: that is not a measured 0.0 L/min.
     tile = with_pump(
         watched(pump_command=0.5), "off: no connection to the drive", stands=True, speed=None,
@@ -656,7 +658,7 @@ def test_a_flow_that_is_unknown_is_a_gap() -> None:
     add_values(graph, 161, 181, {**QUIET, "/pump/flow": 1e-3})
     graph.update(301.0, START / 1e9 + 180)
     flow = line_of(graph, "flow")
-    assert [at for at, value in flow if value is None] == [61, 80, 100, 120, 140]
+    assert [at for at, value in flow if value is None] == [79, 99, 119, 139, 159]
     assert {value for _, value in flow} == {60.0, None} and flow[-1] == [180, 60.0]
 
 

@@ -40,7 +40,8 @@ from greenroof_ros.watch.document import make_document, make_series
 from greenroof_ros.watch.store import GraphStore
 
 BEGIN = START // SECOND
-SITE = read_site(CONFIG / "site.yaml")
+CONTACT = "Call 555-0199; the main switch is beside the cellar door."
+SITE = replace(read_site(CONFIG / "site.yaml"), contact=CONTACT)
 HOSTILE = "<img src=x onerror=hacked=1><script>hacked=2</script>\x00\x1b[31m\u202e" + "A" * 5000
 LONG_MS = 60_000  # the machine may be busy
 CANNOT = "cannot solve its program"
@@ -193,6 +194,7 @@ def test_it_shows_the_words_of_the_state(open_page: Open) -> None:
     assert page.locator("#box").text_content() == state["advice"]
     assert page.locator("#heading").inner_text() == state["heading"]
     assert page.locator("#time").inner_text() == state["time"]["text"]
+    assert page.locator("#contact").inner_text() == CONTACT
     assert page.locator("#notes li").all_inner_texts() == state["notes"]
     assert not page.locator("#stop").is_visible()  # no pump node is there
     assert len({url.split("/")[2] for _, url in page.asked}) == 1

@@ -143,4 +143,4 @@ def test_it_gives_the_pages_words(domain: int, tmp_path: Path) -> None:
     first = "Alarm, Roof sensor: \\x1b[31mno answer since 20 Jul 00:00:30. "
     assert lines[9] == first + page["alarms"][0]["do"]
     assert lines[10].startswith("Warning, Camera0: no picture since ")
-    assert lines[-1] == "and 28 more lines; see 'greenroof watch'"
+    assert lines[-1] == "and 27 more lines; see 'greenroof watch'"

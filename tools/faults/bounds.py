@@ -14,7 +14,7 @@ from greenroof_ros.live.devices.exchange import (
     SILENCE_MARGIN_S,
     VISIBLE_S,
 )
-from greenroof_ros.live.engine import LIMITS
+from greenroof_ros.live.levels import LIMITS
 from greenroof_ros.live.live_bag import FLUSH_S
 from greenroof_ros.live.pump import parameters as parameters_of_pump
 from greenroof_ros.physics.pump import flow_at

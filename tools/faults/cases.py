@@ -85,9 +85,9 @@ _DELIVERY = Expected(bound="undelivered", signs=_pump("delivery"), recovery="lat
 def _process(node: str, fault: str) -> Expected:
     """Return what must follow from a fault of a live site's process."""
     # A node that ends as it is asked to is no alarm, and is started again.
-    of_station = "cistern_sensor", "roof_sensor", "weather", "recorder"
-    nodes = of_station if node == "station" else (node,)
-    lost = () if fault == "term" else tuple((name, "not_heard") for name in nodes)
+    lost = () if fault == "term" else ((node, "not_heard"),)
+    if node == "station":  # the alarms node, which is in it, tells of the restart
+        lost = (("alarms: station", "station_restarted"),)
     if fault == "stop short":
         return _RUNS_ON
     if node == "bringup":  # the other processes do without it, until they are asked to end

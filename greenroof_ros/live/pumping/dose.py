@@ -7,6 +7,7 @@ unattended.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from greenroof_ros.interface.conditions import Diagnosis
@@ -78,8 +79,10 @@ class Doses:
     time, even after a restart.
 
     Attributes:
-        allowed: whether the site allows doses.
         last: the latest dose, until some time after its end; None if there is no dose.
+        minimum: the minimum volume (m3), which the pump delivers in a minimum pulse; infinite until
+            the level is known.
+        inhibited: reason why the pump must not run now; empty if it may run.
     """
 
     def __init__(self, site: Site, now: float) -> None:
@@ -90,41 +93,34 @@ class Doses:
             now: system time (s since 1970).
         """
         self._largest = site.max_dose
-        self.allowed = site.max_dose is not None
         self._newest = now
         self.last: Dose | None = None
+        self.minimum, self.inhibited = math.inf, "the pump has not been checked yet"
 
     @property
     def present(self) -> Dose | None:
         """The dose that is waiting or running; None if there is none."""
         return None if self.last is None or self.last.over else self.last
 
-    def refusal(self, inhibit_reason: str) -> str:
-        """Return the reason why any request would be rejected now; empty if there is none.
-
-        Args:
-            inhibit_reason: reason why the pump must not run now; empty if it may run.
-        """
+    @property
+    def refusal(self) -> str:
+        """The reason why any request would be rejected now; empty if there is none."""
         if self._largest is None:
             return "the site file does not allow doses (max_dose)"
         if (present := self.present) is not None:
             return f"another dose is under way: {present.sentence}"
-        return inhibit_reason and f"the pump must not run now: {inhibit_reason}"
+        return self.inhibited and f"the pump must not run now: {self.inhibited}"
 
-    def request(
-        self, requested_at: float, volume: float, now: float, minimum: float, inhibit_reason: str
-    ) -> str:
+    def request(self, requested_at: float, volume: float, now: float) -> str:
         """Accept a request and return an empty string, or return the reason for its rejection.
 
         Args:
             requested_at: time at which the request was made (s since 1970), which is the dose's id.
             volume: requested volume (m3).
             now: system time (s since 1970).
-            minimum: minimum volume that the pump can deliver (m3).
-            inhibit_reason: reason why the pump must not run now; empty if it may run.
         """
         if self._largest is None:
-            return self.refusal(inhibit_reason)
+            return self.refusal
         if not 0 < volume <= self._largest:  # nor a NaN
             return f"a dose must be above 0 and at most {self._largest:g} m3 (max_dose)"
         age = now - requested_at
@@ -140,10 +136,10 @@ class Doses:
                 "started: repeat the request"
             )
         self._newest = requested_at  # even if it is refused below
-        if refusal := self.refusal(inhibit_reason):
+        if refusal := self.refusal:
             return refusal
-        if volume < minimum:
-            return f"a dose must be at least {minimum:.3f} m3, the pump's minimum pulse"
+        if volume < self.minimum:
+            return f"a dose must be at least {self.minimum:.3f} m3, the pump's minimum pulse"
         self.last = Dose(requested_at, volume, max(0.0, age))
         return ""
 

@@ -80,8 +80,6 @@ class PumpControl:
 
     Attributes:
         doses: requests for doses, with the dose that is waiting, is running or has just ended.
-        min_pulse: minimum volume that the pump can deliver (m3), and thus the minimum dose;
-            infinite until the level is known.
     """
 
     def __init__(
@@ -106,9 +104,6 @@ class PumpControl:
         self._pulses = Pulses(site, settings)
         self._delivery = DeliveryCheck(site, settings)
         self.doses = Doses(site, time.time())
-        # Why the pump must not run, at the last step.
-        self._inhibit_reason = "the pump has not been checked yet"
-        self.min_pulse = math.inf
         self._setpoint: float | None = None
         # Speed that the slowest permitted ramp has reached on its way to the requested speed (share
         # of the rated speed); 1 at first, since the pump may have been running.
@@ -120,22 +115,6 @@ class PumpControl:
         # Highest speed that the drive may have had when it last answered, share of the rated speed;
         # 1 at first, since it may not be stopped yet.
         self._max_speed = 1.0
-
-    @property
-    def dose_refusal(self) -> str:
-        """Reason why a dose of any volume would be rejected now; empty if there is none."""
-        return self.doses.refusal(self._inhibit_reason)
-
-    def request_dose(self, request: float, volume: float) -> str:
-        """Accept a request for a dose and return an empty string, or return why it is rejected.
-
-        Args:
-            request: time at which the request was made (s since 1970), which is the dose's id.
-            volume: requested volume (m3).
-        """
-        return self.doses.request(
-            request, volume, time.time(), self.min_pulse, self._inhibit_reason
-        )
 
     def discard_evidence(self) -> None:
         """Discard the evidence that led to a fault, since the fault has been cleared."""
@@ -223,20 +202,20 @@ class PumpControl:
             state, why = state_of(active)
             self._pulses.clear()
             self.doses.end(INTERLOCK, why, next(iter(active)))
-            self._inhibit_reason = why
+            self.doses.inhibited = why
         else:
             assert command is not None
             assert observed.cistern_level is not None
-            self.min_pulse = self._pulses.min_pulse(observed.cistern_level)
+            self.doses.minimum = self._pulses.min_pulse(observed.cistern_level)
             if dosed:
                 command = self._dose_command(observed.cistern_level)
             setpoint, why = self._follow(command, full, observed.cistern_level, warnings)
             state = "off" if setpoint is None else "running"
-            self._inhibit_reason = "the roof is at its target" if full else ""
+            self.doses.inhibited = "the roof is at its target" if full else ""
             assert observed.roof_level is not None
             room = self._site.x2_star - self._site.roof_volume(observed.roof_level)
-            if not full and room < self.min_pulse:
-                self._inhibit_reason = (
+            if not full and room < self.doses.minimum:
+                self.doses.inhibited = (
                     "the roof needs less than the pump's minimum pulse to reach its target"
                 )
             if (dose := self.doses.present) is not None:

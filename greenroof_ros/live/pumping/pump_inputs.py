@@ -8,33 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from greenroof_ros.interface.conditions import Diagnosis
 
-
-class PumpInput(NamedTuple):
-    """An input of the pump node.
-
-    Attributes:
-        name: name of the field of :class:`Observation` that the input sets.
-        topic: name of the topic in the interface.
-        unknown: code of the interlock while the input is unknown; empty if the pump can run without
-            this input.
-    """
-
-    name: str
-    topic: str
-    unknown: str = ""
-
-
-INPUTS = (
-    PumpInput("command", "/pump/command", "command_unknown"),
-    PumpInput("cistern_level", "/cistern/level", "cistern_level_unknown"),
-    PumpInput("roof_level", "/roof/level", "roof_level_unknown"),
-    PumpInput("frost", "/weather/frost", "frost_unknown"),
-    PumpInput("flow", "/pump/meter"),
-)
+INPUTS = {
+    "command": "/pump/command",
+    "cistern_level": "/cistern/level",
+    "roof_level": "/roof/level",
+    "frost": "/weather/frost",
+    "flow": "/pump/meter",
+}
+"""Topics of the inputs, by the fields of :class:`Observation`; the pump can run without a flow. The
+code of the interlock while another input is unknown is its name with ``_unknown``."""
 
 
 @dataclass(frozen=True)

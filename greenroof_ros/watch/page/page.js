@@ -52,10 +52,11 @@ const showSummary = ({ tiles: { summary } }) => {
   document.title = `${summary.level === "ok" ? "" : `${summary.word || summary.sentence} `}Green roof`;
 };
 
-const showHead = ({ namespace, heading, time }) => {
+const showHead = ({ namespace, heading, time, contact }) => {
   setText("namespace", namespace && ` ${namespace}`);
   setText("heading", heading);
   setText("time", time.text);
+  setText("contact", contact);
 };
 
 const showTiles = ({ tiles }) => {
@@ -89,7 +90,7 @@ const showStop = ({ mode, stop }) => {
   byId("litres").min = 1000 * (min || 1e-6);
   byId("litres").max = 1000 * max;
   setText("dose-limits", limits);
-  setText("no-dose", refusal && `No dose is possible now: ${refusal}.`);
+  setText("no-dose", refusal && !stop.hold ? `No dose is possible now: ${refusal}.` : ""); // of a hold the box states more
   // A question becomes outdated, except the one about a stop.
   if (byId("ask").open && asked.name !== "stop" && asked.situation !== situation()) {
     byId("ask").close();

@@ -27,7 +27,7 @@ def ready(rig: Rig) -> Rig:
 
 
 def ask(rig: Rig, volume: float = 0.2, age: float = 0.0) -> str:
-    return rig.control.request_dose(time.time() - age, volume)
+    return rig.control.doses.request(time.time() - age, volume, time.time())
 
 
 def end(rig: Rig) -> tuple[str, str]:
@@ -82,7 +82,7 @@ def test_what_is_refused(rig: Rig, volume: float, age: float, words: str) -> Non
 
 def test_a_site_that_does_not_allow_it_gives_none() -> None:
     rig = ready(Rig(x2=0.5))
-    assert ask(rig) == rig.control.dose_refusal == "the site file does not allow doses (max_dose)"
+    assert ask(rig) == rig.control.doses.refusal == "the site file does not allow doses (max_dose)"
     assert rig.run(30, 0.0).speed is None
 
 
@@ -93,24 +93,29 @@ def test_before_anything_is_known_none_is_given() -> None:
 def test_a_request_counts_once(rig: Rig) -> None:
     """Neither a repeated request counts nor an older one, even if the newer one was refused."""
     now = time.time()
-    assert rig.control.request_dose(now, 0.1) == ""
+
+    def request(at: float, volume: float) -> str:
+        return rig.control.doses.request(at, volume, time.time())
+
+    assert request(now, 0.1) == ""
     rig.run(5, 0.0)
-    assert "another dose is under way: a dose: 0.0" in rig.control.request_dose(now + 0.1, 0.3)
+    assert "another dose is under way: a dose: 0.0" in request(now + 0.1, 0.3)
     rig.run(100, 0.0)
-    assert "made before the previous request" in rig.control.request_dose(now, 0.1)
-    assert "made before the previous request" in rig.control.request_dose(now - 0.001, 0.1)
-    assert "at least" in rig.control.request_dose(now + 1, 0.001)
-    assert "made before the previous request" in rig.control.request_dose(now + 1, 0.1)
+    assert "made before the previous request" in request(now, 0.1)
+    assert "made before the previous request" in request(now - 0.001, 0.1)
+    assert "at least" in request(now + 1, 0.001)
+    assert "made before the previous request" in request(now + 1, 0.1)
 
 
 def test_a_clock_that_was_ahead_refuses_one_request(rig: Rig) -> None:
     """And those of the next 5 s, by which a requester's clock may be ahead."""
     doses, now = rig.control.doses, time.time()
-    a_day = 86_400.0
-    assert doses.request(now + a_day, 0.1, now + a_day, 0.0, "the pump is held") != ""
+    a_day, doses.inhibited = 86_400.0, "the pump is held"
+    assert doses.request(now + a_day, 0.1, now + a_day) != ""
+    doses.inhibited = ""
     for later in (0.0, 4.9):
-        assert "repeat the request" in doses.request(now + later, 0.1, now + later, 0.0, "")
-    assert doses.request(now + 5.1, 0.1, now + 5.1, 0.0, "") == ""
+        assert "repeat the request" in doses.request(now + later, 0.1, now + later)
+    assert doses.request(now + 5.1, 0.1, now + 5.1) == ""
 
 
 def test_what_cannot_begin_within_a_minute_expires() -> None:
@@ -158,7 +163,7 @@ def test_it_ends_at_the_roofs_target() -> None:
     rig.run(200, 0.0, until=lambda decision: "dose" not in decision.why)
     assert end(rig)[0] == "full"
     assert rig.x2 < SITE.x2_star + 0.06  # what the pump still delivers until it stands
-    assert "the roof is at its target" in rig.control.dose_refusal
+    assert "the roof is at its target" in rig.control.doses.refusal
     assert "the roof is at its target" in ask(rig, 0.1)
 
 

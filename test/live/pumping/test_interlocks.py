@@ -219,9 +219,8 @@ def texts_in(tree: ast.AST) -> set[str]:
 def test_what_is_reported_is_in_the_table_and_the_other_way_round() -> None:
     """Each ``Diagnosis.of`` has a code of the table, its cases, and all values of its sentences."""
     conditions, texts, reported = read_conditions(), set[str](), set[str]()
-    for room in (
-        "base", "interface", "ros", "nodes", "live", "watch", "live/pumping", "live/devices"
-    ):
+    rooms = "base", "interface", "ros", "nodes", "live", "watch", "live/pumping", "live/devices"
+    for room in rooms:
         for file in (PACKAGE / room).glob("*.py"):
             tree = ast.parse(file.read_text(encoding="utf-8"))
             texts |= texts_in(tree)

@@ -1,0 +1,98 @@
+"""The limits of a live node's inputs, and the levels as inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.interface.topics import read_topics
+from greenroof_ros.live.live_input import LiveInput
+from greenroof_ros.live.pumping.input_rules import (
+    LevelRule,
+    Wetting,
+    cistern_bounds,
+    expected_movement,
+    roof_bounds,
+)
+from greenroof_ros.site.site import Site
+
+RECOVERY = Parameter(
+    "recovery_time", 10.0, "s", 0.0, 86400.0,
+        "time for which an input that has violated a rule must satisfy all rules before it is "
+        "used again",
+)
+_FROZEN_MOVEMENT = Parameter(
+    "frozen_movement", 0.01, "", 1e-6, 10.0,
+        "change in level that the pump and the rain should have caused before an unchanged level "
+        "is considered frozen (m); must exceed the sensor's resolution",
+)
+_JUMP_TOLERANCE = Parameter(
+    "jump_tolerance", 0.02, "", 1e-6, 10.0,
+        "maximum difference between two successive values of a level, in excess of the change that "
+        "water can cause in the time between them (m); should be at "
+        "least 10 times the standard deviation of the sensor's noise",
+)
+
+
+# The maximum age of every topic on which nodes act in a live graph.
+LIMITS = {
+    topic.name: Parameter(
+        age.parameter, age.default, "s", 0.1, age.max, f"maximum age of {age.quantity}"
+    )
+    for topic in read_topics().values() if (age := topic.max_age) is not None
+}
+_LEVEL = LIMITS["/roof/level"]
+
+
+def live_parameters(topics: Iterable[str]) -> list[Parameter]:
+    """Return the parameters of a live node that acts on the given topics."""
+    limits = dict.fromkeys(LIMITS[topic] for topic in topics)
+    of_levels = [_FROZEN_MOVEMENT, _JUMP_TOLERANCE] if _LEVEL in limits else []
+    return [*limits, RECOVERY, *of_levels]
+
+
+class Levels:
+    """Levels of the cistern and the roof as inputs, with checks for physically possible changes.
+
+    Attributes:
+        cistern: the cistern's level.
+        roof: the roof's level.
+    """
+
+    def __init__(
+        self, site: Site, values: Mapping[str, Any], subscribe: Callable[..., LiveInput]
+    ) -> None:
+        """Open both inputs.
+
+        Args:
+            site: site to which the tanks belong.
+            values: values of the node's :func:`live_parameters`.
+            subscribe: function that opens an input:
+                :meth:`greenroof_ros.live.node.LiveNode.subscribe`.
+        """
+        self._site, self._frozen_movement = site, values[_FROZEN_MOVEMENT.name]
+        self._rules = [
+            LevelRule(bounds, self._frozen_movement, values[_JUMP_TOLERANCE.name])
+            for bounds in (cistern_bounds(site), roof_bounds(site))
+        ]
+        self._wetting = Wetting()
+        self.cistern = subscribe("/cistern/level", level=self._rules[0])
+        self.roof = subscribe("/roof/level", level=self._rules[1])
+
+    @property
+    def displacements(self) -> tuple[float, float]:
+        """Total displacements of both levels' readings by impossible jumps so far (m)."""
+        cistern, roof = self._rules
+        return cistern.displacement, roof.displacement
+
+    def expect(self, flow: float, rain: float = 0.0) -> None:
+        """Set the level changes that a tick's pump flow (m3/s) and rain (m/s) must cause."""
+        tau = self._site.tau
+        movements = expected_movement(
+            self._site, flow, rain, self._wetting.excess(rain, tau), self.cistern.value,
+            self.roof.value, self._frozen_movement,
+        )
+        for rule, movement in zip(self._rules, movements, strict=True):
+            rule.expect(movement, tau)
+
