@@ -176,7 +176,7 @@ class LiveControllerNode(ControllerNode, LiveNode):
     def _controllers_code(self, limit: float) -> Iterator[None]:
         """Record an error in the controller's code, or a call that exceeds a time limit (s)."""
         try:
-            with time_limit(limit):
+            with self.deciding(), time_limit(limit):
                 yield
             return
         except BaseException as error:  # signals do not raise exceptions in this process

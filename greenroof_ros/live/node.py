@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import NoReturn
@@ -213,18 +214,26 @@ class LiveNode(GraphNode):
         if now < self._due:
             return
         self._due += (math.floor((now - self._due) / self._period) + 1) * self._period
-        before = suspended_time()
         self.check_inputs()
         if required := self._required:
             bad = bad_inputs(required)
             level = WARN if bad is not None and bad.code in AWAITED else ERROR
             self.reports.diagnose("inputs", bad, "all inputs are valid", level)
         self._tick += 1
-        self.on_inputs()
-        # The time that a node takes to decide is not a pause, so it must not make its inputs too
-        # old. A suspension of the machine while it decides is a pause.
-        slept = suspended_time() - before
-        self._awake_at = boot_time() - slept
+        with self.deciding():
+            self.on_inputs()
+
+    @contextmanager
+    def deciding(self) -> Iterator[None]:
+        """Let a block take long without a pause, which would make all inputs too old.
+
+        A suspension of the machine during the block is a pause.
+        """
+        before = suspended_time()
+        try:
+            yield
+        finally:
+            self._awake_at = boot_time() - (suspended_time() - before)
 
     def _handle_pause(self, now: float) -> None:
         """Clear all inputs if this process was paused.

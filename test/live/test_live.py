@@ -264,6 +264,11 @@ class Gauged(Waiting):
         super().__init__(*site, **answer)
         time.sleep(4)
     def command(self, *inputs): return 0.1 + 1e4 * self.gauge_rain
+
+class Slow(Waiting):
+    def command(self, *inputs):
+        time.sleep(1.5)
+        return 0.3
 """
 
 
@@ -456,6 +461,14 @@ def test_a_class_that_asks_for_it_knows_the_rain_of_the_gauge(site: Site) -> Non
         del site.values["/gauge/precipitation"]
         site.until(lambda: newest(commands) == 0.1, LATE, "no rain of a gauge that fell silent")
     assert "/gauged: command" not in site.diagnoses
+
+
+def test_a_controller_that_decides_for_seconds_commands(site: Site) -> None:
+    """It may take 3 s: that is no pause of the node, which would make its inputs too old."""
+    commands = site.be_dry()
+    (site.cwd / "mine.py").write_text(MINE)
+    with site.live("controller --controller mine:Slow", recovery_time=0.2):
+        site.until(lambda: newest(commands) == 0.3, LATE, "its command")
 
 
 def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(site: Site) -> None:
