@@ -197,7 +197,8 @@ def _summarize(
     known = store.alarms_known or store.ended
     # It is not green if a value is not as it should be, even if no action is needed.
     attention = rows or not known or store.mode == "none" or (
-        any(shown[tank]["state"] != "good" for tank in ("roof", "cistern"))
+        not (shown["roof"]["state"] == "good" or _is_being_watered(shown))
+        or shown["cistern"]["state"] != "good"
         or shown["pump"]["state"] in ("unknown", "fault", "held")
     )
     wrong = serious or stop["warning"] or shown["pump"]["alarm"]
@@ -245,8 +246,15 @@ def _write_sentence(
         level_clause = f"The roof's level is {roof['value']} ({roof['sentence']})"
     else:
         judged = {"low": "too dry, ", "high": "wetter than it should be, "}.get(roof["state"], "")
+        if _is_being_watered(shown):
+            judged = ""  # nothing is wrong
         level_clause = f"The roof is {judged}{roof['sentence']}"
     return f"{level_clause}; {f'the pump is {waits}' if waits else clause}."
+
+
+def _is_being_watered(shown: Mapping[str, Tile]) -> bool:
+    """Return whether a roof that is too dry is being watered, so that nothing is wrong."""
+    return (shown["roof"]["state"], shown["pump"]["state"]) == ("low", "running")
 
 
 def _write_pump_clause(pump: Tile) -> str:
