@@ -149,7 +149,7 @@ def _add_dose_options(parser: Parser) -> None:
 
 def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Graph) -> str:
     """Request a dose, and print its progress until the dose ends."""
-    requested_at, said = time.time(), ""
+    requested_at, sentence = time.time(), ""
     client.request("dose", _PATIENCE_S, volume=arguments.volume, asked_at=requested_at)
     accepted = time.monotonic()
     print(f"dose {requested_at:.6f} of {arguments.volume:g} m3 was accepted", flush=True)
@@ -163,14 +163,14 @@ def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Graph) ->
             )
         dose = None if pump is None else pump.values.get("dose")
         if isinstance(dose, dict) and dose.get("id") == requested_at:
-            before, said = said, str(dose.get("said", ""))
+            before, sentence = sentence, str(dose.get("sentence", ""))
             if dose.get("over") == "done":
-                return said
+                return sentence
             if dose.get("over"):
-                raise PumpRequestError(said)
-            if said != before:
-                print(said, flush=True)
-        elif said or now > accepted + _REPORT_S:
+                raise PumpRequestError(sentence)
+            if sentence != before:
+                print(sentence, flush=True)
+        elif sentence or now > accepted + _REPORT_S:
             raise PumpRequestError("the pump node was restarted, which ended the dose")
 
 

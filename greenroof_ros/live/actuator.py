@@ -135,7 +135,7 @@ class ActuatorNode(LiveNode):
             "unknown": stored.unknown,
             "hold": {
                 "owner": stored.hold_owner, "reason": stored.hold_reason,
-                "since": stored.hold_since, "until": stored.hold_until, "said": hold.sentence,
+                "since": stored.hold_since, "until": stored.hold_until, "sentence": hold.sentence,
             } if hold else None,
         }
 

@@ -193,7 +193,7 @@ class ExternalPumpNode(ActuatorNode):
         trouble = DriveState.CONNECTING if flow is None else None
         return {
             "pump_state": self._pump.state, "pump_why": self._pump.why,
-            "stands": flow is not None and flow <= _NONE * self._max_flow,
+            "at_rest": flow is not None and flow <= _NONE * self._max_flow,
             "flow": flow,
             "drive_state": self.device_state(trouble).value,
             **super().progress(),

@@ -155,7 +155,7 @@ class LiveDiagnostics(NodeDiagnostics):
         beat = Beat(0)
         if self.state == READY or values["role"] in NOT_REQUIRED:
             beat |= Beat.READY
-        if values.get("stands") is True:
+        if values.get("at_rest") is True:
             beat |= Beat.AT_REST
         if values.get("drive_state") not in (None, DriveState.CONNECTING.value):
             beat |= Beat.REACHED

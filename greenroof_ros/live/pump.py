@@ -305,7 +305,7 @@ class PumpNode(ActuatorNode):
         dose = doses.last
         return {
             "pump_state": decision.state, "pump_why": decision.why,
-            "stands": decision.at_rest,
+            "at_rest": decision.at_rest,
             "speed": decision.reported_speed,
             "flow": decision.flow,
             "drive_state": self.device_state(self._trouble()).value,
@@ -313,7 +313,7 @@ class PumpNode(ActuatorNode):
             "max_dose": self._site.max_dose,
             "min_dose": doses.minimum,
             "no_dose": doses.refusal,
-            "dose": None if dose is None else {**asdict(dose), "said": dose.sentence},
+            "dose": None if dose is None else {**asdict(dose), "sentence": dose.sentence},
         }
 
     # --- reports on the parts; messages that contain numbers are not logged -----------------------

@@ -137,7 +137,7 @@ class Judge:
         )
         self.missing = {
             name: diagnosis for name, diagnosis in diagnoses.items()
-            if starting and self._may_come(name, diagnosis)
+            if starting and self._is_awaited(name, diagnosis)
         }
         changes = [*self._end(wall, now, diagnoses)]
         # Causes first: what follows from something that is not yet an alarm is not one, either.
@@ -185,7 +185,7 @@ class Judge:
             )
             self._lasting[group] = _Lasting(("devices_lost", ""), first.began, first.since)
 
-    def _may_come(self, name: str, diagnosis: StatusDiagnosis) -> bool:
+    def _is_awaited(self, name: str, diagnosis: StatusDiagnosis) -> bool:
         condition = diagnosis.condition
         late = condition is not None and condition.late and not diagnosis.was_good
         return late and not self._is_present(name)

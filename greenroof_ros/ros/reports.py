@@ -187,11 +187,11 @@ class NodeReport:
         began: time at which the present process first reported (steady clock, s).
         received_at: time at which the last report was received (steady clock, s).
         since: time at which the node entered its state (steady clock, s).
-        heard: time at which the last report was received, in the graph's time (s since 1970).
+        last_time: time at which the last report was received, in the graph's time (s since 1970).
         parts: reports about the node's parts, keyed by part name.
         refused_at: time of the last increase in the number of rejected values (steady clock, s).
         refused: topics of the values that were rejected at that time.
-        lost: until the next report, ``heard`` and ``received_at`` of the previous process if it
+        lost: until the next report, ``last_time`` and ``received_at`` of the previous process if it
             died; otherwise None.
         copied_at: time of the last report that another publisher sent as this process (steady
             clock, s).
@@ -204,7 +204,7 @@ class NodeReport:
     began: float = 0.0
     received_at: float = -math.inf
     since: float = 0.0
-    heard: float = 0.0
+    last_time: float = 0.0
     parts: dict[str, StatusDiagnosis] = field(default_factory=dict)
     refused_at: float = -math.inf
     refused: tuple[str, ...] = ()
@@ -239,7 +239,7 @@ class NodeReport:
         if grown := [topic for topic, n in counts.items() if n > known.get(topic, 0)]:
             self.refused_at, self.refused = wall, tuple(map(clean_text, grown[:_ABOUT]))
         self._processes[process] = self._processes[process][0], wall
-        self.state, self.values, self.received_at, self.heard = state, values, wall, now
+        self.state, self.values, self.received_at, self.last_time = state, values, wall, now
 
     def _begin(self, wall: float, process: str) -> bool:
         """Replace the node's previous process; return False if there are too many processes."""
@@ -249,7 +249,7 @@ class NodeReport:
                 return False
             del self._processes[silent[0]]
         died = self._processes and not self.has_ended and wall - self.received_at > _DIED_S
-        self.lost = (self.heard, self.received_at) if died else None
+        self.lost = (self.last_time, self.received_at) if died else None
         self.began = self.since = wall
         self.values, self.parts = {}, {}
         self._processes[process] = wall, wall
@@ -293,11 +293,11 @@ class NodeReport:
             if isinstance(failure, str) and failure:
                 text = clean_text(failure)
                 failed = make_diagnosis(ERROR, self.role, "node_failed", failure=text)
-                yield self.name, replace(failed, since=self.heard)
+                yield self.name, replace(failed, since=self.last_time)
             return
         online = self.is_online(wall)
         lost = make_diagnosis(STALE, self.role, "not_heard", time=SILENT_S)
-        lost = replace(lost, since=self.heard)
+        lost = replace(lost, since=self.last_time)
         waiting = self.values.get("waiting")
         if twins := online and self.find_twins(wall):
             older, newer = twins

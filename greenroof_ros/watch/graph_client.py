@@ -250,7 +250,7 @@ def _read_answers(
             f"{service}. Start the pump node's graph first, with the same ROS_DOMAIN_ID, "
             "ROS_AUTOMATIC_DISCOVERY_RANGE and --namespace."
         )
-    said, confirmed = [], True
+    sentences, confirmed = [], True
     for name, (future, has_twin) in asked.items():
         ok, text = _read_answer(name, future, timeout_s)
         if has_twin:
@@ -259,12 +259,12 @@ def _read_answers(
                 f"({text}): shut down the node that should not be running, and try again"
             )
         confirmed = confirmed and ok
-        said.append(f"{name}: {text}" if len(asked) > 1 else text)
+        sentences.append(f"{name}: {text}" if len(asked) > 1 else text)
     if not confirmed:
         # A hold with this answer may be in force, but it would not survive a restart.
         answered = any(future is not None and future.done() for future, _ in asked.values())
-        raise PumpRequestError("; ".join(said), answered=answered)
-    return "; ".join(said)
+        raise PumpRequestError("; ".join(sentences), answered=answered)
+    return "; ".join(sentences)
 
 
 def _read_answer(name: str, future: Any, timeout_s: float) -> tuple[bool, str]:

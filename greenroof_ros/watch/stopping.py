@@ -42,7 +42,7 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
     node = None if two or pump is None or store.is_lost(pump) or pump.has_ended else pump
     values = {} if node is None else node.values
     hold = _describe_hold(store, values)
-    at_rest = values.get("stands") is True and not runs_on(store)
+    at_rest = values.get("at_rest") is True and not runs_on(store)
     warning = two
     if hold and not at_rest:
         warning = (
@@ -151,8 +151,8 @@ def _describe_dose(values: Mapping[str, Any], allowed: bool, area: float) -> dic
 def _write_dose(dose: Mapping[str, Any], flow: Any) -> str:
     """Write the progress or the outcome of a dose: ``A dose: 12 of 20 L, 4 min left.``."""
     if dose.get("over"):
-        said = words.clean_sentence(str(dose.get("said", "")))
-        return f"{said[:1].upper()}{said[1:]}."
+        sentence = words.clean_sentence(str(dose.get("sentence", "")))
+        return f"{sentence[:1].upper()}{sentence[1:]}."
     volume, delivered = dose.get("volume"), dose.get("delivered")
     if not isinstance(volume, (int, float)) or not isinstance(delivered, (int, float)):
         return ""

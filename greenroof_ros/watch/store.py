@@ -220,8 +220,9 @@ class GraphStore:
         known = state if state in PUMP_STATES else "unknown"
         # Of a hold, the page states more, and in the site's time.
         hold = values.get("hold")
-        said = words.text_of(hold, "said") if isinstance(hold, dict) else ""
-        return PumpState(known, words.text_of(values, "pump_why").removeprefix(said).lstrip("; "))
+        sentence = words.text_of(hold, "sentence") if isinstance(hold, dict) else ""
+        why = words.text_of(values, "pump_why").removeprefix(sentence)
+        return PumpState(known, why.lstrip("; "))
 
     @property
     def flow_known(self) -> bool:

@@ -226,8 +226,8 @@ def make_pump_tile(store: GraphStore) -> Tile:
     values = {} if node is None else node.values
     is_silent, flow_known = store.is_lost(node), store.flow_known
     speed_known = values.get("speed", 0.0) is not None  # even if its node never reports a speed
-    may_turn = runs_on(store) or (not speed_known and values.get("stands") is not True) or (
-        is_silent and values.get("stands") is False
+    may_turn = runs_on(store) or (not speed_known and values.get("at_rest") is not True) or (
+        is_silent and values.get("at_rest") is False
     )
     pumped = store.newest.get(_FLOW) if flow_known and (speed_known or may_turn) else None
     old = pumped is not None and store.is_stale(_FLOW)

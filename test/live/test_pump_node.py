@@ -515,7 +515,7 @@ def test_a_dose_by_the_command(rig: PumpRig) -> None:
     by_hand = rig.call(SetParametersAtomically, "dose", parameters=volume).result
     assert not by_hand.successful and "must have volume" in by_hand.reason
     before = rig.pumped()
-    with forged(rig, dose='{"id": 1, "over": "expired", "said": 7}'):
+    with forged(rig, dose='{"id": 1, "over": "expired", "sentence": 7}'):
         code, output = command(rig, "dose", "--volume", "0.05")
     assert (code, output.splitlines()[-1]) == (0, "the dose of 0.05 m3 was delivered")
     assert " of 0.05 m3 was accepted" in output and " a dose of " not in rig.state

@@ -17,7 +17,7 @@ OK, WARN, ERROR, STALE = range(4)
 SECOND = 10**9
 START = 1_626_757_200 * SECOND  # 2021-07-20 05:00 UTC, a multiple of 20 s
 HELD = "a hold by the operator"
-HOLD = {"owner": "the operator", "reason": "", "until": None, "said": HELD}
+HOLD = {"owner": "the operator", "reason": "", "until": None, "sentence": HELD}
 
 
 def node(

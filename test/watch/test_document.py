@@ -422,7 +422,7 @@ def test_what_a_watcher_knows_before_during_and_after_a_run() -> None:
 # --- notes, stop, events -------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("state", "stands", "hold", "label"), [
+@pytest.mark.parametrize(("state", "at_rest", "hold", "label"), [
     ("running: as commanded", False, None, "Stop the pump"),
     (f"held: {HELD}; there is frost", True, HOLD, "Stop again"),
     ("off: the command is 0", True, None, "Keep the pump off"),
@@ -432,20 +432,20 @@ def test_what_a_watcher_knows_before_during_and_after_a_run() -> None:
     ("off: of another version", True, 7, "Keep the pump off"),
 ])
 def test_what_stop_does_as_the_pump_is(
-    state: str, stands: bool, hold: Any, label: str
+    state: str, at_rest: bool, hold: Any, label: str
 ) -> None:
     graph = watched()
     assert not shown(graph)["stop"]["possible"]  # without a pump node
-    pump_says(graph, 100.0, state, stands=stands, hold=hold)
+    pump_says(graph, 100.0, state, at_rest=at_rest, hold=hold)
     held = hold == HOLD
-    document, unsure = shown(graph), held and not stands
+    document, unsure = shown(graph), held and not at_rest
     told, summary = document["stop"], document["tiles"]["summary"]
-    assert (told["possible"], told["stopped"]) == (True, held and stands)
+    assert (told["possible"], told["stopped"]) == (True, held and at_rest)
     assert told["hold"] == (
         "The pump is held off by the operator, until someone releases it." if held else ""
     )
     assert told["label"] == label
-    assert ("with: greenroof release" in document["advice"]) == (held and stands)
+    assert ("with: greenroof release" in document["advice"]) == (held and at_rest)
     assert ("stop it at its drive's panel" in told["warning"]) == unsure
     assert (summary["level"] == "error") == unsure
     # Of a hold the box states more.
@@ -456,14 +456,14 @@ def test_what_stop_does_as_the_pump_is(
 
 @pytest.mark.parametrize("forged", [
     {"name": "/other", "process": "host 2"}, {"process": "host 2"}, {"state": "ended"},
-    {"process": "host 2", "state": "ended"}, {"hold": HOLD, "stands": True},
-    {"stands": 7, "hold": 7, "fault": 7, "max_dose": "x", "pump_state": 7},
+    {"process": "host 2", "state": "ended"}, {"hold": HOLD, "at_rest": True},
+    {"at_rest": 7, "hold": 7, "fault": 7, "max_dose": "x", "pump_state": 7},
 ])
 def test_no_report_switches_the_stop_off(forged: dict[str, Any]) -> None:
     """A second pump node, one that claims to have ended or to be held, or impossible values."""
     graph = watched("live")
     for wall in (100.0, 100.2, 100.4):
-        pump_says(graph, wall, "running: as commanded", stands=False)
+        pump_says(graph, wall, "running: as commanded", at_rest=False)
         said = {"name": "/pump", "process": "host 1", "state": "ready", **forged}
         graph.add_statuses(wall, node(said.pop("name"), "pump", **said))
         assert shown(graph, wall)["stop"]["possible"]
@@ -480,7 +480,7 @@ def test_if_two_nodes_may_be_the_pump_node_only_a_stop_is_offered(
     """By their services, which are more than reports, or by an alarm."""
     graph = watched("live", *alarms)
     graph.allow_release = True
-    pump_says(graph, 100.0, f"held: {HELD}", stands=True, hold=HOLD)
+    pump_says(graph, 100.0, f"held: {HELD}", at_rest=True, hold=HOLD)
     assert "release" in shown(graph)["stop"]["actions"] or alarms
     graph.graph.offered = offered
     document = shown(graph)
@@ -501,7 +501,7 @@ LOST = {"unknown": "the file cannot be read"}
 @pytest.mark.parametrize(("hold", "more", "release", "clear"), [
     (HOLD, {}, STARTS, ""),
     (HOLD, LOST, STAYS, ""),
-    (HOLD, {"stands": False}, "", ""),
+    (HOLD, {"at_rest": False}, "", ""),
     (None, SLOW, "", STARTS),
     (HOLD, SLOW, STAYS, STAYS),
     (HOLD, LEAK, STAYS, ""),
@@ -512,7 +512,7 @@ def test_what_may_be_released_here(
 ) -> None:
     """Any hold, and a fault that needs no person at the pump, only if it was allowed."""
     graph = watched()
-    said = {"hold": hold, "stands": True, **more}
+    said = {"hold": hold, "at_rest": True, **more}
     pump_says(graph, 100.0, "held: stopped", **said)
     before = shown(graph)["stop"]
     assert before["actions"].keys() == {"stop"}
@@ -523,7 +523,7 @@ def test_what_may_be_released_here(
         if effect:
             assert effect in stop["actions"][action]
             assert "must lock it out at the pump itself" in stop["actions"][action]
-    pump_says(graph, 100.1, "off: the command is 0", stands=True)
+    pump_says(graph, 100.1, "off: the command is 0", at_rest=True)
     outdated = shown(graph)["stop"]["situation"] != stop["situation"]
     assert outdated or not (release or clear)  # a question is
 
@@ -543,7 +543,7 @@ def test_where_a_dose_may_be_given(
 ) -> None:
     """The paper's bed has 68.8 m2."""
     graph, here = watched(), limits is not None
-    pump_says(graph, 100.0, "off: the command is 0", stands=True, **said)
+    pump_says(graph, 100.0, "off: the command is 0", at_rest=True, **said)
     assert "dose" not in shown(graph)["stop"]["actions"]
     graph.allow_release = True
     stop = shown(graph)["stop"]
@@ -556,19 +556,19 @@ def test_where_a_dose_may_be_given(
 @pytest.mark.parametrize(("dose", "flow", "advice"), [
     ({"volume": 0.02, "delivered": 0.012, "over": ""}, 3.4e-5, "A dose: 12 of 20 L, 4 min left. "),
     ({"volume": 0.02, "delivered": 0.0, "over": ""}, 0.0, "A dose: 0 of 20 L; it is waiting. "),
-    ({"over": "done", "said": "the dose of 0.02 m3 was delivered"}, 0.0,
+    ({"over": "done", "sentence": "the dose of 0.02 m3 was delivered"}, 0.0,
      "The dose of 0.02 m³ was delivered. "),
     ({"volume": "x", "delivered": 7, "over": ""}, 0.0, ""),
 ])
 def test_a_dose_has_its_progress(dose: dict[str, Any], flow: float, advice: str) -> None:
     graph = watched()
-    pump_says(graph, 100.0, "running: a dose", stands=False, flow=flow, dose=dose)
+    pump_says(graph, 100.0, "running: a dose", at_rest=False, flow=flow, dose=dose)
     assert shown(graph)["advice"] == f"{advice}Nothing to do."
 
 
 def test_nothing_is_held_off_by_a_node_that_is_gone() -> None:
     graph = watched()
-    pump_says(graph, 100.0, f"held: {HELD}", stands=True, hold=HOLD)
+    pump_says(graph, 100.0, f"held: {HELD}", at_rest=True, hold=HOLD)
     document = shown(graph, 104.0)
     pump, stop = document["tiles"]["pump"], document["stop"]
     assert not stop["hold"] and not stop["stopped"]
@@ -590,7 +590,8 @@ def test_a_pump_that_may_turn_is_unknown_and_an_alarm() -> None:
     lost = alarm("/pump: pump", "pump", "stands_unknown", LOST)
     limited = alarm("/pump: limits", "pump", "limited", "3 m3", WARN)
     document = with_pump(
-        watched("live", limited, lost, pump_command=1.0), LOST, stands=False, speed=None, flow=None,
+        watched("live", limited, lost, pump_command=1.0), LOST,
+        at_rest=False, speed=None, flow=None,
     )
     tile, summary = document["tiles"]["pump"], document["tiles"]["summary"]
     assert (tile["value"], tile["state"], tile["alarm"]) == ("may be running", "alarm", True)
@@ -608,7 +609,7 @@ def test_a_welded_contactor_is_told_first_and_offers_no_release() -> None:
     welded = alarm("/pump: pump", "pump", "runs_on", "the flow meter has shown a flow")
     graph = watched("live", welded, pump_flow=1e-3)
     graph.allow_release = True
-    document = with_pump(graph, f"held: {HELD}", stands=True, speed=0.0, flow=1e-3, hold=HOLD)
+    document = with_pump(graph, f"held: {HELD}", at_rest=True, speed=0.0, flow=1e-3, hold=HOLD)
     summary, stop = document["tiles"]["summary"], document["stop"]
     assert (summary["level"], summary["sentence"]) == (
         "error", "Water is leaving the cistern although the pump is off. Open the main switch."
@@ -619,10 +620,10 @@ def test_a_welded_contactor_is_told_first_and_offers_no_release() -> None:
 
 
 @pytest.mark.parametrize(("said", "value", "may_turn"), [
-    ({"stands": False, "speed": -0.5, "flow": None}, "fault", False),  # backwards: known to turn
-    ({"stands": False, "speed": 0.7, "flow": None}, "running", False),  # no level of the cistern
+    ({"at_rest": False, "speed": -0.5, "flow": None}, "fault", False),  # backwards: known to turn
+    ({"at_rest": False, "speed": 0.7, "flow": None}, "running", False),  # no level of the cistern
     # known from a flow meter
-    ({"stands": False, "speed": None, "flow": 1e-3}, "may be running", True),
+    ({"at_rest": False, "speed": None, "flow": 1e-3}, "may be running", True),
 ])
 def test_what_is_known_of_the_pump(said: dict[str, Any], value: str, may_turn: bool) -> None:
     state = f"{'off' if may_turn else value}: why"
@@ -637,7 +638,7 @@ def test_what_is_known_of_the_pump(said: dict[str, Any], value: str, may_turn: b
     assert document["advice"].startswith("Go and see")
     # It stood at last contact, or must stand by now: that is not a measured 0.0 L/min.
     tile = with_pump(
-        watched(pump_command=0.5), "off: no connection to the drive", stands=True, speed=None,
+        watched(pump_command=0.5), "off: no connection to the drive", at_rest=True, speed=None,
         flow=0.0,
     )["tiles"]["pump"]
     assert (tile["value"], tile["number"], tile["alarm"]) == ("off", None, False)
@@ -647,14 +648,14 @@ def test_a_flow_that_is_unknown_is_a_gap() -> None:
     """Its topic then goes on with 0."""
     graph = watched("live", pump_flow=1e-3)
     graph.update(99.0, START / 1e9 + 60)
-    known = {"stands": False, "speed": 1.0, "flow": 1e-3}
+    known = {"at_rest": False, "speed": 1.0, "flow": 1e-3}
 
     def print_line(second: int, said: dict[str, Any]) -> None:
         graph.update(100.0 + second, START / 1e9 + second)
         pump_says(graph, 100.0 + second, "off: lost", START + second * SECOND, **said)
 
     print_line(60, known)
-    print_line(70, {"stands": False, "speed": None, "flow": None})
+    print_line(70, {"at_rest": False, "speed": None, "flow": None})
     assert tile_of(graph, "pump", 170.0)["number"] is None
     add_values(graph, 61, 161, {**QUIET, "/pump/flow": 0.0})
     print_line(160, known)
@@ -740,7 +741,7 @@ def test_alarms_have_an_order_and_what_follows_is_not_listed() -> None:
         alarm("/mpc", "controller", "not_heard", "silent", 3, since="2021-07-20T05:00:40+00:00"),
         alarm("/pump: command", "pump", "input_silent", "it is old", follows="/mpc"),
     )
-    pump_says(graph, 100.0, f"held: {HELD}", stands=True, hold=HOLD)
+    pump_says(graph, 100.0, f"held: {HELD}", at_rest=True, hold=HOLD)
     document = shown(graph)
     assert [(row["id"], row["level"]) for row in document["alarms"]] == [
         ("/pump: pump", "warn"), ("/mpc", "error"), ("/recorder: recording", "error"),
@@ -784,7 +785,7 @@ def test_old_alarms_mean_that_the_sites_program_no_longer_runs() -> None:
     graph = watched("live", DEAD, roof_level=0.0457)
     graph.update(100.0, START / 1e9 + 60)
     for wall, gone in ((110.0, False), (110.1, True)):
-        pump_says(graph, 106.0, "running: as commanded", stands=False, flow=2e-4)
+        pump_says(graph, 106.0, "running: as commanded", at_rest=False, flow=2e-4)
         document = shown(graph, wall)
         summary = document["tiles"]["summary"]
         assert (summary["sentence"] == (
@@ -985,7 +986,7 @@ def test_if_a_part_cannot_be_shown_the_pump_can_be_stopped(
     place: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     graph = watched("live")
-    pump_says(graph, 100.0, "running", stands=False)
+    pump_says(graph, 100.0, "running", at_rest=False)
     monkeypatch.setattr(f"greenroof_ros.watch.{place}", fail)
     document = shown(graph)
     assert document["stop"]["possible"] and document["stop"]["label"] == "Stop the pump"
@@ -1000,7 +1001,7 @@ def test_quiet_hours_are_no_warning() -> None:
     """Every night: the pump is off as intended, which is no alarm."""
     graph = watched("live")
     why = "quiet hours are in force until 07:00"
-    pump_says(graph, 100.0, f"held: {why}", stands=True)
+    pump_says(graph, 100.0, f"held: {why}", at_rest=True)
     document = shown(graph)
     pump = document["tiles"]["pump"]
     assert (pump["state"], pump["value"], pump["why"]) == ("off", "off", why)

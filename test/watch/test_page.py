@@ -58,7 +58,7 @@ def browser() -> Iterator[Any]:
 
 
 def pump(state: str = "off: the command is 0", **values: Any) -> list[Status]:
-    return node("/pump", "pump", **pump_report(state), **{"stands": True, **values})
+    return node("/pump", "pump", **pump_report(state), **{"at_rest": True, **values})
 
 
 def mpc(level: int = ERROR, what: str = CANNOT) -> Status:
@@ -277,7 +277,7 @@ def test_of_a_killed_site_nothing_reads_as_running(open_page: Open) -> None:
     """That is the first thing told, with how to start it; the stop still has its button."""
     watched = site_watched("live")
     watched.update(time.monotonic(), BEGIN + 4 * 3600)
-    said = pump("running: as commanded", stands=False, flow=2e-4)
+    said = pump("running: as commanded", at_rest=False, flow=2e-4)
     page = open_page(watched, said)
     until_shown(page, "[data-key=pump] .value", "running")
     said.clear()
@@ -410,7 +410,7 @@ def test_stop_asks_once_and_no_answer_is_older_than_the_state(open_page: Open) -
     An answer gives way to the state that comes after it, which names who holds the pump, since
     when and until when, by the site's clock.
     """
-    said = pump("running: as commanded", stands=False)
+    said = pump("running: as commanded", at_rest=False)
     watched = site_watched("live")
     watched.set_site(replace(SITE, time_zone="Etc/GMT+5", utc_offset=-5.0))
     watched.update(time.monotonic(), BEGIN + 4 * 3600)
@@ -430,9 +430,9 @@ def test_stop_asks_once_and_no_answer_is_older_than_the_state(open_page: Open) -
     assert posted(page) == ["stop"]
     until_shown(page, "#stop-button:enabled")
     hold = {"owner": "the page", "reason": "", "since": BEGIN + 235 * 60,
-            "until": BEGIN + 6.5 * 3600, "said": "x"}
+            "until": BEGIN + 6.5 * 3600, "sentence": "x"}
     part = alarm("/pump: pump", "pump", "hold", "held", WARN, since="2021-07-20T08:55:00+00:00")
-    said[:] = [part, *pump("held: a hold", stands=False, hold=hold)]
+    said[:] = [part, *pump("held: a hold", at_rest=False, hold=hold)]
     until_shown(page, "#box.failed", "stop it at its drive's panel")
     assert "no request was sent" not in page.locator("#box").inner_text()
     page.route("**/stop", lambda route: route.fulfill(json={
@@ -441,7 +441,7 @@ def test_stop_asks_once_and_no_answer_is_older_than_the_state(open_page: Open) -
     stop.click()
     page.locator("#yes").click()
     until_shown(page, "#box", "still turning, at 1.00")
-    said[:] = [part, *pump("held: a hold", stands=True, hold=hold)]
+    said[:] = [part, *pump("held: a hold", at_rest=True, hold=hold)]
     until_shown(page, "#stop-button:enabled", "Stop again")
     until_shown(page, "#box:not(.failed)", re.compile(
         "The pump is held off by the page since 03:55:00, until 06:30. If it may run again, "
@@ -549,7 +549,7 @@ def test_a_fresh_page_has_its_stop_if_a_part_cannot_be_shown(
     watched.update(time.monotonic())
     monkeypatch.setattr(f"greenroof_ros.watch.server.{broken}", instead)
     with (
-        saying(watched, pump("running", stands=False)), served(watched) as port,
+        saying(watched, pump("running", at_rest=False)), served(watched) as port,
         opened(browser, port) as page,
     ):
         if instead is _without_summary:  # no other part is hidden

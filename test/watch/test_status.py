@@ -98,7 +98,7 @@ def test_it_gives_the_pages_words(domain: int, tmp_path: Path) -> None:
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
     why = "the level of the roof is unknown"
-    reports = node("/pump", "pump", stands=True, **pump_report(f"held: {why}"))
+    reports = node("/pump", "pump", at_rest=True, **pump_report(f"held: {why}"))
     alarms = [
         alarm("/roof_sensor: sensor", "roof_sensor", "sensor_lost", "\x1b[31mno answer"),
         *(alarm(f"/camera{number}", "", "", "no picture") for number in range(30)),
