@@ -380,7 +380,8 @@ def test_a_document_that_cannot_be_made_is_reported(
     monkeypatch.setattr(server, "make_series", fail)
     answer = request(port, "GET", "/charts?hours=12")
     assert (answer.status, answer.json()["sentence"]) == (500, "ZeroDivisionError: a bug")
-    wait_for(lambda: "a bug" in capfd.readouterr().err, 60, "the report")  # another thread writes it
+    # Another thread writes it.
+    wait_for(lambda: "a bug" in capfd.readouterr().err, 60, "the report")
     assert read_state(port)["mode"] == "none"
     assert request(port, "POST", "/stop", b"{}", **ACT).status == 200
 
