@@ -149,6 +149,11 @@ class LiveControllerNode(ControllerNode, LiveNode):
             "roof_level": self._roof.value if self._roof.good else None,
         }
 
+    def publish_outputs(self, outputs: Outputs) -> None:
+        """Publish the optional outputs; one that cannot be published is the controller's fault."""
+        with self._controllers_code(deciding_limit(self._site.tau)):
+            super().publish_outputs(outputs)
+
     def find_command(self, allowed: bool) -> tuple[float, Outputs]:
         """Return the command of the controller or of on/off, and the former's optional outputs."""
         held = self._hold is not None and bool(self._hold.value)

@@ -22,6 +22,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from rclpy.client import Client
+from rclpy.task import Future
 from std_srvs.srv import SetBool
 
 from greenroof_ros.base.parameter import Parameter
@@ -97,7 +98,8 @@ class ExternalPumpNode(ActuatorNode):
             self.resolve_topic_name(self.interface[_HOLD].graph_name)
         )}
         names = [*self._command.publishers.names(), *self._flow.publishers.names()]
-        if self._driver is not None or readers & set(names):
+        offers_stop = self._driver is not None and self._driver.service_is_ready()
+        if offers_stop or readers & set(names):
             return ""
         return (
             "this cannot stop the pump, since neither your controller nor your pump driver reads "
@@ -125,10 +127,12 @@ class ExternalPumpNode(ActuatorNode):
             faults.append(Diagnosis.of("runs_on", "driver", flow=flow, time=self._flowed_for))
         latch(self.state_file, faults)
         driver = [*self._driver_reasons()]
-        active = evaluate([*faults, *stored_reasons(self.state_file), *driver])
+        stored = stored_reasons(self.state_file)
+        active = evaluate([*faults, *stored, *driver])
         self._send_hold(float(bool(active)), now)
-        self._tell_driver(tuple(active))
-        state, why = "off", "the command is 0"
+        self._tell_driver(tuple(each.code for each in stored))
+        why = "the command is 0" if self._command.good else "no valid command arrives"
+        state = "off"
         if active:
             state, why = state_of(active)
         elif flow is not None and flow > _NONE * self._max_flow:
@@ -168,7 +172,7 @@ class ExternalPumpNode(ActuatorNode):
             self.publish(_HOLD, hold)
 
     def _tell_driver(self, why: tuple[str, ...]) -> None:
-        """Call the driver's ``~/stop``, if it offers one, when the reasons change."""
+        """Call the driver's ``~/stop``, if it offers one, when a hold or a fault changes."""
         if self._driver is None:
             offered = dict(self.get_service_names_and_types())
             for info in self.get_publishers_info_by_topic(self._flow.publishers.full_name):
@@ -177,7 +181,16 @@ class ExternalPumpNode(ActuatorNode):
                     self._driver = self.create_client(SetBool, name)
         if self._driver is not None and why != self._told and self._driver.service_is_ready():
             self._told = why
-            self._driver.call_async(SetBool.Request(data=bool(why)))
+            self._driver.call_async(SetBool.Request(data=bool(why))).add_done_callback(
+                self._check_answer
+            )
+
+    def _check_answer(self, answer: Future) -> None:
+        """Log that the driver has not done what it was told."""
+        if not answer.result().success:
+            self.get_logger().error(
+                f"your own pump driver rejected a call of ~/stop: {answer.result().message}"
+            )
 
     def _report(
         self, pump: PumpState, first: Diagnosis | None, driver: list[Diagnosis]
@@ -193,6 +206,7 @@ class ExternalPumpNode(ActuatorNode):
         trouble = DriveState.CONNECTING if flow is None else None
         return {
             "pump_state": self._pump.state, "pump_why": self._pump.why,
+            **({"speed": None} if flow is None else {}),
             "at_rest": flow is not None and flow <= _NONE * self._max_flow,
             "flow": flow,
             "drive_state": self.device_state(trouble).value,

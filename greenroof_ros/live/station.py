@@ -46,6 +46,7 @@ class _Place:
     def __init__(self, make: Make, node: LiveNode | AlarmsNode) -> None:
         self.make = make
         self.node: LiveNode | AlarmsNode | None = node
+        self.is_required = isinstance(node, AlarmsNode)  # without it, nobody reports an alarm
         self.due = math.inf  # when it is made again (steady clock, s)
         self._restarts = Restarts()
 
@@ -85,13 +86,14 @@ def keep_nodes(
                     start_receiving(executor, place.node)
             except Exception as error:  # whatever it is, it must not end the other nodes
                 failure, _ = print_failure(error)
-                if (failed := place.node) is not None:
+                failed = place.node
+                if failed is not None:
                     nodes.remove(failed)
                     executor.remove_node(failed)
                     end_nodes([failed], failure)
                     failed.destroy_node()
                 place.fail(now)
-                if math.isinf(place.due) and isinstance(failed, AlarmsNode):
+                if math.isinf(place.due) and place.is_required:
                     raise
 
 

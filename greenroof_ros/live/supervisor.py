@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import os
 import selectors
 import signal
@@ -200,6 +201,7 @@ class LiveSupervisor:
         self._stopper = ThreadPoolExecutor(1)
         self._stopper.submit(int)  # start its thread now: the system may be out of threads later
         self._stopping: Future[tuple[bool, str]] | None = None
+        self._stop_message, self._stop_again_at = "", math.inf
         self._drive_reached = False
         self._selector = selectors.DefaultSelector()
         self._read_at = time.monotonic()
@@ -346,9 +348,14 @@ class LiveSupervisor:
             elif process.due is not None and now >= process.due and not waits:
                 self._try_to_start(process, now)
         if self._stopping is not None and self._stopping.done():
-            _, message = self._stopping.result()
-            self._tell(f"{PUMP}: did not stop the drive; {message}")
-            self._stopping = None
+            may_run, message = self._stopping.result()
+            if not self._stop_message or message != self._stop_message:
+                self._tell(f"{PUMP}: did not stop the drive; {message}")
+            self._stopping, self._stop_message = None, message
+            if may_run and self._processes[PUMP].due is None:  # nobody else stops it any more
+                self._stop_again_at = now + restarts.MAX_WAIT_S
+        if now >= self._stop_again_at and (popen := self._processes[PUMP].popen) is not None:
+            self._begin_stop(popen.pid)
 
     def _try_to_start(self, process: _Process, now: float) -> None:
         """Start a process; if there are no processes or file descriptors, try again in 10 s."""
@@ -377,7 +384,8 @@ class LiveSupervisor:
         Raises:
             NodeFailed: if the site must end.
         """
-        self.read(0.0)  # its last lines
+        self.read(0.0)  # its last lines and heartbeats
+        self._drive_reached |= Beat.REACHED in process.state
         start, name, popen = process.start, process.start.name, process.popen
         assert popen is not None
         wrong = popen.returncode in (EXIT_USAGE, EXIT_OCCUPIED)
@@ -404,7 +412,14 @@ class LiveSupervisor:
             f"{how}starts again in {wait:g} s" if wait is not None
             else f"{too_often}, and stays off until the site is restarted"
         ))
-        if name == PUMP and self._stop_drive is not None:
+        if name == PUMP:
+            self._stop_message = ""
+            self._begin_stop(popen.pid)
+
+    def _begin_stop(self, pump_node: int) -> None:
+        """Begin to stop the drive without the pump node, whose process id is given."""
+        self._stop_again_at = math.inf
+        if self._stop_drive is not None:
             self._stopping = self._stopper.submit(
-                self._stop_drive, popen.pid, self._drive_reached
+                self._stop_drive, pump_node, self._drive_reached
             )

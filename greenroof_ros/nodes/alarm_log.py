@@ -5,18 +5,26 @@ from __future__ import annotations
 import json
 import os
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from greenroof_ros.base.disk import DISK
+from greenroof_ros.base.disk import DiskThread
 from greenroof_ros.interface.alarm import Alarm, to_record
 from greenroof_ros.results.alarm_file import OLDER, read_alarms
 from greenroof_ros.ros.alarms import Change, name_source
 
 # Size at which the file is renamed, replacing the previous one: over a thousand alarms (bytes).
 _FULL = 1_000_000
+# How many alarms wait for a full disk, and how long the start waits for the file to be read (s).
+_MAX_UNWRITTEN, _RESUMED_S = 10_000, 5.0
+_NOT_SHOWN = "; alarms from before this start will not be shown"
+# Its own disk thread, since the recorder's may be full of messages; a node that is made again reads
+# the file after the node before it has written.
+_DISK = DiskThread()
 
 
 class AlarmLog:
@@ -36,21 +44,27 @@ class AlarmLog:
         self.last_number = 0
         self._tell, self._file = tell, file
         self._lasting: dict[int, Alarm] = {}
+        # What is not written yet: an alarm, and those that are active with it.
+        self._unwritten: deque[tuple[Alarm, Sequence[Alarm]]] = deque(maxlen=_MAX_UNWRITTEN)
+        self._problem = ""  # why the last write failed
         self._warnings = set[str]()
-        try:
-            if file is not None:
-                self._resume(file)
-        except (OSError, ValueError) as error:
-            tell(f"warning: {error}; alarms from before this start will not be shown")
+        if file is not None and not (
+            _DISK.do(partial(self._resume, file)) and _DISK.wait(_RESUMED_S)
+        ):
+            tell(f"warning: {file}: the disk does not respond{_NOT_SHOWN}")
 
     def _resume(self, file: Path) -> None:
-        if file.is_file():  # a crash may have cut off its last line
-            os.truncate(file, file.read_bytes().rfind(b"\n") + 1)
-        began = time.time()
-        for alarm in read_alarms(file.parent):
-            self.last_number = alarm.number
-            if alarm.ended is None:
-                self._store(replace(alarm, ended=began))
+        """Read the file (in the disk thread, after what was to be written before)."""
+        try:
+            if file.is_file():  # a crash may have cut off its last line
+                os.truncate(file, file.read_bytes().rfind(b"\n") + 1)
+            began = time.time()
+            for alarm in read_alarms(file.parent):
+                self.last_number = alarm.number
+                if alarm.ended is None:
+                    self._store(replace(alarm, ended=began))
+        except (OSError, ValueError) as error:
+            self._tell(f"warning: {error}{_NOT_SHOWN}")
 
     def add(self, changes: Iterable[Change]) -> None:
         """Print and store changes to alarms; a new level or cause is stored but not printed."""
@@ -77,19 +91,51 @@ class AlarmLog:
 
     def _store(self, alarm: Alarm) -> None:
         if self._file is not None:
-            DISK.do(partial(self._write, self._file, alarm, tuple(self._lasting.values())))
+            self._unwritten.append((alarm, tuple(self._lasting.values())))
+            self.write()
 
-    def _write(self, file: Path, alarm: Alarm, lasting: Sequence[Alarm]) -> None:
-        """Write an alarm (in the disk thread); if the file is full, begin a new file.
+    def write(self) -> None:
+        """Write what is not written yet; call this often, since the disk may be full."""
+        if self._file is not None and self._unwritten:
+            _DISK.do(partial(self._write_all, self._file))
 
-        A new file begins with the alarms that are still active, so that none of them is lost.
-        """
-        written = [alarm]
-        try:
-            if file.exists() and file.stat().st_size >= _FULL:
-                file.replace(file.with_name(OLDER))
-                written = [*lasting, alarm]
-            with file.open("a", encoding="utf-8") as stream:
-                stream.writelines(f"{json.dumps(to_record(entry))}\n" for entry in written)
-        except OSError as error:
-            self._tell(f"warning: {file}: {error.strerror}")
+    def _write_all(self, file: Path) -> None:
+        """Write the waiting alarms (in the disk thread), and keep those that cannot be written."""
+        for entry in tuple(self._unwritten):
+            try:
+                _write(file, *entry)
+            except OSError as error:
+                problem = error.strerror or str(error)
+                if problem != self._problem:
+                    again = "another attempt is made every second"
+                    self._tell(f"warning: {file}: {problem}; {again}")
+                self._problem = problem
+                return
+            self._problem = ""
+            if self._unwritten[0] is entry:
+                self._unwritten.popleft()
+
+    def wait(self, seconds: float) -> None:
+        """Wait for a limited time (s) until everything is written."""
+        _DISK.wait(seconds)
+
+
+def _write(file: Path, alarm: Alarm, lasting: Sequence[Alarm]) -> None:
+    """Write an alarm; if the file is full, begin a new file.
+
+    A new file begins with the alarms that are still active, so that none of them is lost.
+
+    Raises:
+        OSError: if the alarm cannot be written; nothing is left of it in the file.
+    """
+    size, written = file.stat().st_size if file.exists() else 0, [alarm]
+    if size >= _FULL:
+        file.replace(file.with_name(OLDER))
+        size, written = 0, [*lasting, alarm]
+    try:
+        with file.open("a", encoding="utf-8") as stream:
+            stream.writelines(f"{json.dumps(to_record(entry))}\n" for entry in written)
+    except OSError:
+        with suppress(OSError):
+            os.truncate(file, size)
+        raise

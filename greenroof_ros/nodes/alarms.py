@@ -24,7 +24,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.time import Time
 
-from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.standard_error import Lines
 from greenroof_ros.interface.alarm import ALARMS, ERROR
@@ -148,6 +147,7 @@ class AlarmsNode(GraphNode):
         if changes or now - self._published >= _PUBLISH_S:
             self._published = now
             self._publish_alarms()
+            self._log.write()
 
     def _explain_restart(self) -> dict[str, StatusDiagnosis]:
         """Return, once, the reason why the process was restarted."""
@@ -169,7 +169,7 @@ class AlarmsNode(GraphNode):
 
     def on_stop(self) -> None:
         """Wait for a limited time until everything is recorded and printed."""
-        DISK.wait(_WRITTEN_S)
+        self._log.wait(_WRITTEN_S)
         if self._lines is not None:
             self._lines.wait(_WRITTEN_S)
 

@@ -79,6 +79,10 @@ class ControllerNode(GraphNode):
         self.publish("/pump/command", self.command)
         if self._outlet is not None:
             self.publish("/outlet/command", self._command_outlet(self._outlet))
+        self.publish_outputs(outputs)
+
+    def publish_outputs(self, outputs: Outputs) -> None:
+        """Publish the optional outputs."""
         for topic, attribute in self._optional:
             self.publish(topic.name, outputs[attribute] if outputs else topic.undecided)
 

@@ -190,6 +190,7 @@ class Bridge:
         else:
             self._stop.set()
 
+
 def make_state(store: GraphStore, shown: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields of the ``state`` message in the page's units; None means *unknown*.
 
@@ -198,7 +199,8 @@ def make_state(store: GraphStore, shown: Mapping[str, Any]) -> dict[str, Any]:
         shown: document made from the store.
     """
     tiles, pump = shown["tiles"], shown["tiles"]["pump"]
-    here, now, plan = store.mode not in ("none", "ended"), store.now, store.plan
+    here, now = store.mode not in ("none", "ended"), store.now
+    plan = None if store.present_value("/pump/command") is None else store.plan
     volume: float | None = None
     begin: float | None = None
     if here and plan is not None and now is not None and now < plan.ends[-1]:

@@ -238,11 +238,12 @@ def _write_sentence(
         return f"The run has ended, and its last state is shown{doubt}."
     if shown["pump"]["alarm"]:
         return "The pump may be running."
-    if rows and rows[0]["level"] == "error":
-        first = f"{rows[0]['name']}: {rows[0]['what']}"
-        pump = "" if rows[0]["name"] == "Pump" else tiles.write_pump(shown["pump"]["value"])
+    worst = next((row for row in rows if row["level"] == "error"), None)
+    if worst is not None:
+        first = f"{worst['name']}: {worst['what']}"
+        pump = "" if worst["name"] == "Pump" else tiles.write_pump(shown["pump"]["value"])
         return f"{'; '.join(filter(None, (first, pump)))}."
-    if roof["state"] in ("unknown", "alarm"):
+    if roof["state"] in ("unknown", "alarm", "doubtful"):
         level_clause = f"The roof's level is {roof['value']} ({roof['sentence']})"
     else:
         judged = {"low": "too dry, ", "high": "wetter than it should be, "}.get(roof["state"], "")

@@ -22,7 +22,7 @@ Values = NDArray[np.float64]
 
 # Length of a stretch (ns), short enough for 400 points in 12 h; how many are kept, which is a week.
 STRETCH_NS = 20_000_000_000
-MAX_STRETCHES = 7 * 24 * 3600 * 1_000_000_000 // STRETCH_NS
+MAX_STRETCHES = 7 * 24 * 3600 * 1_000_000_000 // STRETCH_NS + 2  # with those that are cut
 
 # The fields of a stretch: when its last value arrived (ns since 1970), its lowest, highest and
 # last value.

@@ -44,8 +44,9 @@ _NAMES = {topic: name for name, topic in LINES.items()}
 _NUMBER = "std_msgs/msg/Float64"
 # No quantity of any site is greater than this in any unit, even if its topic has no limit.
 _MAX_VALUE = 1e9
-# A value is stale after this many ticks or after the age at which readers no longer use it, but at
-# the earliest after the second number (s). A flow holds for at most the third number (s).
+# A value is stale after this many ticks or usual intervals, or after the age at which readers no
+# longer use it, but at the earliest after the second number (s). A flow holds, and an interval is
+# usual, for at most the third number (s).
 INTERVALS, _STALE_S, _MAX_S = 3, 5.0, 600.0
 # Alarms older than this mean that the program of the site no longer runs (s): they are published
 # once a second, and a process that died is back within a few seconds.
@@ -65,12 +66,14 @@ class Newest(NamedTuple):
         time_ns: time of the value (ns since 1970).
         value: the value; None if it is implausible.
         received_at: when it was received (steady clock, s).
+        interval_s: time since the value before (s); infinite for the first.
         stale_after_s: time after which the next value is overdue (s).
     """
 
     time_ns: int
     value: float | None
     received_at: float
+    interval_s: float
     stale_after_s: float
 
 
@@ -264,9 +267,13 @@ class GraphStore:
     def gone_since(self) -> float | None:
         """When the program of a live site last published its alarms (s since 1970).
 
-        None while it publishes them. Nothing else about the state of the nodes is concluded here.
+        None while it publishes them, or while a node of the site reports: then it is only unknown
+        whether there are alarms. Nothing else about the state of the nodes is concluded here.
         """
-        if self.mode != "live" or self.alarms_known or not self._alarms_of:
+        nodes = self.graph.nodes.values()
+        if self.mode != "live" or self.alarms_known or not self._alarms_of or any(
+            node.is_online(self.wall) for node in nodes
+        ):
             return None
         return self._alarms_of
 
@@ -318,16 +325,20 @@ class GraphStore:
             interval = self.site.tau / (self.factor or 1.0)
             if self.mode == "live" and entry.max_age is not None:
                 interval = entry.max_age.default / INTERVALS
+            since, usual = self.wall - before.received_at if before else math.inf, 0.0
+            if before is not None and math.isfinite(since):  # a single gap is not usual
+                usual = min(since, before.interval_s, _MAX_S)
             self.newest[topic] = Newest(
-                time_ns, None if math.isnan(value) else value, self.wall,
-                max(_STALE_S, INTERVALS * interval),
+                time_ns, None if math.isnan(value) else value, self.wall, since,
+                max(_STALE_S, INTERVALS * interval, INTERVALS * usual),
             )
             if topic == FLOW and not self.flow_known:
                 value = math.nan
             if topic in _NAMES:
                 self.past[_NAMES[topic]].add(time_ns, value)
             passed = (time_ns - before.time_ns) / 1e9 if before else math.inf
-            if topic == FLOW and before and before.value and passed <= _MAX_S:
+            holds = before.stale_after_s if before and self.mode == "live" else _MAX_S
+            if topic == FLOW and before and before.value and passed <= holds:
                 self.past[GIVEN].add(time_ns, self.past[GIVEN].last + before.value * passed)
 
     def is_stale(self, topic: str) -> bool:

@@ -60,6 +60,8 @@ def _make_tile(
     doubt = _find_doubt(store, topic, newest is None or stale)
     if newest is None:
         text, state, sentence = words.UNKNOWN, "unknown", _NONE_NOW if doubt else _NOT_YET
+    elif number is None and read_topics()[topic].may_be_unknown:
+        text, state, sentence = words.UNKNOWN, "unknown", ""
     elif number is None:
         text, state, sentence = words.NOT_PLAUSIBLE, "alarm", "the sensor's value is impossible"
     else:
@@ -182,7 +184,8 @@ def make_temperature_tile(store: GraphStore) -> Tile:
     if tile["number"] is not None:
         tile["value"] = "0 °C or below" if frost else "above 0 °C"
     elif tile["stale"]:
-        tile["sentence"] = _NONE_NOW
+        doubt = _find_doubt(store, _FROST, True)
+        tile["sentence"] = "; ".join(filter(None, (doubt, _NONE_NOW)))
     return tile
 
 
@@ -305,7 +308,7 @@ def make_watering_tile(store: GraphStore, pump: Tile) -> Tile:
     """
     share, aim = store.present_value(_COMMAND), store.present_value(_FILL_TO)
     plan, now = store.plan, store.now
-    if share is None and plan is None:
+    if share is None:
         value, sentence = words.UNKNOWN, "the controller's command is unknown"
     elif plan is None or now is None:
         value, sentence = "now" if share else "not now", ""
@@ -338,10 +341,10 @@ def _write_given(store: GraphStore) -> str:
     today, week = store.given_today(), store.given_since(now - _WEEK_S)
     parts = [
         f"{words.write_litres(volume)} {when}"
-        for volume, when in ((today, "today"), (week, "in 7 days")) if volume is not None
+        for volume, when in ((today, "today"), (week, "in the past 7 days")) if volume is not None
     ]
     volume, since = store.given_since(first / 1e9) or 0.0, store.time_of_day(first / 1e9)
-    return ", ".join(parts) or f"{words.write_litres(volume)} since {since}"
+    return f"given: {', '.join(parts) or f'{words.write_litres(volume)} since {since}'}"
 
 
 def describe_wait(store: GraphStore, pump: Tile) -> str:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from greenroof_ros.base.disk import DISK
 from greenroof_ros.interface.alarm import ALARMS, Alarm, to_record
 from greenroof_ros.nodes import alarm_log
 from greenroof_ros.nodes.alarm_log import AlarmLog
@@ -35,7 +34,7 @@ def written(directory: Path, *changes: Change, read: Callable[[str], None] = pri
     """Return a log that has stored these changes."""
     log = AlarmLog(read, directory / ALARMS)
     log.add(changes)
-    assert DISK.wait(60)
+    log.wait(60)
     return log
 
 
@@ -91,8 +90,8 @@ def test_a_flapping_sensor_fills_no_disk(tmp_path: Path, monkeypatch: pytest.Mon
     for number in range(2, 502):
         log.add([begins(number), ends(number)])
         if number % 50 == 0:
-            assert DISK.wait(60)
-    assert DISK.wait(60)
+            log.wait(60)
+    log.wait(60)
     assert sorted(file.name for file in tmp_path.iterdir()) == [ALARMS, f"{ALARMS}.1"]
     assert all(file.stat().st_size < 21_000 for file in tmp_path.iterdir())
     lasting, *newest = read_alarms(tmp_path)
@@ -104,8 +103,12 @@ def test_a_flapping_sensor_fills_no_disk(tmp_path: Path, monkeypatch: pytest.Mon
 def test_a_disk_that_is_full_and_a_damaged_file_stop_no_one(tmp_path: Path) -> None:
     printed: list[str] = []
     (tmp_path / "full" / ALARMS).mkdir(parents=True)
-    written(tmp_path / "full", begins(), read=printed.append)
+    log = written(tmp_path / "full", begins(), read=printed.append)
     assert any("Is a directory" in line for line in printed)
+    (tmp_path / "full" / ALARMS).rmdir()  # now there is room
+    log.write()
+    log.wait(60)
+    assert read_alarms(tmp_path / "full") == [LOST]
     line = json.dumps(to_record(LOST))
     for broken in ("nonsense", '{"number": 1}', "[]", "[" * 100_000):
         (tmp_path / ALARMS).write_text(f"{line}\n{broken}\n{line}\n")

@@ -20,11 +20,11 @@ const FONT = "12px Arial, Helvetica, sans-serif";
 export const plots = [];
 let shown = null; // the series
 let zoomed = null; // times between which it is shown (s since 1970)
-let clock = null; // of the site: writes a time as 2021-07-20 05:00:00
 
-export const setZone = (zone) => {
-  clock = new Intl.DateTimeFormat("sv-SE", { timeZone: zone, dateStyle: "short", timeStyle: "medium" });
-};
+// Writes a time as 2021-07-20 05:00:00, in UTC until the site's zone is known or if the browser does not know it.
+const makeClock = (zone) => new Intl.DateTimeFormat("sv-SE", { timeZone: zone, dateStyle: "short", timeStyle: "medium" });
+let clock = makeClock("UTC");
+export const setZone = (zone) => { clock = makeClock(zone); };
 export const timeText = (at) => clock.format(new Date(at * 1000));
 // A time on the axis: the date at midnight, otherwise the time.
 const tickText = (at) => {
