@@ -369,7 +369,9 @@ class Broken:
     def skip(self): pass
     def statistics(self): return None
     @property
-    def fill_to(self): return math.sqrt(-1.0 if fault() == "output" else 1.0)
+    def fill_to(self):
+        if fault() == "no number": return None
+        return math.sqrt(-1.0 if fault() == "output" else 1.0)
     @property  # of learned
     def learned(self): return {"x": "much"} if fault() == "learns words" else None
 """
@@ -445,6 +447,9 @@ def test_on_off_replaces_a_class_that_fails(site: Site) -> None:
             fault.unlink()
             site.until(lambda: newest(commands) == 0.3, LATE, f"{what}: its commands")
             site.until(site.shows("/broken: command", OK), LATE, f"{what}: all well")
+        fault.write_text("no number")  # an output that no message can contain
+        words = "on/off control has been in command", "raises"
+        site.until(site.shows("/broken: command", WARN, *words), LATE, "the output")
         assert process.poll() is None
 
 

@@ -40,11 +40,12 @@ class Site:
         self.marks.mkdir(exist_ok=True)
         self.told: list[str] = []
         self.stops: list[float] = []
+        self.may_run = False  # whether the drive cannot be stopped
         self.longest_step = 0.0  # of the supervision (s)
 
         def stop_drive(_pump_node: int, _reached: bool) -> tuple[bool, str]:
             self.stops.append(time.monotonic())
-            return False, "the drive stands"
+            return self.may_run, "the drive stands"
 
         self.supervisor = LiveSupervisor(
             [process(each, self.marks) if isinstance(each, str) else each for each in processes],
@@ -191,6 +192,26 @@ def test_a_process_that_fails_again_and_again_stays_off(
     ]
     assert site.supervisor.unready == "fails is missing"
     assert len(site.starts("fails")) == 3 and alive(site.pid("weather"))
+
+
+def test_a_drive_that_could_not_be_stopped_is_stopped_again(
+    make_site: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Once the pump's process stays off, nobody else stops it. The failure is told once."""
+    monkeypatch.setattr(restarts, "MAX_RESTARTS", 0)
+    monkeypatch.setattr(restarts, "MAX_WAIT_S", 0.5)
+    site = make_site("pump")
+    site.until_ready()
+    site.may_run = True
+    os.kill(site.pid("pump"), signal.SIGKILL)
+    site.until(lambda: len(site.stops) == 3)
+    site.may_run = False
+    site.until(lambda: len(site.stops) == 4)
+    site.during(1.5)
+    assert len(site.stops) == 4
+    assert [text.partition(";")[0] for text in site.told] == [
+        "pump: ended (SIGKILL)", "pump: did not stop the drive",
+    ]
 
 
 def test_wrong_parameters_are_never_tried_again(make_site: Make) -> None:
