@@ -223,6 +223,8 @@ class PumpControl:
                 why = f"a dose of {dose.volume:g} m3: {why}"
         if (setpoint is None) != (self._setpoint is None):
             self._limits.switch(setpoint is not None)
+            if setpoint is None:  # a drive that is told to stop has its time again
+                self._follow_error_for = 0.0
         self._setpoint = setpoint
 
         turning = observed.speed is not None and observed.speed > STANDSTILL
