@@ -302,6 +302,17 @@ def test_a_flow_while_the_pump_stands_is_a_contact_that_is_welded(
     assert rig.run(30, 1.0).state == "running"
 
 
+def test_a_wrong_speed_is_no_pump_that_runs_on_until_it_had_time_to_stop() -> None:
+    """A speed read as 2: not followed after 12 s; only if it stays for 12 s more, it runs on."""
+    rig = Rig(x1=70.0, settings=settings_for(PAPER_SITE, follow_time=12.0))
+    assert rig.run(60, 1.0).state == "running"
+    rig.change = {"speed": 2.0}
+    assert not rig.run(12, 1.0).interlocks
+    assert list(rig.run(2, 1.0).interlocks) == ["speed_not_followed"]
+    assert list(rig.run(10, 1.0).interlocks) == ["speed_not_followed"]
+    assert next(iter(rig.run(4, 1.0).interlocks)) == "runs_on"
+
+
 @pytest.mark.parametrize(("seconds", "counted"), [(5.0, 5.0), (3600.0, 15.0)])
 def test_what_may_be_pumped_in_a_suspend_counts_at_worst(seconds: float, counted: float) -> None:
     """As from a full cistern, until the drive must have stopped: 15 s; then it is seen again."""
