@@ -5,6 +5,8 @@ from __future__ import annotations
 import socket
 import subprocess
 import sys
+import threading
+from collections import deque
 from pathlib import Path
 
 import yaml
@@ -78,6 +80,8 @@ def main() -> None:
         try:
             assert devices.stdout is not None
             if devices.stdout.readline():  # they are ready
+                # What they print later is not shown, but must not fill the pipe and stop them.
+                threading.Thread(target=deque, args=(devices.stdout, 0), daemon=True).start()
                 print(f"the simulated devices are process {devices.pid}", flush=True)
                 _run_live([
                     "--site", str(arguments.site), "--state", str(arguments.state),

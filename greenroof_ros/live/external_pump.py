@@ -2,10 +2,10 @@
 
 Your driver subscribes to /pump/command and publishes /pump/flow, at least once a second. This node
 keeps holds and faults in the state file, and judges the driver by its flow. /pump/hold, which is
-published ten times a second while it changes and otherwise once a second, is 1 while the pump must
-stay off. A controller node of this package then commands 0, and also if /pump/hold is not arriving.
-If the driver offers ``~/stop`` (std_srvs/SetBool), this node calls it with true at the beginning of
-a hold, and with false at its end.
+published once a second and when it changes, is 1 while the pump must stay off. A controller node of
+this package then commands 0, and also if /pump/hold is not arriving. If the driver offers
+``~/stop`` (std_srvs/SetBool), this node calls it with true at the beginning of a hold or a fault,
+and with false at its end.
 
 :mod:`greenroof_ros.live.actuator` describes the services of this node: ``~/stop``, ``~/release``,
 ``~/hold``, ``~/clear`` and ``~/reset``.

@@ -1,7 +1,7 @@
 """What the nodes of a graph, and other devices, last reported on /diagnostics.
 
-Only the alarms node reads the reports of other nodes in this way. Any program may publish on the
-topic, so the number and the length of everything that is kept are limited.
+The alarms node judges these reports; a watcher takes the nodes' values from them. Any program may
+publish on the topic, so the number and the length of everything that is kept are limited.
 """
 
 from __future__ import annotations
@@ -40,10 +40,12 @@ _DIED_S, _GONE_S = 1.5, 10.0
 # While all nodes have run for less than this (s), the site is starting: what is late may still
 # come.
 _START_S = 60.0
-# Limits to what a hostile sender can fill: bytes of a message; statuses in it, values of each and
-# characters of each text; nodes of a role and processes of a node; parts of a node; statuses of
+MAX_BYTES = 8_000_000
+"""largest message that is read (bytes): an ensemble of forecasts has some hundred thousand"""
+# Limits to what a hostile sender can fill: statuses in a message, values of each and characters of
+# each text; nodes of a role and processes of a node; parts of a node; statuses of
 # other devices; characters of a name; topics or nodes that a diagnosis is about.
-_BYTES, _STATUSES, _VALUES, _TEXT = 8_000_000, 1000, 100, 20_000
+_STATUSES, _VALUES, _TEXT = 1000, 100, 20_000
 _NODES, _PARTS, _OTHERS, _NAME, _ABOUT = 8, 24, 200, 160, 10
 # Maximum tick of a run, and the latest time of a run (ns since 1970), which is in the year 2116.
 _LAST_TICK, _LAST_NS, _NS = 2**40, 2**62, 1_000_000_000
@@ -73,7 +75,7 @@ def read_statuses(message: bytes) -> tuple[int, list[Status]]:
     from diagnostic_msgs.msg import DiagnosticArray  # only processes that join a graph need ROS
     from rclpy.serialization import deserialize_message
 
-    if len(message) > _BYTES:
+    if len(message) > MAX_BYTES:
         raise ValueError(f"has {len(message)} bytes")
     read = deserialize_message(message, DiagnosticArray)
     return read.header.stamp.sec * _NS + read.header.stamp.nanosec, [

@@ -6,18 +6,15 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from greenroof_ros.ros.reports import Status, read_statuses
+from greenroof_ros.ros.reports import MAX_BYTES, Status, read_statuses
 
 if TYPE_CHECKING:
     from greenroof_ros.ros.messages import WithFront
 
-# Largest message that is read (bytes): an ensemble of forecasts has some hundred thousand.
-_MAX_BYTES = 8_000_000
-
 
 def _read(message: bytes, decode: Callable[[bytes], Any]) -> Any:
     """Return the content of a message; None if the message is incomplete or too large."""
-    if len(message) > _MAX_BYTES:
+    if len(message) > MAX_BYTES:
         return None
     with suppress(Exception):  # from the middleware, or because a text is not UTF-8
         return decode(message)
