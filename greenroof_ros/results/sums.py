@@ -43,8 +43,8 @@ _FIRST = 1 + 1e-9  # of equal peaks, the first one counts
     BUSIEST_HOUR, EXCESS_STARTS, ENERGY_J, OVERFLOW_DAYS, PEAK_5, PEAK_15, PEAK_60, EVENTS,
     FIRST_CISTERN, CISTERN, ROOF, LAYER, INTERVALS, _DAY_OVERFLOW, _RUNNING, _OPEN, _BEGIN, _END,
     _GAP, _RAIN_BEFORE, _WET_BEFORE, _DISCHARGE_BEFORE, _MAX_5, _AT_5, _PEAK, _PEAK_AT, _MAX_60,
-    _AT_60, _PLACES,
-) = range(48)
+    _AT_60, _OLDEST, _PLACES,
+) = range(49)
 # Buffers: rain, discharge in wet weather and discharge since the start, at the ends of the last
 # intervals; ticks of the last pump starts.
 _RING, _SUMS = 64, 3
@@ -146,14 +146,12 @@ def _add_pump(
     sums[ENERGY_J] += _WATER_DENSITY * p.g * flows.pump * head * p.tau
     sums[PUMP_TICKS] += share
     if share > 0 and sums[_RUNNING] == 0:
-        busy, count, kept, now = 1, int(sums[STARTS]), _count_starts(p), sums[TICKS]
-        # The start itself, and those before it that are less than an hour ago.
-        while busy <= count and (
-            now - sums[_LAST_STARTS + (count - busy) % kept] <= HOUR_S / p.tau - 0.5
-        ):
-            busy += 1
+        count, oldest = int(sums[STARTS]), int(sums[_OLDEST])
+        kept, now = _count_starts(p), sums[TICKS]
+        while oldest < count and now - sums[_LAST_STARTS + oldest % kept] > HOUR_S / p.tau - 0.5:
+            oldest += 1
         sums[_LAST_STARTS + count % kept] = now
-        sums[STARTS] = count + 1
+        sums[STARTS], sums[_OLDEST], busy = count + 1, oldest, count + 1 - oldest
         sums[BUSIEST_HOUR] = max(sums[BUSIEST_HOUR], busy)
         sums[EXCESS_STARTS] += busy > p.starts_per_hour
     sums[_RUNNING] = share
