@@ -77,7 +77,7 @@ class DriveChoice:
                 warning = _MAY_RUN if reached else "the drive has not responded since the start"
                 return reached, f"bringup could not stop the drive: {error}; {warning}"
             message = f"bringup commanded the drive to stop; the drive then reported: {status}"
-            return (False, message) if status.at_rest else (True, f"{message}; {_MAY_RUN}")
+            return not status.at_rest, message if status.at_rest else f"{message}; {_MAY_RUN}"
 
         return stop
 
@@ -104,17 +104,15 @@ def read_drive_choice(arguments: argparse.Namespace) -> DriveChoice | None:
     """
     drive, at = arguments.drive, arguments.drive_at
     refuse(
-        (at and not drive, "--drive-at", at,
-         "requires --drive with the make of the drive"),
-        (drive and not at, "--drive", drive,
+        (bool(drive) != bool(at), "--drive", drive,
          "requires --drive-at, such as tcp://192.168.0.20:502, gateway://..., /dev/ttyUSB0 or "
-         "mqtt://..."),
+         "mqtt://..., and --drive-at requires --drive"),
         (drive and arguments.pump == EXTERNAL, "--pump", EXTERNAL,
          "assigns the pump to your own node, but --drive assigns it to the pump node; use only "
          "one of these options"),
     )
-    files = [
-        str(Path(file).resolve()) if file else ""
-        for file in (arguments.broker_login, arguments.broker_authority)
-    ]
-    return DriveChoice(str(find_drive_file(drive).resolve()), at, *files) if drive else None
+    if not drive:
+        return None
+    files = (arguments.broker_login, arguments.broker_authority)
+    absolute = (str(Path(file).resolve()) if file else "" for file in files)
+    return DriveChoice(str(find_drive_file(drive).resolve()), at, *absolute)

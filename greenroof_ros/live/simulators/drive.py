@@ -94,14 +94,14 @@ class SimulatedDrive(ABC):
         Raises:
             ConfigurationError: if the drive file has no timeout for that interface.
         """
-        if interface not in file.timeout.by_interface:
+        if interface not in file.timeout:
             raise ConfigurationError(
                 "is missing: a drive without a communication timeout cannot be simulated; the file "
-                f"has timeout.{' and timeout.'.join(file.timeout.by_interface)}, and serial means "
+                f"has timeout.{' and timeout.'.join(file.timeout)}, and serial means "
                 "an address such as gateway://127.0.0.1:5020",
                 file=file.path, key=f"timeout.{interface}",
             )
-        self.settings, self.timeout = settings, file.timeout.by_interface[interface]
+        self.settings, self.timeout = settings, file.timeout[interface]
         self.flow: Callable[[float], float] = lambda speed: 0.0
         self.log: Callable[[str], None] = lambda text: None
         self.speed = 0.0
@@ -124,14 +124,8 @@ class SimulatedDrive(ABC):
         self.power_up()
 
     def _write_constants(self) -> None:
-        """Set the registers that never change: texts and full-scale values."""
-        text = f"simulated {self._file.make}".encode()
+        """Set the registers that never change: full-scale values."""
         for register in self._registers.values():
-            if register.type == "text":
-                padded = text.ljust(2 * register.width)
-                for offset in range(register.width):
-                    two = padded[2 * offset:2 * offset + 2]
-                    self._words[register.address + offset] = int.from_bytes(two, "big")
             if register.full_scale:  # 50 Hz or 750 rpm
                 scale = self._registers[register.full_scale]
                 self.write_raw(register.full_scale, 2.5 * scale.low / scale.scale)
@@ -220,7 +214,7 @@ class SimulatedDrive(ABC):
     def _loss_at(self) -> float:
         """Return the time at which the timeout will expire without another request, or infinity."""
         raw = self.read_raw(self.timeout.register)
-        if self._last_request is None or self.lost or raw == 0 or raw in self.timeout.off_values:
+        if self._last_request is None or self.lost or raw == 0:
             return math.inf
         seconds = raw * self._registers[self.timeout.register].scale
         return self._last_request + seconds
