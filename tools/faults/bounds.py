@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import os
 
+from greenroof_ros.live.devices.drive import DriveEndpoint
 from greenroof_ros.live.devices.drive_file import LIMIT_S as OBEYS_S
-from greenroof_ros.live.devices.exchange import FIRST_WAIT_S, PERIOD_S
+from greenroof_ros.live.devices.exchange import FIRST_WAIT_S
 from greenroof_ros.live.levels import LIMITS
 from greenroof_ros.live.live_bag import FLUSH_S
 from greenroof_ros.live.pump import parameters as parameters_of_pump
@@ -40,7 +41,7 @@ def bounds(site: Site) -> dict[str, float]:
         for name in ("follow_time", "drive_ramp", "averaging_time", "level_tolerance",
                      "min_delivery")
     )
-    exchange = 2 * PERIOD_S
+    exchange = 2 * DriveEndpoint.period
     end = exchange + RAMP_S + SLACK_S
     # The line is left silent if the speed has not fallen for this long.
     runs_on = OBEYS_S + DRIVE_TIMEOUT_S + exchange + end

@@ -10,7 +10,15 @@ from dataclasses import dataclass
 from operator import or_
 
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.live.devices.drive_file import LIMIT_S, PORT, DriveFile, Register, Step, Timeout
+from greenroof_ros.live.devices.drive_file import (
+    LIMIT_S,
+    PORT,
+    DriveFile,
+    Register,
+    RegisterCondition,
+    Step,
+    Timeout,
+)
 from greenroof_ros.live.devices.modbus_line import Address, DriveError, decode, limits
 from greenroof_ros.physics.pump import STANDSTILL
 
@@ -116,12 +124,9 @@ class Drive:
             DriveError: if the status cannot be read or contains an impossible value.
         """
         status, word = self._file.status, self._raw("status")
-        fault, timed_out = "", False
-        if status.fault.hold(word):
-            raw = self._raw(self._file.faults.register)
-            fault, causes = self._file.faults.describe(raw), self._file.faults.reported(raw)
-            timed_out = bool(causes) and self._timeout is not None and causes <= {
-                *self._timeout.trips}
+        fault, causes = self._fault(word)
+        trips = () if self._timeout is None else self._timeout.trips
+        timed_out = bool(causes) and causes.issubset(trips)
         speed = self._value("speed")
         if speed < -STANDSTILL:
             backwards = f"the pump is turning backwards (speed {speed:.1%})"
@@ -130,9 +135,9 @@ class Drive:
         if meter is not None and (raw := self._raw("flow")) != meter.missing:
             flow = self._scaled("flow", raw)
         return DriveStatus(
-            status.ready.hold(word), status.running.hold(word), "" if timed_out else fault,
-            speed if speed < -STANDSTILL else max(0.0, speed), flow,
-            remote=status.remote is None or status.remote.hold(word), timed_out=timed_out,
+            self._holds(status.ready, word), self._holds(status.running, word),
+            "" if timed_out else fault, speed if speed < -STANDSTILL else max(0.0, speed), flow,
+            status.remote is None or self._holds(status.remote, word), timed_out,
         )
 
     def run(self, speed: float, may_continue: Callable[[], bool] = lambda: True) -> None:
@@ -150,12 +155,10 @@ class Drive:
             DriveError: if no valid response arrives, a fault is active, or a state is not reached
                 in time.
         """
-        status, word = self._file.status, self._raw("status")
-        if status.fault.hold(word):
-            faults = self._file.faults
-            cause = faults.describe(self._raw(faults.register))
-            raise self.line.error("drive", f"fault: {cause}")
-        running = self._prepared and status.running.hold(word)
+        word = self._raw("status")
+        if fault := self._fault(word)[0]:
+            raise self.line.error("drive", f"fault: {fault}")
+        running = self._prepared and self._holds(self._file.status.running, word)
         if not self._prepared and not self._perform(self._file.sequences.ready, may_continue):
             return
         self._prepared = True
@@ -244,7 +247,7 @@ class Drive:
                 return False
             self._write(step.write, step.value)
             until, deadline = step.until, time.monotonic() + step.within_s
-            while wait and until is not None and not until.hold(raw := self._raw(until.register)):
+            while wait and until and not until.fulfilled_by(raw := self._raw(until.register)):
                 if not may_continue():
                     return False
                 if time.monotonic() > deadline:
@@ -263,6 +266,19 @@ class Drive:
         self.line.write(self._file.registers[name].address, word)
         if name == "control":
             self._word = word
+
+    def _holds(self, condition: RegisterCondition, word: int) -> bool:
+        """Return whether a condition is fulfilled, given the status word."""
+        other = condition.register != "status"
+        return condition.fulfilled_by(self._raw(condition.register) if other else word)
+
+    def _fault(self, word: int) -> tuple[str, set[int]]:
+        """Return the text and the codes of the active fault; empty for none."""
+        faults = self._file.faults
+        if not self._holds(self._file.status.fault, word):
+            return "", set()
+        raw = self._raw(faults.register)
+        return faults.describe(raw), faults.reported(raw)
 
     # --- values -----------------------------------------------------------------------------------
 
@@ -330,8 +346,8 @@ class DriveEndpoint:
     file: DriveFile
     address: Address
 
-    # Minimum time between two rounds of requests (s): none.
-    period = 0.0
+    # Time between two rounds of requests (s).
+    period = 0.1
 
     def __str__(self) -> str:
         return str(self.address)

@@ -80,22 +80,16 @@ class Register:
 
 
 @dataclass(frozen=True)
-class Bits:
-    """A condition that is true if the register & mask == value."""
+class RegisterCondition:
+    """A condition that is true if register & mask == value."""
 
     mask: int = entry("mask of the bits that are compared", 1, 0xFFFFFFFF)
     value: int = entry("value that the bits in the mask must have", 0, 0xFFFFFFFF)
+    register: str = entry("name of the register", default="status")
 
-    def hold(self, raw: int) -> bool:
+    def fulfilled_by(self, raw: int) -> bool:
         """Return whether a raw value satisfies the condition."""
         return raw & self.mask == self.value
-
-
-@dataclass(frozen=True)
-class Until(Bits):
-    """A condition on any register."""
-
-    register: str = entry("name of the register", default="status")
 
 
 @dataclass(frozen=True)
@@ -104,7 +98,8 @@ class Step:
 
     write: str = entry("name of the register to write")
     value: int = entry("word to write", 0, 0xFFFF)
-    until: Until | None = entry("condition that must be true before the next step", default=None)
+    until: RegisterCondition | None = entry(
+        "condition that must be true before the next step", default=None)
     within_s: float = entry("maximum time to wait for the condition (s)", 0.05, 60, default=1.0)
 
 
@@ -131,10 +126,11 @@ class Sequences:
 class StatusWord:
     """The meaning of the status word."""
 
-    ready: Bits = entry("true if neither a fault nor an interlock prevents a start")
-    running: Bits = entry("true while the motor is energized")
-    fault: Bits = entry("true while a fault keeps the drive off")
-    remote: Bits | None = entry("true while the drive is controlled over the bus", default=None)
+    ready: RegisterCondition = entry("true if neither a fault nor an interlock prevents a start")
+    running: RegisterCondition = entry("true while the motor is energized")
+    fault: RegisterCondition = entry("true while a fault keeps the drive off")
+    remote: RegisterCondition | None = entry(
+        "true while the drive is controlled over the bus", default=None)
 
 
 @dataclass(frozen=True)
@@ -207,7 +203,7 @@ class DriveFile(DeviceFile):
         "(m3/s) is used; reference and speed are shares of the rated speed"
     )
     sequences: Sequences = entry("register writes that start, stop and reset the drive")
-    status: StatusWord = entry("conditions on the register `status`")
+    status: StatusWord = entry("conditions that show the drive's state")
     faults: Codes = entry("register and texts of the faults")
     timeout: dict[str, Timeout] = entry(
         "the drive's own communication timeouts by interface: `serial`, which is reached over a "
@@ -262,8 +258,6 @@ class Setting(Question):
     """A setting with a required value, without which the relay could be on unintentionally."""
 
     value: str = entry("required value, in JSON notation")
-    meaning: str = entry("description of the setting, for messages")
-
 
 @dataclass(frozen=True, kw_only=True)
 class Timer(Question):
@@ -367,7 +361,7 @@ def _mistakes(drive: DriveFile) -> Iterator[tuple[str, str]]:
                 yield f"{key}.{place}", f"must be the name of a register in this file: {names}"
             elif place == "write" and name:
                 written.add(name)
-        if isinstance(part, Bits) and part.value & ~part.mask:
+        if isinstance(part, RegisterCondition) and part.value & ~part.mask:
             yield f"{key}.value", (
                 f"has bits outside the mask 0x{part.mask:04X}, so the condition could never be true"
             )

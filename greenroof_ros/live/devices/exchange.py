@@ -26,8 +26,8 @@ from greenroof_ros.live.devices.drive_file import (
 from greenroof_ros.live.devices.modbus_line import DeviceThread, DriveError, parse_drive_address
 from greenroof_ros.live.devices.relay import Relay, RelayEndpoint
 
-# Time between two rounds of requests (s), and how long each may wait for its response (s).
-PERIOD_S, TIMEOUT_S = 0.1, 0.5
+# How long each request may wait for its response (s).
+TIMEOUT_S = 0.5
 # The connection is treated as lost after this many consecutive rounds without a valid answer.
 LOST_AFTER = 2
 # Time without a request of the caller after which the drive is stopped (s).
@@ -243,18 +243,18 @@ class DriveExchange(DeviceThread):
         self.endpoint, self.flows_at_rest = endpoint, False
         self._drive: Drive | Relay = endpoint.connection(TIMEOUT_S)
         self._drive_lock: socket.socket | None = None
-        self._period_s = max(PERIOD_S, endpoint.period)
         self._timeout_limit_s, self._stops_locally = timeout_limit_s, stops_locally
         # Read and written as a whole, so no lock is needed.
         self._requested: tuple[float | None, float] = (None, -math.inf)
         self._reset_requested = self._stop_requested = False
-        self._rest_deadline = math.inf
         # When to connect next, how long to wait after that attempt, and whether it is the last one.
         self._connect_at, self._wait_s = -math.inf, FIRST_WAIT_S
         self._last_attempt = False
         # Time until which another writer is given way, from which the drive's own timeout is
         # effective, and at which the settings were read.
         self._other_until = self._guarded_from = self._settings_read_at = -math.inf
+        guard = endpoint.guard
+        self._unguarded_s = 0.0 if guard is None else guard.unguarded_after_power_up_s
         # Number of consecutive rounds without a valid answer.
         self._unanswered = 0
         # Whether the last *stop* on this connection was taken, None before any, and the number of
@@ -277,7 +277,6 @@ class DriveExchange(DeviceThread):
         fall, or the drive does not respond, the drive is released after a few seconds.
         """
         self._requested = (None, -math.inf)
-        self._rest_deadline = time.monotonic() + REST_LIMIT_S
         if not self._stop_thread(REST_LIMIT_S + MAX_WAIT_S):
             self._fail("could not confirm that the pump has stopped: the connection hangs",
                        connected=False, status=None)
@@ -369,10 +368,9 @@ class DriveExchange(DeviceThread):
         The drive may have lost power since the last connection; a cut cable cannot be distinguished
         from a power failure.
         """
-        guard = self.endpoint.guard
-        if guard is None or time.monotonic() >= self._guarded_from:
+        if time.monotonic() >= self._guarded_from:
             return None
-        return Diagnosis.of("drive_guards_later", time=guard.unguarded_after_power_up_s)
+        return Diagnosis.of("drive_guards_later", time=self._unguarded_s)
 
     def _step(self) -> None:
         """Connect, and control the drive until the connection is lost or the exchange is closed."""
@@ -386,7 +384,7 @@ class DriveExchange(DeviceThread):
         self._connect()
         while not self._closing:
             self._run_cycle()
-        status = _stop_until_at_rest(self._drive, self._rest_deadline)
+        status = _stop_until_at_rest(self._drive, time.monotonic() + REST_LIMIT_S)
         self._done = True
         self._update(connected=False, status=status, read_at=boot_time())
         self._drive.line.close()
@@ -418,8 +416,8 @@ class DriveExchange(DeviceThread):
         self._drive = drive = self.endpoint.connection(TIMEOUT_S)
         self._unanswered, self._stopped, self._reset_requested = 0, None, False
         drive.line.connect()
-        self._settings_read_at, guard = -math.inf, self.endpoint.guard
-        self._guarded_from = time.monotonic() + (guard.unguarded_after_power_up_s if guard else 0.0)
+        self._settings_read_at = -math.inf
+        self._guarded_from = time.monotonic() + self._unguarded_s
         self._stop()
         # Learn whether the control word can be read back: no other master has had time to write
         # yet.
@@ -451,7 +449,7 @@ class DriveExchange(DeviceThread):
                 raise
             self._fail(str(error))
             # The remainder of a late answer must not be read as the next answer.
-            time.sleep(self._period_s)
+            time.sleep(self.endpoint.period)
             return
         self._check_stop(status)
         self._unanswered, self._wait_s = 0, FIRST_WAIT_S
@@ -462,7 +460,7 @@ class DriveExchange(DeviceThread):
             unguarded=self._unguarded(),
         )
         if not self._closing:
-            self._pause(self._period_s - (time.monotonic() - started))
+            self._pause(self.endpoint.period - (time.monotonic() - started))
 
     def _check_stop(self, status: DriveStatus) -> None:
         """Raise an error if the drive does not obey *stop*, after which it is left in silence.
@@ -536,7 +534,7 @@ def _stop_until_at_rest(drive: Drive | Relay, until: float) -> DriveStatus:
         steady = fall.lasts(status.speed) > STEADY_S
         if status.at_rest or steady or time.monotonic() > until:
             return status
-        time.sleep(PERIOD_S)
+        time.sleep(FIRST_WAIT_S)
 
 
 def stop_drive(endpoint: Endpoint, *, driver: int | None = None) -> DriveStatus:

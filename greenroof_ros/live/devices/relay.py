@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import itertools
 import json
+import queue
 import secrets
-import threading
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -35,8 +35,6 @@ _ANSWER_S, _CONNECT_S, _ON_S = 1.0, 3.0, 2.0
 # An *on* is renewed after this share of the timer, which must therefore last for a few periods (s).
 _RENEWED = 1 / 3
 _MIN_TIMER_S = 2 * _PERIOD_S / _RENEWED
-# Number of messages that may wait.
-_MAX_WAITING = 1000
 
 
 @dataclass(frozen=True)
@@ -112,8 +110,8 @@ class RelayLine:
         self._numbers = itertools.count(secrets.randbelow(10**9))
         # How many replies of each kind are on their way.
         self._awaited: Counter[str] = Counter()
-        self._received: deque[tuple[str, bytes]] = deque(maxlen=_MAX_WAITING)
-        self._changed = threading.Condition()
+        # The messages; one without topic tells that the connection was established or lost.
+        self._received: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()
         self._connected, self._closed_by = False, ""
         self._client = make_client(
             relay.broker, "greenroof_ros", self._on_connect, self._on_message, self._on_disconnect,
@@ -131,8 +129,7 @@ class RelayLine:
             DriveError: if the broker does not respond or rejects the connection.
         """
         self._client.loop_start()
-        with self._changed:
-            self._changed.wait_for(lambda: self._connected or self._closed_by, _CONNECT_S)
+        self._receive(time.monotonic() + _CONNECT_S)
         if not self.connected:
             why = self._closed_by or f"no reply within {_CONNECT_S:g} s"
             raise self.error("connection", f"cannot connect: {why}")
@@ -170,11 +167,11 @@ class RelayLine:
             DriveError: if no valid reply arrives in time.
         """
         if not self._awaited.total():
-            self._received.clear()  # earlier messages answer no question
+            self._received = queue.SimpleQueue()  # earlier messages answer no question
         self._awaited[question.path] += 1
         number = self.publish(question)
         topic, until = self._fill(question.answer), time.monotonic() + self._timeout_s
-        while (message := self._receive(until)) is not None:
+        while self.connected and (message := self._receive(until)) is not None:
             with suppress(ValueError, LookupError, RecursionError):  # not a reply to this
                 reply = json.loads(message[1]) if message[0] == topic else {}
                 value = value_at(reply, question.path)
@@ -195,12 +192,10 @@ class RelayLine:
         return DriveError(kind, f"{self.where}: {problem}")
 
     def _receive(self, until: float) -> tuple[str, bytes] | None:
-        """Return the next message; None if none arrives in time or the connection ends."""
-        with self._changed:
-            self._changed.wait_for(
-                lambda: self._received or self._closed_by, max(0.0, until - time.monotonic())
-            )
-            return self._received.popleft() if self._received else None
+        """Return the next message; None if none arrives in time."""
+        with suppress(queue.Empty):
+            return self._received.get(timeout=max(0.0, until - time.monotonic()))
+        return None
 
     def _fill(self, text: str, **values: str) -> str:
         return Template(text).substitute(self._placeholders, **values)
@@ -212,20 +207,16 @@ class RelayLine:
             questions = (self._file.state, self._file.timer, *self._file.must)
             topics = {self._fill(question.answer) for question in questions}
             self._client.subscribe([(topic, 0) for topic in sorted(topics)])
-            with self._changed:
-                self._connected = True
-                self._changed.notify()
+            self._connected = True
+            self._received.put(("", b""))
 
     def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
         if not retained:
-            with self._changed:
-                self._received.append((topic, payload))
-                self._changed.notify()
+            self._received.put((topic, payload))
 
     def _on_disconnect(self, why: str) -> None:
-        with self._changed:
-            self._closed_by = self._closed_by or why
-            self._changed.notify()
+        self._closed_by = self._closed_by or why
+        self._received.put(("", b""))
 
 
 class Relay:
@@ -266,9 +257,7 @@ class Relay:
         self._timer_s = None  # the earlier value was valid only until now
         for setting in self._file.must:
             if (value := _text(self.line.ask(setting))) != setting.value:
-                return None, (
-                    f"{setting.meaning}: {setting.path} is {value}, but must be {setting.value}"
-                )
+                return None, f"{setting.path} is {value}, but must be {setting.value}"
         timer, raw = self._file.timer, self.line.ask(self._file.timer)
         low, high = _MIN_TIMER_S / timer.scale, timer.high
         if isinstance(raw, bool) or not isinstance(raw, int | float) or not low <= raw <= high:

@@ -94,7 +94,7 @@ def test_it_runs_while_asked_and_stops_when_told_or_asked_nonsense_or_not_at_all
 
 def test_what_is_asked_for_waits_for_no_round_of_requests(monkeypatch: pytest.MonkeyPatch) -> None:
     """A run and a stop are sent at once, however long the period; a change of speed can wait."""
-    monkeypatch.setattr(exchange, "PERIOD_S", 20.0)
+    monkeypatch.setattr(DriveEndpoint, "period", 20.0)
     monkeypatch.setattr(exchange, "DEAD_MAN_S", 60.0)
     with closing(Bench(monkeypatch, ABB)) as bench:
         bench.asks = False

@@ -128,13 +128,13 @@ def test_it_is_switched_renewed_and_left_off(
     ("tasmota", {
         "timer_off": "^PulseTime1.Set is 0, but must be 30 to 111$",
         "timer_long": "^PulseTime1.Set is 20, but must be 30 to 111$",
-        "power_up_on": "^the state after power-up: PowerOnState is 3, but must be 0$",
+        "power_up_on": "^PowerOnState is 3, but must be 0$",
     }),
     ("shelly_gen2", {
-        "timer_off": "^auto off: result.auto_off is false, but must be true$",
+        "timer_off": "^result.auto_off is false, but must be true$",
         "timer_long": "auto_off_delay is 2(.0)?, but must be 3 to 86400$",
         "power_up_on": "initial_state is on, but must be off$",
-        "auto_on": "^auto on: result.auto_on is true, but must be false$",
+        "auto_on": "^result.auto_on is true, but must be false$",
     }),
 ])
 def test_one_that_nothing_would_switch_off_is_not_switched_on(
