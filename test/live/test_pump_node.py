@@ -111,7 +111,7 @@ def test_without_the_drives_own_timeout_it_does_not_run(rig: PumpRig) -> None:
     for _ in range(10):
         assert rig.tick(0.5) == 0.0
     assert rig.drive.speed() == 0.0
-    words = "was not stopped at the end", "it can now only be stopped at its panel"
+    words = "was not stopped at the end", "only a person at its panel can stop it"
     ends_in_words(rig, node, "silence", *words)
 
 
@@ -301,7 +301,7 @@ def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(rig: Pump
     stays_off(STOPPED)
     assert rig.call(SetBool, "stop", data=False).success
     rig.run()
-    words = "was not stopped at the end", "its own timeout of 1.5 s must stop it"
+    words = "was not stopped at the end", "its own timeout (1.5 s)"
     ends_in_words(rig, node, "stuck_running", *words)
 
 

@@ -57,10 +57,8 @@ class DriveStatus:
         return abs(self.speed) <= STANDSTILL
 
     def __str__(self) -> str:
-        return ", ".join(filter(None, (
-            f"speed {self.speed:.1%}", "running" if self.running else "off",
-            "" if self.remote else "local control", self.fault and f"fault: {self.fault}",
-        )))
+        state = "running" if self.running else "off"
+        return f"speed {self.speed:.1%}, {state}{'' if self.remote else ', local control'}"
 
 
 class Drive:
@@ -322,11 +320,8 @@ class Drive:
         raw = round(speed / self._factor(register))
         low, high = limits(register.type)
         if not low <= raw <= high:
-            raise self.line.error(
-                "drive",
-                f"a speed of {speed:.1%} would be {raw} in {self._named('reference')}, which can "
-                f"hold {low:g} to {high:g}",
-            )
+            problem = f"{raw}, a speed of {speed:.1%}, is too large for {self._named('reference')}"
+            raise self.line.error("drive", problem)
         return raw
 
     def _named(self, name: str) -> str:

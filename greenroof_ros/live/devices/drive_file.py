@@ -2,8 +2,7 @@
 
 A drive is on Modbus; a relay is on MQTT. In a relay's file, topics and payloads may contain the
 following placeholders: ``$device``, the relay's own topic, taken from its address; ``$me``, the
-name of the requesting client; ``$id``, the number of the message; and ``$seconds``, the relay's
-timer in seconds.
+name of the requesting client; and, in ``switch_on``, ``$seconds``, the relay's timer in seconds.
 """
 
 from __future__ import annotations
@@ -44,9 +43,7 @@ class DeviceFile:
     make: str = entry("name of the manufacturer")
     model: str = entry("model, with its firmware, or the option or adapter that provides Modbus")
     unverified: tuple[str, ...] = entry(
-        "keys of this file (such as registers.control) that could not be verified in a manual, and "
-        "could let the pump run when it must be off; they are reported at startup"
-    )
+        "keys of this file that were not verified, and could let a pump run when it must be off")
     set_up: tuple[str, ...] = entry("other settings that must be made manually on the device")
     path: Path = Path()
 
@@ -66,9 +63,7 @@ class Register:
         "word order of a value of more than one register", choices=WORD_ORDERS, default="")
     scale: float = entry("factor: value = scale x raw", 1e-9, 1e9, default=1.0)
     full_scale: str = entry(
-        "name of a register by whose value the scaled value is divided, such as the rated speed",
-        default="",
-    )
+        "name of a register, such as a rated speed, that divides the scaled value", default="")
     low: float = entry("minimum plausible value", default=-math.inf)
     high: float = entry("maximum plausible value", default=math.inf)
     missing: int | None = entry("raw value of a flow that is not available", default=None)
@@ -108,17 +103,11 @@ class Sequences:
     """The sequences of register writes that bring the drive from one state to another."""
 
     ready: tuple[Step, ...] = entry(
-        "steps from any state other than a fault, for example after power-up, a reset or local "
-        "control, to a state in which `run` works; carried out before every start"
-    )
+        "steps before every start, from any state but a fault, to one in which `run` works")
     run: tuple[Step, ...] = entry(
-        "steps that start the pump, after the speed was written to `reference`; repeated in every "
-        "cycle while the pump runs"
-    )
+        "steps that start the pump, after the speed was written to `reference`; repeated")
     stop: tuple[Step, ...] = entry(
-        "steps that ramp the pump down and then switch it off, before 0 is written to `reference`; "
-        "repeated in every cycle while the pump is off"
-    )
+        "steps that ramp the pump down and switch it off, before a speed of 0 is written; repeated")
     reset: tuple[Step, ...] = entry("steps that acknowledge a fault and leave the drive off")
 
 
@@ -163,9 +152,7 @@ class Action:
 
     register: str = entry("name of the register")
     stops: dict[int, str] = entry(
-        "values with which the drive stops the pump until a reset, each with its name; with any "
-        "other value, the timeout is treated as off", 0,
-    )
+        "the values, with names, for a stop that lasts until a reset; any other means off", 0)
 
 
 @dataclass(frozen=True)
@@ -180,37 +167,28 @@ class Timeout:
     trips: tuple[int, ...] = entry(
         "codes (or bits) of `faults` that report the expiry of the timeout", 0, default=())
     unguarded_after_power_up_s: float = entry(
-        "time after power-up during which the timeout is not effective (s); the pump is kept off "
-        "for this time after every connection, since the drive may just have been powered up",
-        0, 600, default=0.0,
-    )
+        "time after power-up during which the timeout is not effective; the pump is kept off for "
+        "this time after every connection", 0, 600, unit="s", default=0.0)
     local_settings_decide: bool = entry(
-        "whether the reaction to the timeout depends on drive settings that cannot be read; the "
-        "operator must then confirm that the pump stops (`local_settings_stop_the_pump`)",
-        default=False,
-    )
+        "whether the reaction depends on drive settings that cannot be read, so that the operator "
+        "must confirm it (`local_settings_stop_the_pump`)", default=False)
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriveFile(DeviceFile):
     """The description of a make of drive."""
 
-    numbering: int = entry(
-        "number of a register in the manual minus its address on the wire", 0, 465536)
+    numbering: int = entry("number of a register in the manual minus its address", 0, 465536)
     serial: Serial = entry("factory settings of Modbus RTU, and the device id for any interface")
     registers: dict[str, Register] = entry(
-        "registers by name; `control`, `reference`, `status` and `speed` are required, and `flow` "
-        "(m3/s) is used; reference and speed are shares of the rated speed"
-    )
+        "registers by name; `control`, `reference`, `status` and `speed` (shares of the rated "
+        "speed) are required, and `flow` (m3/s) is used")
     sequences: Sequences = entry("register writes that start, stop and reset the drive")
     status: StatusWord = entry("conditions that show the drive's state")
     faults: Codes = entry("register and texts of the faults")
     timeout: dict[str, Timeout] = entry(
-        "the drive's own communication timeouts by interface: `serial`, which is reached over a "
-        "serial line or a gateway, and `tcp`, the Ethernet port of the drive or of its adapter"
-    )
-    min_speed: float = entry(
-        "minimum speed at which the pump may run (share of the rated speed)", 0, 1)
+        "the drive's own communication timeouts of its port `serial` and its Ethernet port `tcp`")
+    min_speed: float = entry("minimum share of the rated speed at which the pump may run", 0, 1)
 
     def device_id_at(self, address: Address) -> int:
         """Return the unit identifier or slave address: that of the address, or the file's."""
@@ -279,15 +257,9 @@ class RelayFile(DeviceFile):
     protocol: str = entry("always mqtt; only relay files have this key", choices=("mqtt",))
     state: RelayState = entry("whether the relay is on")
     timer: Timer = entry("the time after which the relay switches itself off")
-    must: tuple[Setting, ...] = entry(
-        "settings that must have certain values; they are read together with the timer")
+    must: tuple[Setting, ...] = entry("settings that must have certain values")
     switch_on: RelayMessage = entry("message that switches the relay on, repeated to keep it on")
-    switch_off: RelayMessage = entry(
-        "message that switches the relay off, repeated for as long as it must be off")
-    number: str = entry(
-        "path of the request's $id in every reply; empty if the replies have no id but arrive in "
-        "the order of the requests", default="",
-    )
+    switch_off: RelayMessage = entry("message that switches the relay off, repeated to keep it off")
 
     # A relay is on or off, with no speed in between.
     min_speed = 1.0

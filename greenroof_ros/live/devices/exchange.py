@@ -36,8 +36,6 @@ DEAD_MAN_S = LOST_AFTER * TIMEOUT_S
 FIRST_WAIT_S, MAX_WAIT_S = TIMEOUT_S / 2, LIMIT_S / 2
 # Time in which the drive must acknowledge its fault (s); after that, the fault counts again.
 RESET_S = LIMIT_S / 2
-# Interval at which the drive's safety-relevant settings are read again (s).
-SETTINGS_S = MAX_RAMP_S
 # The minimum decrease of the speed that counts (share of the rated speed).
 SLOWER = 0.005
 # A drive that has not been seen to obey *stop* for LIMIT_S may still receive orders until the next
@@ -73,9 +71,7 @@ CHOICE = (
 Endpoint: TypeAlias = DriveEndpoint | RelayEndpoint
 
 
-def read_endpoint(
-    file: Path, at: str, key: str, login: str = "", authority: str = ""
-) -> Endpoint:
+def read_endpoint(file: Path, at: str, key: str, login: str = "", authority: str = "") -> Endpoint:
     """Read a drive file or a relay file (recognized by its key ``protocol``), and add an address.
 
     Args:
@@ -292,12 +288,10 @@ class DriveExchange(DeviceThread):
         snapshot, status = self.snapshot, self.snapshot.status
         if status is not None and status.at_rest:
             return f"released the drive: {status}"
-        ending = "it can now only be stopped at its panel"
-        if snapshot.timeout_s is not None:
-            ending = f"its own timeout of {snapshot.timeout_s:g} s must stop it"
+        timeout = f" or its own timeout ({snapshot.timeout_s:g} s)" if snapshot.timeout_s else ""
         raise OSError(
             "the drive was not stopped at the end of the connection: "
-            f"{status or snapshot.problem}; {ending}"
+            f"{status or snapshot.problem}; now only a person at its panel{timeout} can stop it"
         )
 
     def timeout_problem(self, snapshot: DriveSnapshot) -> Diagnosis | None:
@@ -441,7 +435,7 @@ class DriveExchange(DeviceThread):
         try:
             problem = self._write_order()
             status = self._drive.read()
-            if started - self._settings_read_at > SETTINGS_S:
+            if started - self._settings_read_at > MAX_RAMP_S:
                 self._read_settings()
         except DriveError as error:
             self._unanswered += 1

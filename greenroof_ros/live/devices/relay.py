@@ -9,10 +9,8 @@ service 0 and without the retain flag, so the broker stores no messages.
 
 from __future__ import annotations
 
-import itertools
 import json
 import queue
-import secrets
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -103,11 +101,11 @@ class RelayLine:
         """
         self.where = str(relay)
         self.last_message: RelayMessage | None = None
-        self._file, self._timeout_s = relay.file, timeout_s
-        # All connections use this name, so a broker can restrict who may publish under it. If
-        # answers are numbered, an answer to another connection does not count.
+        self._timeout_s = timeout_s
+        # All connections use this name, so a broker can restrict who may publish under it.
         self._placeholders = {"device": relay.device, "me": f"greenroof_ros-{relay.device}"}
-        self._numbers = itertools.count(secrets.randbelow(10**9))
+        questions = (relay.file.state, relay.file.timer, *relay.file.must)
+        self._topics = sorted({self._fill(question.answer) for question in questions})
         # How many replies of each kind are on their way.
         self._awaited: Counter[str] = Counter()
         # The messages; one without topic tells that the connection was established or lost.
@@ -143,8 +141,8 @@ class RelayLine:
         self._client.disconnect()
         self._client.loop_stop()
 
-    def publish(self, message: RelayMessage, **values: str) -> str:
-        """Publish a message once, and return its number.
+    def publish(self, message: RelayMessage, **values: str) -> None:
+        """Publish a message once.
 
         Args:
             message: message to the relay.
@@ -154,14 +152,14 @@ class RelayLine:
         Raises:
             DriveError: if the connection has been lost.
         """
-        number = str(next(self._numbers))
-        topic, payload = self._fill(message.topic), self._fill(message.payload, id=number, **values)
+        topic, payload = self._fill(message.topic), self._fill(message.payload, **values)
         if not self.connected or self._client.publish(topic, payload).rc:
             raise self.error("connection", f"the connection was closed: {self._closed_by}")
-        return number
 
     def ask(self, question: Question) -> Any:
         """Ask the relay, and return the value in its reply.
+
+        The replies arrive in the order of the requests, so late ones are counted, and skipped.
 
         Raises:
             DriveError: if no valid reply arrives in time.
@@ -169,18 +167,14 @@ class RelayLine:
         if not self._awaited.total():
             self._received = queue.SimpleQueue()  # earlier messages answer no question
         self._awaited[question.path] += 1
-        number = self.publish(question)
+        self.publish(question)
         topic, until = self._fill(question.answer), time.monotonic() + self._timeout_s
         while self.connected and (message := self._receive(until)) is not None:
             with suppress(ValueError, LookupError, RecursionError):  # not a reply to this
                 reply = json.loads(message[1]) if message[0] == topic else {}
                 value = value_at(reply, question.path)
-                if not self._file.number:
-                    self._awaited[question.path] -= 1
-                    if not self._awaited[question.path]:
-                        return value
-                elif str(value_at(reply, self._file.number)) == number:
-                    self._awaited.clear()
+                self._awaited[question.path] -= 1
+                if not self._awaited[question.path]:
                     return value
         if not self.connected:
             raise self.error("connection", f"the connection was closed: {self._closed_by}")
@@ -204,9 +198,7 @@ class RelayLine:
 
     def _on_connect(self) -> None:
         if not self._closed_by:  # after the end the client reconnects automatically
-            questions = (self._file.state, self._file.timer, *self._file.must)
-            topics = {self._fill(question.answer) for question in questions}
-            self._client.subscribe([(topic, 0) for topic in sorted(topics)])
+            self._client.subscribe([(topic, 0) for topic in self._topics])
             self._connected = True
             self._received.put(("", b""))
 

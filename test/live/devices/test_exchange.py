@@ -136,7 +136,7 @@ def test_one_lost_answer_stops_nothing_and_a_half_open_connection_heals(bench: B
     bench.drive.silent = True
     bench.close()
     assert bench.now.status is None and not bench.now.connected
-    with pytest.raises(OSError, match=r"not stopped .*no valid .* timeout of 5 s must stop it"):
+    with pytest.raises(OSError, match=r"not stopped .*no valid .*its own timeout \(5 s\)"):
         bench.exchange.outcome()
 
 

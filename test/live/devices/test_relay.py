@@ -144,7 +144,7 @@ def test_one_that_nothing_would_switch_off_is_not_switched_on(
 
     The first comes while the relay is on, which is then switched off.
     """
-    monkeypatch.setattr("greenroof_ros.live.devices.exchange.SETTINGS_S", 0.3)
+    monkeypatch.setattr("greenroof_ros.live.devices.exchange.MAX_RAMP_S", 0.3)
     with closing(Bench(make, tmp_path)) as bench, Talker(bench.broker, "#") as tap:
         bench.run()
         bench.relay.inject("timer_off")
