@@ -19,8 +19,8 @@ from greenroof_ros.live.devices.exchange import (
 from greenroof_ros.live.supervisor import StopDrive
 
 _MAY_RUN = (
-    "THE PUMP MAY BE RUNNING: now only the drive's own communication timeout can stop it, if "
-    "that timeout is on; check the pump, and stop it at the drive's panel or at the main switch"
+    "THE PUMP MAY BE RUNNING: now only the drive's own timeout can stop it, if it is on; check the "
+    "pump, and stop it at the drive's panel or at the main switch"
 )
 
 
@@ -85,14 +85,12 @@ class DriveChoice:
 def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the drive to a command's parser."""
     group = parser.add_argument_group(
-        "the drive",
-        "The pump node receives the commands, and runs a real or simulated drive over Modbus, or\n"
-        "a relay over MQTT.",
-    )
-    for parameter, option, metavar in zip(
-        CHOICE, ("--drive", "--drive-at", "--broker-login", "--broker-authority"),
-        ("{NAME,FILE}", "ADDRESS", "FILE", "FILE"), strict=True,
-    ):
+        "the drive", "The pump node runs a drive over Modbus, or a relay over MQTT.")
+    options = {
+        "--drive": "{NAME,FILE}", "--drive-at": "ADDRESS", "--broker-login": "FILE",
+        "--broker-authority": "FILE",
+    }
+    for parameter, (option, metavar) in zip(CHOICE, options.items(), strict=True):
         group.add_argument(option, default="", metavar=metavar, help=parameter.meaning)
 
 
@@ -105,11 +103,9 @@ def read_drive_choice(arguments: argparse.Namespace) -> DriveChoice | None:
     drive, at = arguments.drive, arguments.drive_at
     refuse(
         (bool(drive) != bool(at), "--drive", drive,
-         "requires --drive-at, such as tcp://192.168.0.20:502, gateway://..., /dev/ttyUSB0 or "
-         "mqtt://..., and --drive-at requires --drive"),
+         "and --drive-at (tcp://192.168.0.20:502, /dev/ttyUSB0, mqtt://...) require each other"),
         (drive and arguments.pump == EXTERNAL, "--pump", EXTERNAL,
-         "assigns the pump to your own node, but --drive assigns it to the pump node; use only "
-         "one of these options"),
+         "assigns the pump to your own node, but --drive to the pump node; use only one of them"),
     )
     if not drive:
         return None

@@ -11,7 +11,6 @@ from operator import or_
 
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.devices.drive_file import (
-    LIMIT_S,
     PORT,
     DriveFile,
     Register,
@@ -222,9 +221,7 @@ class Drive:
         if same or not self._echoes:
             return None
         return Diagnosis.of(
-            "second_master", "word", "pause", where=self.line.where, word=word, written=self._word,
-            pause=LIMIT_S,
-        )
+            "second_master", "word", where=self.line.where, word=word, written=self._word)
 
     # --- sequences --------------------------------------------------------------------------------
 
@@ -249,12 +246,9 @@ class Drive:
                 if not may_continue():
                     return False
                 if time.monotonic() > deadline:
+                    problem = f"had no effect within {step.within_s:g} s; {until.register} is"
                     raise self.line.error(
-                        "drive",
-                        f"{step.write} = 0x{step.value:04X} had no effect within "
-                        f"{step.within_s:g} s; {until.register} is 0x{raw:04X}, not "
-                        f"0x{until.value:04X} under the mask 0x{until.mask:04X}",
-                    )
+                        "drive", f"{step.write} = 0x{step.value:04X} {problem} 0x{raw:04X}")
                 time.sleep(_POLL_S)
         return True
 

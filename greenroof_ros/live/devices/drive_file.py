@@ -357,5 +357,3 @@ def _mistakes(drive: DriveFile) -> Iterator[tuple[str, str]]:
     for name in ("run", "stop", "reset"):
         if "control" not in [step.write for step in getattr(drive.sequences, name)]:
             yield f"sequences.{name}", "must write the register control"
-    for interface in drive.timeout.keys() - {"serial", "tcp"}:
-        yield f"timeout.{interface}", "must be serial or tcp"

@@ -55,9 +55,9 @@ CHOICE = (
     Parameter(
         "address", "", meaning="address of the drive: tcp://HOST:PORT for its own Ethernet port, "
         "gateway://HOST:PORT for a gateway to its serial port, or a serial line such as "
-        "/dev/ttyUSB0. If the device id differs from that in the drive file, append it after a "
-        "comma: gateway://HOST:PORT,17. For a relay: mqtt://HOST[:PORT]/DEVICE, where DEVICE is "
-        "the relay's topic at the broker; mqtts:// for TLS",
+        "/dev/ttyUSB0, and the device id after a comma, if it differs from that in the drive file: "
+        "gateway://HOST:PORT,17. For a relay: mqtt://HOST[:PORT]/DEVICE, where DEVICE is its topic "
+        "at the broker; mqtts:// for TLS",
     ),
     Parameter(
         "broker_login", "", meaning="YAML file with the username and password for a relay's broker",
@@ -394,15 +394,11 @@ class DriveExchange(DeviceThread):
         wait_s, self._wait_s = self._wait_s, min(2 * self._wait_s, MAX_WAIT_S)
         if runs_on or self._refusals > 1:
             wait_s = self._timeout_limit_s
-            problem += (
-                f"; it is not known to obey *stop*, so nothing is sent for {wait_s:g} s, during "
-                "which the drive's own communication timeout must stop it"
-            )
+            problem += f"; nothing is sent for {wait_s:g} s, so its own timeout must stop it"
             if fall is not None:  # that timeout may ramp it down
                 fall.since = now + wait_s + MAX_RAMP_S
         self._connect_at, self._done = now + wait_s, self._last_attempt
-        status = self._snapshot.status if runs_on else None
-        self._fail(problem, connected=False, status=status)
+        self._fail(problem, connected=False, status=self._snapshot.status if runs_on else None)
         self._drive.line.close()
 
     def _connect(self) -> None:
@@ -472,10 +468,8 @@ class DriveExchange(DeviceThread):
             self._fall = None
         elif fall.lasts(status.speed) > LIMIT_S:
             fault = f"the drive acknowledges *stop*, but its speed has not fallen for {LIMIT_S:g} s"
-            self._update(
-                status=replace(status, fault=fault, timed_out=False, runs_on=True),
-                read_at=boot_time(),
-            )
+            status = replace(status, fault=fault, timed_out=False, runs_on=True)
+            self._update(status=status, read_at=boot_time())
             raise DriveError("drive", f"{where}: {fault} (the speed is {status.speed:.1%})")
 
     def _write_order(self) -> str:
@@ -552,11 +546,9 @@ def stop_drive(endpoint: Endpoint, *, driver: int | None = None) -> DriveStatus:
     with ExitStack() as lock:
         try:
             lock.enter_context(acquire_drive_lock(endpoint))
-        except DriveInUseError as error:
-            if error.holder not in (None, driver):
+        except DriveError as error:
+            if getattr(error, "holder", None) not in (None, driver):
                 raise
-        except DriveError:
-            pass
         attempts, until = 3, time.monotonic() + REST_LIMIT_S
         while True:
             drive = endpoint.connection()

@@ -22,7 +22,7 @@ from typing import Any
 from greenroof_ros.base.mqtt import Broker, make_client
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.devices.drive import DriveStatus
-from greenroof_ros.live.devices.drive_file import LIMIT_S, Question, RelayFile, RelayMessage, Timer
+from greenroof_ros.live.devices.drive_file import Question, RelayFile, RelayMessage, Timer
 from greenroof_ros.live.devices.json_path import value_at
 from greenroof_ros.live.devices.modbus_line import Address, DriveError
 
@@ -327,9 +327,7 @@ class Relay:
         is_on = self._read()
         if self._ordered is None or is_on == self._ordered:
             return None
-        return Diagnosis.of(
-            "second_master", "on" if is_on else "off", "pause", where=self.line.where, pause=LIMIT_S
-        )
+        return Diagnosis.of("second_master", "on" if is_on else "off", where=self.line.where)
 
     def _read(self) -> bool:
         """Return whether the relay reports that it is on."""

@@ -46,7 +46,6 @@ WRONG: dict[str, list[tuple[str, str, str]]] = {
         ("    register: timeout_time\n", "    register: time\n",
          "timeout.serial.register = 'time': must be the name of a register in this file: control"),
         ("  speed:\n    address: 4", "  pace:\n    address: 4", "registers: must contain speed"),
-        ("timeout:\n  serial:", "timeout:\n  usb:", "timeout.usb: must be serial or tcp"),
     ],
     "tasmota": [
         ("protocol: mqtt", "protocol: coap", "protocol = 'coap': must be one of mqtt"),
