@@ -14,14 +14,13 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from asking import Asking
 from clocked_exchange import STEP_S, Bench, Cable
-from modbus_wire import Answer, Registers, SerialWire, Wire, acs880, rtu_server
+from modbus_wire import Answer, SerialWire, Wire, acs880, rtu_server
 from places import CHECKOUT
 from simulators import until as wait
 
 from greenroof_ros.live.devices import exchange
-from greenroof_ros.live.devices.drive import DriveEndpoint, DriveStatus
+from greenroof_ros.live.devices.drive import DriveEndpoint
 from greenroof_ros.live.devices.drive_file import (
     LIMIT_S,
     MAX_RAMP_S,
@@ -31,15 +30,10 @@ from greenroof_ros.live.devices.drive_file import (
 from greenroof_ros.live.devices.exchange import (
     DriveExchange,
     DriveInUseError,
-    DriveSnapshot,
     acquire_drive_lock,
     stop_drive,
 )
-from greenroof_ros.live.devices.modbus_line import (
-    DriveError,
-    parse_address,
-    parse_drive_address,
-)
+from greenroof_ros.live.devices.modbus_line import DriveError, parse_drive_address
 
 PERIOD_S, DEAD_MAN_S, TIMEOUT_S = 0.1, 1.0, 0.5
 SILENT = "nothing is sent for 10 s"
@@ -329,8 +323,8 @@ class RunningOn:
     """A drive that acknowledges *stop*, and whose speed the test defines; what is reported of it.
 
     Attributes:
-        seconds: since the beginning, when the drive is at half of its speed.
-        speed: share of the rated speed, by the time; None cannot be read.
+        speed: share of the rated speed, by the time (s) since the beginning, when the drive is at
+            half of its speed; None cannot be read.
         local: whether it is in local control.
         faults: all faults that were reported.
         left: when each silence began, and why.
@@ -340,7 +334,6 @@ class RunningOn:
         self.bench, self.speed, self.local = bench, speed, False
         self.faults: set[str] = set()
         self.left: list[tuple[float, str]] = []
-        self._silent = False
         bench.run()
         self._began = bench.clock.now
         bench.answer, bench.speed = self._answer, None
@@ -351,27 +344,24 @@ class RunningOn:
 
     def _answer(self, request: bytes) -> Answer:
         drive, speed = self.bench.drive, self.speed(self.seconds)
-        answer = drive(request)
+        drive.values.pop(4, None)
+        if speed is not None:
+            drive.values[4] = round(20000 * speed)
         drive.values[3] = 0x1031 if self.local else 0x1231
-        if request[7] == 3 and request[9] == 4:
-            data = request[:4] + bytes([0, 3, request[6], 0x83, 2])
-            if speed is not None:
-                data = request[:4] + bytes([0, 5, request[6], 3, 2])
-                data += round(20000 * speed).to_bytes(2, "big")
-            answer = [(0.0, data)]
-        return answer
+        return drive(request)
 
     def listen(self, until: float) -> None:
         """Note what is reported until a time (s)."""
+        was_silent = True
         while self.seconds < until:
             self.bench.step()
             now = self.bench.now
             if now.status is not None:
                 self.faults.add(now.status.fault)
                 assert now.status.runs_on == bool(now.status.fault)
-            if SILENT in now.problem and not self._silent:
+            if SILENT in now.problem and not was_silent:
                 self.left.append((self.seconds, now.problem))
-            self._silent = SILENT in now.problem
+            was_silent = SILENT in now.problem
 
 
 FALLEN = "the drive acknowledges *stop*, but its speed has not fallen for 10 s"
@@ -412,10 +402,10 @@ def test_one_that_is_not_seen_to_slow_down_is_left_again_and_again(
 
 def test_what_is_known_of_the_speed_outlives_connections_that_break(bench: Bench) -> None:
     drive = RunningOn(bench, lambda _now: 0.5)
-    while not drive.left and drive.seconds < 60:
+    while FALLEN not in drive.faults and drive.seconds < 60:
         drive.listen(drive.seconds + 0.7)
         bench.cable.close()
-    assert 10 < drive.left[0][0] < 15 and FALLEN in drive.faults
+    assert 10 < drive.seconds < 15
 
 
 @pytest.mark.parametrize("way", ["stood", "was run", "in local control"])
@@ -466,187 +456,90 @@ def test_what_someone_changes_at_the_panel_is_noticed(bench: Bench) -> None:
     assert bench.now.connected
 
 
-def test_the_rated_speed_is_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Schneider: 725 rpm is half of a rated speed of 1450 rpm, and a quarter of 2900 rpm."""
-    file = read_drive_file(find_drive_file("schneider_atv630"))
-    with closing(Bench(monkeypatch, file)) as bench:
-        bench.answer = drive = Registers({
-            8501: 0, 8602: 0, 3201: 0x0233, 8604: 725, 7010: 1, 9604: 1450, 6005: 50,
-        })
-        bench.exchange.start()
-        bench.until_reported(lambda status: status.speed == pytest.approx(0.5))
-        drive.values[9604] = 2900
-        bench.until_reported(lambda status: status.speed == pytest.approx(0.25))
+# --- the end, and two drivers ---------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("status", [None, DriveStatus(True, False, "", 0.0)])
-@pytest.mark.parametrize("problem", ["", "no valid response within 0.5 s"])
-@pytest.mark.parametrize("age", [9.9, 10.1, math.inf])
-def test_a_drive_has_a_status_or_a_reason_for_none(
-    status: DriveStatus | None, problem: str, age: float
+@pytest.mark.parametrize(
+    ("falls_for", "took", "stands"), [(20.0, 20.0, True), (math.inf, 3.0, False)]
+)
+def test_a_ramp_is_waited_for_at_the_end_but_no_drive_that_turns_on(
+    bench: Bench, falls_for: float, took: float, stands: bool
 ) -> None:
-    """At any time, from one look at it: an answer that comes meanwhile cannot hide both."""
-    snapshot = DriveSnapshot(status=status, problem=problem, read_at=100.0 - age)
-    known = status is not None and age < 10
-    assert snapshot.status_at(100.0) == (status if known else None)
-    assert (snapshot.absence_at(100.0) is None) == known
-
-
-# --- behind real ports ----------------------------------------------------------------------------
-
-
-class Port(Asking):
-    """A drive behind a port.
-
-    Attributes:
-        drive: its registers.
-        wire: the port.
-    """
-
-    def __init__(self, at: str = "") -> None:
-        """Ask for nothing yet, from the drive at an address or, if that is empty, at the port."""
-        self.drive = acs880()
-        self.wire = Wire(self.drive)
-        self.endpoint = DriveEndpoint(ABB, parse_drive_address(at or self.wire.gateway, "at"))
-        super().__init__(DriveExchange(self.endpoint))
-
-    def close(self) -> None:
-        self.ask_no_more()
-        self.exchange.close()
-        self.wire.close()
-
-
-@pytest.fixture
-def port() -> Iterator[Port]:
-    with closing(Port()) as port:
-        yield port
-
-
-def test_it_stops_the_drive_first(port: Port) -> None:
-    port.drive.values.update({0: 0x047F, 1: 20000, 3: 0x1337, 4: 20000})  # left by someone
-    port.connect()
-    assert port.wire.frames[0][12:] == "01060000047e"  # the very first request
-    now = port.now
-    assert now.status is not None and now.status.at_rest and not now.status.running
-    assert (now.timeout_s, now.timeout_note) == (5.0, "")
-    assert (now.problem, now.errors) == ("", 0)
-    time.sleep(0.5)
-    assert RUN not in port.drive.written
-    assert port.drive.written.count(OFF) > 3  # this keeps the drive's own timeout from passing
-    assert sum("0316b7" in frame for frame in port.wire.frames) == 1  # 58.16 is not read each time
+    """One that does not obey is left soon, so that its own timeout stops it."""
+    RunningOn(bench, lambda now: 0.5 * max(0.0, 1.0 - now / falls_for))
+    assert bench.close() == pytest.approx(took, abs=1.0)
+    assert bench.drive.values[0] == 0x047E and not bench.now.connected
+    assert bench.now.status is not None and bench.now.status.at_rest == stands
+    if not stands:
+        with pytest.raises(OSError, match=r"not stopped .*speed 50.0%.* timeout \(5 s\) can"):
+            bench.exchange.outcome()
 
 
 def test_a_serial_line_whose_plug_is_pulled() -> None:
-    with closing(SerialWire(rtu_server(acs880()))) as plug, closing(
-        Port(at=plug.line)
-    ) as port:
-        port.exchange.start()
-        port.speed = 0.5
-        wait(lambda: port.now.status and port.now.status.speed == 0.5)
+    with closing(SerialWire(rtu_server(acs880()))) as plug:
+        driver = DriveExchange(DriveEndpoint(ABB, parse_drive_address(plug.line, "at")))
+        driver.start()
+        wait(lambda: driver.snapshot.connected)
+        assert driver.snapshot.errors == 0
         plug.close()
-        wait(lambda: not port.now.connected, seconds=1.0)
-        assert plug.line in port.now.problem
-        began = time.monotonic()
-        port.exchange.close()
-        assert time.monotonic() - began < 2.0
+        wait(lambda: not driver.snapshot.connected, seconds=1.0)
+        assert plug.line in driver.snapshot.problem
+        driver.close()
 
 
-# --- two drivers ----------------------------------------------------------------------------------
-
-
-def test_a_second_driver_on_the_same_machine_keeps_off(port: Port) -> None:
-    """By any name of the host; only the supervisor's stop ignores the lock of its own driver."""
-    at = DriveEndpoint(ABB, parse_address(f"tcp://localhost:{port.wire.port}"))
-    first = acquire_drive_lock(at)
-    port.exchange.start()
-    port.speed = 0.5
-    wait(lambda: f"process {os.getpid()} on this computer" in port.now.problem)
-    time.sleep(0.3)
-    assert not port.now.connected and port.now.errors
-    with pytest.raises(DriveInUseError, match=f"process {os.getpid()} on this computer"):
-        stop_drive(at, driver=1)
-    assert port.wire.connections == 0
-    assert str(stop_drive(at, driver=os.getpid())) == "speed 0.0%, off"
-    first.close()
-    wait(lambda: port.drive.values[4] == 10000, seconds=10)
+def test_a_second_driver_on_the_same_machine_keeps_off() -> None:
+    """Only the supervisor's stop ignores the lock, of its own driver."""
+    with closing(Wire(acs880())) as wire:
+        at = DriveEndpoint(ABB, parse_drive_address(wire.gateway, "at"))
+        first, second = acquire_drive_lock(at), DriveExchange(at)
+        second.start()
+        holder = f"process {os.getpid()} on this computer"
+        wait(lambda: holder in second.snapshot.problem)
+        time.sleep(0.3)
+        assert not second.snapshot.connected and second.snapshot.errors
+        with pytest.raises(DriveInUseError, match=holder):
+            stop_drive(at, driver=1)
+        assert wire.connections == 0
+        assert str(stop_drive(at, driver=os.getpid())) == "speed 0.0%, off"
+        first.close()
+        wait(lambda: second.snapshot.connected, seconds=10)
+        second.close()
+        acquire_drive_lock(at).close()
 
 
 def test_a_serial_line_is_one_drivers_by_any_name(tmp_path: Path) -> None:
     (tmp_path / "by-id").symlink_to(tmp_path / "ttyUSB0")
-    if os.geteuid() == 0:  # a link of a link, and a second file of one device
+    if os.geteuid() == 0:  # a second file of one device
         (tmp_path / "by-id").unlink()
-        (tmp_path / "by-id").symlink_to(tmp_path / "by-path")
-        for name in ("ttyUSB0", "by-path"):
+        for name in ("ttyUSB0", "by-id"):
             os.mknod(tmp_path / name, stat.S_IFCHR | 0o600, os.makedev(188, 250))
     first, second = (
-        DriveEndpoint(ABB, parse_drive_address(f"{tmp_path}/{name}", "at"))
+        DriveEndpoint(ABB, parse_drive_address(f"{tmp_path}/{name}", "at")).lock_name()
         for name in ("ttyUSB0,1", "by-id,2")
     )
-    with acquire_drive_lock(first), pytest.raises(DriveInUseError):
-        acquire_drive_lock(second)
-    acquire_drive_lock(second).close()
+    assert first == second
 
 
-# --- leaving a drive ------------------------------------------------------------------------------
-
-
-def test_a_ramp_is_waited_for_at_the_end_and_by_the_supervisors_stop(
-    port: Port, monkeypatch: pytest.MonkeyPatch
+def test_who_stops_the_drive_of_a_dead_driver_keeps_other_drivers_off_and_tries_three_times(
+    monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At most for REST_LIMIT_S, here 2 s."""
-    monkeypatch.setattr(exchange, "REST_LIMIT_S", 2.0)
-    second = acs880()
-
-    def ramp(drive: Registers, seconds: float) -> None:
-        began: list[float] = []
-
-        def falls(_address: int, _word: int) -> None:
-            began.append(time.monotonic())
-            left = max(0.0, 1.0 - (time.monotonic() - began[0]) / seconds)
-            drive.values.update({3: 0x1231, 4: round(20000 * left)})
-
-        drive.values.update({0: 0x047F, 1: 20000, 3: 0x1337, 4: 20000})
-        drive.on_write = falls
-
-    with closing(Wire(second)) as second_wire, ThreadPoolExecutor() as pool:
-        ramp(port.drive, 1.5)
-        port.exchange.start()
-        wait(lambda: port.drive.written)
-        ramp(second, 6.0)
-        stop = pool.submit(stop_drive, DriveEndpoint(ABB, parse_address(second_wire.at)))
-        port.exchange.close()
-        status = stop.result()
-    assert second.written[0] == OFF and RUN not in second.written
-    assert port.now.status is not None and port.now.status.at_rest and not status.at_rest
-
-
-def test_who_stops_a_drive_that_turns_on_leaves_it_soon_and_keeps_drivers_off_meanwhile(
-    port: Port, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """By the supervisor's stop and at the exchange's end; after 1 s here. Its own timeout stops it.
-    """
+    """A drive that turns on is left after 1 s here."""
     monkeypatch.setattr(exchange, "STEADY_S", 1.0)
-    port.drive.values.update({3: 0x1137, 4: 20000})
-    port.drive.on_write = lambda _address, _word: None
-    began = time.monotonic()
-    with ThreadPoolExecutor() as pool:
-        stop = pool.submit(stop_drive, port.endpoint)
-        wait(lambda: port.wire.requests)
-        port.exchange.start()
-        wait(lambda: "is already running this drive" in port.now.problem)
-        at_end = stop.result()
-    wait(lambda: port.now.connected)
-    port.exchange.close()
-    assert time.monotonic() - began < LIMIT_S
-    for status in (at_end, port.now.status):
-        assert str(status) == "speed 100.0%, running, local control"
-
-
-def test_a_stop_that_is_not_taken_is_tried_three_times(port: Port) -> None:
-    port.drive.silent = True
-    with pytest.raises(DriveError, match="no valid response"):
-        stop_drive(port.endpoint)
-    assert port.wire.connections == 3
+    drive = acs880()
+    with closing(Wire(drive)) as wire, ThreadPoolExecutor() as pool:
+        at = DriveEndpoint(ABB, parse_drive_address(wire.gateway, "at"))
+        drive.values.update({3: 0x1137, 4: 20000})
+        drive.on_write = lambda _address, _word: None
+        stop = pool.submit(stop_drive, at)
+        wait(lambda: wire.requests)
+        with pytest.raises(DriveInUseError):
+            acquire_drive_lock(at)
+        assert str(stop.result()) == "speed 100.0%, running, local control"
+        assert wire.frames[0][12:] == "01060000047e"  # the very first request
+        drive.silent = True
+        with pytest.raises(DriveError, match="no valid response"):
+            stop_drive(at)
+        assert wire.connections == 4
 
 
 def test_the_waits_fit_into_the_longer_ones_of_bringup_and_service() -> None:
