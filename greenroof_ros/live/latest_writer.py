@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import os
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
@@ -19,25 +17,24 @@ class LatestWriter(Generic[_T]):
         problem: reason why the last value could not be written; empty if it was written.
     """
 
-    def __init__(self, write: Callable[[_T], None], explain: Callable[[Exception], str]) -> None:
+    def __init__(self, write: Callable[[_T], None]) -> None:
         """Create the writer without a value.
 
         Args:
             write: function that writes a value; it is called in the disk thread.
-            explain: function that returns a description of an error.
         """
         self.problem = ""
-        self._write, self._explain = write, explain
+        self._write = write
 
     def write(self, value: _T) -> None:
         """Queue a value for writing."""
         self._value = value
         if not DISK.do(self._write_latest):
-            self.problem = self._explain(OSError(errno.ENOMEM, os.strerror(errno.ENOMEM)))
+            self.problem = "the queue of the disk is full"
 
     def _write_latest(self) -> None:
         try:
             self._write(self._value)
             self.problem = ""
         except Exception as error:  # whatever it is, the next value is still tried
-            self.problem = self._explain(error)
+            self.problem = str(error)

@@ -28,7 +28,7 @@ class NumberFile:
         """Store the path of the file, which need not exist yet."""
         self._file = file
         self._newest = LatestWriter[dict[str, float]](
-            lambda values: replace_text(file, json.dumps(values, indent=1), parents=True), str
+            lambda values: replace_text(file, json.dumps(values, indent=1), parents=True)
         )
 
     @property
