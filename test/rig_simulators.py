@@ -461,7 +461,6 @@ class RelayBench(Bench, SimulatedRelay):
             self, endpoint.file, endpoint.broker, endpoint.device, timer_s
         )
         self._boot_s, self._answers_from = boot_s, -math.inf
-        self.log = Bench.log.__get__(self)
         self.addresses = f"drive {endpoint}, relay"
 
     run = SimulatedRelay.run
@@ -470,17 +469,12 @@ class RelayBench(Bench, SimulatedRelay):
     def speed(self) -> float:
         return float(self.on or self._stuck)
 
-    def advance(self) -> None:
-        super().advance()
-        self._stuck = self.fault.name == "welded" and (self._stuck or self.on)
-
     def switch(self, on: bool, seconds: float) -> None:
-        self.advance()
         if self.fault.name != "deaf":
             super().switch(on, seconds)
+        self._stuck = self.fault.name == "welded" and (self._stuck or self.on)
 
     def read_registers(self) -> Mapping[int, int]:
-        self.advance()
         return self.registers | {SPEED: round(self.speed / SPEED_UNIT)}
 
     def write_register(self, register: int, value: int) -> None:
@@ -490,14 +484,14 @@ class RelayBench(Bench, SimulatedRelay):
             super().write_register(register, value)
 
     def inject(self, name: str, parameter: int) -> None:
-        self.advance()
         super().inject(name, parameter)
+        self._stuck = name == "welded" and self.on
         changed = _SETTINGS.get(name, {})
         self.settings |= {path: changed[path] for path in changed.keys() & self.settings.keys()}
         match name:
             case "power_cycle":
                 self._answers_from = time.monotonic() + self._boot_s
-                self._set(False)
+                self.switch(False, 0.0)
             case "timer_off":
                 self.timer_s = math.inf
             case "timer_long":

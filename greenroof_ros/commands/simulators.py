@@ -93,7 +93,8 @@ async def _simulate(run: Run, sensors: Sensors, endpoint: Endpoint) -> None:
         print(f"{time.monotonic() - began:9.2f} s  {text}", flush=True)
 
     def speed() -> float:
-        device.advance()
+        if isinstance(device, SimulatedDrive):
+            device.advance()
         return device.speed
 
     device: SimulatedDrive | SimulatedRelay
@@ -107,11 +108,10 @@ async def _simulate(run: Run, sensors: Sensors, endpoint: Endpoint) -> None:
     else:
         device = drive = SimulatedDrive(endpoint.file, endpoint.address.interface)
         servers.append(drive_server(drive, endpoint.file, endpoint.address))
-    device.log = log
     weather = run.series.precipitation, run.series.evapotranspiration
     site = SimulatedSite(run.site, *weather, (run.x1, run.x2), sensors, speed)
     if isinstance(device, SimulatedDrive):
-        device.flow = site.flow
+        device.flow, device.log = site.flow, log
     servers += site.servers
     for server in servers:
         await server.open()

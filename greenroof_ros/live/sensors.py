@@ -20,7 +20,7 @@ from pathlib import Path
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.boot_clock import boot_time
-from greenroof_ros.live.devices.sensor import ModbusReader, MqttReader, Reader, SensorLine
+from greenroof_ros.live.devices.sensor import ModbusReader, MqttReader, SensorLine
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS, ModbusSensor, read_sensors
 from greenroof_ros.live.levels import LIMITS
 from greenroof_ros.live.live_diagnostics import ERROR, WARN
@@ -59,7 +59,7 @@ class SensorNode(LiveNode):
         self._newest: float | None = None
         self._published = boot_time()
         self.reports.hardware = str(sensor)
-        self._reader: Reader
+        self._reader: ModbusReader | MqttReader
         if isinstance(sensor, ModbusSensor):
             line, age = lines[sensor.connection], values[quantity.limit]
             self._reader = ModbusReader(sensor, unit, line, age, quantity.spread_s)

@@ -13,7 +13,6 @@ import math
 import statistics
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections import deque
 from dataclasses import dataclass, replace
 
@@ -132,7 +131,7 @@ class Reading:
     code: str = "sensor_lost"
 
 
-class Reader(ABC):
+class Reader:
     """A sensor's readings, of which the latest snapshot of the quantity is kept.
 
     The quantity is the median of the latest readings. A median removes isolated outliers, which a
@@ -159,14 +158,6 @@ class Reader(ABC):
         self._values: deque[float] = deque(maxlen=self.sensor.median)
         self._total = Total(self.sensor, unit, spread_s) if self.sensor.counts else None
         self._lock = threading.RLock()
-
-    @abstractmethod
-    def start(self) -> None:
-        """Start reading the sensor."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Stop reading the sensor."""
 
     @property
     def snapshot(self) -> Reading:
@@ -278,21 +269,16 @@ class ModbusReader(Reader, DeviceThread):
             line: the line that the sensor shares with others.
             max_age: maximum age of the quantity (s).
             spread_s: maximum time over which a rise in a total is spread (s).
-        """
-        self.sensor: ModbusSensor = sensor
-        Reader.__init__(self, unit, max_age, spread_s)
-        DeviceThread.__init__(self, f"{sensor}: reading")
-        self._line, self._due = line, time.monotonic()
-        line.max_ages[sensor.unique_key] = max_age
-
-    def start(self) -> None:
-        """Start the thread.
 
         Raises:
             ConfigurationError: if the Modbus library is not installed.
         """
         check_installed()
-        DeviceThread.start(self)
+        self.sensor: ModbusSensor = sensor
+        Reader.__init__(self, unit, max_age, spread_s)
+        DeviceThread.__init__(self, f"{sensor}: reading")
+        self._line, self._due = line, time.monotonic()
+        line.max_ages[sensor.unique_key] = max_age
 
     def close(self) -> None:
         """End the thread, and wait until it has closed the connection, up to four timeouts."""

@@ -144,11 +144,6 @@ class ModbusSensor(Sensor):
         )
 
     @property
-    def interval(self) -> float:
-        """The time between two readings (s)."""
-        return self.period
-
-    @property
     def unique_key(self) -> tuple[object, ...]:
         """The location of the sensor's register, which no other sensor may use."""
         return self.connection, self.device_id, self.kind, self.register
@@ -214,11 +209,6 @@ class MqttSensor(Sensor):
     def fits(section: Mapping[str, Any]) -> bool:
         """Return whether a section of the file contains the address of an MQTT sensor."""
         return str(section.get("address")).startswith(("mqtt://", "mqtts://"))
-
-    @property
-    def interval(self) -> float:
-        """The longest time between two readings (s)."""
-        return self.max_age
 
     @property
     def unique_key(self) -> tuple[object, ...]:
@@ -319,10 +309,12 @@ def _sensor_mistakes(
 ) -> Iterator[tuple[str, str]]:
     topic, is_tank = QUANTITIES[section].topic, section in TANKS
     lowest = topic.low - _LEVEL_NOISE if is_tank else -math.inf
-    late = 0.0 if sensor.counts else sensor.median // 2 * sensor.interval
+    if isinstance(sensor, MqttSensor):
+        key, interval, longest = "max_age", sensor.max_age, max_age
+    else:
+        key, interval, longest = "period", sensor.period, max_age / 2
+    late = 0.0 if sensor.counts else sensor.median // 2 * interval
     is_meter = section == "flow_meter"
-    key, longest = ("period", max_age / 2) if isinstance(sensor, ModbusSensor) else (
-        "max_age", max_age)
     for is_wrong, name, expected in (
         (sensor.scale == 0, "scale", "must not be 0"),
         (sensor.low >= sensor.high, "high", f"must be above low, which is {sensor.low:g}"),
@@ -334,10 +326,10 @@ def _sensor_mistakes(
          "is only allowed for a flow meter or a rain gauge"),
         (late > _MAX_FILTER_S, "median", f"must be smaller: it delays the value by {late:g} s, but "
          f"the delay may be at most {_MAX_FILTER_S:g} s"),
-        (is_meter and late + sensor.interval > _MAX_AFTERFLOW_S, "median", "must be smaller, or "
+        (is_meter and late + interval > _MAX_AFTERFLOW_S, "median", "must be smaller, or "
          f"the readings more frequent: a flow that is shown for more than {_MAX_AFTERFLOW_S:g} s "
          "after its end would look like a welded contact"),
-        (sensor.interval > longest, key, f"must be at most {longest:g} s, since older values than "
+        (interval > longest, key, f"must be at most {longest:g} s, since older values than "
          f"{QUANTITIES[section].limit} ({max_age:g} s) are not used"),
     ):
         if is_wrong:

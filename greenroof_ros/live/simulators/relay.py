@@ -12,24 +12,20 @@ import json
 import math
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 from greenroof_ros.base.mqtt import Broker, make_client
 from greenroof_ros.live.devices.drive_file import RelayFile, RelayMessage
 from greenroof_ros.live.devices.json_path import parse_path, with_value
 
-_STEP_S = 0.01
-
 
 class SimulatedRelay:
     """A relay with its contact, which reconnects to its broker automatically.
 
     Attributes:
-        on: whether the output is on, as the relay reports.
         timer_s: setting of the relay's timer (s).
         settings: values of the settings in its replies, by path.
-        log: function that prints a line about an event.
     """
 
     def __init__(self, file: RelayFile, broker: Broker, device: str, timer_s: float) -> None:
@@ -44,10 +40,8 @@ class SimulatedRelay:
         Raises:
             ConfigurationError: if the MQTT library is not installed, or a login file is invalid.
         """
-        self.on = False
-        self.log: Callable[[str], None] = lambda text: None
         self._file, self._device = file, device
-        self._off_at = math.inf
+        self._off_at = -math.inf
         self.settings: dict[str, Any] = {
             file.name.path: "simulator",
             **{setting.path: _value(setting.value) for setting in file.must},
@@ -56,6 +50,11 @@ class SimulatedRelay:
         self.client = make_client(
             broker, "greenroof_ros-simulated", self._subscribe, self._on_message,
         )
+
+    @property
+    def on(self) -> bool:
+        """Whether the output is on, as the relay reports; its timer switches it off."""
+        return time.monotonic() < self._off_at
 
     @property
     def speed(self) -> float:
@@ -70,23 +69,9 @@ class SimulatedRelay:
             if scale.low <= (raw := (seconds - scale.offset) / scale.scale) <= scale.high
         )
 
-    def advance(self) -> None:
-        """Simulate the relay until now: switch off if its timer has expired."""
-        if time.monotonic() >= self._off_at:
-            self._set(False)
-            self.log("the timer has expired: off")
-
     def switch(self, on: bool, seconds: float) -> None:
         """Switch the relay off, or on for a time (s)."""
-        self.advance()
-        if on != self.on:
-            self.log("on" if on else "off")
-        self._set(on)
-        if on:
-            self._off_at = time.monotonic() + seconds
-
-    def _set(self, on: bool) -> None:
-        self.on, self._off_at = on, math.inf
+        self._off_at = time.monotonic() + seconds if on else -math.inf
 
     def receive(self, topic: str, payload: str) -> Iterator[tuple[str, str]]:
         """Receive a message, and yield the topic and the payload of every reply."""
@@ -97,7 +82,6 @@ class SimulatedRelay:
                 return
         for name, question in file.questions.items():
             if (given := self._match(question, topic, payload)) is not None:
-                self.advance()
                 state = file.state.is_on if self.on else file.state.is_off
                 values = {question.known_by: None, file.state.path: _value(state), **self.settings}
                 asked = {
@@ -135,10 +119,7 @@ class SimulatedRelay:
         """Run the relay until the simulator stops."""
         self._loop = asyncio.get_running_loop()
         self.client.loop_start()
-        while not ended.is_set():
-            self.advance()
-            with contextlib.suppress(asyncio.TimeoutError):
-                await asyncio.wait_for(ended.wait(), _STEP_S)
+        await ended.wait()
         self.client.disconnect()
         self.client.loop_stop()
 
