@@ -161,11 +161,8 @@ class TwoSensors:
 
     def __init__(self) -> None:
         self.data = {1: "2710", 2: "7530"}
-        self.delay_s = 0.0  # before device 1 answers
 
     def __call__(self, request: bytes) -> bytes:
-        if request[0] == 1:
-            time.sleep(self.delay_s)
         if not (data := bytes.fromhex(self.data[request[0]])):
             return b""
         frame = bytes([request[0], 4, len(data)]) + data
@@ -230,17 +227,7 @@ def test_a_sensor_next_to_a_silent_or_wrong_one_on_a_serial_line() -> None:
         sensor(wire.line).line(0.2).connect()
 
 
-def test_a_late_answer_of_one_sensor_is_no_level_of_the_other() -> None:
-    """Device 1 answers after 0.35 s, 0.1 s after the timeout: device 2 has been asked by then."""
-    devices = TwoSensors()
-    devices.delay_s = 0.35
-    with closing(SerialWire(devices)) as wire, both(wire.line, device_id=(1, 2)) as (first, second):
-        until(lambda: "no valid response" in first.snapshot.problem)
-        until(lambda: len(gaps(second, 3.0)) > 2)
-        assert first.snapshot.value is None
-
-
-@pytest.mark.parametrize("late_s", [0.3, 0.4, 0.6])
+@pytest.mark.parametrize("late_s", [0.3, 0.6])
 def test_a_late_answer_is_no_value_of_the_next_register(late_s: float) -> None:
     """Two channels of one device, at 1.0 m and 3.0 m, behind a gateway.
 

@@ -18,36 +18,28 @@ LOOK_MM = 1.01 * LOOK_S * 1e-4 / 0.001
 Messages = Sequence[tuple[float, float | None]]
 
 
-class Clock:
-    """A clock that a test sets; `slept` is the time in suspends."""
-
-    now = slept = 0.0
-
-
 def published(
-    monkeypatch: pytest.MonkeyPatch, messages: Messages, until: float, *, suspended: float = 0.0,
-    high: float = 1e-4, spread_s: float = float("inf"),
+    monkeypatch: pytest.MonkeyPatch, messages: Messages, until: float, *, high: float = 1e-4,
+    spread_s: float = float("inf"),
 ) -> tuple[float, float, int]:
     """Return the integral of the published rate (mm), its maximum, and the number of refusals.
 
     Args:
         messages: to a gauge that reports mm, in the order of their arrival.
         until: end of the integral (s).
-        suspended: how long (s) the machine sleeps before the last message.
     """
-    monkeypatch.setattr(devices.time, "monotonic", lambda: Clock.now)
-    monkeypatch.setattr(devices, "boot_time", lambda: Clock.now + Clock.slept)
-    Clock.now = Clock.slept = 0.0
+    now = 0.0
+    monkeypatch.setattr(devices.time, "monotonic", lambda: now)
+    monkeypatch.setattr(devices, "boot_time", lambda: now)
     sensor = MqttSensor(
         address="mqtt://h/t", scale=0.001, low=0.0, high=high, max_age=60.0, counts=True
     )
     gauge, waiting = Total(sensor, "m/s", spread_s), list(messages)
     sum_m, highest, refused, rate = 0.0, 0.0, 0, 0.0
     for look in range(round(until / LOOK_S)):
-        sum_m += rate * (look * LOOK_S - Clock.now)
-        Clock.now = look * LOOK_S
-        while waiting and waiting[0][0] <= Clock.now:
-            Clock.slept = suspended if len(waiting) == 1 else 0.0
+        sum_m += rate * (look * LOOK_S - now)
+        now = look * LOOK_S
+        while waiting and waiting[0][0] <= now:
             _, raw = waiting.pop(0)
             try:
                 gauge.sensor_lost() if raw is None else gauge.add(raw)
@@ -90,15 +82,6 @@ def test_a_cloudburst_is_not_left_to_the_drizzle_after_it(monkeypatch: pytest.Mo
     sum_mm, highest, _ = published(monkeypatch, messages, 670.0)
     assert sum_mm == pytest.approx(6.0, abs=0.03)
     assert highest <= 1e-4
-
-
-def test_what_fell_during_a_suspend_is_published_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """3 mm in 600 s: over as long a time, at 5 um/s. The machine slept for 590 s of it."""
-    sum_mm, highest, _ = published(
-        monkeypatch, [(0, 17.0), (10, 20.0)], 700.0, suspended=590.0
-    )
-    assert sum_mm == pytest.approx(3.0, abs=0.001)
-    assert highest == pytest.approx(5e-6)
 
 
 def test_a_water_meter_shows_no_flow_of_long_ago(monkeypatch: pytest.MonkeyPatch) -> None:
