@@ -6,11 +6,9 @@ import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from greenroof_ros.base.disk import DISK
-from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.files import replace_text
+from greenroof_ros.base.files import read_yaml, replace_text
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.live.latest_writer import LatestWriter
 
@@ -43,16 +41,11 @@ class NumberFile:
             ConfigurationError: if the file cannot be read, or is not a mapping of names to finite
                 numbers.
         """
-        try:
-            content: Any = json.loads(self._file.read_text(encoding="utf-8"))
-        except FileNotFoundError:
+        if not self._file.exists():
             return {}
-        except (OSError, ValueError) as error:
-            raise ConfigurationError(f"cannot be read: {error}", file=self._file) from error
-        if not isinstance(content, dict):
-            raise ConfigurationError("must be a mapping of names to numbers", file=self._file)
         return {
-            name: _FINITE.read(value, key=name, file=self._file) for name, value in content.items()
+            name: _FINITE.read(value, key=name, file=self._file)
+            for name, value in read_yaml(self._file).items()  # JSON is YAML
         }
 
     def write(self, values: Mapping[str, float]) -> None:

@@ -387,10 +387,11 @@ def _serial_client(
 
 def coding_mistakes(kind: str, word_order: str) -> Iterator[tuple[str, str]]:
     """Yield a mistake in ``word_order``, which only values of more than one word require."""
-    if WIDTHS.get(kind, 1) > 1 and not word_order:
-        yield "word_order", "must be 'high first' or 'low first'"
-    elif word_order and WIDTHS.get(kind, 1) == 1:
-        yield "word_order", f"is only allowed for numbers of 32 or 64 bits, not for {kind}"
+    if (WIDTHS.get(kind, 1) > 1) is not bool(word_order):
+        yield "word_order", (
+            "must be 'high first' or 'low first' for a number of 32 or 64 bits, and must be left "
+            "out for any other value"
+        )
 
 
 def limits(kind: str) -> tuple[float, float]:

@@ -316,12 +316,8 @@ def _sensor_mistakes(
     late = 0.0 if sensor.counts else sensor.median // 2 * interval
     is_meter = section == "flow_meter"
     for is_wrong, name, expected in (
-        (sensor.scale == 0, "scale", "must not be 0"),
-        (sensor.low >= sensor.high, "high", f"must be above low, which is {sensor.low:g}"),
         (sensor.low < lowest, "low", f"must be at least {lowest:g} {topic.unit}, since noise of "
          "the sensor cannot account for a lower level"),
-        (sensor.high > topic.high, "high", f"must be at most {topic.high:g} {topic.unit}, since "
-         "higher values are not accepted"),
         (sensor.counts and section not in ("flow_meter", "rain_gauge"), "counts",
          "is only allowed for a flow meter or a rain gauge"),
         (late > _MAX_FILTER_S, "median", f"must be smaller: it delays the value by {late:g} s, but "

@@ -107,8 +107,6 @@ WRONG: dict[str, list[tuple[str, ...]]] = {
          "line 11: cistern.address = '127.0.0.1': must be tcp"),
         ("  median: 5", "  median: 99", "line 21: cistern.median = 99: must be smaller"),
         ("low: 0.0 ", "low: -0.2 ", "line 18: cistern.low = -0.2: must be at least -0.1 m, since"),
-        ("high: 6.0 ", "high: -6.0 ", "line 19: cistern.high = -6.0: must be above low, which is"),
-        ("scale: 0.0001 ", "scale: 0 ", "line 16: cistern.scale = 0: must not be 0"),
         ("period: 1.0", "period: 3.0", "line 22: cistern.period = 3.0: must be at most 2.5 s, sin"),
         ("5031", "5030", "line 27: roof.register = 0: must differ from that of the cistern"),
     ],
@@ -125,8 +123,6 @@ WRONG: dict[str, list[tuple[str, ...]]] = {
         ("counts: true ", "period: 1.0 #", "line 31: rain_gauge.period = 1.0: is not a valid key"),
         ("  low: -40.0   ", "  counts: true\n  low: -40.0   ",
          "line 41: thermometer.counts = True: is only allowed for a flow meter or a rain gauge"),
-        ("0.0001               ", "0.1 ",
-         "line 34: rain_gauge.high = 0.1: must be at most 0.001 m/s"),
         ("  high: 0.0001    ", "  # high: 0.0001 ", "line 29: rain_gauge.high: is missing"),
         ("roof/temperature", "roof/rain",
          "line 39: thermometer.address = 'mqtt://127.0.0.1:1883/roof/rain': must differ from that "
