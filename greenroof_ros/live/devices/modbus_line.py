@@ -280,16 +280,11 @@ class ModbusLine:
         Raises:
             DriveError: if no valid response arrives.
         """
-        action = f"reading register {address}"
         client = self._client
         read = client.read_input_registers if inputs else client.read_holding_registers
-        answer = self._request(action, 4 if inputs else 3, read, address, count=count)
-        if len(answer.registers) != count:
-            received = len(answer.registers)
-            raise self.error(
-                "answer", f"{action}: the response contains {received} registers, not {count}"
-            )
-        return list(answer.registers)
+        return self._request(
+            f"reading register {address}", 4 if inputs else 3, read, address, count=count
+        )
 
     def write(self, address: int, word: int) -> None:
         """Write one holding register.
@@ -298,19 +293,17 @@ class ModbusLine:
             DriveError: if no response arrives, or the response does not confirm the write.
         """
         action = f"writing 0x{word:04X} to register {address}"
-        answer = self._request(action, _WRITE, self._client.write_register, address, word)
-        if answer.address != address or list(answer.registers) != [word]:
-            raise self.error(
-                "answer",
-                f"{action}: the response confirms {answer.registers} in register {answer.address}",
-            )
+        self._request(action, _WRITE, self._client.write_register, address, word)
 
     def _request(
         self, action: str, function: int, request: Callable[..., ModbusPDU], *values: int,
         **options: int,
-    ) -> ModbusPDU:
-        """Send a request, and return the response; reject exceptions and wrong function codes."""
-        from pymodbus.constants import ExcCodes
+    ) -> list[int]:
+        """Send a request, and return the registers in the response, which must fit the request.
+
+        The response to a write is the same as the request. Any other response with the bytes of the
+        request is an echo.
+        """
         from pymodbus.exceptions import ModbusException
 
         if not self.connected:
@@ -320,19 +313,15 @@ class ModbusLine:
             answer = request(*values, device_id=self._device_id, **options)
         except (ModbusException, OSError) as error:
             raise self._silence(action, error) from error
-        # The answer to a write is the same as the request, but no answer to another request is.
-        if function != _WRITE and self._frames[True] in self._frames[False]:
-            raise self.error("answer", f"{action}: the line echoes the request")
         if answer.isError():
-            code = answer.exception_code
-            name = ExcCodes(code).name if code in list(ExcCodes) else "UNKNOWN"
-            raise self.error("answer", f"{action}: rejected with exception {code}, {name}")
-        if answer.function_code != function:
-            raise self.error(
-                "answer",
-                f"{action}: the response has function code {answer.function_code}, not {function}",
-            )
-        return answer
+            raise self.error("answer", f"{action}: rejected with exception {answer.exception_code}")
+        registers = list(answer.registers)
+        fits = (answer.address, *registers) == values if function == _WRITE else (
+            len(registers) == options["count"] and self._frames[True] not in self._frames[False]
+        )
+        if answer.function_code != function or not fits:
+            raise self.error("answer", f"{action}: the response does not fit: {answer}")
+        return registers
 
     def _trace(self, sending: bool, data: bytes) -> bytes:
         self._frames[sending] = data

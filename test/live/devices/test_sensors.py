@@ -214,7 +214,7 @@ def test_a_sensor_next_to_a_silent_or_wrong_one_on_a_serial_line() -> None:
                 sensor(wire.line).line(0.2).connect()
             for data, problem in (
                 ("", "no valid response within 0.25 s"), ("FFFF", "which is not from 0 to 6 m"),
-                ("27102710", "2 registers, not 1"),
+                ("27102710", "the response does not fit"),
             ):
                 devices.data[1] = data
                 until(lambda problem=problem: problem in first.snapshot.problem)
