@@ -65,11 +65,10 @@ class SimulatedDrive:
             next(step.value for step in steps if step.write == "control")
             for steps in (sequences.run, sequences.stop)
         )
-        # The control words up to the one after which the fault must have gone.
-        reset = [step for step in sequences.reset if step.write == "control"]
-        ends = [number for number, step in enumerate(reset, start=1) if step.until is not None]
-        self._reset = [step.value for step in reset][:min(ends, default=len(reset))]
-        self._done = self._reset_done = 0  # steps of *ready* and words of *reset* so far
+        # The control words that only *reset* has clear a fault.
+        self._resets = {step.value for step in sequences.reset if step.write == "control"}
+        self._resets -= {self._run, self._stop, *(value for _, value in self._ready)}
+        self._done = 0  # steps of *ready* so far
         self._words = {address: 0 for name in self._registers for address in self._addresses(name)}
         for register in self._registers.values():
             if register.full_scale:  # 50 Hz or 750 rpm
@@ -92,13 +91,8 @@ class SimulatedDrive:
 
     def _obey(self, name: str, word: int) -> None:
         """Carry out a step of the sequences, or stop if a control word is out of order."""
-        if name == "control":
-            first = int(word == self._reset[0])
-            in_order = self._reset[self._reset_done:][:1] == [word]
-            self._reset_done = self._reset_done + 1 if in_order else first
-            if self._reset_done == len(self._reset):
-                self._reset_done = 0
-                self.trip(0)
+        if name == "control" and word in self._resets:
+            self.trip(0)
         if self.fault:
             return
         if self._ready[self._done:][:1] == [(name, word)]:
@@ -115,9 +109,8 @@ class SimulatedDrive:
 
     def trip(self, fault: int) -> None:
         """Trip with a fault; 0 clears the current fault."""
-        if fault or self.fault:
-            self.fault = fault
-            self.switch_off()
+        self.fault = fault
+        self.switch_off()
 
     def switch_off(self) -> None:
         """Return to the state after power-up."""

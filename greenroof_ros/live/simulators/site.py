@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 
 from pymodbus.simulator import SimDevice
 
-from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.mqtt import make_client
 from greenroof_ros.live.devices.json_path import parse_path, with_value
 from greenroof_ros.live.devices.modbus_line import encode, parse_address
@@ -58,9 +57,6 @@ class SimulatedSite:
             volumes: initial volumes of water in the cistern and on the roof (m3).
             sensors: the sensors, with addresses and protocols; a thermometer always reads 15 degC.
             speed: function that returns the current speed of the pump (share of the rated speed).
-
-        Raises:
-            ConfigurationError: if two sensors use the same register.
         """
         self._site, self._speed = site, speed
         self._weather = precipitation, evapotranspiration
@@ -102,12 +98,6 @@ class SimulatedSite:
                 for offset, word in enumerate(self.words(section, sensor))
             }
 
-        if len(read()) < sum(sensor.registers for sensor in sensors.values()):
-            raise ConfigurationError(
-                "is used by two sensors, which cannot be simulated: the simulator does not "
-                "distinguish input registers from holding registers",
-                key="register", value=max(sensor.register for sensor in sensors.values()),
-            )
         return make_device(next(iter(sensors.values())).device_id, read)
 
     def words(self, section: str, sensor: ModbusSensor) -> list[int]:
