@@ -143,9 +143,6 @@ def test_wrong_namespace(name: str, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize(("old", "new", "drive", "wrong"), [
-    # Table I: the soil is 0.5 m deep.
-    ("high: 0.6 ", "high: 0.1\n  substrate_depth: 0.108 ", DRIVE,
-     "FILE: roof.substrate_depth = 0.108: must equal z_soil of the site file, 0.5 m"),
     # Only one program can open a serial line, so the sensor or the drive would never answer.
     ("tcp://127.0.0.1:5031", "/dev/ttyS0", "--drive danfoss_fc202 --drive-at /dev/ttyS0,1",
      "--drive-at = '/dev/ttyS0,1': is also the serial line of sensor roof"),

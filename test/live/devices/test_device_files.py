@@ -18,37 +18,16 @@ WRONG: dict[str, list[tuple[str, ...]]] = {
     "sensors.yaml": [
         ("tcp://127.0.0.1:5030", "127.0.0.1",
          "line 11: cistern.address = '127.0.0.1': must be tcp"),
-        ("  median: 5", "  median: 4", "line 21: cistern.median = 4: must be odd"),
-        ("  median: 5", "  median: 99", "line 21: cistern.median = 99: delays the value by 49 s"),
-        ("low: 0.0 ", "low: -0.2 ",
-         "line 18: cistern.low = -0.2: must be at least -0.1 m: sensor noise cannot account for "
-         "a lower"),
-        ("high: 6.0 ", "high: -6.0 ",
-         "line 19: cistern.high = -6.0: must be above low, which is 0 m"),
-        ("scale: 0.0001 ", "scale: 0.00001 ",
-         "line 16: cistern.scale = 1e-05: cannot yield 0 to 6 m"),
-        ("median: 5  ", "substrate_depth: 0.5\n  median: 5  ",
-         "line 21: cistern.substrate_depth = 0.5: is only allowed for the roof"),
-        ("high: 0.6 ", "substrate_depth: 0.5\n  high: 0.6 ",
-         "line 34: roof.high = 0.6: must be at most substrate_depth, which is 0.5 m: the "
-         "substrate"),
-        ("high: 0.6 ",
-         "substrate_depth: 0.1\n  high: 0.1 ",
-         "scale: 0.0001                  # m per count [",
-         "scale: 0.00001  # [",
-         "line 30: roof.scale = 1e-05: cannot yield 0 to 0.1 m: uint16 with offset 0 yields 0 to"
-         " 0.065535"),
-        ("5031", "5030",
-         "line 27: roof.register = 0: is also the register of the cistern: the two"),
+        ("  median: 5", "  median: 99", "line 21: cistern.median = 99: must be smaller"),
+        ("low: 0.0 ", "low: -0.2 ", "line 18: cistern.low = -0.2: must be at least -0.1 m, since"),
+        ("period: 1.0", "period: 3.0", "line 22: cistern.period = 3.0: must be at most 2.5 s, sin"),
+        ("5031", "5030", "line 27: roof.register = 0: must differ from that of the cistern"),
     ],
     "sensors_mqtt.yaml": [
         ("/cistern/sensor/level/state  #", " #",
          "line 10: cistern.address = 'mqtt://127.0.0.1:1883': must be mqtt://HOST[:PORT]/TOPIC"),
-        ("sensors[0].distance  ", "sensors[x].distance  ",
-         "line 21: roof.value = 'sensors[x].distance': must be a path made up of names and "
-         "indices"),
         ("  max_age: 5.0  ", "  max_age: 6.0  ",
-         "line 16: cistern.max_age = 6.0: must be at most 5 s, which is level_limit"),
+         "line 16: cistern.max_age = 6.0: must be at most 5 s, since older values than"),
         ("# login: /etc/greenroof/broker.yaml", "login: broker.yaml",
          "line 17: cistern.login = 'broker.yaml': must be an absolute path"),
         ("# login:", "authority: /ca.pem #",
@@ -57,13 +36,10 @@ WRONG: dict[str, list[tuple[str, ...]]] = {
         ("counts: true ", "period: 1.0 #", "line 31: rain_gauge.period = 1.0: is not a valid key"),
         ("  low: -40.0   ", "  counts: true\n  low: -40.0   ",
          "line 41: thermometer.counts = True: is only allowed for a flow meter or a rain gauge"),
-        ("0.0001               ", "0.1 ",
-         "line 34: rain_gauge.high = 0.1: must be at most 0.001 m/s"),
         ("  high: 0.0001    ", "  # high: 0.0001 ", "line 29: rain_gauge.high: is missing"),
-        ("median: 1", "median: 3", "line 31: rain_gauge.counts = True: requires median: 1"),
         ("roof/temperature", "roof/rain",
-         "line 39: thermometer.address = 'mqtt://127.0.0.1:1883/roof/rain': is also the address "
-         "of the rain gauge: the two"),
+         "line 39: thermometer.address = 'mqtt://127.0.0.1:1883/roof/rain': must differ from that "
+         "of the rain gauge"),
     ],
 }
 
@@ -89,9 +65,8 @@ def test_wrong_files_are_refused_by_line_key_and_value(
     [
         (2, "", 0, ""),
         (2, "parity: even\n  stop_bits: 1\n  baud_rate: 19200", 0, ""),  # the defaults
-        (1, "register: 4", 26, "roof.device_id = 1: is also the device id of the cistern on the "
-         "same serial line, so a late response could be mistaken for that of the other sensor: "
-         "give each sensor its own device id"),
+        (1, "register: 4", 26, "roof.device_id = 1: must differ from that of the cistern on the "
+         "same serial line, since a late response could be mistaken"),
         (2, "baud_rate: 9600", 37, "roof.baud_rate = 9600: must be 19200, as for the cistern on "
          "the same line"),
         (2, "parity: none", 37, "roof.parity = 'none': must be even, as for the cistern"),
@@ -113,7 +88,7 @@ def test_two_sensors_on_one_serial_line(
     if not message:
         sensors = read_sensors(file)
         assert isinstance(sensors.cistern, ModbusSensor) and isinstance(sensors.roof, ModbusSensor)
-        assert sensors.cistern.connection == sensors.roof.connection == "/dev/ttyS0"
+        assert sensors.cistern.connection == sensors.roof.connection
         return
     assert f"own.yaml, line {line}: {message}" in refusal(read_sensors, file)
 
