@@ -33,9 +33,9 @@ class Observation:
         displacements: total displacements of both readings by jumps that water cannot cause (m).
         frost: frost signal: 1 if there is frost, otherwise 0.
         time_ns: system time (ns since 1970).
-        speed: speed of the drive, as a share of the rated speed.
-        flow: flow that a flow meter measures (m3/s).
-        drive_flow: flow that the drive itself reports (m3/s).
+        speed: speed of the drive, as a share of the rated speed; negative if the pump turns
+            backwards.
+        flow: flow that a flow meter or, without one, the drive measures (m3/s).
         drive_ready: whether the drive is running, or would run if requested.
         drive_fault: the drive's fault, as text; empty if there is none.
         runs_on: whether the fault means that the drive does not obey a stop.
@@ -50,7 +50,6 @@ class Observation:
     time_ns: int = 0
     speed: float | None = None
     flow: float | None = None
-    drive_flow: float | None = None
     drive_ready: bool = False
     drive_fault: str = ""
     runs_on: bool = False
