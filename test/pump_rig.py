@@ -10,9 +10,8 @@ import numpy as np
 from paper import PAPER_SITE
 
 from greenroof_ros.live.pumping.interlocks import Decision
-from greenroof_ros.live.pumping.limits import PumpSettings, pump_parameters
+from greenroof_ros.live.pumping.limits import Observation, PumpSettings, pump_parameters
 from greenroof_ros.live.pumping.pump_control import PumpControl
-from greenroof_ros.live.pumping.pump_inputs import Observation
 from greenroof_ros.live.pumping.state_file import StateFile
 from greenroof_ros.physics.parameters import State, plant_parameters
 from greenroof_ros.physics.tick import step
@@ -21,7 +20,7 @@ from greenroof_ros.site.site import Site
 
 def settings_for(site: Site, **changes: float) -> PumpSettings:
     """The settings for a site: those given, and defaults for the others."""
-    return PumpSettings(**{
+    return PumpSettings(**{"min_speed": 0.3} | {
         parameter.name: parameter.default for parameter in pump_parameters(site)
     } | changes)
 

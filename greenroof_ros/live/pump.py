@@ -44,14 +44,15 @@ from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.live_input import bad_inputs
 from greenroof_ros.live.node import live_command
 from greenroof_ros.live.pumping.interlocks import Decision
-from greenroof_ros.live.pumping.limits import PumpSettings, pump_parameters
+from greenroof_ros.live.pumping.limits import Observation, PumpSettings, pump_parameters
 from greenroof_ros.live.pumping.pump_control import PumpControl, drive_fault
-from greenroof_ros.live.pumping.pump_inputs import INPUTS, Observation
 from greenroof_ros.physics.pump import STANDSTILL
 from greenroof_ros.ros.parameters import site_file
 from greenroof_ros.ros.reports import PAUSE_S
 from greenroof_ros.site.site import Site
 
+# No pump delivers at a lower speed, as a share of its rated speed.
+_MIN_SPEED = 0.05
 _OWN = (
     *CHOICE,
     Parameter(
@@ -65,6 +66,15 @@ _OWN = (
     ),
     STATE_FILE,
 )
+# Topics of the inputs, by the fields of Observation; the pump can run without a flow. The code of
+# the interlock while another input is unknown is its name with _unknown.
+_INPUTS = {
+    "command": "/pump/command",
+    "cistern_level": "/cistern/level",
+    "roof_level": "/roof/level",
+    "frost": "/weather/frost",
+    "flow": "/pump/meter",
+}
 # The parts that report on inputs, as in the interlocks of the table.
 _PARTS = {
     "command": ("command",), "levels": ("cistern_level", "roof_level"), "frost": ("frost",),
@@ -80,7 +90,7 @@ def parameters(site: Site) -> list[Parameter]:
     """Return the node's parameters."""
     return [
         site_file(), *_OWN, *pump_parameters(site),
-        *live_parameters(INPUTS.values()),
+        *live_parameters(_INPUTS.values()),
     ]
 
 
@@ -106,9 +116,10 @@ class PumpNode(ActuatorNode):
         )
         self.reports.hardware = str(endpoint)
         settings = {setting.name: values[setting.name] for setting in pump_parameters(self.site)}
-        settings["min_speed"] = max(settings["min_speed"], endpoint.file.min_speed)
         self._control = PumpControl(
-            self.site, PumpSettings(**settings), self.state_file,
+            self.site,
+            PumpSettings(min_speed=max(_MIN_SPEED, endpoint.file.min_speed), **settings),
+            self.state_file,
             # Time after which a drive that does not respond is stopped (s).
             drive_stops_after=UNREAD_S + values["drive_timeout_limit"] + MAX_RAMP_S,
         )
@@ -117,7 +128,7 @@ class PumpNode(ActuatorNode):
         of_levels = {"cistern_level": self._levels.cistern, "roof_level": self._levels.roof}
         self._by_name = {
             name: of_levels.get(name) or self.subscribe(topic, optional=name == "flow")
-            for name, topic in INPUTS.items()
+            for name, topic in _INPUTS.items()
         }
         self._flows = self.subscribe(FLOW, optional=True).publishers
         self.open_outputs(FLOW, STATE)
@@ -192,7 +203,7 @@ class PumpNode(ActuatorNode):
         # A trip of the drive's own timeout clears automatically, and one that is being
         # acknowledged does not count.
         counts = status is not None and not status.timed_out and now >= self._resetting_until
-        values = {name: self._value(name) for name in INPUTS}
+        values = {name: self._value(name) for name in _INPUTS}
         if values["flow"] is None and status is not None:
             values["flow"] = status.flow
         return Observation(
@@ -262,16 +273,13 @@ class PumpNode(ActuatorNode):
             bad = bad_inputs(self._by_name[name] for name in names)
             diagnose(part, bad, "the latest value is used")
         now, snapshot, endpoint = boot_time(), self._exchange.snapshot, self._exchange.endpoint
-        status, absence = snapshot.status_at(now), snapshot.absence_at(now)
+        status = snapshot.status_at(now)
         if unverified := ", ".join(endpoint.file.unverified_and_vital):
             diagnose("drive file", Diagnosis.of(
                 "drive_file_unverified", file=str(endpoint.file.path), settings=unverified
             ), level=WARN)
-        if absence is not None:
-            awaited = not snapshot.errors
-            absence = absence.change_code("drive_awaited") if awaited else absence
-            diagnose("drive", absence, level=WARN if awaited else ERROR)
         if status is None:
+            diagnose("drive", snapshot.absence_at(now))
             return
         self.reports.hardware = f"{snapshot.identity}, {endpoint}"
         warning = "; ".join(filter(None, (snapshot.problem, status.warning)))

@@ -6,14 +6,13 @@ Inhibits caused by a limit clear automatically.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.parameter import Parameter, entry, parameters_of
 from greenroof_ros.base.times import to_people
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.live.pumping.pump_inputs import Observation
 from greenroof_ros.live.pumping.state_file import DAY_S, StateFile
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import flow_at, maximum_pump_flow, speed_for
@@ -34,19 +33,50 @@ _HYSTERESIS = 0.02
 _FAR = 0.1
 
 
+@dataclass(frozen=True)
+class Observation:
+    """Observations at a step; None stands for a value that is unknown or too old.
+
+    Attributes:
+        command: share of the maximum flow, as received.
+        cistern_level: level of the cistern (m).
+        roof_level: level of the roof (m).
+        displacements: total displacements of both readings by jumps that water cannot cause (m).
+        frost: frost signal: 1 if there is frost, otherwise 0.
+        time_ns: system time (ns since 1970).
+        speed: speed of the drive, as a share of the rated speed; negative if the pump turns
+            backwards.
+        flow: flow that a flow meter or, without one, the drive measures (m3/s).
+        drive_ready: whether the drive is running, or would run if requested.
+        drive_fault: the drive's fault, as text; empty if there is none.
+        runs_on: whether the fault means that the drive does not obey a stop.
+        reasons: the pump node's own reasons for keeping the pump off.
+    """
+
+    command: float | None = None
+    cistern_level: float | None = None
+    roof_level: float | None = None
+    displacements: tuple[float, float] = (0.0, 0.0)
+    frost: float | None = None
+    time_ns: int = 0
+    speed: float | None = None
+    flow: float | None = None
+    drive_ready: bool = False
+    drive_fault: str = ""
+    runs_on: bool = False
+    reasons: Sequence[Diagnosis] = ()
+
+
 @dataclass(frozen=True, kw_only=True)
 class PumpSettings:
     """The limits of a pump and the thresholds of its checks.
 
-    Every field specifies its meaning, range, unit and default. Some defaults depend on the site;
-    :func:`pump_parameters` returns all defaults.
+    Most fields are parameters with a meaning, range, unit and default. Some defaults depend on the
+    site; :func:`pump_parameters` returns all defaults.
     """
 
-    min_speed: float = entry(
-        "minimum speed of the drive, as a share of the rated speed; the drive file may specify a "
-        "higher minimum",
-        0.05, 1.0, unit="1", default=0.3,
-    )
+    min_speed: float
+    """minimum speed, as a share of the rated speed; the drive file specifies it"""
     min_flow: float = entry(
         "minimum flow for continuous operation, as a share of the maximum flow; a smaller flow "
         "is delivered in pulses",

@@ -11,8 +11,7 @@ from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.pumping.delivery import DeliveryCheck
 from greenroof_ros.live.pumping.dose import Doses
 from greenroof_ros.live.pumping.interlocks import Decision, Following, evaluate, state_of
-from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings
-from greenroof_ros.live.pumping.pump_inputs import Observation
+from greenroof_ros.live.pumping.limits import Observation, Pulses, PumpLimits, PumpSettings
 from greenroof_ros.live.pumping.state_file import SAVE_EVERY_S, StateFile
 from greenroof_ros.physics.pump import STANDSTILL, flow_at
 from greenroof_ros.site.site import Site

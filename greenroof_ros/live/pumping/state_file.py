@@ -47,7 +47,7 @@ from typing import Any
 
 from greenroof_ros.base.disk import DISK, PATIENCE_S
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.files import replace_file
+from greenroof_ros.base.files import replace_file, replace_text
 from greenroof_ros.base.processes import LockedError, acquire_name_lock
 from greenroof_ros.base.times import to_people
 from greenroof_ros.interface.conditions import Diagnosis
@@ -286,16 +286,17 @@ class StateFile:
         try:
             if self._exists:
                 _overwrite(file, _place(number), _format(number, state))
+                _overwrite(_number_file(file), 0, b"%-24d\n" % number)
             else:
-                lines = sorted((number, number + 1), key=_place)
+                number += 1
+                lines = sorted((number - 1, number), key=_place)
                 content = b"".join(_format(line, state) for line in lines)
                 replace_file(file, lambda stream: stream.write(content), parents=True)
+                replace_text(_number_file(file), f"{number:<24}\n")
                 directory = os.open(file.parent, os.O_RDONLY)
                 os.fsync(directory)
                 os.close(directory)
-                self._exists, number = True, number + 1
-            self._number = number
-            _overwrite(_number_file(file), 0, b"%-24d\n" % number, os.O_CREAT)
+            self._number, self._exists = number, True
             self._written, self.problem, self.saved = state, "", True
         except OSError as error:
             self.problem = (
@@ -309,7 +310,7 @@ class StateFile:
         """Read the file, and add the time since it was written."""
         lines, problems, noted = dict[int, StoredState](), list[str](), _read_number(file)
         try:
-            content = _read(file)
+            content = file.read_bytes()
             for number in (1, 2):
                 try:
                     lines |= _parse(content[_LINE * (number - 1) : _LINE * number])
@@ -328,7 +329,7 @@ class StateFile:
                 f"{file} cannot be read ({'; '.join(problems)}), so it is unknown whether there "
                 "was a hold or a fault; check the pump, then reset the fault"
             ))
-        self.state, self._exists = state, len(lines) == 2 and not problems
+        self.state, self._exists = state, noted is not None and not problems
         self._unseen_s = math.inf
         if "" != state.boot == boot_id():
             self._unseen_s = boot_time() - state.boot_s
@@ -349,33 +350,20 @@ def _read_number(file: Path) -> int | None:
         return 0
 
 
-def _read(file: Path) -> bytes:
-    """Return the content of the file.
-
-    Raises:
-        OSError: if the file cannot be read, or has another length.
-    """
-    with file.open("rb") as stream:
-        content = stream.read(2 * _LINE + 1)
-    if len(content) != 2 * _LINE:
-        raise OSError(errno.EINVAL, f"it must be {2 * _LINE} bytes long")
-    return content
-
-
 def _place(number: int) -> int:
     """Return the place of a line in the file (bytes)."""
     return _LINE * ((number + 1) % 2)
 
 
-def _overwrite(file: Path, start: int, content: bytes, create: int = 0) -> None:
-    """Write bytes at a place in a file, which must exist unless ``create`` is ``O_CREAT``.
+def _overwrite(file: Path, start: int, content: bytes) -> None:
+    """Write bytes at a place in an existing file.
 
     They are written by one call, which is not interrupted by a kill.
 
     Raises:
         OSError: if the disk is full or fails.
     """
-    descriptor = os.open(file, os.O_RDWR | create, 0o644)
+    descriptor = os.open(file, os.O_RDWR)
     try:
         if os.pwrite(descriptor, content, start) < len(content):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
