@@ -22,7 +22,6 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from disks import disk_that_hangs
 from graphs import Process, free_ports, wait_for
-from places import CONFIG
 from pump_node_rig import PumpRig, state_in
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
@@ -79,9 +78,6 @@ GUARDS = DriveSnapshot(timeout_known=True, timeout_s=3.0)
         ("abb_acs880", "gateway://127.0.0.1",
          DriveSnapshot(timeout_known=True, timeout_s=10.5), False,
          "is 10.5 s, but must be at most 10 s; to set it: "),
-        ("abb_acs880", "gateway://127.0.0.1",
-         DriveSnapshot(timeout_known=True, timeout_note="0"), False,
-         "is not effective (0); to set it: "),
         ("abb_acs880", "tcp://127.0.0.1", DriveSnapshot(timeout_note="no timeout.tcp"), False,
          "could not be read (no timeout.tcp)"),
         ("grundfos_cim500", "tcp://127.0.0.1", GUARDS, False,
@@ -112,29 +108,6 @@ def test_without_the_drives_own_timeout_it_does_not_run(rig: PumpRig) -> None:
     assert rig.drive.speed() == 0.0
     words = "did not respond at the end", "it can now only be stopped at its panel"
     ends_in_words(rig, node, "silence", *words)
-
-
-def test_what_the_drive_file_reports(rig: PumpRig) -> None:
-    """Its time after power-up without guarding, and its minimum speed.
-
-    0.4 of the flow from 3 m is a speed of 0.60, s^2 = (0.16 42.2 + 13) / 55.2: below 0.9.
-    """
-    text = (CONFIG / "drives" / "abb_acs880.yaml").read_text()
-    text = text.replace("after_power_up_s: 30 ", "after_power_up_s: 4 ")
-    file = rig.cwd / "mine.yaml"
-    file.write_text(text.replace("min_speed: 0.3", "min_speed: 0.9"))
-    rig.simulate()
-    began = time.monotonic()
-    rig.start(drive=str(file))
-    rig.join()
-    rig.tick_until(0.4, lambda: "is not effective for 4 s" in rig.state, LATE, "the reason")
-    rig.until_code("drive timeout", "drive_guards_later", 0.4)
-    assert rig.drive_state == "refused"
-    while time.monotonic() - began < 4:  # it connected after this began
-        assert rig.tick(0.4) == 0.0
-    rig.tick_until(0.4, lambda: rig.drive.speed() > 0.89, 60, "a pulse at the minimum speed")
-    assert "in pulses" in rig.state
-    assert rig.shows("drive timeout", OK, "beware: a change of 58.14 to 58.16 takes effect only")
 
 
 def test_malformed_messages_stop_the_motor_and_not_the_node(rig: PumpRig) -> None:
@@ -307,11 +280,6 @@ def test_a_hold_is_kept_over_restarts_and_ends_automatically(rig: PumpRig) -> No
     node = rig.start()
     rig.run()
     until = datetime.now().astimezone() + timedelta(hours=1)
-    for wrong in ("2020-01-01T00:00", "tomorrow"):
-        code, output = command(rig, "hold", "--until", wrong)
-        assert (code, wrong[:4] in output) == (2, True), output
-    assert command(rig, "hold", "--until", "2030-01-01", "--for", "1")[0] == 2
-    rig.until_state("running")
     code, output = command(
         rig, "hold", "--until", f"{until:%Y-%m-%dT%H:%M:%S}", "--reason", "painting",
     )
@@ -323,11 +291,9 @@ def test_a_hold_is_kept_over_restarts_and_ends_automatically(rig: PumpRig) -> No
     assert (code, bool(held.match(output))) == (0, True), output
     rig.until_at_rest()
     assert held.fullmatch(rig.state)
-    rig.until_code("pump", "hold")
     report = rig.observer.values("/pump")["hold"]
     assert (report["owner"], report["reason"]) == ("the command line", "painting")
     assert report["until"] == int(until.timestamp())
-    assert 0 < time.time() - report["since"] < LATE
     node.kill()
     node.wait()
     rig.start()
@@ -344,7 +310,6 @@ def test_a_hold_is_kept_over_restarts_and_ends_automatically(rig: PumpRig) -> No
     assert time.time() >= soon - 1
     assert command(rig, "hold")[0] == 0
     rig.until_at_rest()
-    assert re.fullmatch(r"held: a hold by the command line since [-\d]+ [:\d]+-05:00", rig.state)
     code, output = command(rig, "hold", "--for", "1")
     assert (code, "the earlier hold lasts longer and was not shortened" in output) == (0, True)
     code, output = command(rig, "release")

@@ -185,9 +185,9 @@ class InputRules:
         self.level = level
         self._limit, self._limit_name = limit, limit_name
         self._recovery, self._topic = recovery, topic
-        # What is wrong with the newest value, and when it was received.
-        self._newest: Diagnosis | None = Diagnosis.of("input_waiting")
-        self._received_at = now
+        # What is wrong with the newest value, when that was received, and what to recover from.
+        self._newest: Diagnosis | None = Diagnosis.of("input_waiting", topic=topic)
+        self._received_at, self._broken = now, self._newest
         self._good_since: float | None = None
 
     def receive(
@@ -231,9 +231,12 @@ class InputRules:
             broken = self.level.check_frozen()
         if broken is not None:
             self._good_since = None
-            return replace(broken, values={**broken.values, "topic": self._topic})
+            self._broken = replace(broken, values={**broken.values, "topic": self._topic})
+            return self._broken
         if self._good_since is None:
             self._good_since = now
         if now - self._good_since >= self._recovery:
             return None
-        return Diagnosis.of("input_recovering", topic=self._topic, time=self._recovery)
+        return Diagnosis.of(
+            "input_recovering", topic=self._topic, time=self._recovery, before=self._broken
+        )

@@ -106,6 +106,7 @@ def test_courses_of_an_input(name: str) -> None:
         else:
             problem = rules.check(now, "has 2 publishers" if event == "2 publishers" else "")
         assert rule(problem) == broken, now
+        assert problem is None or problem.sentence
 
 
 def test_frozen() -> None:

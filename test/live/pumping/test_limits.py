@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from paper import PAPER_SITE, site_with
+from paper import PAPER_SITE
 from pump_rig import Rig, settings_for
 
 from greenroof_ros.interface.conditions import Diagnosis
@@ -30,21 +29,6 @@ def test_defaults_by_hand() -> None:
     assert settings.max_volume_per_day == pytest.approx(5.748, abs=5e-4)
     assert settings.max_run == pytest.approx(1918, abs=1)
     assert settings.starts_per_hour == PAPER_SITE.starts_per_hour
-
-
-def test_defaults_of_a_field_capacity_soil_near_field_capacity() -> None:
-    """Filling it to 99 % takes atanh(0.99) = 2.6467 times its capacity above wilting, by hand.
-
-    100 m2, 4 m3 between wilting, at 2 m3, and field capacity: 2 + 4 2.6467 = 12.587 m3. Of 10 mm,
-    1 m3, its target keeps 1 - 0.99^2 = 0.0199, so 50.25 m3 replace it: times 1.5, 94.256 m3.
-    """
-    roof = site_with(a2=100.0, z_soil=0.1, z_veg=0.0596)
-    roof = replace(
-        roof, z_cap=6.0, field_capacity=0.6, wilting_point=0.2, depletion_fraction=0.5
-    )
-    settings = settings_for(roof)
-    assert settings.max_volume_per_day == pytest.approx(94.256, abs=2e-3)
-    assert settings.max_run == pytest.approx(12.587 / (0.2 * 0.00819436), abs=2)
 
 
 @pytest.mark.parametrize(("min_speed", "expected"), [(0.3, 0.1), (0.2, 0.1), (0.05, 0.025)])
@@ -239,15 +223,3 @@ def test_volume_within_a_minimum_pulse(drive_ramp: float) -> None:
     assert max(decision.flow or 0.0 for decision in rig.decisions) <= maximum_pump_flow(
         rig.site, 75.0
     )
-
-
-def test_no_more_starts_than_are_permitted() -> None:
-    """At 0.05 of the flow a minimum pulse is due every 40 s; a start is permitted in 180 s."""
-    rig = Rig()
-    rig.run(1500, 0.05)
-    starts = sum(
-        now.request is not None and before.request is None
-        for before, now in zip(rig.decisions, rig.decisions[1:], strict=False)
-    )
-    assert starts <= 8
-    assert rig.delivered == pytest.approx(1500 * 0.05 * 0.0083, abs=180 * 0.05 * 0.0083)
