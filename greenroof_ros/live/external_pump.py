@@ -114,13 +114,13 @@ class ExternalPumpNode(ActuatorNode):
         why = f"the command is {command:g}" if self._command.good else "no valid command arrives"
         if active:
             state, why = state_of(active)
+        reported = f"your own pump driver reports {'a' if runs else 'no'} flow"
         if flow is None:
             state = "unknown" if state == "off" else state
-            why += "; it is unknown whether the pump has stopped"
-        else:
-            why += f"; your own pump driver reports {flow:.3g} m3/s"
+            reported = "it is unknown whether the pump has stopped"
         self.reports.diagnose("driver", lost, "your own pump driver is responding")
-        return Decision(active, state, why, share is not None and not runs, share, flow)
+        at_rest = share is not None and not runs
+        return Decision(active, state, f"{why}; {reported}", at_rest, share, flow)
 
     def _driver_problem(self) -> Diagnosis | None:
         publishers = self._flow.publishers

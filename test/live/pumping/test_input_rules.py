@@ -181,12 +181,6 @@ def test_a_frozen_level_is_found_if_the_pump_must_move_it(
     assert frozen_after(hours, flow, **further) == pytest.approx(due, rel=0.05)
 
 
-def test_a_field_capacity_soil_rises_by_what_it_keeps() -> None:
-    """At half of its available water, 0.04 m, it keeps 3/4; 1 mm/h may evaporate."""
-    _, rise = expected_movements(FIELD_CAPACITY, 0.005, 2.0, 0.04, 0.0)
-    assert rise == pytest.approx(0.75 * 0.005 / 68.8 - 1e-3 / 3600)
-
-
 def test_jump() -> None:
     """It rises by at most 1 mm/s: in 10 s from 1.5 m to 1.51 m, plus a tolerance of 2 cm.
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -162,17 +160,6 @@ def pulses(**changes: float) -> Pulses:
     return Pulses(PAPER_SITE, settings_for(PAPER_SITE, **changes))
 
 
-def test_minimum_share_and_pulse_by_hand() -> None:
-    """10 s at a fifth of 0.00842205 m3/s.
-
-    At 80 % of the speed the flow is sqrt((0.64 55.2 - 13) / 42.2) = 0.727392 of the maximum.
-    """
-    assert pulses().min_share(3.0) == 0.2
-    assert pulses().min_pulse(3.0) == pytest.approx(MIN_PULSE, rel=1e-5)
-    assert pulses(min_speed=0.8).min_share(3.0) == pytest.approx(0.727392, abs=5e-7)
-    assert pulses(min_speed=0.8).speed(0.2, 3.0) == 0.8
-
-
 @pytest.mark.parametrize(("command", "due"), [
     # A minimum pulse is 0.2 10 s = 2 s of the maximum flow, outstanding after 182 s with 2.002.
     # Each second of it takes 0.189: after 11 s -0.077 are outstanding, and 189 s later 2.002.
@@ -189,21 +176,6 @@ def test_pulses_by_hand(command: float, due: list[int]) -> None:
         on = share > 0
         pulse.count(share * maximum_pump_flow(PAPER_SITE, 75.0), 1.0)
     assert changed == pytest.approx(due, abs=3)
-
-
-def test_the_outstanding_volume_is_at_most_two_pulses() -> None:
-    """It is kept while the command is 0, and forgotten once the pump can follow a command."""
-    pulse = pulses()
-    pulse.update(0.01, 3.0, False)
-    pulse.count(0.0, 3600.0)
-    assert pulse.outstanding == pytest.approx(2 * MIN_PULSE, rel=1e-5)
-    assert pulse.update(0.0, 3.0, False) == 0
-    pulse.count(0.0, 3600.0)
-    assert pulse.outstanding == pytest.approx(2 * MIN_PULSE, rel=1e-5)
-    assert pulse.update(0.5, 3.0, True) == 0.5
-    pulse.count(0.0, 3600.0)
-    assert pulse.outstanding == 0
-    assert math.isfinite(pulse.due_in)
 
 
 @pytest.mark.parametrize("drive_ramp", [0.1, 1.0])

@@ -51,20 +51,6 @@ def test_a_command_above_1_acts_as_1() -> None:
     assert rig.delivered - before <= 30 * maximum_pump_flow(PAPER_SITE, 70.0)
 
 
-def test_what_was_missed_is_not_caught_up() -> None:
-    """After minutes without contact to the drive, the next pulse is as far away as before."""
-    rig = Rig()
-    rig.run(15, 0.5)
-    rig.change = {"reasons": [Diagnosis("drive_lost", "no answer from 10.0.0.7:502")]}
-    decision = rig.step(0.5)
-    assert (decision.request, decision.why.split(";")[0]) == (None, "no answer from 10.0.0.7:502")
-    rig.run(600, 0.01)
-    rig.change = {}
-    # A fifth of the flow for 10 s is 200 s of a hundredth, and 30 s have passed.
-    assert rig.run(30, 0.01).why == "the next pulse is due in 2.9 min"
-    assert rig.run(5, 0.5).state in ("starting", "running")
-
-
 def test_what_is_unknown_is_reported_so() -> None:
     """A drive that is lost while it runs: neither speed nor flow, until it is sure to stand.
 
@@ -170,19 +156,6 @@ def test_flow_is_measured_or_computed(change: dict[str, object], flow: float | N
     rig.x1 = 70.0
     rig.change = change
     assert rig.step(0.5).flow == pytest.approx(flow, abs=5e-9)
-
-
-def test_no_flow_once_the_pump_stands() -> None:
-    """Even if the meter has an offset; while the pump comes to rest, the meter counts."""
-    rig = Rig()
-    rig.speed = 0.8  # it already runs, as after a crash of its node
-    decision = rig.step(1.0)
-    assert (decision.request, decision.state) == (None, "stopping")
-    assert decision.flow
-    rig.run(15, 0.5)
-    rig.change = {"flow": 1e-4}
-    rig.run(8, None)
-    assert [decision.flow for decision in rig.decisions[-8:]] == [1e-4] * 4 + [0.0] * 4
 
 
 @pytest.mark.parametrize("follow_time", [5.0, 60.0])
