@@ -311,6 +311,8 @@ class StateFile:
         lines, problems, noted = dict[int, StoredState](), list[str](), _read_number(file)
         try:
             content = file.read_bytes()
+            if len(content) != 2 * _LINE:
+                problems.append(f"it must be {2 * _LINE} bytes long")
             for number in (1, 2):
                 try:
                     lines |= _parse(content[_LINE * (number - 1) : _LINE * number])
