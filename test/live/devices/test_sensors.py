@@ -207,23 +207,22 @@ def test_a_sensor_next_to_a_silent_or_wrong_one_on_a_serial_line() -> None:
     Nothing else can open the line, neither a drive nor another program.
     """
     devices = TwoSensors()
-    with closing(SerialWire(devices)) as wire:
-        with both(wire.line, device_id=(1, 2)) as (first, second):
-            assert (first.snapshot.value, second.snapshot.value) == (1.0, 3.0)
-            with pytest.raises(DriveError, match="cannot connect"):
-                sensor(wire.line).line(0.2).connect()
-            for data, problem in (
-                ("", "no valid response within 0.25 s"), ("FFFF", "which is not from 0 to 6 m"),
-                ("27102710", "the response does not fit"),
-            ):
-                devices.data[1] = data
-                until(lambda problem=problem: problem in first.snapshot.problem)
-                assert first.snapshot.value is None
-                apart = gaps(second, 3.0)
-                assert max(apart) < 3.0 and sorted(apart)[len(apart) // 2] < 1.2, data
-            devices.data[1] = "2710"
-            until(lambda: first.snapshot.value == 1.0)
-            assert second.snapshot.value == 3.0
+    with closing(SerialWire(devices)) as wire, both(wire.line, device_id=(1, 2)) as (first, second):
+        assert (first.snapshot.value, second.snapshot.value) == (1.0, 3.0)
+        with pytest.raises(DriveError, match="cannot connect"):
+            sensor(wire.line).line(0.2).connect()
+        for data, problem in (
+            ("", "no valid response within 0.25 s"), ("FFFF", "which is not from 0 to 6 m"),
+            ("27102710", "the response does not fit"),
+        ):
+            devices.data[1] = data
+            until(lambda problem=problem: problem in first.snapshot.problem)
+            assert first.snapshot.value is None
+            apart = gaps(second, 3.0)
+            assert max(apart) < 3.0 and sorted(apart)[len(apart) // 2] < 1.2, data
+        devices.data[1] = "2710"
+        until(lambda: first.snapshot.value == 1.0)
+        assert second.snapshot.value == 3.0
 
 
 @pytest.mark.parametrize("late_s", [0.3, 0.6])
