@@ -219,7 +219,7 @@ class PumpControl:
         else:
             request = pulses.speed(share, level)
         if dose is not None:
-            dose.begun, dose.why = dose.begun or request is not None, why
+            dose.why = why
         return request, why
 
 
