@@ -48,9 +48,9 @@ COMMAND, FLOW, STATE = "/pump/command", "/pump/flow", "/pump/state"
 COMMAND_LIMIT = LIMITS[COMMAND]
 # Interval between two decisions, and between two reports on the parts of the node (s).
 _STEP_S, _REPORT_S = 0.1, 0.2
-# The fields of a hold; the owner is needed.
+# The fields of a hold.
 _HOLD = (
-    Parameter("owner", "", meaning="whoever requests the hold"),
+    Parameter("owner", "", meaning="whoever requests the hold", optional=False),
     Parameter("reason", "", meaning="the reason"),
     Parameter("until", 0.0, "s", 0.0, MAX_TIME, "end of the hold (s since 1970)"),
 )
@@ -104,18 +104,17 @@ class ActuatorNode(LiveNode):
         """
         raise NotImplementedError
 
-    def switch_off(self) -> None:
-        """Switch the actuator off now, because someone requests it."""
+    def switch_off(self) -> str:
+        """Switch off now, because someone requests it; return why that does not succeed, if so."""
+        raise NotImplementedError
 
-    def out_of_reach(self) -> str:
-        """Return why a hold does not switch the actuator off; empty if it does."""
-        return ""
+    def discard_evidence(self, checked: bool = False) -> None:
+        """Forget what led to a fault that has been cleared.
 
-    def discard_evidence(self) -> None:
-        """Forget what led to a fault that has been cleared."""
-
-    def acknowledge(self) -> None:
-        """Acknowledge a fault of the device itself, because a person has checked it."""
+        Args:
+            checked: whether a person has checked the device, whose own fault is acknowledged.
+        """
+        raise NotImplementedError
 
     def trouble(self) -> DriveState | None:
         """Return what is wrong with the device itself, if anything."""
@@ -225,7 +224,7 @@ class ActuatorNode(LiveNode):
         return self.hold(owner="the operator") if request.data else self._release()
 
     def _hold(self, request: SetParametersAtomically.Request) -> tuple[bool, str]:
-        fields = read_fields("hold", request, _HOLD, {"owner"})
+        fields = read_fields("hold", request, _HOLD)
         if not fields["owner"]:
             raise ValueError("a hold must have an owner")
         if fields.get("until", math.inf) <= time.time():
@@ -235,10 +234,9 @@ class ActuatorNode(LiveNode):
     def hold(self, **fields: Any) -> tuple[bool, str]:
         """Hold the actuator; for the fields see :meth:`StateFile.hold`."""
         as_requested = self.state_file.hold(**fields)
-        state = self.decide()
-        self.switch_off()
+        state, problem = self.decide(), self.switch_off()
         remark = "" if as_requested else "; the earlier hold lasts longer and was not shortened"
-        return self._answer(f"{state}{remark}", self.out_of_reach())
+        return self._answer(f"{state}{remark}", problem)
 
     def _release(self) -> tuple[bool, str]:
         self.state_file.release()
@@ -248,8 +246,7 @@ class ActuatorNode(LiveNode):
         stored = self.state_file.state
         cleared = "; ".join(filter(None, (stored.fault, stored.unknown)))
         self.state_file.change(fault="", fault_code="", unknown="")
-        self.discard_evidence()
-        self.acknowledge()
+        self.discard_evidence(checked=True)
         return self._answer(f"cleared: {cleared}" if cleared else "there was no fault")
 
     def _clear(self, request: Trigger.Request) -> tuple[bool, str]:
@@ -261,27 +258,26 @@ class ActuatorNode(LiveNode):
 
 
 def read_fields(
-    name: str, request: SetParametersAtomically.Request, table: Iterable[Parameter],
-    needed: set[str],
+    name: str, request: SetParametersAtomically.Request, table: Iterable[Parameter]
 ) -> dict[str, Any]:
     """Return the fields of a request, by name.
 
     Args:
         name: name of the service, for messages.
         request: the request.
-        table: the fields that a request may have.
-        needed: names of the fields that a request must have.
+        table: the fields that a request may have, and must have unless they are optional.
 
     Raises:
         ValueError: if a field is missing, unknown or invalid.
     """
     known = {parameter.name: parameter for parameter in table}
+    needed = [parameter.name for parameter in known.values() if not parameter.optional]
     fields = {
         parameter.name: parameter_value_to_python(parameter.value)
         for parameter in request.parameters
     }
-    if not needed <= fields.keys() <= known.keys():
-        must = " and ".join(field for field in known if field in needed)
+    if not set(needed) <= fields.keys() <= known.keys():
+        must = " and ".join(needed)
         raise ValueError(f"a {name} must have {must}; it may only have {', '.join(known)}")
     for field, value in fields.items():
         try:

@@ -71,11 +71,11 @@ class ExternalPumpNode(ActuatorNode):
         self.open_outputs(_HOLD, STATE)
         self.discard_evidence()
 
-    def discard_evidence(self) -> None:
+    def discard_evidence(self, checked: bool = False) -> None:
         """Forget what led to a fault."""
         self._stopping = Following(self.values["min_flow"])
 
-    def out_of_reach(self) -> str:
+    def switch_off(self) -> str:
         """Return why a hold does not stop the pump: nobody who could stop it reads /pump/hold."""
         readers = {info.node_name for info in self.get_subscriptions_info_by_topic(
             self.resolve_topic_name(self.interface[_HOLD].graph_name)

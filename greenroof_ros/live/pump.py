@@ -81,8 +81,8 @@ _PARTS = {
 }
 # The fields of a request for a dose.
 _DOSE = (
-    Parameter("volume", 0.0, "m3", meaning="the volume"),
-    Parameter("asked_at", 0.0, "s", meaning="time of the request (s since 1970)"),
+    Parameter("volume", 0.0, "m3", meaning="the volume", optional=False),
+    Parameter("asked_at", 0.0, "s", meaning="its time (s since 1970)", optional=False),
 )
 
 
@@ -136,21 +136,20 @@ class PumpNode(ActuatorNode):
 
     # --- requests ---------------------------------------------------------------------------------
 
-    def switch_off(self) -> None:
+    def switch_off(self) -> str:
         """Stop the drive, even during a silence."""
         self._exchange.stop()
+        return ""
 
-    def discard_evidence(self) -> None:
-        """Forget what led to a fault."""
+    def discard_evidence(self, checked: bool = False) -> None:
+        """Forget what led to a fault; acknowledge the drive's, which does not count until then."""
         self._control.discard_evidence()
-
-    def acknowledge(self) -> None:
-        """Acknowledge the drive's fault, which does not count until that is done."""
-        self._exchange.reset()
-        self._resetting_until = boot_time() + RESET_S
+        if checked:
+            self._exchange.reset()
+            self._resetting_until = boot_time() + RESET_S
 
     def _dose(self, request: SetParametersAtomically.Request) -> tuple[bool, str]:
-        fields = read_fields("dose", request, _DOSE, {"volume", "asked_at"})
+        fields = read_fields("dose", request, _DOSE)
         self.decide()  # a reason against the dose may have just arrived
         refusal = self._control.doses.request(fields["asked_at"], fields["volume"], time.time())
         return not refusal, refusal or self.decide()

@@ -163,9 +163,8 @@ class PumpLimits:
         self._site = site
         self._settings = settings
         self._state_file = state_file
-        self._off_since = state_file.state.elapsed
+        self._off_since, self._rests_until = state_file.state.elapsed, 0.0
         self._dry = False
-        self._on_for = self._rests_for = 0.0
 
     @property
     def since_start(self) -> float:
@@ -192,18 +191,13 @@ class PumpLimits:
             waits.append((again, f"it may start at most {allowed} times an hour"))
         return max(waits)
 
-    def count(self, dt: float, on: bool) -> None:
-        """Count time during which the pump was on or off (s)."""
-        if on:
-            self._on_for += dt
-            if self._on_for >= self._settings.max_run:
-                self._rests_for = self._settings.max_run
-        else:
-            self._on_for = 0.0
-            self._rests_for = max(0.0, self._rests_for - dt)
+    def reasons(self, observed: Observation, on: bool) -> Iterator[Diagnosis]:
+        """Yield the current reasons for keeping the pump off; must be called at every step.
 
-    def reasons(self, observed: Observation) -> Iterator[Diagnosis]:
-        """Yield the current reasons for keeping the pump off; must be called at every step."""
+        Args:
+            observed: present observations.
+            on: whether the pump is on.
+        """
         settings, stored = self._settings, self._state_file.state
         for value, code in (
             (observed.command, "command_unknown"),
@@ -224,8 +218,10 @@ class PumpLimits:
         if quiet is not None and quiet.quiet_at(observed.time_ns):
             until = to_people(quiet.end_after(observed.time_ns))
             yield Diagnosis.of("quiet_hours", until=until)
-        if self._rests_for > 0:
-            yield Diagnosis.of("max_run", max=settings.max_run, rest=self._rests_for)
+        if on and self.since_start >= settings.max_run:
+            self._rests_until = stored.elapsed + settings.max_run
+        if (rest := self._rests_until - stored.elapsed) > 0:
+            yield Diagnosis.of("max_run", max=settings.max_run, rest=rest)
         if stored.day_volume >= settings.max_volume_per_day:
             yield Diagnosis.of(
                 "daily_volume", volume=stored.day_volume, limit=settings.max_volume_per_day,

@@ -81,8 +81,6 @@ class PumpControl:
         # A meter may show no flow while the pump runs, if a valve is closed or the meter is broken.
         least = dt * max(flow or 0.0, computed or 0.0)
         most = max(least, self._unseen_volume(dt, speed, level))
-        on = self._request is not None or turning or most > least
-        self._limits.count(min(dt, self._drive_stops_after), on)
         self._state_file.count(dt, most)
         under_way = self.doses.present is not None
         self.doses.advance(dt, most)
@@ -90,7 +88,8 @@ class PumpControl:
         undelivered = self._delivery.step(
             dt, observed.cistern_level, observed.roof_level, least, most, observed.displacements,
         )
-        reasons = [*self._limits.reasons(observed), *observed.reasons]
+        on = self._request is not None and speed is not None
+        reasons = [*self._limits.reasons(observed, on), *observed.reasons]
         if not observed.drive_ready:
             reasons.append(Diagnosis.of("drive_not_ready"))
         faults = filter(None, (undelivered, *self._faults(dt, observed, level)))
@@ -219,7 +218,7 @@ class PumpControl:
         else:
             request = pulses.speed(share, level)
         if dose is not None:
-            dose.begun, dose.why = dose.begun or request is not None, why
+            dose.why = why
         return request, why
 
 
