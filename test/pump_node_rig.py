@@ -89,7 +89,8 @@ class PumpRig:
     def site(self, *lines: str) -> Path:
         """Write a site file with a short tau and further lines, and return it."""
         file = self.cwd / "site.yaml"
-        text = [f"extends: {CONFIG / 'site.yaml'}", f"tau: {PERIOD_S}", *lines]
+        tau = [] if any(line.startswith("tau") for line in lines) else [f"tau: {PERIOD_S}"]
+        text = [f"extends: {CONFIG / 'site.yaml'}", *tau, *lines]
         file.write_text("\n".join(text))
         return file
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from paper import PAPER_SITE
 
-from greenroof_ros.live.pumping.limits import PumpSettings, pump_parameters
-from greenroof_ros.live.pumping.pump_control import Decision, PumpControl
-from greenroof_ros.live.pumping.pump_inputs import Observation
+from greenroof_ros.live.pumping.interlocks import Decision
+from greenroof_ros.live.pumping.limits import Observation, PumpSettings, pump_parameters
+from greenroof_ros.live.pumping.pump_control import PumpControl
 from greenroof_ros.live.pumping.state_file import StateFile
 from greenroof_ros.physics.parameters import State, plant_parameters
 from greenroof_ros.physics.tick import step
@@ -20,7 +20,7 @@ from greenroof_ros.site.site import Site
 
 def settings_for(site: Site, **changes: float) -> PumpSettings:
     """The settings for a site: those given, and defaults for the others."""
-    return PumpSettings(**{
+    return PumpSettings(**{"min_speed": 0.3} | {
         parameter.name: parameter.default for parameter in pump_parameters(site)
     } | changes)
 
@@ -97,7 +97,7 @@ class Rig:
         )
         self.decisions.append(decision)
         self.delivered += (decision.flow or 0.0) * self.tau
-        setpoint = decision.speed or 0.0
+        setpoint = decision.request or 0.0
         true_flow = self.plant_flow(1.0 if self.contactor_stuck else self.speed)
         pumped = self._advance(true_flow, rain, evapotranspiration)
         self.x1 -= (self.leaving - 1) * pumped * self.tau
@@ -118,7 +118,7 @@ class Rig:
 
     def reset(self) -> None:
         """Clear the fault and an unknown state, as the node does."""
-        self.state_file.clear_unknown()
+        self.state_file.change(unknown="")
         self.clear()
 
     def suspend(self, seconds: float, runs_on: float = 0.0) -> None:
@@ -128,7 +128,7 @@ class Rig:
                 self.speed = 0.0
             self._advance(self.plant_flow(self.speed))
         self.now += seconds
-        self.control.count_unseen(seconds)
+        self.control.step(seconds, Observation())
 
     def levels(self) -> tuple[float, float]:
         """Return the true levels of the cistern and the roof (m)."""

@@ -24,26 +24,20 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+from pymodbus.pdu import ExceptionResponse
+from pymodbus.server.requesthandler import ServerRequestHandler
+from pymodbus.transport import CommType
+
 from greenroof_ros.base.command_line import add_site, command
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.mqtt import parse_topic
-from greenroof_ros.live.devices.drive_file import (
-    DriveFile,
-    find_drive_file,
-    read_drive_file,
-    read_relay_file,
-)
+from greenroof_ros.live.devices.drive_file import DriveFile, find_drive_file
+from greenroof_ros.live.devices.exchange import read_endpoint
 from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine, parse_address
-from greenroof_ros.live.devices.sensor_file import default_sensors, read_sensors
-from greenroof_ros.live.simulators.drive import (
-    DRIVES,
-    DriveSettings,
-    Motion,
-    SimulatedDrive,
-    drive_server,
-)
-from greenroof_ros.live.simulators.relay import RELAYS, RelayOnBroker, SimulatedRelay
-from greenroof_ros.live.simulators.server import WRITES, Connection, Device, Server
+from greenroof_ros.live.devices.relay import RelayEndpoint
+from greenroof_ros.live.devices.sensor_file import ModbusSensor, default_sensors, read_sensors
+from greenroof_ros.live.simulators.drive import SimulatedDrive, drive_server
+from greenroof_ros.live.simulators.relay import SimulatedRelay
+from greenroof_ros.live.simulators.server import Server, make_device
 from greenroof_ros.live.simulators.site import SimulatedSite
 from greenroof_ros.physics.parameters import State
 from greenroof_ros.physics.pump import flow_at
@@ -52,6 +46,8 @@ from greenroof_ros.simulation.options import add_site_arguments, build_run
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 
+# Functions that write.
+WRITES = (5, 6, 15, 16, 22, 23)
 DEVICE_ID = 247
 # Registers of the workbench. The parameter of a fault is written before the fault.
 SPEED, FAULT, PARAMETER, LOCAL, CISTERN_LEVEL = range(5)
@@ -118,14 +114,18 @@ class ActiveFault:
     last: tuple[bytes, int] = (b"", 0)  # the last answer, and the number of its request
 
 
-class FaultyConnection(Connection):
-    """One connection of a client, with the faults of the wire."""
+class FaultyConnection(ServerRequestHandler):
+    """One connection of a client, with the faults of the wire.
+
+    Args:
+        hear: receives each request, and returns whether the device answers at all.
+    """
 
     _random = random.Random(0)
 
-    def __init__(self, server, devices, *, fault: ActiveFault) -> None:
-        super().__init__(server, devices)
-        self._fault = fault
+    def __init__(self, server, *, fault: ActiveFault, hear=lambda request: True) -> None:
+        super().__init__(server, None, None, None)
+        self._fault, self._hear = fault, hear
         self._started_at = time.monotonic()
 
     async def handle_request(self) -> None:
@@ -138,14 +138,17 @@ class FaultyConnection(Connection):
         writes = request.function_code in WRITES
         lasts_s = fault.parameter if fault.name == "runs_on" else 0
         lasted = 0 < lasts_s < time.monotonic() - self._started_at
-        device = self._devices.get(request.dev_id)
         # 'runs_on' never ends a connection at an order: *stop* must be known to have arrived.
         if fault.name == "dropped" or (lasted and not writes):
-            if not self._serial:
+            if self.comm_params.comm_type != CommType.SERIAL:
                 self.transport.abort()
-        elif device and (fault.name == "exception" or (fault.name == "refused_writes" and writes)):
-            if device.on_request(request.address):
-                self.refuse(request, fault.parameter)
+        elif not self._hear(request):
+            return
+        elif fault.name == "exception" or (fault.name == "refused_writes" and writes):
+            self.pdu_send(ExceptionResponse(
+                request.function_code, fault.parameter, device_id=request.dev_id,
+                transaction=request.transaction_id,
+            ))
         else:
             await super().handle_request()
 
@@ -224,8 +227,8 @@ class Bench:
         self.fault = ActiveFault()
         self.registers = dict.fromkeys(range(5), 0) | {PARAMETER: DEFAULT}
         self.servers: list[Server] = []
-        device = Device(self.read_registers, self._write)
-        self._workbench = Server(workbench, {DEVICE_ID: device})
+        device = make_device(DEVICE_ID, self.read_registers, self._write)
+        self._workbench = Server(workbench, [device])
         self._started_at = time.monotonic()
 
     async def run(self, ended: asyncio.Event) -> None:
@@ -259,7 +262,7 @@ class Bench:
         for server in (*self.servers, self._workbench):
             server.close()
 
-    def _write(self, address: int, values: list[int]) -> None:
+    def _write(self, address: int, values) -> None:
         for register, value in enumerate(values, address):
             if register == FAULT:
                 self.inject([*FAULTS][value], self.registers[PARAMETER])
@@ -271,46 +274,41 @@ class Bench:
 
 
 class FaultyDrive(SimulatedDrive):
-    """What is added to a make of drive: faults, and losing power.
+    """A drive with faults, a panel, and a power supply that can fail.
 
     Attributes:
         boot_s: from power-up until it answers (s).
+        local: whether someone has taken it over at its panel.
     """
 
     boot_s = 3.0
-    # After power-up the timeout of an ABB is not effective for this long (s).
-    unguarded_s = 0.0
+    local = False
     _active, _parameter = NONE, 0
     _answers_from = _guarded_from = -math.inf
 
     @property
     def answers(self) -> bool:
         """Whether it has power and has booted."""
-        return self._clock() >= self._answers_from
+        return time.monotonic() >= self._answers_from
 
-    def turn(self, step: float, motion: Motion) -> None:
+    def turn(self, step: float, target: float) -> None:
         off = self._at < self._answers_from
-        if not off and (self._ignores_stop or self._active == "says_stopped"):
-            self.standstill()  # only its state machine believes so
-        elif self._active == "says_running":
-            super().turn(step, Motion.COAST)
-        elif self._active not in ("speed_stays", "stuck_running"):
-            super().turn(step, Motion.COAST if off else motion)
+        stays = self._ignores_stop or self._active == "says_stopped"
+        if self._active in ("speed_stays", "stuck_running") or (stays and not off):
+            return
+        stands = off or self.local or self._active == "says_running"
+        super().turn(step, 0.0 if stands else target)
 
     @property
     def _ignores_stop(self) -> bool:
         """Whether it is ordered to stop and reports that it is off, but runs on."""
-        off = self.motion is not Motion.FOLLOW or not self.setpoint
+        off = not self.on or self.local or not self.setpoint
         return self._active == "runs_on" and off and self._at >= self._answers_from
-
-    @property
-    def moving(self) -> bool:
-        return self._reported_speed > 0 and not self._ignores_stop
 
     @property
     def _reported_speed(self) -> float:
         if self._active == "says_running":
-            return self.setpoint if self.motion is Motion.FOLLOW else 0.0
+            return self.setpoint if self.on else 0.0
         return 0.0 if self._active == "says_stopped" else self.speed
 
     def trip(self, fault: int) -> None:
@@ -325,10 +323,18 @@ class FaultyDrive(SimulatedDrive):
     def _loss_at(self) -> float:
         return max(super()._loss_at(), self._guarded_from)
 
+    def status(self) -> int:
+        shown, self.speed = self.speed, 0.0 if self._ignores_stop else self.speed
+        word, remote = super().status(), self._file.status.remote
+        self.speed = shown
+        if self.local and remote is not None and remote.fulfilled_by(word):
+            word ^= remote.mask & -remote.mask
+        return word
+
     def registers(self) -> Mapping[int, int]:
+        self.on_request()
         if self._active == "frozen":
             return self._frozen
-        self.advance()
         true, self.speed = self.speed, self._reported_speed
         words = super().registers()
         self.speed = true
@@ -351,45 +357,36 @@ class FaultyDrive(SimulatedDrive):
                 self.power_cycle()
             case "timeout_off":  # as someone could at the panel
                 if self.timeout.action is not None:
-                    self.write_raw(self.timeout.action.register, min(self.timeout.action.runs_on))
+                    self.write_raw(self.timeout.action.register, 0)
                 else:
-                    self.write_raw(self.timeout.register, min(self.timeout.off_values, default=0))
+                    self.write_raw(self.timeout.register, 0)
 
     def power_cycle(self) -> None:
-        """Lose power for a moment: the motor coasts, and nothing answers until it has booted."""
+        """Lose power for a moment: the motor stops, and nothing answers until it has booted."""
         self.advance()
         self._answers_from = self._at + self.boot_s
-        self._guarded_from = self._answers_from + self.unguarded_s
-        self._last_request = None
-        self.lost = False
+        # After power-up the timeout of an ABB is not effective for a while.
+        self._guarded_from = self._answers_from + 30.0 * ("ABB" in self._file.make)
+        self._last_request, self.lost = math.inf, False
         self.trip(0)
-        for name in self._commands:
+        self.switch_off()
+        for name in ("control", "reference"):
             self.write_raw(name, 0)
-        self.power_up()
         self.log(f"power cycle: answers again in {self.boot_s:g} s")
-
-
-def faulty_drive(file: DriveFile, settings: DriveSettings, **options) -> FaultyDrive:
-    """Return the drive of a file's make, with faults."""
-    profile = DRIVES[file.make]
-    drive = type(profile.__name__, (FaultyDrive, profile), {})(file, settings, **options)
-    if "ABB" in file.make:
-        drive.unguarded_s = 30.0
-    return drive
 
 
 class DriveBench(Bench):
     """Runs a drive on its own port or line."""
 
     def __init__(
-        self, file: DriveFile, settings: DriveSettings, address: Address, workbench: Address,
-        site: Site,
+        self, file: DriveFile, address: Address, workbench: Address, site: Site,
+        timeout_s: float = 5.0,
     ) -> None:
         super().__init__(workbench)
         self._line = PseudoLine() if address.line == "pty" else None
         reached = address if self._line is None else Address(line=self._line.ends[0])
-        self._reached = replace(reached, gateway=not reached.line and file.timeout.tcp is None)
-        self.drive = faulty_drive(file, settings, interface=self._reached.interface)
+        self._reached = replace(reached, gateway=not reached.line and "tcp" not in file.timeout)
+        self.drive = FaultyDrive(file, self._reached.interface, timeout_s)
         self.drive.log = self.log
         self.drive.flow = lambda speed: flow_at(
             site, speed, self.registers[CISTERN_LEVEL] * LEVEL_UNIT
@@ -397,13 +394,8 @@ class DriveBench(Bench):
         level = site.cistern_level(next(iter(initial_states(site).values()))[0])
         self.registers[CISTERN_LEVEL] = round(level / LEVEL_UNIT)
         (self._server,) = self.servers = [drive_server(self.drive, file, self._reached)]
-        self._server.connection = partial(FaultyConnection, fault=self.fault)
-        (self._device_id,) = self._server.devices
-        on_request = self._server.devices[self._device_id].on_request
-        self._server.devices = {self._device_id: replace(
-            self._server.devices[self._device_id],
-            on_request=lambda register: self._answers and on_request(register),
-        )}
+        self._server.connection = partial(FaultyConnection, fault=self.fault, hear=self._hear)
+        self._device_id = file.device_id_at(self._reached)
 
     @property
     def addresses(self) -> str:
@@ -430,6 +422,12 @@ class DriveBench(Bench):
     def _answers(self) -> bool:
         return self.drive.answers and self.fault.name != "refused"
 
+    def _hear(self, request) -> bool:
+        """Count even a request that a fault keeps from the drive as a sign of life."""
+        if self._answers:
+            self.drive.on_request()
+        return self._answers
+
     def read_registers(self) -> Mapping[int, int]:
         self.drive.advance()
         return self.registers | {SPEED: round(self.drive.speed / SPEED_UNIT)}
@@ -443,75 +441,67 @@ class DriveBench(Bench):
 
 # --- relay ----------------------------------------------------------------------------------------
 
+# What a fault changes of the settings in the relay's replies; a path is of one make.
+_SETTINGS: Mapping[str, Mapping[str, object]] = {
+    "timer_off": {"PulseTime1.Set": 0, "result.auto_off": False},
+    "timer_long": {"result.auto_off": True},
+    "auto_on": {"result.auto_on": True},
+    "power_up_on": {"PowerOnState": 3, "result.initial_state": "on"},
+}
 
-class FaultyRelay(SimulatedRelay):
-    """What is added to a make of relay."""
 
-    deaf = welded = _stuck = False
+class RelayBench(Bench, SimulatedRelay):
+    """Runs a relay at a broker."""
+
+    _stuck = False
+
+    def __init__(self, endpoint: RelayEndpoint, timer_s: float, boot_s: float, workbench) -> None:
+        Bench.__init__(self, workbench)
+        SimulatedRelay.__init__(
+            self, endpoint.file, endpoint.broker, endpoint.device, timer_s
+        )
+        self._boot_s, self._answers_from = boot_s, -math.inf
+        self.addresses = f"drive {endpoint}, relay"
+
+    run = SimulatedRelay.run
 
     @property
     def speed(self) -> float:
         return float(self.on or self._stuck)
 
-    def advance(self) -> None:
-        super().advance()
-        self._stuck = self.welded and (self._stuck or self.on)
-
-    def switch(self, on: bool, seconds: float | None) -> None:
-        self.advance()
-        if not self.deaf:
+    def switch(self, on: bool, seconds: float) -> None:
+        if self.fault.name != "deaf":
             super().switch(on, seconds)
-
-    def power_up(self) -> None:
-        self._set(self.on_after_power_up)
-        self._off_at = self._clock() + self.timer_s if self.on and self.timer_s else math.inf
-
-
-class RelayBench(Bench, RelayOnBroker):
-    """Runs a relay at a broker."""
-
-    def __init__(self, relay: FaultyRelay, broker, device: str, boot_s: float, workbench) -> None:
-        Bench.__init__(self, workbench)
-        RelayOnBroker.__init__(self, relay, broker, device)
-        self._boot_s, self._answers_from = boot_s, -math.inf
-        relay.log = self.log
-        self.addresses = f"drive {self}, relay"
-
-    run = RelayOnBroker.run
+        self._stuck = self.fault.name == "welded" and (self._stuck or self.on)
 
     def read_registers(self) -> Mapping[int, int]:
-        self.relay.advance()
-        return self.registers | {SPEED: round(self.relay.speed / SPEED_UNIT)}
+        return self.registers | {SPEED: round(self.speed / SPEED_UNIT)}
 
     def write_register(self, register: int, value: int) -> None:
         if register == LOCAL:
-            self.relay.switch(bool(value), self.relay.timer_s)
+            self.switch(bool(value), self.timer_s)
         else:
             super().write_register(register, value)
 
     def inject(self, name: str, parameter: int) -> None:
         super().inject(name, parameter)
-        relay = self.relay
-        relay.advance()
-        relay.deaf, relay.welded = name == "deaf", name == "welded"
+        self._stuck = name == "welded" and self.on
+        changed = _SETTINGS.get(name, {})
+        self.settings |= {path: changed[path] for path in changed.keys() & self.settings.keys()}
         match name:
             case "power_cycle":
                 self._answers_from = time.monotonic() + self._boot_s
-                relay.power_up()
+                self.switch(False, 0.0)
             case "timer_off":
-                relay.timer_s = None
+                self.timer_s = math.inf
             case "timer_long":
-                relay.timer_s = float(self.fault.parameter)
-            case "auto_on":
-                relay.auto_on = True
-            case "power_up_on":
-                relay.on_after_power_up = True
+                self.set_timer(float(self.fault.parameter))
 
-    def receive(self, topic: str, payload: bytes) -> None:
+    def answer(self, topic: str, payload: str) -> None:
         if time.monotonic() < self._answers_from:
             return
         late_s = self.fault.parameter / 1000 if self.fault.name == "late" else 0.0
-        for answer_topic, answer in self.relay.receive(topic, payload.decode(errors="replace")):
+        for answer_topic, answer in self.receive(topic, payload):
             if self.fault.name == "garbage":
                 answer = secrets.token_bytes(self.fault.parameter).decode("latin-1")
             if self.fault.name != "silence":
@@ -552,51 +542,64 @@ class DistantPump:
             self.update()
 
 
-class FaultySite(SimulatedSite):
-    """Cistern and roof with faults, which can write a line for each tick.
+class SiteBench(Bench, SimulatedSite):
+    """Runs cistern and roof behind their sensors, and can write a line for each tick."""
 
-    Attributes:
-        fault: the present fault.
-        output: where the lines go; None for nowhere.
-    """
+    def __init__(
+        self, site: Site, rain, evapotranspiration, volumes, sensors, workbench: Address,
+        drive: Address | None = None, output=None,
+    ) -> None:
+        Bench.__init__(self, workbench)
+        pump = drive and DistantPump(drive, lambda: self.virtual_site.levels()[0], self.log)
+        SimulatedSite.__init__(
+            self, site, rain, evapotranspiration, volumes, sensors,
+            lambda: pump.speed if pump else 0.0,
+        )
+        self._fault_since, self._frozen, self._output = 0, dict[str, float](), output
+        for server in self.servers:  # each has its own sensors
+            there = {
+                section: sensor for section, sensor in self._sensors.items()
+                if isinstance(sensor, ModbusSensor)
+                and parse_address(sensor.address) == server.address
+            }
+            server.connection = partial(
+                FaultyConnection, fault=self.fault, hear=partial(self._hear, there)
+            )
+        if pump is not None:
+            pump.update()
+            threading.Thread(target=pump.poll, daemon=True).start()
+        if output is not None:
+            print("time_s,cistern_level_m,roof_level_m", file=output, flush=True)
 
-    fault = ActiveFault()
-    output = None
+    run, addresses = SimulatedSite.run, SimulatedSite.addresses
 
-    def began(self) -> None:
-        """Note that a fault begins."""
+    def inject(self, name: str, parameter: int) -> None:
         self._fault_since, self._frozen = self.tick, {}
+        super().inject(name, parameter)
 
     def _has_fault(self, section: str, name: str) -> bool:
         return self.fault.name == f"{section}_{name}"
 
-    def device(self, sensors) -> Device:
-        def on_request(register: int) -> bool:
-            return not any(
-                self._has_fault(section, "silent")
-                and sensor.register <= register < sensor.register + sensor.registers
-                for section, sensor in sensors.items()
-            )
-
-        return replace(super().device(sensors), on_request=on_request)
+    def _hear(self, sensors, request) -> bool:
+        return not any(
+            self._has_fault(section, "silent")
+            and (sensor.device_id, sensor.register) == (request.dev_id, request.address)
+            for section, sensor in sensors.items()
+        )
 
     def words(self, section: str, sensor) -> list[int]:
         if self._has_fault(section, "absurd"):
             return [self.fault.parameter] * sensor.registers
         return super().words(section, sensor)
 
-    def published(self, section: str) -> float | None:
+    def raw(self, section: str) -> float | None:
         if self._has_fault(section, "silent"):
             return None
-        return self.fault.parameter if self._has_fault(section, "absurd") else self.raw(section)
-
-    def raw(self, section: str) -> float:
-        if self._has_fault(section, "frozen") and section in self._frozen:
-            return self._frozen[section]
-        raw = super().raw(section)
-        if self._has_fault(section, "frozen"):
-            self._frozen[section] = raw
-        return raw
+        if self._has_fault(section, "absurd"):
+            return self.fault.parameter
+        if not self._has_fault(section, "frozen"):
+            return super().raw(section)
+        return self._frozen.setdefault(section, super().raw(section))
 
     def true(self, section: str) -> float:
         value, parameter = super().true(section), self.fault.parameter
@@ -619,47 +622,8 @@ class FaultySite(SimulatedSite):
         elif self.fault.name == "leak":
             x1 = max(0.0, x1 - tau * self.fault.parameter * 1e-6)
         site.state = State(x1, x2, layer)
-        if self.output is not None:
-            cistern, roof = site.levels()
-            print(f"{self.tick * tau:.10g},{cistern:.9g},{roof:.9g},{speed:.4f},"
-                  f"{self._flowing:.9g},{self.pumped:.9g}", file=self.output, flush=True)
-
-
-COLUMNS = "time_s,cistern_level_m,roof_level_m,speed,pump_flow_m3_per_s,pumped_m3"
-
-
-class SiteBench(Bench):
-    """Runs cistern and roof behind their sensors."""
-
-    def __init__(
-        self, site: Site, rain, evapotranspiration, volumes, sensors, workbench: Address,
-        drive: Address | None = None, output=None,
-    ) -> None:
-        super().__init__(workbench)
-        pump = drive and DistantPump(drive, lambda: self.site.virtual_site.levels()[0], self.log)
-        self.site = FaultySite(
-            site, rain, evapotranspiration, volumes, sensors,
-            lambda: pump.speed if pump else 0.0,
-        )
-        self.site.fault, self.site.output = self.fault, output
-        self.site.began()
-        self.servers += self.site.servers
-        if pump is not None:
-            pump.update()
-            threading.Thread(target=pump.poll, daemon=True).start()
-        if output is not None:
-            print(COLUMNS, file=output, flush=True)
-
-    @property
-    def addresses(self) -> str:
-        return self.site.addresses
-
-    def inject(self, name: str, parameter: int) -> None:
-        self.site.began()
-        super().inject(name, parameter)
-
-    async def run(self, ended: asyncio.Event) -> None:
-        await self.site.run(ended)
+        if self._output is not None:
+            print(self.tick * tau, *site.levels(), sep=",", file=self._output, flush=True)
 
 
 # --- programs -------------------------------------------------------------------------------------
@@ -682,18 +646,16 @@ def drive_simulator(parser: argparse.ArgumentParser) -> None:
     add_site(parser)
     given = parser.parse_args()
     path, workbench = find_drive_file(given.drive), local(given.workbench)
-    if given.at:
-        broker, device = parse_topic(given.at, "--at")
-        make = RELAYS[read_relay_file(path).make]
-        relay = type(make.__name__, (FaultyRelay, make), {})(device, given.timeout)
-        bench: Bench = RelayBench(relay, broker, device, given.boot, workbench)
+    endpoint = read_endpoint(path, given.at or "tcp://127.0.0.1", "--at")
+    if isinstance(endpoint, RelayEndpoint):
+        bench: Bench = RelayBench(endpoint, given.timeout, given.boot, workbench)
     else:
-        settings = DriveSettings(given.ramp / given.speed, 2.0 / given.speed, given.timeout)
         address = Address(line=given.serial) if given.serial else local(given.port)
         drive_bench = DriveBench(
-            read_drive_file(path), settings, address, workbench, read_site(given.site)
+            endpoint.file, address, workbench, read_site(given.site), given.timeout
         )
         drive_bench.drive.boot_s = given.boot
+        drive_bench.drive.ramp_s = given.ramp / given.speed
         bench = drive_bench
     asyncio.run(bench.serve())
 

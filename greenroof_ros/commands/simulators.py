@@ -5,12 +5,11 @@ from __future__ import annotations
 import asyncio
 import signal
 import time
-from collections.abc import Coroutine, Mapping
+from collections.abc import Coroutine
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from greenroof_ros.base.command_line import Parser, command
-from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.exchange import Endpoint, read_endpoint
 from greenroof_ros.live.devices.modbus_line import check_installed
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
 
 # Time without a request after which the simulated relay switches itself off (s).
 _TIMER_S = 5.0
-_Device = TypeVar("_Device")
 
 
 def make_parser() -> Parser:
@@ -34,8 +32,8 @@ def make_parser() -> Parser:
         usage="%(prog)s [options]",
         description="Simulate the devices of a live site in real time: cistern and roof with their "
         "sensors on Modbus or MQTT, and the pump with its drive on Modbus or its relay on MQTT. "
-        "The registers, control word, ramp, fault codes and communication timeout are those of "
-        "the make described by the drive file. The air temperature is 15 degC.",
+        "The registers, control words, fault codes and communication timeout are those of the "
+        "drive file. The air temperature is 15 degC.",
         epilog="examples:\n"
         "  greenroof simulators site\n"
         "  greenroof simulators site --drive abb_acs880 --at gateway://127.0.0.1:5020\n"
@@ -49,7 +47,7 @@ def make_parser() -> Parser:
     )
     devices.add_argument(
         "--drive", default="danfoss_fc202", metavar="NAME",
-        help="simulate this make of drive or relay: a name in config/drives/, or your own file "
+        help="simulate this drive or relay: a name in config/drives/, or your own file "
         "(default: %(default)s)",
     )
     devices.add_argument(
@@ -81,22 +79,9 @@ def main() -> None:
     asyncio.run(_simulate(run, sensors, endpoint))
 
 
-def _find_make(simulated: Mapping[str, type[_Device]], make: str) -> type[_Device]:
-    if make not in simulated:
-        raise ConfigurationError(
-            f"cannot be simulated; must be one of {', '.join(simulated)}", key="make", value=make
-        )
-    return simulated[make]
-
-
 async def _simulate(run: Run, sensors: Sensors, endpoint: Endpoint) -> None:
-    from greenroof_ros.live.simulators.drive import (
-        DRIVES,
-        DriveSettings,
-        SimulatedDrive,
-        drive_server,
-    )
-    from greenroof_ros.live.simulators.relay import RELAYS, RelayOnBroker, SimulatedRelay
+    from greenroof_ros.live.simulators.drive import SimulatedDrive, drive_server
+    from greenroof_ros.live.simulators.relay import SimulatedRelay
     from greenroof_ros.live.simulators.server import Server
     from greenroof_ros.live.simulators.site import SimulatedSite
 
@@ -108,25 +93,25 @@ async def _simulate(run: Run, sensors: Sensors, endpoint: Endpoint) -> None:
         print(f"{time.monotonic() - began:9.2f} s  {text}", flush=True)
 
     def speed() -> float:
-        device.advance()
+        if isinstance(device, SimulatedDrive):
+            device.advance()
         return device.speed
 
     device: SimulatedDrive | SimulatedRelay
     servers: list[Server] = []
     tasks: list[Coroutine[Any, Any, None]] = []
     if isinstance(endpoint, RelayEndpoint):
-        relay = device = _find_make(RELAYS, endpoint.file.make)(endpoint.device, _TIMER_S)
-        tasks.append(RelayOnBroker(relay, endpoint.broker, endpoint.device).run(ended))
+        device = relay = SimulatedRelay(
+            endpoint.file, endpoint.broker, endpoint.device, _TIMER_S
+        )
+        tasks.append(relay.run(ended))
     else:
-        file, address = endpoint.file, endpoint.address
-        kind = _find_make(DRIVES, file.make)
-        drive = device = kind(file, DriveSettings(), interface=address.interface)
-        servers.append(drive_server(drive, file, address))
-    device.log = log
+        device = drive = SimulatedDrive(endpoint.file, endpoint.address.interface)
+        servers.append(drive_server(drive, endpoint.file, endpoint.address))
     weather = run.series.precipitation, run.series.evapotranspiration
     site = SimulatedSite(run.site, *weather, (run.x1, run.x2), sensors, speed)
     if isinstance(device, SimulatedDrive):
-        device.flow = site.flow
+        device.flow, device.log = site.flow, log
     servers += site.servers
     for server in servers:
         await server.open()

@@ -1,4 +1,6 @@
-"""What the nodes of all actuators have in common: the state file, and the services that use it.
+"""What the nodes of all actuators have in common: one path, the state file, and the services.
+
+Ten times a second, and at each request, a node observes, decides, acts, and publishes the state.
 
 ``~/stop`` (std_srvs/SetBool) with true holds the actuator, which then stays off, regardless of the
 command, even after a restart. ``~/release`` (std_srvs/Trigger) ends any hold, as does ``~/stop``
@@ -14,7 +16,7 @@ import math
 import time
 import traceback
 from collections.abc import Callable, Iterable
-from datetime import tzinfo
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,113 +27,154 @@ from std_srvs.srv import SetBool, Trigger
 from greenroof_ros.base.files import state_directory
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.interface.states import PUMP, DriveState, PumpState
+from greenroof_ros.interface.states import PUMP, DriveState
 from greenroof_ros.live.boot_clock import boot_time
-from greenroof_ros.live.live_diagnostics import ERROR, WARN
+from greenroof_ros.live.levels import LIMITS
+from greenroof_ros.live.live_diagnostics import ERROR, OK, WARN
 from greenroof_ros.live.node import LiveNode
-from greenroof_ros.live.pumping.interlocks import clear_refusal
-from greenroof_ros.live.pumping.state_file import MAX_NUMBER, StateFile
+from greenroof_ros.live.pumping.interlocks import Decision, clear_refusal
+from greenroof_ros.live.pumping.limits import check_command_limit
+from greenroof_ros.live.pumping.state_file import MAX_TIME, StateFile
 from greenroof_ros.ros.parameter_file import check_value
+from greenroof_ros.ros.parameters import declare
+from greenroof_ros.site.site import Site
 
 STATE_FILE = Parameter(
     "state_file", "", meaning="file that preserves holds, faults and the pump's usage in the "
         "last 24 h across restarts; if empty, greenroof_ros/NAME.json in $XDG_STATE_HOME or "
         "~/.local/state",
 )
-# For how long a suspension of the machine, or a changed state file, is reported (s).
-REPORTED_S = 60.0
-# The fields of a hold; the owner is needed.
+COMMAND, FLOW, STATE = "/pump/command", "/pump/flow", "/pump/state"
+COMMAND_LIMIT = LIMITS[COMMAND]
+# Interval between two decisions, and between two reports on the parts of the node (s).
+_STEP_S, _REPORT_S = 0.1, 0.2
+# The fields of a hold.
 _HOLD = (
-    Parameter("owner", "", meaning="whoever requests the hold"),
+    Parameter("owner", "", meaning="whoever requests the hold", optional=False),
     Parameter("reason", "", meaning="the reason"),
-    Parameter("until", 0.0, "s", 0.0, MAX_NUMBER, "end of the hold (s since 1970)"),
+    Parameter("until", 0.0, "s", 0.0, MAX_TIME, "end of the hold (s since 1970)"),
 )
 
 
 class ActuatorNode(LiveNode):
-    """A node that commands an actuator, and keeps it off during a hold or a latched fault."""
+    """A node that commands an actuator, and keeps it off during a hold or a latched fault.
 
-    def __init__(self, name: str) -> None:
-        """Join the graph.
+    Attributes:
+        site: the site.
+        values: values of the parameters.
+        state_file: holds, faults and usage.
+        decision: the last decision.
+    """
+
+    def __init__(self, name: str, parameters: Callable[[Site], Iterable[Parameter]]) -> None:
+        """Join the graph, and open the state file and the services.
 
         Args:
             name: name of the node.
+            parameters: function that returns the node's parameters at a site.
+
+        Raises:
+            ConfigurationError: if a parameter is invalid, or another process uses the state file.
         """
         super().__init__(name, PUMP)
-
-    # --- to override ------------------------------------------------------------------------------
-
-    def load(self) -> None:
-        """Begin with the state in the state file, which has just been read."""
-
-    def decide(self) -> PumpState:
-        """Act on the present state at once, and return the state of the actuator."""
-        raise NotImplementedError
-
-    def switch_off(self) -> None:
-        """Switch the actuator off now, because someone requests it."""
-
-    def out_of_reach(self) -> str:
-        """Return why a hold does not switch the actuator off; empty if it does."""
-        return ""
-
-    def discard_evidence(self) -> None:
-        """Forget what led to a fault that has been cleared."""
-
-    def acknowledge(self) -> None:
-        """Acknowledge a fault of the device itself, because a person has checked it."""
-
-    # --- state kept across restarts ---------------------------------------------------------------
-
-    def open_state_file(self, path: str, zone: tzinfo) -> None:
-        """Open the state file and the services.
-
-        Args:
-            path: value of the parameter :data:`STATE_FILE`.
-            zone: time zone in which the times of a hold are shown.
-        """
+        self.site = self.declare_site()
+        self.values = declare(self, parameters(self.site))
+        check_command_limit(
+            self.values[COMMAND_LIMIT.name], self.site.tau,
+            f"parameter {COMMAND_LIMIT.name} of {self.get_name()}",
+        )
         own_name = self.get_fully_qualified_name().strip("/").replace("/", "-")
-        self.state_file = StateFile(Path(path or state_directory() / f"{own_name}.json"), zone)
-        self._begin()
+        path = self.values[STATE_FILE.name] or state_directory() / f"{own_name}.json"
+        self.state_file = StateFile(Path(path), self.site.zone)
+        self.decision = Decision({})
+        self._stepped, self._reported_at = boot_time(), -math.inf
         self.open_service("stop", SetBool, self._stop)
         self.open_service("release", Trigger, lambda request: self._release())
         self.open_service("hold", SetParametersAtomically, self._hold)
         self.open_service("clear", Trigger, self._clear)
         self.open_service("reset", Trigger, self._reset)
 
-    def check_state_file(self) -> None:
-        """Acquire the state file if another process held it, repair it, and report on it."""
-        self._acquire()
-        self.state_file.check()
-        diagnosis, level = Diagnosis.if_any("state_not_kept", self.state_file.problem), ERROR
-        if diagnosis is None and boot_time() - self.state_file.changed_at < REPORTED_S:
-            diagnosis, level = Diagnosis.of("state_changed"), WARN
-        self.reports.diagnose("state file", diagnosis, "holds and faults are being saved", level)
+    # --- to override ------------------------------------------------------------------------------
 
-    def _acquire(self) -> None:
-        if self.state_file.acquire():
-            self._begin()
+    def step(self, dt: float) -> Decision:
+        """Observe, decide and act, and return the decision.
 
-    def _begin(self) -> None:
-        self.load()
-        self.state_file.save()  # once, before the actuator may be switched on
-        stored, hold = self.state_file.state, self.state_file.active_hold
-        if why := stored.fault or stored.unknown or (hold and hold.sentence):
-            self.get_logger().warning(f"{self.state_file.file} keeps the pump off: {why}")
+        Args:
+            dt: time since the last step (s).
+        """
+        raise NotImplementedError
 
-    def device_state(self, trouble: DriveState | None) -> DriveState:
-        """Return the state of the device, given what is wrong with the device itself, if any."""
-        stored = self.state_file.state
-        if stored.fault or stored.unknown:
-            return DriveState.FAULT
-        return trouble or (DriveState.STOPPED if self.state_file.active_hold else DriveState.READY)
+    def switch_off(self) -> str:
+        """Switch off now, because someone requests it; return why that does not succeed, if so."""
+        raise NotImplementedError
+
+    def discard_evidence(self, checked: bool = False) -> None:
+        """Forget what led to a fault that has been cleared.
+
+        Args:
+            checked: whether a person has checked the device, whose own fault is acknowledged.
+        """
+        raise NotImplementedError
+
+    def trouble(self) -> DriveState | None:
+        """Return what is wrong with the device itself, if anything."""
+        return None
+
+    # --- the path ---------------------------------------------------------------------------------
+
+    def decide(self) -> str:
+        """Observe, decide and act now; publish the state, and return it in words."""
+        now = boot_time()
+        dt, self._stepped = now - self._stepped, now
+        self.check_inputs()
+        before, self.decision = self.decision.shown, self.step(dt)
+        shown = self.decision.shown
+        if shown != before:
+            self.publish(STATE, shown.message())
+            # Not at every change of the words, since they contain numbers.
+            if (shown.state, shown.codes) != (before.state, before.codes):
+                self.get_logger().info(str(shown))
+        return str(shown)
+
+    def on_timer(self, now: float) -> None:
+        """Decide again, and report."""
+        if boot_time() - self._stepped >= _STEP_S:
+            self.decide()
+        if now - self._reported_at > _REPORT_S:
+            self._reported_at = now
+            self.state_file.check()
+            self.report()
+
+    def report(self) -> None:
+        """Report on the parts of the node; messages that contain numbers are not logged."""
+        decision, words = self.decision, str(self.decision.shown)
+        first = next(iter(decision.active.values()), None)
+        level, shown = OK, first
+        if decision.state == "fault":
+            level = ERROR
+        elif not decision.at_rest and decision.speed is None:
+            # What the pump does matters more than why it should be off.
+            level, shown = ERROR, Diagnosis("stands_unknown")
+        elif first is not None and first.code != "quiet_hours":  # these are as intended
+            level = WARN
+            if first.code == "hold" and not decision.at_rest:
+                shown = Diagnosis("stop_not_followed")
+        self.reports.diagnose(PUMP, shown and replace(shown, text=words), words, level, log=False)
+        problem = Diagnosis.if_any("state_not_kept", self.state_file.problem)
+        self.reports.diagnose("state file", problem, "holds and faults are being saved")
 
     def progress(self) -> dict[str, Any]:
-        """Return what the state file says, for bringup and the page."""
-        stored, hold = self.state_file.state, self.state_file.active_hold
+        """Return the values that bringup and the page show."""
+        decision, stored, hold = self.decision, self.state_file.state, self.state_file.active_hold
+        state = DriveState.STOPPED if hold else DriveState.READY
+        if stored.fault or stored.unknown:
+            state = DriveState.FAULT
+        elif trouble := self.trouble():
+            state = trouble
         return {
-            "fault": stored.fault,
-            "no_clear": clear_refusal(self.state_file),
+            "pump_state": decision.state, "pump_why": decision.why, "at_rest": decision.at_rest,
+            "speed": decision.speed, "flow": decision.flow, "drive_state": state.value,
+            "fault": stored.fault, "no_clear": clear_refusal(self.state_file),
             "unknown": stored.unknown,
             "hold": {
                 "owner": stored.hold_owner, "reason": stored.hold_reason,
@@ -152,14 +195,12 @@ class ActuatorNode(LiveNode):
         """Offer a service that returns success and a message; an error rejects a request."""
 
         def answer(request: Any, response: Any) -> Any:
-            self._acquire()
             try:
                 done, message = act(request)
-            except ValueError as error:
-                done, message = False, str(error)
             except Exception as error:  # no request may end the node that stops the pump
-                self.get_logger().error(traceback.format_exc())
-                done, message = False, f"the request failed: {error}"
+                if not isinstance(error, ValueError):
+                    self.get_logger().error(traceback.format_exc())
+                done, message = False, str(error)
             if kind is SetParametersAtomically:
                 response.result.successful, response.result.reason = done, message
             else:
@@ -183,7 +224,7 @@ class ActuatorNode(LiveNode):
         return self.hold(owner="the operator") if request.data else self._release()
 
     def _hold(self, request: SetParametersAtomically.Request) -> tuple[bool, str]:
-        fields = read_fields("hold", request, _HOLD, {"owner"})
+        fields = read_fields("hold", request, _HOLD)
         if not fields["owner"]:
             raise ValueError("a hold must have an owner")
         if fields.get("until", math.inf) <= time.time():
@@ -193,57 +234,50 @@ class ActuatorNode(LiveNode):
     def hold(self, **fields: Any) -> tuple[bool, str]:
         """Hold the actuator; for the fields see :meth:`StateFile.hold`."""
         as_requested = self.state_file.hold(**fields)
-        state = self.decide()
-        self.switch_off()
+        state, problem = self.decide(), self.switch_off()
         remark = "" if as_requested else "; the earlier hold lasts longer and was not shortened"
-        return self._answer(f"{state}{remark}", self.out_of_reach())
+        return self._answer(f"{state}{remark}", problem)
 
     def _release(self) -> tuple[bool, str]:
         self.state_file.release()
-        return self._answer(str(self.decide()))
+        return self._answer(self.decide())
 
     def _reset(self, request: Trigger.Request) -> tuple[bool, str]:
         stored = self.state_file.state
         cleared = "; ".join(filter(None, (stored.fault, stored.unknown)))
-        self.state_file.clear_unknown()
-        self._clear_fault()
-        self.acknowledge()
+        self.state_file.change(fault="", fault_code="", unknown="")
+        self.discard_evidence(checked=True)
         return self._answer(f"cleared: {cleared}" if cleared else "there was no fault")
 
     def _clear(self, request: Trigger.Request) -> tuple[bool, str]:
         if refusal := clear_refusal(self.state_file):
             raise ValueError(refusal)
-        self._clear_fault()
-        return self._answer(str(self.decide()))
-
-    def _clear_fault(self) -> None:
-        if self.state_file.state.fault:
-            self.state_file.fault("", "")
-            self.discard_evidence()
+        self.state_file.fault("", "")
+        self.discard_evidence()
+        return self._answer(self.decide())
 
 
 def read_fields(
-    name: str, request: SetParametersAtomically.Request, table: Iterable[Parameter],
-    needed: set[str],
+    name: str, request: SetParametersAtomically.Request, table: Iterable[Parameter]
 ) -> dict[str, Any]:
     """Return the fields of a request, by name.
 
     Args:
         name: name of the service, for messages.
         request: the request.
-        table: the fields that a request may have.
-        needed: names of the fields that a request must have.
+        table: the fields that a request may have, and must have unless they are optional.
 
     Raises:
         ValueError: if a field is missing, unknown or invalid.
     """
     known = {parameter.name: parameter for parameter in table}
+    needed = [parameter.name for parameter in known.values() if not parameter.optional]
     fields = {
         parameter.name: parameter_value_to_python(parameter.value)
         for parameter in request.parameters
     }
-    if not needed <= fields.keys() <= known.keys():
-        must = " and ".join(field for field in known if field in needed)
+    if not set(needed) <= fields.keys() <= known.keys():
+        must = " and ".join(needed)
         raise ValueError(f"a {name} must have {must}; it may only have {', '.join(known)}")
     for field, value in fields.items():
         try:

@@ -292,19 +292,18 @@ class LiveControllerNode(ControllerNode, LiveNode):
             self._learned_file.close()
 
     def _expect(self, command: float) -> None:
-        """Set the level changes expected in a tick, based on the rain gauge and the pump's flow.
+        """Set the level changes expected in a tick, based on the pump's flow.
 
         The flow is received from the pump, or is computed from the command if none has ever been
         received. An invalid flow is treated as 0, since the pump may be stopped; a constant level
-        then does not count as frozen. Snow does not reach any tank before it melts, so
-        precipitation during frost does not count.
+        then does not count as frozen.
         """
         site, flow = self._site, self._flow.value if self._flow.good else 0.0
         if not self._flow.received:
             cistern, roof = self._cistern.value, self._roof.value
             volumes = site.cistern_volume(cistern), site.roof_volume(roof)
             flow = pump_flow(plant_parameters(site), *volumes, min(command, 1.0))
-        self._levels.expect(flow, 0.0 if self._frost.value else self._measured_rain())
+        self._levels.expect(flow)
 
     def _measured_rain(self) -> float:
         """Return the rain from the gauge (m/s); 0 without a valid reading."""

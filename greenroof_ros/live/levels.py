@@ -10,9 +10,8 @@ from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.live.live_input import LiveInput
 from greenroof_ros.live.pumping.input_rules import (
     LevelRule,
-    Wetting,
     cistern_bounds,
-    expected_movement,
+    expected_movements,
     roof_bounds,
 )
 from greenroof_ros.site.site import Site
@@ -24,7 +23,7 @@ RECOVERY = Parameter(
 )
 _FROZEN_MOVEMENT = Parameter(
     "frozen_movement", 0.01, "", 1e-6, 10.0,
-        "change in level that the pump and the rain should have caused before an unchanged level "
+        "change in level that the pump should have caused before an unchanged level "
         "is considered frozen (m); must exceed the sensor's resolution",
 )
 _JUMP_TOLERANCE = Parameter(
@@ -76,7 +75,6 @@ class Levels:
             LevelRule(bounds, self._frozen_movement, values[_JUMP_TOLERANCE.name])
             for bounds in (cistern_bounds(site), roof_bounds(site))
         ]
-        self._wetting = Wetting()
         self.cistern = subscribe("/cistern/level", level=self._rules[0])
         self.roof = subscribe("/roof/level", level=self._rules[1])
 
@@ -86,13 +84,14 @@ class Levels:
         cistern, roof = self._rules
         return cistern.displacement, roof.displacement
 
-    def expect(self, flow: float, rain: float = 0.0) -> None:
-        """Set the level changes that a tick's pump flow (m3/s) and rain (m/s) must cause."""
-        tau = self._site.tau
-        movements = expected_movement(
-            self._site, flow, rain, self._wetting.excess(rain, tau), self.cistern.value,
-            self.roof.value, self._frozen_movement,
+    def expect(self, flow: float) -> None:
+        """Set the level changes that the pump's flow (m3/s) must cause in a tick.
+
+        A coarse sensor may be off by half of the movement beyond which a level is frozen.
+        """
+        movements = expected_movements(
+            self._site, flow, self.cistern.value, self.roof.value, self._frozen_movement / 2
         )
         for rule, movement in zip(self._rules, movements, strict=True):
-            rule.expect(movement, tau)
+            rule.expect(movement * self._site.tau)
 

@@ -15,7 +15,6 @@ from greenroof_ros.controllers.registry import EXTERNAL, FOR_A_SITE, ControllerC
 from greenroof_ros.forecast.service import ENSEMBLE, FORECAST, OPEN_METEO
 from greenroof_ros.interface.states import PUMP, RECORDER
 from greenroof_ros.live.devices.drive import DriveEndpoint
-from greenroof_ros.live.devices.modbus_line import parse_address
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, ModbusSensor, Sensors, read_sensors
 from greenroof_ros.live.drive_choice import DriveChoice, add_drive_arguments, read_drive_choice
 from greenroof_ros.live.heartbeat import NOT_REQUIRED
@@ -93,11 +92,6 @@ class LiveSite:
                 "must be an existing file",
             ))
             self.sensed = read_sensors(self.sensors)
-            depth = self.sensed.roof.substrate_depth
-            refuse((
-                depth not in (None, site.z_soil), f"{self.sensors}: roof.substrate_depth", depth,
-                f"must equal z_soil of the site file, {site.z_soil:g} m",
-            ))
             if drive is not None:
                 _refuse_shared_line(drive, self.sensed)
         has_thermometer = self.sensed is not None and self.sensed.thermometer is not None
@@ -288,8 +282,8 @@ def _refuse_shared_line(drive: DriveChoice, sensors: Sensors) -> None:
     if not isinstance(endpoint, DriveEndpoint):
         return
     for section, sensor in sensors.by_section.items():
-        if isinstance(sensor, ModbusSensor) and endpoint.address.shares_line(
-            parse_address(sensor.address)
+        if endpoint.address.line and isinstance(sensor, ModbusSensor) and (
+            sensor.connection == endpoint.address.canonical_name(0)
         ):
             raise ConfigurationError(
                 f"is also the serial line of sensor {section}, but only one program can open "

@@ -244,7 +244,7 @@ class LiveNode(GraphNode):
         if passed > PAUSE_S:
             self._ignoring_until = now + PAUSE_S
             for entry in self.inputs.values():
-                entry.rules.clear(passed)
+                entry.rules.clear(now, passed)
                 entry.check()
 
 

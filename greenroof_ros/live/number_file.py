@@ -6,11 +6,9 @@ import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from greenroof_ros.base.disk import DISK
-from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.files import replace_text
+from greenroof_ros.base.files import read_yaml, replace_text
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.live.latest_writer import LatestWriter
 
@@ -18,8 +16,8 @@ _CLOSE_S = 2.0
 _FINITE = Range(-sys.float_info.max, sys.float_info.max)
 
 
-class NumberFile:
-    """A file of named numbers, written by the disk thread because a disk may stop responding.
+class NumberFile(LatestWriter[Mapping[str, float]]):
+    """A file of named numbers.
 
     The file is replaced as a whole, so that a power cut leaves either the old or the new file.
     """
@@ -27,14 +25,9 @@ class NumberFile:
     def __init__(self, file: Path) -> None:
         """Store the path of the file, which need not exist yet."""
         self._file = file
-        self._newest = LatestWriter[dict[str, float]](
-            lambda values: replace_text(file, json.dumps(values, indent=1), parents=True), str
+        super().__init__(
+            lambda values: replace_text(file, json.dumps(values, indent=1), parents=True)
         )
-
-    @property
-    def problem(self) -> str:
-        """The reason why the latest numbers are not being written; empty if there is no problem."""
-        return "the disk does not respond" if DISK.late else self._newest.problem
 
     def read(self) -> dict[str, float]:
         """Return the numbers in the file; an empty mapping if there is no file.
@@ -43,23 +36,13 @@ class NumberFile:
             ConfigurationError: if the file cannot be read, or is not a mapping of names to finite
                 numbers.
         """
-        try:
-            content: Any = json.loads(self._file.read_text(encoding="utf-8"))
-        except FileNotFoundError:
+        if not self._file.exists():
             return {}
-        except (OSError, ValueError) as error:
-            raise ConfigurationError(f"cannot be read: {error}", file=self._file) from error
-        if not isinstance(content, dict):
-            raise ConfigurationError("must be a mapping of names to numbers", file=self._file)
         return {
-            name: _FINITE.read(value, key=name, file=self._file) for name, value in content.items()
+            name: _FINITE.read(value, key=name, file=self._file)
+            for name, value in read_yaml(self._file).items()  # JSON is YAML
         }
-
-    def write(self, values: Mapping[str, float]) -> None:
-        """Queue numbers for writing."""
-        self._newest.write(dict(values))
 
     def close(self) -> None:
         """Wait at most two seconds until all numbers are written."""
         DISK.wait(_CLOSE_S)
-

@@ -12,25 +12,20 @@ from greenroof_ros.ros import begin_node
 
 begin_node(__name__)
 
-import math
-import time
+from collections import defaultdict
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.interface.conditions import Diagnosis
+from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.devices.sensor import ModbusReader, MqttReader, SensorLine
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS, ModbusSensor, read_sensors
 from greenroof_ros.live.levels import LIMITS
-from greenroof_ros.live.live_diagnostics import ERROR, STALE, WARN
+from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.ros.parameters import declare
-
-# After this many periods without a reading, good or bad, the reader of a device counts as hung.
-_PERIODS = 5
-# Time without a first reading after which the node reports what it is waiting for (s).
-_AWAITED_S = 5.0
 
 
 def parameters(site: object = None) -> list[Parameter]:
@@ -41,7 +36,7 @@ def parameters(site: object = None) -> list[Parameter]:
 class SensorNode(LiveNode):
     """Node that publishes the readings of a sensor."""
 
-    def __init__(self, section: str, file: Path, lines: dict[str, SensorLine]) -> None:
+    def __init__(self, section: str, file: Path, lines: defaultdict[str, SensorLine]) -> None:
         """Read the sensor's section, without connecting to the sensor yet.
 
         Args:
@@ -62,47 +57,29 @@ class SensorNode(LiveNode):
         self._part, self._level = ("sensor", ERROR) if section in TANKS else ("gauge", WARN)
         self.open_outputs(self._topic)
         self._newest: float | None = None
-        self._counts = sensor.counts
-        self._started = self._published = time.monotonic()
+        self._published = boot_time()
         self.reports.hardware = str(sensor)
         self._reader: ModbusReader | MqttReader
         if isinstance(sensor, ModbusSensor):
-            line = lines.get(sensor.connection)
-            if line is None or line.closed:
-                line = lines[sensor.connection] = SensorLine(sensor.address)
-            age = values[quantity.limit]
+            line, age = lines[sensor.connection], values[quantity.limit]
             self._reader = ModbusReader(sensor, unit, line, age, quantity.spread_s)
-            # In addition, the other sensors on its line can take half of the maximum age.
-            self._hangs_s = _PERIODS * sensor.period + age / 2
         else:
             self._reader = MqttReader(quantity.node, sensor, unit, quantity.spread_s)
-            self._hangs_s = math.inf
 
     def on_start(self) -> None:
-        """Start reading the sensor; its line knows all its sensors by then."""
+        """Start reading the sensor."""
         self._reader.start()
 
     def on_timer(self, now: float) -> None:
         """Publish every new valid reading, and report the reason for an invalid reading."""
         reading = self._reader.snapshot
-        if now - max(reading.read_at, self._started) > self._hangs_s:
-            self.reports.diagnose(self._part, Diagnosis.of("sensor_hangs"), level=STALE)
-            return
         if reading.read_at > self._published or reading.value != self._newest:
-            if self._counts and self._newest and reading.value is None:
-                self.publish(self._topic, 0.0)  # all that was due has been published
-            self._newest = reading.value
-            self._published = reading.read_at
+            self._newest, self._published = reading.value, reading.read_at
             if reading.value is not None:
                 # An empty tank or a stopped pump may read slightly below 0 because of noise or a
                 # shifted zero.
                 self.publish(self._topic, max(reading.value, self._lowest))
-        elif math.isinf(reading.read_at) and now - self._started <= _AWAITED_S:
-            return
         problem = Diagnosis.if_any(reading.code, reading.problem)
-        if problem is None or problem.code == "sensor_lost":  # a lost broker is not a reading
-            # Without new readings, this becomes a lost sensor after a while.
-            problem = self._reader.share.diagnosis or problem
         self.reports.diagnose(self._part, problem, "the sensor is being read", self._level)
 
     def on_stop(self) -> None:
@@ -116,7 +93,7 @@ def sensor_makers(file: Path) -> list[Callable[[], LiveNode]]:
     Raises:
         ConfigurationError: if the file is invalid.
     """
-    lines: dict[str, SensorLine] = {}
+    lines: defaultdict[str, SensorLine] = defaultdict(SensorLine)
     return [
         partial(SensorNode, section, file, lines) for section in read_sensors(file).by_section
     ]

@@ -34,7 +34,6 @@ from greenroof_ros.interface.alarm import Alarm, to_record
 from greenroof_ros.interface.states import PUMP
 from greenroof_ros.live.live_site import MIN_BAG_MB, LiveSite
 from greenroof_ros.live.pumping.limits import check_command_limit
-from greenroof_ros.live.pumping.state_file import STATE_FILE, create_state_file
 from greenroof_ros.live.service_manager import notify
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, ProcessStart
 from greenroof_ros.live.time_limit import silence_limit
@@ -85,7 +84,6 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         _state_directory(state) as state,
         scratch_directory(IN_MEMORY) as memory,
     ):
-        create_state_file(state / STATE_FILE)
         _fit_bag(site, state / "bag")
         processes = list(site.processes(state))
         configuration = _Configuration(memory, site, user_files, processes)
@@ -111,7 +109,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
 
 def _check_pump(tau: float, files: Sequence[Path], node: str) -> None:
     """Check before anything starts what the pump node would reject; see `check_command_limit`."""
-    from greenroof_ros.live.pump import COMMAND_LIMIT  # it imports ROS
+    from greenroof_ros.live.actuator import COMMAND_LIMIT  # it imports ROS
 
     limit = find_value(files, node, COMMAND_LIMIT)
     check_command_limit(limit, tau, f"parameter {COMMAND_LIMIT.name} of {PUMP}")

@@ -159,7 +159,7 @@ class LiveWeatherNode(WeatherNode, LiveNode):
             days=min(days, MAX_DAYS), url=values["fetch_url"],
         )
         files = ForecastFiles(file, file.with_suffix(""))
-        self._kept = LatestWriter[IssuedForecast](files.write, str)
+        self._kept = LatestWriter[IssuedForecast](files.write)
         fetcher = Fetcher(service, self._kept.write, 60 * values["fetch_every"])
         fetcher.start()
         return fetcher

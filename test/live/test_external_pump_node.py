@@ -143,7 +143,7 @@ def test_a_driver_that_does_not_stop_is_a_fault(rig: Rig) -> None:
         assert old in text
         text = text.replace(old, new)
     text = text.replace("target, step = min(command, 1.0)", "target, step = 0.5")
-    rig.start(drive_ramp=1.0, follow_time=2.0)
+    rig.start(follow_time=2.0)
     rig.drive(text)
     rig.play(rig.runs, "running")
     answer = rig.call(SetBool, "stop", data=True)

@@ -13,7 +13,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
@@ -22,14 +22,13 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from disks import disk_that_hangs
 from graphs import Process, free_ports, wait_for
-from places import CONFIG
 from pump_node_rig import PumpRig, state_in
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from ros_rig import ERROR, LATE, OK, SUSPENDED, WARN, Observer
+from ros_rig import ERROR, LATE, OK, SUSPENDED, Observer
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
@@ -37,7 +36,6 @@ from greenroof_ros.base.times import to_people
 from greenroof_ros.commands.pump_requests import _parse_future_time
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.exchange import DriveExchange, DriveSnapshot, read_endpoint
-from greenroof_ros.live.pumping.state_file import StateFile
 
 
 @pytest.fixture
@@ -70,7 +68,7 @@ def test_it_connects_by_itself_and_its_report_shows_the_state(rig: PumpRig) -> N
 
 
 HEAD = b"\x00\x01\x00\x00"  # of a message, little-endian
-GUARDS = DriveSnapshot(timeout_known=True, timeout_s=3.0)
+GUARDS = DriveSnapshot(timeout_s=3.0)
 
 
 @pytest.mark.parametrize(
@@ -78,13 +76,10 @@ GUARDS = DriveSnapshot(timeout_known=True, timeout_s=3.0)
     [
         ("abb_acs880", "gateway://127.0.0.1", GUARDS, False, None),
         ("abb_acs880", "gateway://127.0.0.1",
-         DriveSnapshot(timeout_known=True, timeout_s=10.5), False,
-         "is 10.5 s, but must be at most 10 s; to set it: "),
-        ("abb_acs880", "gateway://127.0.0.1",
-         DriveSnapshot(timeout_known=True, timeout_note="0"), False,
-         "is not effective (0); to set it: "),
+         DriveSnapshot(timeout_s=10.5), False,
+         "it is 10.5 s, but must be at most 10 s; to set it: "),
         ("abb_acs880", "tcp://127.0.0.1", DriveSnapshot(timeout_note="no timeout.tcp"), False,
-         "could not be read (no timeout.tcp)"),
+         "is not effective: no timeout.tcp"),
         ("grundfos_cim500", "tcp://127.0.0.1", GUARDS, False,
          "and confirm this (local_settings_stop_the_pump: true); to set it: "),
         ("grundfos_cim500", "tcp://127.0.0.1", GUARDS, True, None),
@@ -111,31 +106,8 @@ def test_without_the_drives_own_timeout_it_does_not_run(rig: PumpRig) -> None:
     for _ in range(10):
         assert rig.tick(0.5) == 0.0
     assert rig.drive.speed() == 0.0
-    words = "did not respond at the end", "it can now only be stopped at its panel"
+    words = "was not stopped at the end", "only a person at its panel can stop it"
     ends_in_words(rig, node, "silence", *words)
-
-
-def test_what_the_drive_file_reports(rig: PumpRig) -> None:
-    """Its time after power-up without guarding, and its minimum speed.
-
-    0.4 of the flow from 3 m is a speed of 0.60, s^2 = (0.16 42.2 + 13) / 55.2: below 0.9.
-    """
-    text = (CONFIG / "drives" / "abb_acs880.yaml").read_text()
-    text = text.replace("after_power_up_s: 30 ", "after_power_up_s: 4 ")
-    file = rig.cwd / "mine.yaml"
-    file.write_text(text.replace("min_speed: 0.3", "min_speed: 0.9"))
-    rig.simulate()
-    began = time.monotonic()
-    rig.start(drive=str(file))
-    rig.join()
-    rig.tick_until(0.4, lambda: "is not effective for 4 s" in rig.state, LATE, "the reason")
-    rig.until_code("drive timeout", "drive_guards_later", 0.4)
-    assert rig.drive_state == "refused"
-    while time.monotonic() - began < 4:  # it connected after this began
-        assert rig.tick(0.4) == 0.0
-    rig.tick_until(0.4, lambda: rig.drive.speed() > 0.89, 60, "a pulse at the minimum speed")
-    assert "in pulses" in rig.state
-    assert rig.shows("drive timeout", OK, "beware: a change of 58.14 to 58.16 takes effect only")
 
 
 def test_malformed_messages_stop_the_motor_and_not_the_node(rig: PumpRig) -> None:
@@ -173,37 +145,6 @@ def ends_in_words(rig: PumpRig, node: subprocess.Popen[str], fault: str, *words:
 STOPPED = "held: a hold by the operator"
 
 
-def test_a_state_that_another_program_keeps(rig: PumpRig) -> None:
-    """The pump does not run, a stop warns that it would be forgotten, and it recovers.
-
-    A fault that the other program recorded meanwhile counts, and so does the stop. If this ended
-    the node, the whole site would end with it.
-    """
-    file = rig.cwd / "pump.json"
-    with closing(StateFile(file)) as holder:
-        assert holder.flush(20.0) == ""
-        words = f"process {os.getpid()} holds the lock"
-        before = file.read_bytes()
-        node = rig.start(state_file=file)
-        rig.join()
-        rig.until_state(words)
-        rig.until_code("pump", "state_not_kept")
-        rig.until_reported("state file", ERROR, words)
-        answer = rig.call(SetBool, "stop", data=True)
-        assert not answer.success and words in answer.message
-        assert rig.state.startswith(STOPPED)
-        assert file.read_bytes() == before
-        holder.fault("burst pipe", "delivery")
-    rig.until_state("fault: burst pipe; a hold by the operator since ")
-    assert rig.call(Trigger, "reset").success
-    assert rig.drive.speed() == 0.0
-    assert rig.call(SetBool, "stop", data=True).success
-    assert file.is_file() and node.poll() is None
-    assert rig.call(SetBool, "stop", data=False).success
-    rig.run()
-    assert rig.shows("state file", OK)
-
-
 def test_a_disk_that_hangs_undoes_no_stop(rig: PumpRig) -> None:
     """The stop is answered in time, and written when the disk is back.
 
@@ -239,9 +180,8 @@ def test_commands_that_must_not_pump(rig: PumpRig) -> None:
         rig.run()
     rig.until_reported("command", ERROR, "rejected", command=-1.0)
     rig.until_code("pump", "command_unknown", -1.0)
-    assert rig.observer.values("/pump: pump")["cause"] == rig.code("command") == "input_refused"
+    assert rig.code("command") == "input_refused"
     rig.run()
-    rig.until_reported("limits", WARN, "treated as 1", command=5.0)
     # The second has the same name as the first: endpoints count, not names.
     name = rig.node.get_name()
     twin = Node(name, context=rig.observer.context, start_parameter_services=False)
@@ -301,7 +241,7 @@ def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(rig: Pump
     stays_off(STOPPED)
     assert rig.call(SetBool, "stop", data=False).success
     rig.run()
-    words = "was not stopped at the end", "its own timeout of 1.5 s must stop it"
+    words = "was not stopped at the end", "its own timeout (1.5 s)"
     ends_in_words(rig, node, "stuck_running", *words)
 
 
@@ -332,21 +272,6 @@ def forged(rig: PumpRig, **values: str) -> Iterator[None]:
     rig.node.destroy_publisher(publisher)
 
 
-def test_quiet_hours_are_of_the_sites_time(rig: PumpRig) -> None:
-    """In hours that began a minute ago in UTC, for six minutes."""
-    now = datetime.now(timezone.utc)
-    begin, end = (now + timedelta(minutes=minutes) for minutes in (-1, 5))
-    rig.start(site_file=rig.site(
-        f'quiet_hours: ["{begin:%H:%M}-{end:%H:%M}"]', "time_zone: UTC", "utc_offset: 0"
-    ))
-    rig.join()
-    held = f"held: quiet hours are in force until {end:%Y-%m-%d %H:%M}+00:00"
-    rig.tick_until(0.5, lambda: rig.state == held, LATE, held)
-    rig.until_code("pump", "quiet_hours")
-    assert [rig.tick(0.5) for _ in range(5)] == [0.0] * 5
-    assert rig.drive.speed() == 0.0
-
-
 def test_a_hold_is_kept_over_restarts_and_ends_automatically(rig: PumpRig) -> None:
     """By the command, with its end and its reason; who releases it need not be its owner.
 
@@ -355,11 +280,6 @@ def test_a_hold_is_kept_over_restarts_and_ends_automatically(rig: PumpRig) -> No
     node = rig.start()
     rig.run()
     until = datetime.now().astimezone() + timedelta(hours=1)
-    for wrong in ("2020-01-01T00:00", "tomorrow"):
-        code, output = command(rig, "hold", "--until", wrong)
-        assert (code, wrong[:4] in output) == (2, True), output
-    assert command(rig, "hold", "--until", "2030-01-01", "--for", "1")[0] == 2
-    rig.until_state("running")
     code, output = command(
         rig, "hold", "--until", f"{until:%Y-%m-%dT%H:%M:%S}", "--reason", "painting",
     )
@@ -371,11 +291,9 @@ def test_a_hold_is_kept_over_restarts_and_ends_automatically(rig: PumpRig) -> No
     assert (code, bool(held.match(output))) == (0, True), output
     rig.until_at_rest()
     assert held.fullmatch(rig.state)
-    rig.until_code("pump", "hold")
     report = rig.observer.values("/pump")["hold"]
     assert (report["owner"], report["reason"]) == ("the command line", "painting")
     assert report["until"] == int(until.timestamp())
-    assert 0 < time.time() - report["since"] < LATE
     node.kill()
     node.wait()
     rig.start()
@@ -392,7 +310,6 @@ def test_a_hold_is_kept_over_restarts_and_ends_automatically(rig: PumpRig) -> No
     assert time.time() >= soon - 1
     assert command(rig, "hold")[0] == 0
     rig.until_at_rest()
-    assert re.fullmatch(r"held: a hold by the command line since [-\d]+ [:\d]+-05:00", rig.state)
     code, output = command(rig, "hold", "--for", "1")
     assert (code, "the earlier hold lasts longer and was not shortened" in output) == (0, True)
     code, output = command(rig, "release")
@@ -466,28 +383,6 @@ def test_a_broken_state_needs_a_reset(rig: PumpRig) -> None:
     rig.run()
 
 
-def test_a_state_file_that_is_removed(rig: PumpRig) -> None:
-    """The node writes it again and warns; removed while it is down, the pump stays off."""
-    rig.simulate()
-    file = rig.cwd / "pump.json"
-    node = rig.start(state_file=file)
-    rig.join()
-    assert rig.call(SetBool, "stop", data=True).success
-    file.unlink()
-    rig.until_code("state file", "state_changed")
-    # A thread writes it.
-    wait_for(lambda: file.exists() and "the operator" in file.read_text(), 30, "the file")
-    node.kill()
-    node.wait()
-    file.unlink()
-    rig.start(state_file=file)
-    rig.join()
-    rig.until_code("pump", "state_unknown")
-    assert [rig.tick(0.5) for _ in range(5)] == [0.0] * 5
-    assert rig.call(Trigger, "reset").success
-    rig.run()
-
-
 def test_commands_without_a_graph_say_what_to_do(domain: int, tmp_path: Path) -> None:
     """A time in the past is refused first, since no graph would accept it."""
     dose, reset, past = (
@@ -518,57 +413,42 @@ def test_a_dose_by_the_command(rig: PumpRig) -> None:
     with forged(rig, dose='{"id": 1, "over": "expired", "sentence": 7}'):
         code, output = command(rig, "dose", "--volume", "0.05")
     assert (code, output.splitlines()[-1]) == (0, "the dose of 0.05 m3 was delivered")
-    assert " of 0.05 m3 was accepted" in output and " a dose of " not in rig.state
+    assert " of 0.05 m3 was accepted" in output
     rig.until_at_rest(0.0)
     assert rig.pumped() - before == pytest.approx(0.05, rel=0.1)
-    assert any(state.startswith("running: a dose of 0.05 m3: ") for state in rig.states)
-    assert not rig.code("dose")
+    assert "running: a dose of 0.05 m3" in rig.states
 
     code, output = command(rig, "dose", "--volume", "0.6")
-    assert (code, "at most 0.5 m3 (max_dose)" in output) == (1, True)
+    assert (code, "to 0.5 m3 (max_dose)" in output) == (1, True)
     process = Process(rig.domain, "dose", "--volume", "0.5", cwd=rig.cwd)
     rig.tick_until(0.0, lambda: "a dose of 0.5 m3" in rig.state, LATE, "a dose")
     assert rig.call(SetBool, "stop", data=True).success
     rig.tick_until(0.0, lambda: process.process.poll() is not None, LATE, "its end")
     assert process.wait(1) == 1
     assert "error: the dose ended early, after " in process.stderr()
-    rig.tick_until(0.0, lambda: rig.code("dose") == "dose_ended_early", LATE, "its code")
     assert rig.call(SetBool, "stop", data=False).success
     assert [rig.tick(0.0) for _ in range(20)][10:] == [0.0] * 10
 
 
 def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Old inputs do not count; the node reports that no one watched the pump meanwhile.
-
-    In an hour a low outlet takes 0.5 m: this is not a fault.
-    """
-    site = rig.cwd / "site.yaml"
-    site.write_text(
-        (CONFIG / "site.yaml").read_text().replace("tau: 1.0 ", "tau: 0.2 ")
-        + "\nlow_outlet_level: 1.0\nlow_outlet_radius: 0.025\n"
-    )
+    """Old inputs do not count. In an hour a low outlet takes 0.5 m: this is not a fault."""
+    site = rig.site("tau: 0.2", "low_outlet_level: 1.0", "low_outlet_radius: 0.025")
     (rig.cwd / "sitecustomize.py").write_text(SUSPENDED)
     rig.simulate()  # the drive is not suspended
-    monkeypatch.setenv("PYTHONPATH", str(rig.cwd))
-    rig.start(
-        site_file=site, level_limit=1.0, frost_limit=1.0,
-        command_limit=1.0, recovery_time=0.3, averaging_time=1.0,
-    )
+    monkeypatch.setenv("PYTHONPATH", f"{rig.cwd}:{os.environ.get('PYTHONPATH', '')}")
+    rig.start(site_file=site, level_limit=1.0, frost_limit=1.0, command_limit=1.0)
     inputs = {"/cistern/level": 2.5, "/roof/level": 0.01, "/weather/frost": 0.0}
 
     def play(until: Callable[[], Any], event: str, command: float = 0.5) -> None:
         rig.play({**inputs, "/pump/command": command}, until, event, LATE)
 
     rig.join()
-    play(
-        lambda: rig.drive.speed() > 0.5 and rig.shows("delivery", OK, "compared"),
-        "a pump that is watched",
-    )
+    play(lambda: rig.drive.speed() > 0.5, "a pump that runs")
     (rig.cwd / "suspended").touch()
     inputs["/cistern/level"] = 2.0
-    play(lambda: rig.shows("suspend", ERROR, "for 3600 s while the pump was on"), "the alarm", 0.0)
-    play(lambda: rig.shows("delivery", OK) and rig.shows("inputs", OK), "what is new", 0.0)
-    assert any("/pump/command is unknown: this node" in said for said in rig.observer.messages)
+    play(lambda: any("/pump/command is unknown: this node" in said for said in
+                     rig.observer.messages), "the reason", 0.0)
+    play(lambda: rig.shows("inputs", OK), "what is new", 0.0)
     began = time.monotonic()
     play(lambda: time.monotonic() > began + 3, "three seconds", 0.0)
     assert rig.state == "off: the command is 0"
@@ -577,10 +457,8 @@ def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.Mo
 
 def test_live(rig: PumpRig) -> None:
     """A flow each tick of its own; unknown frost stops it; a flow meter counts, not the speed."""
-    site = rig.cwd / "site.yaml"
-    site.write_text((CONFIG / "site.yaml").read_text().replace("tau: 1.0 ", "tau: 0.2 "))
     rig.start(
-        site_file=site, level_limit=1.0, frost_limit=1.0, command_limit=1.0,
+        site_file=rig.site("tau: 0.2"), level_limit=1.0, frost_limit=1.0, command_limit=1.0,
         flow_limit=1.0, recovery_time=0.3,
     )
     levels = {"/cistern/level": 2.5, "/roof/level": 0.01, "/weather/frost": 0.0}
@@ -596,7 +474,5 @@ def test_live(rig: PumpRig) -> None:
     assert 4 <= len(rig.flows) - before <= 20
     rig.play({**good, "/weather/frost": math.nan}, lambda: rig.drive.speed() == 0.0, "a stop")
     runs()
-    rig.play(good, lambda: rig.shows("flow", OK, "computed from the speed"), "the flow's source")
     measured = {**good, "/pump/meter": 0.00321}
     rig.play(measured, lambda: rig.flows[-1] == 0.00321, "the measured flow")
-    rig.play(measured, lambda: rig.shows("flow", OK, "flow meter"), "its source")

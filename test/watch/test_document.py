@@ -588,9 +588,9 @@ LOST = "off: no connection to the drive; it is unknown whether the pump is stopp
 def test_a_pump_that_may_turn_is_unknown_and_an_alarm() -> None:
     """Placeholders on its topics are not shown: neither off nor 0.0 L/min."""
     lost = alarm("/pump: pump", "pump", "stands_unknown", LOST)
-    limited = alarm("/pump: limits", "pump", "limited", "3 m3", WARN)
+    warned = alarm("/pump: drive", "pump", "drive_warning", "warm", WARN)
     document = with_pump(
-        watched("live", limited, lost, pump_command=1.0), LOST,
+        watched("live", warned, lost, pump_command=1.0), LOST,
         at_rest=False, speed=None, flow=None,
     )
     tile, summary = document["tiles"]["pump"], document["tiles"]["summary"]
@@ -600,7 +600,7 @@ def test_a_pump_that_may_turn_is_unknown_and_an_alarm() -> None:
     assert (summary["level"], summary["word"]) == ("error", "1 alarm, 1 warning.")
     assert summary["sentence"] == "The pump may be running."
     assert [(row["id"], row["level"]) for row in document["alarms"]] == [
-        ("/pump: pump", "error"), ("/pump: limits", "warn"),
+        ("/pump: pump", "error"), ("/pump: drive", "warn"),
     ]
     assert "Go and see" in document["advice"]
 

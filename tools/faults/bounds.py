@@ -7,16 +7,14 @@ from __future__ import annotations
 
 import os
 
-from greenroof_ros.live.devices.exchange import (
-    FIRST_WAIT_S,
-    PERIOD_S,
-    RUNS_ON_S,
-    SILENCE_MARGIN_S,
-    VISIBLE_S,
-)
+from greenroof_ros.live.devices.drive import DriveEndpoint
+from greenroof_ros.live.devices.drive_file import LIMIT_S as OBEYS_S
+from greenroof_ros.live.devices.exchange import FIRST_WAIT_S
 from greenroof_ros.live.levels import LIMITS
 from greenroof_ros.live.live_bag import FLUSH_S
 from greenroof_ros.live.pump import parameters as parameters_of_pump
+from greenroof_ros.live.pumping.delivery import AVERAGING_S, MIN_DELIVERY
+from greenroof_ros.live.pumping.pump_control import AFTERFLOW_S
 from greenroof_ros.physics.pump import flow_at
 from greenroof_ros.site.site import Site
 
@@ -40,17 +38,13 @@ def bounds(site: Site) -> dict[str, float]:
         site: of the campaign.
     """
     pump = {parameter.name: parameter.default for parameter in parameters_of_pump(site)}
-    follow, ramp, averaging, tolerance, delivery = (
-        float(pump[name])
-        for name in ("follow_time", "drive_ramp", "averaging_time", "level_tolerance",
-                     "min_delivery")
-    )
-    exchange = 2 * PERIOD_S
+    follow, tolerance = float(pump["follow_time"]), float(pump["level_tolerance"])
+    exchange = 2 * DriveEndpoint.period
     end = exchange + RAMP_S + SLACK_S
     # The line is left silent if the speed has not fallen for this long.
-    runs_on = RUNS_ON_S + VISIBLE_S + SILENCE_MARGIN_S + DRIVE_TIMEOUT_S + exchange + end
+    runs_on = OBEYS_S + DRIVE_TIMEOUT_S + exchange + end
     step = site.tau + end
-    frozen, jump, apart = 0.01, 0.02, 0.1
+    frozen, jump = 0.01, 0.02
     flow = flow_at(site, 1.0, 2.0)
     return {
         # A rule of the pump node, or of the controller: one tick until it acts.
@@ -64,8 +58,8 @@ def bounds(site: Site) -> dict[str, float]:
         "frost": _limit("/weather/frost") + step,
         # The drive stops automatically, or bringup stops it.
         "drive": DRIVE_TIMEOUT_S + end,
-        # For this time the slowest permitted ramp can explain the speed.
-        "follow": apart * ramp + follow + step,
+        # The speed comes no nearer to what is requested.
+        "follow": follow + step,
         # A level that does not change although the pump moves water.
         "cistern frozen": frozen * site.a1 / flow + _limit("/cistern/level") + step,
         "roof frozen": frozen * site.a2 / flow + _limit("/roof/level") + step,
@@ -75,7 +69,7 @@ def bounds(site: Site) -> dict[str, float]:
         # drive: two connections are tried first, after the first wait and after twice that wait.
         "refused": DRIVE_TIMEOUT_S + exchange + 3 * FIRST_WAIT_S + end,
         # A meter shows flow although the drive reports rest; then the line is left silent.
-        "flows on": follow + step + exchange + DRIVE_TIMEOUT_S + end,
+        "flows on": AFTERFLOW_S + step + exchange + DRIVE_TIMEOUT_S + end,
         "runs on": runs_on,
         # The connection breaks twice before the fault is noticed, and is made again each time.
         "runs on, breaks": runs_on + 2 * (FIRST_WAIT_S + exchange),
@@ -88,9 +82,9 @@ def bounds(site: Site) -> dict[str, float]:
         "full disk": FLUSH_S + 5.0 + step,
         "limit": LIMIT_S + step,
         # The delivery check: the volume that may be missing, and the averaging in addition.
-        "undelivered": tolerance * site.a2 / (delivery * flow) + 2 * averaging + step,
+        "undelivered": tolerance * site.a2 / (MIN_DELIVERY * flow) + 2 * AVERAGING_S + step,
         # The same for the cistern, whose level falls while its pump is off.
-        "welded": tolerance * site.a1 / flow + 2 * averaging + step,
+        "welded": tolerance * site.a1 / flow + 2 * AVERAGING_S + step,
         # Random: two medians of five readings must differ by more than the tolerance.
         "noisy": 4 * _limit("/cistern/level") + step,
         "drift": jump / 2e-4 + step,

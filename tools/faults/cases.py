@@ -336,7 +336,6 @@ def _limits() -> Iterator[Case]:
     """Yield the cases of a command that never changes, which the pump's limits must stop."""
     for limit, code, recovery in (
         ("max_run", "max_run", "heals"),
-        ("max_run_per_day", "daily_run", "stays"),
         ("max_volume_per_day", "daily_volume", "stays"),
     ):
         yield Case(f"{limit}:{DRIVES[0]}", "stuck for ever", "/pump/command", Expected(

@@ -9,10 +9,11 @@ import threading
 import time
 from functools import partial
 
+from pymodbus.pdu import ModbusPDU
 from rig_simulators import FAULTS, ActiveFault, FaultyConnection
 
 from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine
-from greenroof_ros.live.simulators.server import Device, Server
+from greenroof_ros.live.simulators.server import Server, make_device
 
 
 class Line:
@@ -27,10 +28,9 @@ class Line:
         )
         self._fault = ActiveFault()
         self._level: dict[int, int] = {}
-        device = Device(lambda: self._level, on_request=self._request)
         self._server = Server(
-            Address("127.0.0.1", port), {1: device},
-            connection=partial(FaultyConnection, fault=self._fault),
+            Address("127.0.0.1", port), [make_device(1, lambda: self._level)],
+            connection=partial(FaultyConnection, fault=self._fault, hear=self._hear),
         )
         self._ended = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), daemon=True)
@@ -55,11 +55,12 @@ class Line:
         self._server.close()
         self._behind.close()
 
-    def _request(self, register: int) -> bool:
+    def _hear(self, request: ModbusPDU) -> bool:
         """Read the level; return False, for no answer, if the sensor gives none."""
         try:
             if not self._behind.connected:
                 self._behind.connect()
+            register = request.address
             self._level = {register: self._behind.read(register, 1, inputs=True)[0]}
         except DriveError:
             self._behind.close()

@@ -53,7 +53,7 @@ _TARGET = 0.45
 _CISTERN_M3, _ROOF_M3 = 73.0, 0.5
 CONTROLLER = "onoff"
 _CISTERN_TOPIC = "cistern/sensor/level/state"
-_NONSENSE = ("", "NaN", "1e999", "-3", "true", "null", '"2.5"', "{", "[2.5]", "[" * 30_000)
+_NONSENSE = ("", "NaN", "1e999", "-3", "true", "null", "2.5", "{", "[2.5]", "[" * 30_000)
 
 
 class BrokenError(Exception):
@@ -553,11 +553,11 @@ RIGS: dict[str, Callable[[Path, int, str], Rig]] = {
     "metered": partial(PumpRig, topics=(*PumpRig.topics, "/pump/meter")),
     "rtu": partial(PumpRig, serial=True),
     "guarded": partial(PumpRig, as_shipped=True),
-    # Limits a run, the running time of a day, or the volume of a day, to a few seconds of pumping.
+    # Limits a run, or the volume of a day, to a few seconds of pumping.
     **{
         limit: partial(PumpRig, pump_parameters={**PUMP_SHORTENED, limit: most})
         for limit, most in {
-            "max_run": LIMIT_S, "max_run_per_day": LIMIT_S,
+            "max_run": LIMIT_S,
             "max_volume_per_day":
                 LIMIT_S * flow_at(read_site(CONFIG / "site.yaml"), 1.0, 2.9),
         }.items()

@@ -18,11 +18,9 @@ import struct
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,18 +44,6 @@ logging.getLogger("pymodbus").addHandler(logging.NullHandler())
 
 # The code of the function that writes a single register.
 _WRITE = 6
-# Section 7 of the specification.
-_EXCEPTIONS = {
-    1: "illegal function",
-    2: "illegal data address: the register does not exist",
-    3: "illegal data value",
-    4: "server device failure",
-    5: "acknowledged, but not yet completed",
-    6: "server device busy",
-    8: "memory parity error",
-    10: "gateway: path unavailable",
-    11: "gateway: the target device does not respond",
-}
 
 
 # --- addresses of devices -------------------------------------------------------------------------
@@ -113,12 +99,6 @@ class Address:
         the interface in use protects the pump.
         """
         return "serial" if self.line or self.gateway else "tcp"
-
-    def shares_line(self, other: Address) -> bool:
-        """Return whether both addresses are on one serial line, even under different names."""
-        return bool(self.line and other.line) and (
-            self.canonical_name(0) == other.canonical_name(0)
-        )
 
     def canonical_name(self, port: int) -> str:
         """Return a name for the host or line that is the same for all spellings of the address.
@@ -225,27 +205,6 @@ def check_installed() -> None:
         import pymodbus.client  # noqa: F401 - only to see if it is there
 
 
-@dataclass
-class _Request:
-    """A request, and the bytes received since the request was sent.
-
-    Attributes:
-        copies: maximum number of times that a device may legitimately send the bytes of the
-            request.
-        sent: bytes of the request.
-        received: all bytes received since the request was sent.
-    """
-
-    copies: int
-    sent: bytes = b""
-    received: bytes = b""
-
-    @property
-    def echoed(self) -> bool:
-        """Whether the bytes of the request were received more often than a device sends them."""
-        return bool(self.sent) and self.received.count(self.sent) > self.copies
-
-
 class ModbusLine:
     """A connection to a device; :meth:`for_device` gives access to others on the same line."""
 
@@ -269,8 +228,8 @@ class ModbusLine:
         from pymodbus.client import ModbusTcpClient
 
         self._address, self._device_id, self._timeout_s = address, device_id, timeout_s
-        # The last two requests, since the second copy of a write may arrive after the next request.
-        self._recent: deque[_Request] = deque(maxlen=2)
+        # The bytes of the last request (True), and of what was received after it (False).
+        self._frames = {True: b"", False: b""}
         self._client: ModbusTcpClient | ModbusSerialClient
         if address.line:
             assert serial is not None
@@ -280,7 +239,6 @@ class ModbusLine:
                 address.host, port=address.port or port, timeout=timeout_s, retries=0,
                 trace_packet=self._trace,
             )
-        self._client.recv = partial(self._receive, self._client.recv)  # type: ignore[method-assign]
 
     def for_device(self, device_id: int) -> ModbusLine:
         """Return this connection for requests to another device on the same line."""
@@ -304,7 +262,6 @@ class ModbusLine:
         Raises:
             DriveError: if the connection cannot be opened.
         """
-        self._recent.clear()
         if not self._client.connect():
             raise self.error("connection", "cannot connect")
 
@@ -323,16 +280,11 @@ class ModbusLine:
         Raises:
             DriveError: if no valid response arrives.
         """
-        action = f"reading register {address}"
         client = self._client
         read = client.read_input_registers if inputs else client.read_holding_registers
-        answer = self._request(action, 4 if inputs else 3, read, address, count=count)
-        if len(answer.registers) != count:
-            received = len(answer.registers)
-            raise self.error(
-                "answer", f"{action}: the response contains {received} registers, not {count}"
-            )
-        return list(answer.registers)
+        return self._request(
+            f"reading register {address}", 4 if inputs else 3, read, address, count=count
+        )
 
     def write(self, address: int, word: int) -> None:
         """Write one holding register.
@@ -341,63 +293,39 @@ class ModbusLine:
             DriveError: if no response arrives, or the response does not confirm the write.
         """
         action = f"writing 0x{word:04X} to register {address}"
-        answer = self._request(action, _WRITE, self._client.write_register, address, word)
-        if answer.address != address or list(answer.registers) != [word]:
-            raise self.error(
-                "answer",
-                f"{action}: the response confirms {answer.registers} in register {answer.address}",
-            )
+        self._request(action, _WRITE, self._client.write_register, address, word)
 
     def _request(
         self, action: str, function: int, request: Callable[..., ModbusPDU], *values: int,
         **options: int,
-    ) -> ModbusPDU:
-        """Send a request, and return the response; reject exceptions and wrong function codes."""
+    ) -> list[int]:
+        """Send a request, and return the registers in the response, which must fit the request.
+
+        The response to a write is the same as the request. Any other response with the bytes of the
+        request is an echo.
+        """
         from pymodbus.exceptions import ModbusException
 
         if not self.connected:
             raise self.error("connection", f"{action}: the connection was closed")
-        self._recent.append(_Request(copies=int(function == _WRITE)))
+        self._frames[False] = b""
         try:
             answer = request(*values, device_id=self._device_id, **options)
         except (ModbusException, OSError) as error:
-            self._refuse_echo(action)
             raise self._silence(action, error) from error
-        self._refuse_echo(action)
         if answer.isError():
-            code = answer.exception_code
-            name = _EXCEPTIONS.get(code, "unknown")
-            raise self.error("answer", f"{action}: rejected with exception {code}, {name}")
-        if answer.function_code != function:
-            raise self.error(
-                "answer",
-                f"{action}: the response has function code {answer.function_code}, not {function}",
-            )
-        return answer
+            raise self.error("answer", f"{action}: rejected with exception {answer.exception_code}")
+        registers = list(answer.registers)
+        fits = (answer.address, *registers) == values if function == _WRITE else (
+            len(registers) == options["count"] and self._frames[True] not in self._frames[False]
+        )
+        if answer.function_code != function or not fits:
+            raise self.error("answer", f"{action}: the response does not fit: {answer}")
+        return registers
 
     def _trace(self, sending: bool, data: bytes) -> bytes:
-        if sending:
-            self._recent[-1].sent = data
+        self._frames[sending] = data
         return data
-
-    def _receive(self, receive: Callable[[int | None], bytes], size: int | None) -> bytes:
-        """Record every received byte, since an echo may arrive in pieces or after noise."""
-        data = receive(size)
-        for request in self._recent:
-            request.received += data
-        return data
-
-    def _refuse_echo(self, action: str) -> None:
-        """Raise an error if a request was echoed; only the response to a write may be identical.
-
-        Raises:
-            DriveError: if the line echoes the bytes that are sent.
-        """
-        if any(request.echoed for request in self._recent):
-            raise self.error(
-                "answer",
-                f"{action}: the line echoes the request: switch off the adapter's local echo",
-            )
 
     def _silence(self, action: str, error: Exception) -> DriveError:
         if isinstance(error, ConnectionError):
@@ -448,10 +376,11 @@ def _serial_client(
 
 def coding_mistakes(kind: str, word_order: str) -> Iterator[tuple[str, str]]:
     """Yield a mistake in ``word_order``, which only values of more than one word require."""
-    if WIDTHS.get(kind, 1) > 1 and not word_order:
-        yield "word_order", "must be 'high first' or 'low first'"
-    elif word_order and WIDTHS.get(kind, 1) == 1:
-        yield "word_order", f"is only allowed for numbers of 32 or 64 bits, not for {kind}"
+    if (WIDTHS.get(kind, 1) > 1) is not bool(word_order):
+        yield "word_order", (
+            "must be 'high first' or 'low first' for a number of 32 or 64 bits, and must be left "
+            "out for any other value"
+        )
 
 
 def limits(kind: str) -> tuple[float, float]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations
@@ -21,7 +20,6 @@ from greenroof_ros.live.devices.modbus_line import (
     ModbusLine,
     Serial,
     coding_mistakes,
-    limits,
     parse_address,
 )
 
@@ -32,7 +30,6 @@ _MAX_AFTERFLOW_S = 10.0
 # A level further below 0 (m) is not noise: a tank would seem empty.
 _LEVEL_NOISE = 0.1
 _MODBUS_PORT = 502
-_PATH = re.compile(r"([^.\[\]]+|\[\d+\])(\.[^.\[\]]+|\[\d+\])*")
 
 
 class MeasuredQuantity(NamedTuple):
@@ -87,26 +84,20 @@ class Sensor:
     offset: float = entry(
         "value at a raw reading of 0, in the unit of the quantity", -1e3, 1e3, default=0.0)
     median: int = entry(
-        "number of readings in the median filter, which must be odd; 1 for no "
-        "filter", 1, 99, default=5
+        "number of readings in the median filter; 1 for no filter", 1, 99, default=5
     )
     counts: bool = entry(
         "if true, scale x raw is a running total (m or m3), and the value is its increase per "
-        "second; requires median: 1", default=False,
-    )
-    substrate_depth: float | None = entry(
-        "for the roof only: depth of the substrate (m), equal to z_soil of the site; if set, "
-        "scale x raw + offset is a volumetric moisture content (m3/m3), and the level is this "
-        "content times the depth", 0.01, 2, default=None,
+        "second, without a filter", default=False,
     )
 
     def convert(self, raw: float) -> float:
         """Return the quantity for a raw value, except for a running total."""
-        return (self.scale * raw + self.offset) * (self.substrate_depth or 1.0)
+        return self.scale * raw + self.offset
 
     def raw_for(self, value: float) -> float:
         """Return the raw value that :meth:`convert` converts to a given value."""
-        return (value / (self.substrate_depth or 1.0) - self.offset) / self.scale
+        return (value - self.offset) / self.scale
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,9 +139,9 @@ class ModbusSensor(Sensor):
     def connection(self) -> str:
         """The sensor's serial line or TCP port; the same for all sensors on one connection."""
         address = parse_address(self.address)
-        if address.line:
-            return str(Path(address.line).resolve())
-        return f"{address.host}:{address.port or _MODBUS_PORT}"
+        return address.canonical_name(_MODBUS_PORT) if address.line else (
+            f"{address.host}:{address.port or _MODBUS_PORT}"
+        )
 
     @property
     def unique_key(self) -> tuple[object, ...]:
@@ -166,6 +157,14 @@ class ModbusSensor(Sensor):
     def registers(self) -> int:
         """The number of registers that the value occupies."""
         return WIDTHS[self.type]
+
+    def mistakes(self) -> Iterator[tuple[str, str]]:
+        """Yield the key and a description of every mistake in its own keys."""
+        try:
+            parse_address(self.address)
+        except ConfigurationError as error:
+            yield "address", f"{error.expected}; or mqtt://HOST[:PORT]/TOPIC"
+        yield from coding_mistakes(self.type, self.word_order)
 
     def line(self, timeout_s: float) -> ModbusLine:
         """Return a connection to the sensor that is not yet open.
@@ -214,11 +213,18 @@ class MqttSensor(Sensor):
     @property
     def unique_key(self) -> tuple[object, ...]:
         """The sensor's topic and the path of its value, which no other sensor may use."""
-        try:
-            broker, topic = self.broker_and_topic()
-        except ConfigurationError:  # another check reports this
-            return (self.address,)
+        broker, topic = self.broker_and_topic()
         return broker.host, broker.port, topic, self.value
+
+    def mistakes(self) -> Iterator[tuple[str, str]]:
+        """Yield the key and a description of every mistake in its own keys."""
+        try:
+            self.broker_and_topic()
+        except ConfigurationError as error:
+            yield "address", error.expected
+        for key, file in (("login", self.login), ("authority", self.authority)):
+            if file and not Path(file).is_absolute():
+                yield key, "must be an absolute path, because the program reads a copy of this file"
 
     def broker_and_topic(self) -> tuple[Broker, str]:
         """Return the broker and the topic.
@@ -275,119 +281,52 @@ def _mistakes(
 ) -> Iterator[tuple[str, str]]:
     """Yield the key and a description of every mistake; later checks rely on earlier ones."""
     for section, sensor in sensors.by_section.items():
-        quantity = QUANTITIES[section]
-        max_age = max_ages.get(quantity.limit, math.inf)
-        if isinstance(sensor, ModbusSensor):
-            own = _modbus_mistakes(sensor, quantity.topic.unit)
-            times = _time_mistakes(sensor, quantity, "period", sensor.period, max_age / 2)
-        else:
-            own = _mqtt_mistakes(sensor)
-            times = _time_mistakes(sensor, quantity, "max_age", sensor.max_age, max_age)
-        for key, expected in (*_sensor_mistakes(sensor, section), *own, *times):
+        max_age = max_ages.get(QUANTITIES[section].limit, math.inf)
+        for key, expected in (
+            *sensor.mistakes(), *_sensor_mistakes(sensor, section, max_age)
+        ):
             yield f"{section}.{key}", expected
     for (first, earlier), (second, later) in combinations(sensors.by_section.items(), 2):
-        of = first.replace("_", " ")
+        of = f"the {first.replace('_', ' ')}"
         if earlier.unique_key == later.unique_key:
             key = "register" if isinstance(later, ModbusSensor) else "address"
-            yield f"{second}.{key}", (
-                f"is also the {key} of the {of}: the two sections would describe the same sensor"
-            )
-        if isinstance(earlier, ModbusSensor) and isinstance(later, ModbusSensor) and parse_address(
-            later.address
-        ).shares_line(parse_address(earlier.address)):
+            yield f"{second}.{key}", f"must differ from that of {of}"
+        if isinstance(earlier, ModbusSensor) and isinstance(later, ModbusSensor) and (
+            parse_address(later.address).line and later.connection == earlier.connection
+        ):
             if later.device_id == earlier.device_id:
                 yield f"{second}.device_id", (
-                    f"is also the device id of the {of} on the same serial line, so a late "
-                    "response could be mistaken for that of the other sensor: give each sensor "
-                    "its own device id"
+                    f"must differ from that of {of} on the same serial line, since a late response "
+                    "could be mistaken for that of the other sensor"
                 )
             for key in ("baud_rate", "parity", "stop_bits"):
                 if getattr(later, key) != (value := getattr(earlier, key)):
-                    yield f"{second}.{key}", f"must be {value}, as for the {of} on the same line"
+                    yield f"{second}.{key}", f"must be {value}, as for {of} on the same line"
 
 
-def _sensor_mistakes(sensor: Sensor, section: str) -> Iterator[tuple[str, str]]:
-    topic = QUANTITIES[section].topic
-    if sensor.scale == 0:
-        yield "scale", "must not be 0"
-    if sensor.low >= sensor.high:
-        yield "high", f"must be above low, which is {sensor.low:g} {topic.unit}"
-    if section in TANKS and sensor.low < topic.low - _LEVEL_NOISE:
-        yield "low", (
-            f"must be at least {topic.low - _LEVEL_NOISE:g} {topic.unit}: sensor noise cannot "
-            "account for a lower level"
-        )
-    if sensor.high > topic.high:
-        yield "high", f"must be at most {topic.high:g} {topic.unit}: higher values are not accepted"
-    if sensor.median % 2 == 0:
-        yield "median", "must be odd, so that the median is one of the readings"
-    if sensor.substrate_depth is not None and section != "roof":
-        yield "substrate_depth", "is only allowed for the roof"
-    if sensor.substrate_depth is not None and sensor.high > sensor.substrate_depth:
-        yield "high", (
-            f"must be at most substrate_depth, which is {sensor.substrate_depth:g} m: the "
-            "substrate cannot hold more water than its volume"
-        )
-    if sensor.counts and section not in ("flow_meter", "rain_gauge"):
-        yield "counts", "is only allowed for a flow meter or a rain gauge"
-    if sensor.counts and sensor.median > 1:
-        yield "counts", (
-            "requires median: 1, because a longer median filter would remove occasional pulses"
-        )
-
-
-def _time_mistakes(
-    sensor: Sensor, quantity: MeasuredQuantity, key: str, interval: float, limit: float
+def _sensor_mistakes(
+    sensor: ModbusSensor | MqttSensor, section: str, max_age: float
 ) -> Iterator[tuple[str, str]]:
-    late = sensor.median // 2 * interval
-    shown = late + interval
-    if quantity is QUANTITIES["flow_meter"] and shown > _MAX_AFTERFLOW_S:
-        yield "median", (
-            f"shows a flow for up to {shown:g} s after its end, at one reading every {interval:g} "
-            f"s; an afterflow of more than {_MAX_AFTERFLOW_S:g} s would look like a welded contact"
-        )
-    if late > _MAX_FILTER_S:
-        yield "median", (
-            f"delays the value by {late:g} s, at one reading every {interval:g} s; the delay must "
-            f"be at most {_MAX_FILTER_S:g} s"
-        )
-    if interval > limit:
-        half = "half of " if key == "period" else ""
-        yield key, (
-            f"must be at most {limit:g} s, which is {half}{quantity.limit}: older values are not "
-            "used"
-        )
-
-
-def _modbus_mistakes(sensor: ModbusSensor, unit: str) -> Iterator[tuple[str, str]]:
-    try:
-        parse_address(sensor.address)
-    except ConfigurationError as error:
-        yield "address", f"{error.expected}; or mqtt://HOST[:PORT]/TOPIC"
-    yield from coding_mistakes(sensor.type, sensor.word_order)
-    if sensor.register + sensor.registers > 65536:
-        yield "register", "is too high: the value would extend beyond the last register address"
-    ends = sorted(map(sensor.convert, limits(sensor.type)))
-    step = abs(sensor.scale) * (sensor.substrate_depth or 1.0)
-    if not sensor.counts and (ends[0] > sensor.low + step or ends[1] < sensor.high - step):
-        yield "scale", (
-            f"cannot yield {sensor.low:g} to {sensor.high:g} {unit}: {sensor.type} with offset "
-            f"{sensor.offset:g} yields {ends[0]:g} to {ends[1]:g} {unit}"
-        )
-
-
-def _mqtt_mistakes(sensor: MqttSensor) -> Iterator[tuple[str, str]]:
-    try:
-        sensor.broker_and_topic()
-    except ConfigurationError as error:
-        yield "address", error.expected
-        return
-    if sensor.value and not _PATH.fullmatch(sensor.value):
-        yield "value", (
-            "must be a path made up of names and indices, such as ANALOG.Range1 or "
-            "sensors[0].distance"
-        )
-    for key in ("login", "authority"):
-        file = getattr(sensor, key)
-        if file and not Path(file).is_absolute():
-            yield key, "must be an absolute path, because the program reads a copy of this file"
+    topic, is_tank = QUANTITIES[section].topic, section in TANKS
+    lowest = topic.low - _LEVEL_NOISE if is_tank else -math.inf
+    if isinstance(sensor, MqttSensor):
+        key, interval, longest = "max_age", sensor.max_age, max_age
+    else:
+        key, interval, longest = "period", sensor.period, max_age / 2
+    late = 0.0 if sensor.counts else sensor.median // 2 * interval
+    is_meter = section == "flow_meter"
+    for is_wrong, name, expected in (
+        (sensor.low < lowest, "low", f"must be at least {lowest:g} {topic.unit}, since noise of "
+         "the sensor cannot account for a lower level"),
+        (sensor.counts and section not in ("flow_meter", "rain_gauge"), "counts",
+         "is only allowed for a flow meter or a rain gauge"),
+        (late > _MAX_FILTER_S, "median", f"must be smaller: it delays the value by {late:g} s, but "
+         f"the delay may be at most {_MAX_FILTER_S:g} s"),
+        (is_meter and late + interval > _MAX_AFTERFLOW_S, "median", "must be smaller, or "
+         f"the readings more frequent: a flow that is shown for more than {_MAX_AFTERFLOW_S:g} s "
+         "after its end would look like a welded contact"),
+        (interval > longest, key, f"must be at most {longest:g} s, since older values than "
+         f"{QUANTITIES[section].limit} ({max_age:g} s) are not used"),
+    ):
+        if is_wrong:
+            yield name, expected

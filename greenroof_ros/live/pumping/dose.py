@@ -10,20 +10,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.site.site import Site
 
 EXPIRES_S = 60.0
 """A request expires at this age (s), both on arrival and while its dose waits to begin."""
-# The requester's clock may be ahead of this machine's by at most this (s).
-_AHEAD_S = 5.0
 # Near its end, a dose flows at its remaining volume divided by this time (s), so it ends exactly.
 _SLOWS_S = 30.0
 # How long a dose is still reported after its end (s).
 _REPORTED_S = 60.0
 
-DONE, EXPIRED, FULL, INTERLOCK, UNSEEN = "done", "expired", "full", "interlock", "unseen"
-"""How a dose ends, as machine-readable words."""
+DONE, ENDED = "done", "ended"
+"""How a dose is over: all of it was delivered, or it ended early."""
 
 
 @dataclass
@@ -35,40 +32,26 @@ class Dose:
         volume: requested volume (m3).
         age: time since the request, or, once the dose is over, since its end (s).
         delivered: volume delivered so far (m3).
-        begun: whether the pump has run for the dose.
-        over: outcome of the dose, as a machine-readable word; empty until the dose ends.
-        why: what the pump is doing for the dose, or the reason why the dose is waiting or has
-            ended.
-        cause: code of the interlock that ended the dose.
+        over: ``done`` or ``ended``; empty until the dose is over.
+        why: what the pump is doing for the dose, or why the dose is waiting or has ended.
     """
 
     id: float
     volume: float
-    age: float
+    age: float = 0.0
     delivered: float = 0.0
-    begun: bool = False
     over: str = ""
     why: str = ""
-    cause: str = ""
 
     @property
     def sentence(self) -> str:
         """State of the dose, as a sentence."""
         progress = f"{self.delivered:.3f} of {self.volume:g} m3"
-        if not self.over:
-            if self.begun:
-                return f"a dose: {progress}; {self.why}"
-            return f"a dose is waiting: {self.why}"
         if self.over == DONE:
             return f"the dose of {self.volume:g} m3 was delivered"
-        return self.ended_early.sentence
-
-    @property
-    def ended_early(self) -> Diagnosis:
-        """Diagnosis of a dose that ended before all of its volume was delivered."""
-        return Diagnosis.of(
-            "dose_ended_early", volume=self.volume, delivered=self.delivered, why=self.why
-        )
+        if self.over:
+            return f"the dose ended early, after {progress}: {self.why}"
+        return f"a dose: {progress}; {self.why}"
 
 
 class Doses:
@@ -119,27 +102,19 @@ class Doses:
             volume: requested volume (m3).
             now: system time (s since 1970).
         """
-        if self._largest is None:
+        age, before = now - requested_at, self._newest
+        if abs(age) <= EXPIRES_S:  # even if it is refused below
+            self._newest = max(before, requested_at)
+        if self._largest is None or self.refusal:
             return self.refusal
-        if not 0 < volume <= self._largest:  # nor a NaN
-            return f"a dose must be above 0 and at most {self._largest:g} m3 (max_dose)"
-        age = now - requested_at
-        if not -_AHEAD_S <= age <= EXPIRES_S:
+        if not self.minimum <= volume <= self._largest:  # nor a NaN
+            return f"a dose must be from {self.minimum:.3f} to {self._largest:g} m3 (max_dose)"
+        if not abs(age) <= EXPIRES_S or requested_at <= before:
             return (
-                f"the request was made {age:.0f} s ago; the limit is {EXPIRES_S:g} s: repeat the "
-                "request, or synchronize the clocks"
+                f"the request was made {age:.0f} s ago: it must be newer than {EXPIRES_S:g} s, the "
+                "previous request and the start of the pump node; repeat it, or synchronize the "
+                "clocks"
             )
-        if requested_at <= self._newest:
-            self._newest = min(self._newest, now + _AHEAD_S)  # this machine's clock was ahead
-            return (
-                "the request was made before the previous request, or before the pump node was "
-                "started: repeat the request"
-            )
-        self._newest = requested_at  # even if it is refused below
-        if refusal := self.refusal:
-            return refusal
-        if volume < self.minimum:
-            return f"a dose must be at least {self.minimum:.3f} m3, the pump's minimum pulse"
         self.last = Dose(requested_at, volume, max(0.0, age))
         return ""
 
@@ -155,14 +130,13 @@ class Doses:
             return
         dose.age += dt
         if dose.over:
-            if dose.age > _REPORTED_S:
-                self.last = None
+            self.last = dose if dose.age <= _REPORTED_S else None
             return
         dose.delivered += delivered
         if dose.delivered >= dose.volume:
-            self.end(DONE)
-        elif not dose.begun and dose.age > EXPIRES_S:
-            self.end(EXPIRED, f"the dose could not be started within {EXPIRES_S:g} s: {dose.why}")
+            self.end("all of it was delivered", DONE)
+        elif not dose.delivered and dose.age > EXPIRES_S:
+            self.end(f"it could not be started within {EXPIRES_S:g} s: {dose.why}")
 
     def share(self, max_flow: float) -> float:
         """Return the share of the maximum flow (m3/s) that the current dose requires."""
@@ -170,13 +144,7 @@ class Doses:
         assert dose is not None
         return min(1.0, (dose.volume - dose.delivered) / (_SLOWS_S * max_flow))
 
-    def end(self, how: str, why: str = "", cause: str = "") -> None:
-        """End the current dose, if there is one.
-
-        Args:
-            how: outcome of the dose, one of this module's constants such as ``DONE``.
-            why: the reason, as a clause.
-            cause: code of the interlock that ended the dose.
-        """
+    def end(self, why: str, over: str = ENDED) -> None:
+        """End the current dose, if there is one, for a reason in words."""
         if (dose := self.present) is not None:
-            dose.over, dose.why, dose.cause, dose.age = how, why, cause, 0.0
+            dose.over, dose.why, dose.age = over, why, 0.0

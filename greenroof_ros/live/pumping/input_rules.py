@@ -12,30 +12,22 @@ from typing import NamedTuple
 
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.physics.cistern import low_outlet_flow, overflow
-from greenroof_ros.physics.parameters import PlantParameters, plant_parameters
+from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow
-from greenroof_ros.physics.soil import retained_share
+from greenroof_ros.physics.soil import percolation, retained_share
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, MUCH_RAIN, QUANTITIES
 
-# An input that has not arrived since the start is treated as silent after this time (s).
-_START_S = 10.0
 # Real water levels may change faster than the site file implies, by up to this factor.
 _MARGIN = 1.5
-# A jump back is recognised while the interval from before the jump, which widens with time, is
-# narrower than this many tolerances. This takes some minutes.
-_SPIKE = 4.0
 # Above the world records of hourly rain and of daily evapotranspiration (m/s).
 _MAX_RAIN = MUCH_RAIN / 1000 / 3600
 _MAX_EVAPOTRANSPIRATION = QUANTITIES[EVAPOTRANSPIRATION].high / 1000 / 86400
-# Maximum evapotranspiration of an hour (m/s), like max_loss of the delivery check; and the slowest
-# movement of a cistern that exceeds drift and unmeasured inflow, so that it counts: 5 mm/day.
+# Movements that a pump need not exceed: the maximum evapotranspiration of an hour from the roof,
+# and drift of a sensor and unmeasured inflow in the cistern (m/s).
 _LOSS, _DRIFT = 1e-3 / 3600, 5e-3 / 86400
-# Rain that a roof holds back before any runs off (m): in the depressions of a flat roof (2.5 mm,
-# SWMM Reference Manual I, Table 3-5) and in a first-flush diverter (2 mm).
-_WETTING = 5e-3
 
-_WAITING, _RECOVERING = AWAITED = "input_waiting", "input_recovering"
+AWAITED = "input_waiting", "input_recovering"
 """Codes of inputs that break no rule, but are awaited or not used yet."""
 
 
@@ -43,12 +35,12 @@ class LevelBounds(NamedTuple):
     """Maximum rates of change of a tank's level, and its maximum plausible value.
 
     Attributes:
-        rise: function that returns the maximum rate of rise at a level in m (m/s, not negative).
+        rise: maximum rate of rise (m/s, not negative).
         fall: function that returns the maximum rate of fall at a level in m (m/s, not negative).
         max: maximum plausible level (m).
     """
 
-    rise: Callable[[float], float]
+    rise: float
     fall: Callable[[float], float]
     max: float
 
@@ -66,7 +58,7 @@ def cistern_bounds(site: Site) -> LevelBounds:
         return _MARGIN * (maximum_pump_flow(p, volume) + let_out) / site.a1
 
     rise = _MARGIN * (_MAX_RAIN * site.a_in + (site.mains_flow or 0.0)) / site.a1
-    return LevelBounds(lambda level: rise, fall, site.max_cistern_level)
+    return LevelBounds(rise, fall, site.max_cistern_level)
 
 
 def roof_bounds(site: Site) -> LevelBounds:
@@ -75,95 +67,33 @@ def roof_bounds(site: Site) -> LevelBounds:
     pump = maximum_pump_flow(p, site.cistern_volume(site.z_o)) / site.a2
 
     def fall(level: float) -> float:
-        return _MARGIN * (_MAX_EVAPOTRANSPIRATION + _find_max_fall(p, level))
+        drainage = percolation(p, site.roof_volume(level), 0.0, p.tau) / site.a2
+        return _MARGIN * (_MAX_EVAPOTRANSPIRATION + drainage)
 
-    return LevelBounds(lambda level: _MARGIN * (_MAX_RAIN + pump), fall, site.max_roof_level)
-
-
-def _find_max_fall(p: PlantParameters, level: float) -> float:
-    """Return the maximum rate (m/s) at which drainage lowers the water from a level (m).
-
-    On the paper's soil, the rate is that of Eq. (4), even below the capacity. On a field-capacity
-    soil, the rate removes the excess within a tick.
-    """
-    if p.has_field_capacity:
-        return max(0.0, level - p.z_cap / p.a2) / p.tau
-    return p.K * (level + p.z_soil) / p.z_soil
+    return LevelBounds(_MARGIN * (_MAX_RAIN + pump), fall, site.max_roof_level)
 
 
-class Movement(NamedTuple):
-    """Bounds on the rate at which a level must rise.
+def expected_movements(
+    site: Site, flow: float, cistern_level: float, roof_level: float, error: float
+) -> tuple[float, float]:
+    """Return how fast a flow surely lowers the cistern and raises the roof (m/s).
 
-    Attributes:
-        min: minimum rate of rise (m/s).
-        max: maximum rate of rise (m/s), negative if the level must fall.
-    """
-
-    min: float
-    max: float
-
-
-class Wetting:
-    """Rain that wets surfaces, fills depressions or evaporates instead of running off."""
-
-    def __init__(self) -> None:
-        """Initialize with dry surfaces."""
-        self._retained = 0.0  # m
-
-    def excess(self, rain: float, passed: float) -> float:
-        """Return the rain in excess of the amount that the surfaces may retain (m/s).
-
-        Args:
-            rain: rain rate (m/s).
-            passed: duration of the rain at this rate (s).
-        """
-        retained = max(0.0, self._retained + (rain - _LOSS) * passed)
-        self._retained = min(retained, _WETTING)
-        return (retained - self._retained) / passed
-
-
-def expected_movement(
-    site: Site, flow: float, rain: float, running_off: float, cistern_level: float,
-    roof_level: float, frozen_movement: float = 0.0,
-) -> tuple[Movement, Movement]:
-    """Return the changes that the levels of the cistern and the roof must undergo.
-
-    A rise is reduced by all possible losses: evapotranspiration from the roof, the flow of a low
-    outlet, a closed mains valve, and rain that surfaces retain. A fall is reduced by all the rain
-    on the catchment, and by the mains. Rises and falls are also reduced by the drift of a sensor,
-    so that small amounts do not accumulate over days.
-
-    A tank that overflows is not expected to move, since its inflow leaves it again. This applies to
-    the cistern at its outlet, the roof at the depth of its soil, and a field-capacity soil once it
-    retains no more water. No fall through the low outlet is expected, since a narrow outlet can
-    clog. A coarse sensor may be off by half of `frozen_movement`, so a tank is treated as
-    overflowing, and the mains valve as open, as soon as this is possible within that error.
+    Negative values stand for a movement that is not sure: mains water may replace what the pump
+    takes, evapotranspiration what it brings, and a full roof does not rise.
 
     Args:
         site: the site.
         flow: flow from the cistern to the roof (m3/s).
-        rain: rain rate (m/s).
-        running_off: rain in excess of the amount that surfaces may retain (m/s).
         cistern_level: level of the cistern (m).
         roof_level: level of the roof (m).
-        frozen_movement: movement as in `LevelRule` (m); 0 if the levels are exact.
+        error: how far the true levels may be from these values (m).
     """
-    p, off = plant_parameters(site), frozen_movement / 2
-    high = site.cistern_volume(cistern_level + off)
-    low = site.cistern_volume(max(0.0, cistern_level - off))
-    minimum = maximum = -flow / site.a1
-    minimum += (
-        running_off * site.effective_catchment - _MARGIN * low_outlet_flow(p, high)
-    ) / site.a1
-    mains = (site.mains_flow or 0.0) * (low / site.a1 < (site.mains_level or 0.0))
-    maximum += (rain * site.a_in + mains) / site.a1
-    if cistern_level + off >= site.z_o:
-        minimum = 0.0
-    if cistern_level >= site.z_o:
-        maximum = 0.0
-    roof = running_off + flow / site.a2 if roof_level + off < site.z_soil else 0.0
-    roof *= retained_share(p, site.roof_volume(roof_level + off))
-    return Movement(minimum - _DRIFT, maximum + _DRIFT), Movement(roof - _LOSS, math.inf)
+    refilled = site.mains_level is not None and cistern_level - error < site.mains_level
+    mains = (site.mains_flow or 0.0) * refilled
+    highest = roof_level + error
+    kept = retained_share(plant_parameters(site), site.roof_volume(highest))
+    rise = flow / site.a2 * kept * (highest < site.z_soil)
+    return (flow - mains) / site.a1 - _DRIFT, rise - _LOSS
 
 
 class LevelRule:
@@ -179,8 +109,7 @@ class LevelRule:
     half the tolerance is never a jump.
 
     Attributes:
-        displacement: total displacement of the readings by jumps (m). If a value returns to the
-            interval from before a jump, that jump was a spike and its displacement is undone.
+        displacement: total displacement of the readings by jumps (m).
     """
 
     def __init__(self, bounds: LevelBounds, frozen_movement: float, jump_tolerance: float) -> None:
@@ -194,26 +123,16 @@ class LevelRule:
                 can cause (m).
         """
         self.displacement = 0.0
-        self._bounds = bounds
+        self._bounds, self._tolerance = bounds, jump_tolerance
         self._frozen_movement = frozen_movement
-        self._tolerance = jump_tolerance
-        self._value = math.nan
-        self._low = self._high = math.nan
-        # The interval as if the last jump had not happened, and the displacement before that jump.
-        self._old_low = self._old_high = math.nan
-        self._old_displacement = 0.0
-        self._at = 0.0
-        # How far the level must have risen above its minimum since the reading last changed, and
-        # fallen below its maximum (m).
-        self._risen = self._fallen = 0.0
-        self._frozen = False
+        self._value, self._at = 0.0, 0.0
+        self._low, self._high = -math.inf, math.inf
+        self._moved = 0.0  # how far the pump has surely moved the level since its reading changed
 
-    def expect(self, movement: Movement, passed: float) -> None:
-        """Add the movement over a time (s) to the distance that the level must have moved."""
-        self._risen = max(0.0, self._risen + movement.min * passed)
-        self._fallen = max(0.0, self._fallen - movement.max * passed)
-        moved = max(self._risen, self._fallen)
-        self._frozen = self._frozen or moved > self._frozen_movement
+    def expect(self, movement: float) -> None:
+        """Add a movement (m, see :func:`expected_movements`) that the level must have made."""
+        if self.check_frozen() is None:
+            self._moved = max(0.0, self._moved + movement)
 
     def check(self, now: float, value: float) -> Diagnosis | None:
         """Check a new value (m); return a diagnosis if water cannot have reached it, or None.
@@ -221,40 +140,27 @@ class LevelRule:
         The returned diagnosis does not contain the topic yet.
         """
         if value > self._bounds.max:
-            maximum = self._bounds.max
-            return Diagnosis.of("input_refused", "absurd", value=value, max=maximum)
-        if value != self._value:
-            self._risen = self._fallen = 0.0
-            self._frozen = False
-        before, self._value = self._value, value
+            return Diagnosis.of("input_refused", "absurd", value=value, max=self._bounds.max)
+        before, passed = self._value, now - self._at
+        self._value, self._at = value, now
+        if value != before:
+            self._moved = 0.0
         half = self._tolerance / 2
-        passed, self._at = now - self._at, now
-        if math.isnan(before):
-            self._low, self._high = value - half, value + half
-            return None
-        fall, rise = self._bounds.fall(before) * passed, self._bounds.rise(before) * passed
-        low, high = self._low - fall, self._high + rise
-        self._old_low, self._old_high = self._old_low - fall, self._old_high + rise
+        low = self._low - self._bounds.fall(before) * passed
+        high = self._high + self._bounds.rise * passed
         self._low, self._high = max(low, value - half), min(high, value + half)
         if self._low <= self._high:
-            return self.check_frozen()
+            return None
         self._low, self._high = value - half, value + half
-        narrow = self._old_high - self._old_low < _SPIKE * self._tolerance
-        if narrow and self._old_low - half <= value <= self._old_high + half:
-            self.displacement, self._old_displacement = self._old_displacement, self.displacement
-        else:
-            self._old_displacement = self.displacement
-            self.displacement += value - before
-        self._old_low, self._old_high = low, high
-        end = high if value > high else low
+        self.displacement += value - before
         return Diagnosis.of("input_jump", **{
-            "from": before, "value": value, "time": passed, "expected": max(end, 0.0),
-            "tolerance": half,
+            "from": before, "value": value, "time": passed, "tolerance": half,
+            "expected": max(0.0, high if value > high else low),
         })
 
     def check_frozen(self) -> Diagnosis | None:
         """Return a diagnosis if the reading is unchanged although the level must have moved."""
-        if not self._frozen:
+        if self._moved <= self._frozen_movement:
             return None
         return Diagnosis.of("input_frozen", movement=self._frozen_movement)
 
@@ -270,21 +176,18 @@ class InputRules:
 
         Args:
             now: time of a steady clock (s).
-            limit: maximum age (s).
+            limit: maximum age (s), also of a first value since the start.
             recovery: time for which all rules must have been satisfied (s).
             topic: full name of the topic, for messages.
             limit_name: name of the limit's parameter, for messages.
             level: an additional rule, if the input is a level.
         """
-        self._limit = limit
-        self._topic, self._limit_name = topic, limit_name
-        self._recovery = recovery
         self.level = level
-        self._started_at = now
-        self._received_at: float | None = None
-        # What is wrong with the newest value, or why there is none; and what to recover from.
-        self._newest: Diagnosis | None
-        self._newest = self._broken = Diagnosis.of(_WAITING, topic=topic)
+        self._limit, self._limit_name = limit, limit_name
+        self._recovery, self._topic = recovery, topic
+        # What is wrong with the newest value, when that was received, and what to recover from.
+        self._newest: Diagnosis | None = Diagnosis.of("input_waiting", topic=topic)
+        self._received_at, self._broken = now, self._newest
         self._good_since: float | None = None
 
     def receive(
@@ -298,13 +201,9 @@ class InputRules:
             refused: diagnosis of a value that is rejected; None if the value is accepted.
         """
         self.check(now)  # the input may have been silent until now
-        self._received_at = now
-        if refused is not None:
-            self._newest = refused
-        elif self.level is not None and isinstance(value, float):
+        self._received_at, self._newest = now, refused
+        if refused is None and self.level is not None and isinstance(value, float):
             self._newest = self.level.check(now, value)
-        else:
-            self._newest = None
         return self.check(now)
 
     def refuse(self, now: float, why: str) -> Diagnosis | None:
@@ -312,11 +211,9 @@ class InputRules:
         self._newest = Diagnosis.of("input_refused", "refused", why=why)
         return self.check(now)
 
-    def clear(self, seconds: float) -> None:
-        """Discard all values, because this process itself was paused for the given time (s)."""
-        if self._received_at is not None:
-            self._received_at = None
-            self._newest = Diagnosis.of("input_paused", time=seconds)
+    def clear(self, now: float, seconds: float) -> None:
+        """Discard the latest value, because this process itself was paused for the given time."""
+        self._received_at, self._newest = now, Diagnosis.of("input_paused", time=seconds)
 
     def check(self, now: float, publishers: str = "") -> Diagnosis | None:
         """Return the diagnosis of an input that must not be used; None if it may be used.
@@ -325,34 +222,21 @@ class InputRules:
             now: time of a steady clock (s).
             publishers: problem with the publishers; empty if there is only one publisher.
         """
-        diagnosis = self._broken_rule(now, publishers)
-        if diagnosis is not None:
+        broken = self._newest
+        if publishers:
+            broken = Diagnosis.of("input_publishers", problem=publishers)
+        elif now - self._received_at > self._limit:
+            broken = Diagnosis.of("input_silent", limit=self._limit, parameter=self._limit_name)
+        elif broken is None and self.level is not None:
+            broken = self.level.check_frozen()
+        if broken is not None:
             self._good_since = None
-            self._broken = replace(diagnosis, values={**diagnosis.values, "topic": self._topic})
+            self._broken = replace(broken, values={**broken.values, "topic": self._topic})
             return self._broken
         if self._good_since is None:
             self._good_since = now
         if now - self._good_since >= self._recovery:
             return None
-        if self._broken.code == _WAITING:
-            return Diagnosis.of(_RECOVERING, "first", topic=self._topic, time=self._recovery)
         return Diagnosis.of(
-            _RECOVERING, "again", topic=self._topic, time=self._recovery, before=self._broken
+            "input_recovering", topic=self._topic, time=self._recovery, before=self._broken
         )
-
-    def _broken_rule(self, now: float, publishers: str) -> Diagnosis | None:
-        """Return the diagnosis of the first violated rule, regardless of the recovery time."""
-        if publishers:
-            return Diagnosis.of("input_publishers", problem=publishers)
-        if self._received_at is None:
-            waiting = self._newest is not None and self._newest.code == _WAITING
-            if waiting and now - self._started_at > _START_S:
-                return Diagnosis.of("input_silent", "never")
-            return self._newest
-        if now - self._received_at > self._limit:
-            return Diagnosis.of(
-                "input_silent", "old", limit=self._limit, parameter=self._limit_name
-            )
-        if self._newest is None and self.level is not None:
-            return self.level.check_frozen()
-        return self._newest

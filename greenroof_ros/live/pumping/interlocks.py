@@ -1,4 +1,4 @@
-"""Evaluation of the interlocks in the order in which ``msg_defs/conditions.yaml`` lists them.
+"""The interlocks of an actuator, in the order in which ``msg_defs/conditions.yaml`` lists them.
 
 An interlock is active for as long as there is a reason for it. An actuator stays off while any
 interlock is active. The state file keeps a latched fault until someone clears it.
@@ -6,7 +6,9 @@ interlock is active. The state file keeps a latched fault until someone clears i
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 
 from greenroof_ros.interface.conditions import (
     INHIBIT,
@@ -15,33 +17,63 @@ from greenroof_ros.interface.conditions import (
     Diagnosis,
     read_interlocks,
 )
+from greenroof_ros.interface.states import PumpState
 from greenroof_ros.live.pumping.state_file import StateFile
 
 # The state of an actuator that is kept off, by the kind of the first active interlock.
 _STATES = {LATCHED: "fault", INHIBIT: "held", PERMISSIVE: "off"}
+# What an actuator moves by at least while it comes nearer to what is requested (1).
+_PROGRESS = 0.005
 
 
-def evaluate(reasons: Iterable[Diagnosis]) -> dict[str, Diagnosis]:
-    """Return the active interlocks by code, in the order of the table.
+@dataclass(frozen=True)
+class Decision:
+    """What an actuator is to do, and what it does.
+
+    Attributes:
+        active: the active interlocks by code, in the order of their table.
+        state: state of the actuator, one of ``PUMP_STATES``.
+        why: reason for the state, in words.
+        at_rest: whether the actuator surely stands.
+        speed: speed that the device reports (share of the rated speed); None if it is unknown.
+        flow: flow (m3/s); None if it is unknown.
+        request: speed that is requested from the device; None for off.
+    """
+
+    active: Mapping[str, Diagnosis]
+    state: str = "unknown"
+    why: str = ""
+    at_rest: bool = False
+    speed: float | None = None
+    flow: float | None = None
+    request: float | None = None
+
+    @property
+    def shown(self) -> PumpState:
+        """The state as it is published."""
+        return PumpState(self.state, self.why, tuple(self.active))
+
+
+def evaluate(
+    state_file: StateFile, faults: Iterable[Diagnosis], reasons: Iterable[Diagnosis]
+) -> dict[str, Diagnosis]:
+    """Latch a fault, and return the active interlocks by code, in the order of the table.
+
+    The first fault is kept, except that one that may be cleared on the page gives way to one that
+    may not.
 
     Args:
-        reasons: reasons against running the pump.
-
-    Raises:
-        KeyError: if a code does not belong to an interlock.
+        state_file: state file, with a hold and a latched fault.
+        faults: the present faults.
+        reasons: further reasons to keep the actuator off.
     """
-    present = {reason.code: reason for reason in reasons}
-    interlocks = read_interlocks()
-    if unknown := present.keys() - interlocks.keys():
-        raise KeyError(*unknown)
-    active: dict[str, Diagnosis] = {}
-    for code, interlock in interlocks.items():
-        explained = interlock.follows and any(
-            interlocks[earlier].kind == interlock.kind for earlier in active
-        )
-        if code in present and not explained:
-            active[code] = present[code]
-    return active
+    present = _in_order(faults)
+    for fault in present.values():
+        stored = state_file.state
+        replaces = _is_cleared_on_page(stored.fault_code) > _is_cleared_on_page(fault.code)
+        if not stored.fault or replaces:
+            state_file.fault(fault.sentence, fault.code)
+    return _in_order([*present.values(), *reasons, *_stored_reasons(state_file)])
 
 
 def state_of(active: Mapping[str, Diagnosis]) -> tuple[str, str]:
@@ -50,44 +82,70 @@ def state_of(active: Mapping[str, Diagnosis]) -> tuple[str, str]:
     return _STATES[kind], "; ".join(reason.sentence for reason in active.values())
 
 
-def latch(state_file: StateFile, faults: Iterable[Diagnosis]) -> None:
-    """Latch the decisive one of the present faults.
+def clear_refusal(state_file: StateFile) -> str:
+    """Return the reason why the latched fault cannot be cleared from the page; empty if it can."""
+    if not state_file.state.fault:
+        return "there is no fault"
+    if not _is_cleared_on_page(state_file.state.fault_code):
+        return "someone who has checked the pump must reset this fault at the pump node"
+    return ""
 
-    The first fault is kept, except that one that may be cleared on the page gives way to one that
-    may not.
+
+def _in_order(reasons: Iterable[Diagnosis]) -> dict[str, Diagnosis]:
+    """Return reasons in the order of the table, without those that only follow from earlier ones.
+
+    Of two reasons with one code, the later one counts.
     """
-    latched, interlocks, stored = evaluate(faults), read_interlocks(), state_file.state
-    if stored.fault and not _is_cleared_on_page(stored.fault_code):
-        return
-    worst = next((code for code in latched if not interlocks[code].on_page), "")
-    if not stored.fault:
-        worst = worst or next(iter(latched), "")
-    if worst:
-        state_file.fault(latched[worst].sentence, worst)
+    present, active = {reason.code: reason for reason in reasons}, dict[str, Diagnosis]()
+    kinds = set[str]()
+    for code, interlock in read_interlocks().items():
+        if code in present and not (interlock.follows and interlock.kind in kinds):
+            active[code] = present[code]
+            kinds.add(interlock.kind)
+    return active
 
 
-def stored_reasons(state_file: StateFile) -> list[Diagnosis]:
-    """Return the reasons in the state file: unknown contents, a hold, and a latched fault."""
-    stored = state_file.state
-    reasons = [Diagnosis.if_any("state_unknown", stored.unknown), state_file.active_hold]
+def _stored_reasons(state_file: StateFile) -> Iterator[Diagnosis]:
+    """Yield the reasons in the state file: unknown contents, a hold, and a latched fault."""
+    stored, hold = state_file.state, state_file.active_hold
+    if stored.unknown:
+        yield Diagnosis.of("state_unknown", why=stored.unknown)
     if stored.fault:
         row = read_interlocks().get(stored.fault_code)
         known = row is not None and row.kind == LATCHED
         # The sentence as it was when the fault latched.
-        reasons.append(Diagnosis(stored.fault_code if known else "fault_unknown", stored.fault))
-    return [reason for reason in reasons if reason is not None]
-
-
-def clear_refusal(state_file: StateFile) -> str:
-    """Return the reason why the latched fault cannot be cleared from the page; empty if it can."""
-    stored = state_file.state
-    if not stored.fault:
-        return "there is no fault"
-    if not _is_cleared_on_page(stored.fault_code):
-        return "someone who has checked the pump must reset this fault at the pump node"
-    return ""
+        yield Diagnosis(stored.fault_code if known else "state_unknown", stored.fault)
+    if hold:
+        yield hold
 
 
 def _is_cleared_on_page(code: str) -> bool:
     row = read_interlocks().get(code)
     return row is not None and row.on_page
+
+
+class Following:
+    """Check that an actuator comes nearer to what is requested from it.
+
+    The check does not depend on how fast the actuator is, only on its getting anywhere.
+
+    Attributes:
+        error_for: for how long the actuator has not come nearer (s).
+    """
+
+    def __init__(self, tolerance: float) -> None:
+        """Initialize without an error.
+
+        Args:
+            tolerance: difference from the request that counts as none (1).
+        """
+        self.error_for = 0.0
+        self._tolerance, self._nearest = tolerance, math.nan
+
+    def update(self, dt: float, value: float, request: float) -> None:
+        """Add time (s) at a value, while another value is requested (both shares of a maximum)."""
+        apart, before = abs(value - request), abs(self._nearest - request)
+        if apart <= self._tolerance or not apart > before - _PROGRESS:
+            self._nearest, self.error_for = value, 0.0
+        else:
+            self.error_for += dt

@@ -1,233 +1,135 @@
-"""Simulated relays on a real MQTT broker, with contact, timer, settings and replies.
+"""A simulated relay on a real MQTT broker, with contact, timer, settings and replies.
 
-The replies are based on the manufacturer's documentation. The driver, in contrast, uses the
-requests in the relay file, so the simulator and the driver verify each other.
+The relay understands the messages in its relay file, and replies with what the file expects. Every
+relay file can therefore be tried.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import math
+import re
 import time
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, ClassVar
+from collections.abc import Iterator
+from typing import Any
 
 from greenroof_ros.base.mqtt import Broker, make_client
-
-_STEP_S = 0.01
-# A topic and the payload that is published there.
-Published = tuple[str, str]
+from greenroof_ros.live.devices.drive_file import RelayFile, RelayMessage
+from greenroof_ros.live.devices.json_path import parse_path, with_value
 
 
-class SimulatedRelay(ABC):
-    """Base class for a relay with its contact; it reads the time from a clock.
+class SimulatedRelay:
+    """A relay with its contact, which reconnects to its broker automatically.
 
     Attributes:
-        on: whether the output is on, as the relay reports.
-        timer_s: setting of the relay's timer (s); None if it is off.
-        on_after_power_up: whether the relay is set to be on after power-up.
-        auto_on: whether the relay is set to switch itself on again.
-        log: function that prints a line about an event.
+        timer_s: setting of the relay's timer (s).
+        settings: values of the settings in its replies, by path.
     """
 
-    TOPICS: ClassVar[tuple[str, ...]]
-    """topics that it subscribes to; {} stands for its own topic"""
-
-    def __init__(
-        self, device: str, timer_s: float | None, clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        """Initialize a relay that is off.
+    def __init__(self, file: RelayFile, broker: Broker, device: str, timer_s: float) -> None:
+        """Initialize a relay that is off and not connected.
 
         Args:
-            device: topic of the relay itself.
-            timer_s: setting of the relay's timer (s); None if it is off.
-            clock: function that returns the time (s).
+            file: the relay file.
+            broker: the broker to which the relay connects.
+            device: the relay's own topic.
+            timer_s: setting of the relay's timer (s).
+
+        Raises:
+            ConfigurationError: if the MQTT library is not installed, or a login file is invalid.
         """
-        self.on = False
-        self.timer_s = timer_s
-        self.on_after_power_up = self.auto_on = False
-        self.log: Callable[[str], None] = lambda text: None
-        self._device, self._clock = device, clock
-        self._off_at = math.inf
+        self._file, self._device = file, device
+        self._off_at = -math.inf
+        self.settings: dict[str, Any] = {
+            setting.path: _value(setting.value) for setting in file.must
+        }
+        self._questions = (file.state, file.timer, *file.must)
+        self.set_timer(timer_s)
+        self.client = make_client(
+            broker, "greenroof_ros-simulated", self._subscribe, self._on_message,
+        )
+
+    @property
+    def on(self) -> bool:
+        """Whether the output is on, as the relay reports; its timer switches it off."""
+        return time.monotonic() < self._off_at
 
     @property
     def speed(self) -> float:
         """The speed of the pump that the relay's contact switches (share of the rated speed)."""
         return float(self.on)
 
-    def advance(self) -> None:
-        """Simulate the relay until now: switch off if its timer has expired."""
-        if self._clock() >= self._off_at:
-            self._set(False)
-            self.log("the timer has expired: off")
+    def set_timer(self, seconds: float) -> None:
+        """Set the timer of the relay (s)."""
+        self.timer_s, timer = seconds, self._file.timer
+        self.settings[timer.path] = round(seconds / timer.scale, 3)
 
-    def switch(self, on: bool, seconds: float | None) -> None:
-        """Switch the relay off, or on for a time (s; None for no limit)."""
-        self.advance()
-        if on != self.on:
-            self.log("on" if on else "off")
-        self._set(on)
-        if on and seconds is not None:
-            self._off_at = self._clock() + seconds
+    def switch(self, on: bool, seconds: float) -> None:
+        """Switch the relay off, or on for a time (s)."""
+        self._off_at = time.monotonic() + seconds if on else -math.inf
 
-    def _set(self, on: bool) -> None:
-        self.on, self._off_at = on, math.inf
+    def receive(self, topic: str, payload: str) -> Iterator[tuple[str, str]]:
+        """Receive a message, and yield the topic and the payload of every reply."""
+        file = self._file
+        for message, on in ((file.switch_on, True), (file.switch_off, False)):
+            if (given := self._match(message, topic, payload)) is not None:
+                self.switch(on, float(given.get("seconds", self.timer_s)))
+                return
+        state = file.state.is_on if self.on else file.state.is_off
+        values, reply, to = {file.state.path: _value(state), **self.settings}, None, ""
+        for question in self._questions:
+            if (given := self._match(question, topic, payload)) is not None:
+                reply = with_value(reply or {}, parse_path(question.path), values[question.path])
+                to = self._fill(question.answer, given.get("me", ""))
+        if to:
+            yield to, json.dumps(reply)
 
-    @abstractmethod
-    def receive(self, topic: str, payload: str) -> Iterator[Published]:
-        """Receive a message, and yield the messages that the relay publishes in return."""
+    def _match(self, message: RelayMessage, topic: str, payload: str) -> dict[str, str] | None:
+        """Return the values of the placeholders in a message; None if it is another message."""
+        given: dict[str, str] = {}
+        for pattern, text in ((message.topic, topic), (message.payload, payload)):
+            parts = re.split(r"\$(\w+)", pattern.replace("$device", self._device))
+            found = re.fullmatch("".join(
+                f"(?P<{part}>.+?)" if number % 2 else re.escape(part)
+                for number, part in enumerate(parts)
+            ), text)
+            if found is None:
+                return None
+            given |= found.groupdict()
+        return given
 
+    def _fill(self, topic: str, me: str) -> str:
+        return topic.replace("$device", self._device).replace("$me", me)
 
-class Shelly(SimulatedRelay):
-    """Shelly relay of generation 2, with JSON-RPC over MQTT.
-
-    Requests arrive on DEVICE/rpc; replies go to SRC/rpc (``src`` of the request) with the request's
-    id.
-    """
-
-    TOPICS = ("{}/rpc",)
-
-    def receive(self, topic: str, payload: str) -> Iterator[Published]:
-        """Execute a request, and yield the reply."""
-        try:
-            request = json.loads(payload)
-            answer = {"id": request["id"], "src": self._device, "dst": request["src"]}
-            method, params = request["method"], request.get("params", {})
-        except (ValueError, TypeError, KeyError):
-            return
-        result = self._execute(method, params)
-        answer |= {"error": {"code": 404, "message": f"No handler for {method}"}} \
-            if result is None else {"result": result}
-        yield f"{request['src']}/rpc", json.dumps(answer)
-
-    def _execute(self, method: str, params: Mapping[str, Any]) -> dict[str, Any] | None:
-        if method == "Shelly.GetDeviceInfo":
-            return {"name": None, "id": self._device, "gen": 2, "app": "simulator"}
-        if params.get("id") != 0:
-            return None
-        match method:
-            case "Switch.Set":
-                was_on = self.on
-                self.switch(bool(params["on"]), params.get("toggle_after", self.timer_s))
-                return {"was_on": was_on}
-            case "Switch.GetStatus":
-                self.advance()
-                return {"id": 0, "source": "MQTT", "output": self.on}
-            case "Switch.GetConfig":
-                return {
-                    "id": 0, "name": None, "in_mode": "detached",
-                    "initial_state": "on" if self.on_after_power_up else "off",
-                    "auto_on": self.auto_on, "auto_on_delay": 60.0,
-                    "auto_off": self.timer_s is not None, "auto_off_delay": self.timer_s or 60.0,
-                }
-        return None
-
-
-class Tasmota(SimulatedRelay):
-    """Tasmota relay, with commands on cmnd/DEVICE/COMMAND and replies on stat/DEVICE/...
-
-    A command without a payload is a query. A PulseTime of 1 to 111 is a time in 0.1 s, 112 to
-    64900 is seconds plus 100, and 0 means off. PowerOnState is 0 (off) or 3 (previous state, the
-    factory setting).
-    """
-
-    TOPICS = ("cmnd/{}/+",)
-
-    def receive(self, topic: str, payload: str) -> Iterator[Published]:
-        """Carry out a command, and yield the replies."""
-        command = topic.rpartition("/")[2].lower()
-        match command, payload.lower():
-            case ("power" | "power1", "on" | "off" as word):
-                self.switch(word == "on", self.timer_s)
-                yield self._result({"POWER": self._word()})
-                yield f"stat/{self._device}/POWER", self._word()
-            case ("status", "11"):
-                yield f"stat/{self._device}/STATUS11", json.dumps({"StatusSTS": {
-                    "Time": time.strftime("%Y-%m-%dT%H:%M:%S"), "POWER": self._word(),
-                }})
-            case ("status", "2"):
-                yield f"stat/{self._device}/STATUS2", json.dumps({"StatusFWR": {
-                    "Version": "simulator",
-                }})
-            case ("pulsetime1", ""):
-                remaining = max(0.0, self._off_at - self._clock()) if self.on else 0.0
-                yield self._result({"PulseTime1": {
-                    "Set": _pulse_time(self.timer_s), "Remaining": _pulse_time(
-                        remaining if math.isfinite(remaining) else None),
-                }})
-            case ("poweronstate", ""):
-                yield self._result({"PowerOnState": 3 if self.on_after_power_up else 0})
-            case ("setoption0", ""):
-                yield self._result({"SetOption0": "ON" if self.on_after_power_up else "OFF"})
-
-    def _word(self) -> str:
-        self.advance()
-        return "ON" if self.on else "OFF"
-
-    def _result(self, value: Mapping[str, Any]) -> Published:
-        return f"stat/{self._device}/RESULT", json.dumps(value)
-
-
-def _pulse_time(seconds: float | None) -> int:
-    if seconds is None:
-        return 0
-    return round(10 * seconds) if seconds <= 11.1 else round(seconds) + 100
-
-
-RELAYS: Mapping[str, type[SimulatedRelay]] = {"Shelly": Shelly, "Tasmota": Tasmota}
-
-
-class RelayOnBroker:
-    """A simulated relay that is connected to a broker; it reconnects automatically.
-
-    Attributes:
-        relay: the relay.
-        client: MQTT client that is connected to the broker.
-    """
-
-    def __init__(self, relay: SimulatedRelay, broker: Broker, device: str) -> None:
-        """Prepare the client without connecting.
-
-        Args:
-            relay: the relay.
-            broker: broker to which the relay connects.
-            device: the relay's own topic on the broker.
-
-        Raises:
-            ConfigurationError: if the MQTT library is not installed, or a login file is invalid.
-        """
-        self.relay, self._broker, self._device = relay, broker, device
-        self._topics = [topic.format(device) for topic in relay.TOPICS]
-        self.client = make_client(
-            broker, "greenroof_ros-simulated", self._subscribe, self._on_message,
-        )
-
-    def __str__(self) -> str:
-        """Return the address of the relay."""
-        return f"{self._broker}/{self._device}"
+    # --- on the broker ----------------------------------------------------------------------------
 
     async def run(self, ended: asyncio.Event) -> None:
         """Run the relay until the simulator stops."""
         self._loop = asyncio.get_running_loop()
         self.client.loop_start()
-        try:
-            while not ended.is_set():
-                self.relay.advance()
-                await asyncio.sleep(_STEP_S)
-        finally:
-            self.client.disconnect()
-            self.client.loop_stop()
+        await ended.wait()
+        self.client.disconnect()
+        self.client.loop_stop()
 
     def _subscribe(self) -> None:
-        self.client.subscribe([(topic, 0) for topic in self._topics])
+        messages = (self._file.switch_on, self._file.switch_off, *self._questions)
+        topics = {self._fill(message.topic, "+") for message in messages}
+        self.client.subscribe([(topic, 0) for topic in sorted(topics)])
 
     def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
         """Pass a message from the client's thread to the event loop."""
-        self._loop.call_soon_threadsafe(self.receive, topic, payload)
+        self._loop.call_soon_threadsafe(self.answer, topic, payload.decode(errors="replace"))
 
-    def receive(self, topic: str, payload: bytes) -> None:
+    def answer(self, topic: str, payload: str) -> None:
         """Publish the relay's replies to a message."""
-        for answer in self.relay.receive(topic, payload.decode(errors="replace")):
-            self.client.publish(*answer)
+        for reply in self.receive(topic, payload):
+            self.client.publish(*reply)
+
+
+def _value(text: str) -> Any:
+    """Return a value that a relay file gives in JSON notation."""
+    with contextlib.suppress(ValueError):
+        return json.loads(text)
+    return text

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import replace
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from paper import PAPER_SITE, site_with
+from paper import PAPER_SITE
 from pump_rig import Rig, settings_for
 
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.live.devices.drive_file import MAX_RAMP_S
 from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings
 from greenroof_ros.live.pumping.state_file import StateFile
 from greenroof_ros.physics.pump import maximum_pump_flow, pump_flow
@@ -25,29 +21,12 @@ def test_defaults_by_hand() -> None:
     """An empty roof takes 3.14416 m3, and 10 mm on 68.8 m2 are 0.688 m3: times 1.5, 5.748 m3.
 
     At the suction level the maximum flow is b sqrt(0.75 + 55.2 - 16) = 0.00819436 m3/s; a fifth of
-    it delivers 5.748 m3 in 3507 s and 3.14416 m3 in 1918 s.
+    it delivers 3.14416 m3 in 1918 s.
     """
     settings = settings_for(PAPER_SITE)
     assert settings.max_volume_per_day == pytest.approx(5.748, abs=5e-4)
-    assert settings.max_run_per_day == pytest.approx(3507, abs=1)
     assert settings.max_run == pytest.approx(1918, abs=1)
     assert settings.starts_per_hour == PAPER_SITE.starts_per_hour
-    assert settings.drive_ramp == MAX_RAMP_S
-
-
-def test_defaults_of_a_field_capacity_soil_near_field_capacity() -> None:
-    """Filling it to 99 % takes atanh(0.99) = 2.6467 times its capacity above wilting, by hand.
-
-    100 m2, 4 m3 between wilting, at 2 m3, and field capacity: 2 + 4 2.6467 = 12.587 m3. Of 10 mm,
-    1 m3, its target keeps 1 - 0.99^2 = 0.0199, so 50.25 m3 replace it: times 1.5, 94.256 m3.
-    """
-    roof = site_with(a2=100.0, z_soil=0.1, z_veg=0.0596)
-    roof = replace(
-        roof, z_cap=6.0, field_capacity=0.6, wilting_point=0.2, depletion_fraction=0.5
-    )
-    settings = settings_for(roof)
-    assert settings.max_volume_per_day == pytest.approx(94.256, abs=2e-3)
-    assert settings.max_run == pytest.approx(12.587 / (0.2 * 0.00819436), abs=2)
 
 
 @pytest.mark.parametrize(("min_speed", "expected"), [(0.3, 0.1), (0.2, 0.1), (0.05, 0.025)])
@@ -66,10 +45,10 @@ def test_as_many_starts_in_any_hour_as_are_allowed(times: list[int], allowed: in
     limits = PumpLimits(PAPER_SITE, settings, state_file)
     starts: list[float] = []
     for passed in times:
-        state_file.count(passed, 0.0, 0.0)
+        state_file.count(passed, 0.0)
         wait, why = limits.wait()
         assert why == (f"it may start at most {allowed} times an hour" if wait else "")
-        state_file.count(wait, 0.0, 0.0)
+        state_file.count(wait, 0.0)
         starts.append(state_file.state.elapsed)
         assert sum(starts[-1] - 3600 < start for start in starts) <= allowed
         assert not wait or starts[-1] - 3600 in starts
@@ -87,7 +66,7 @@ def test_dry_run_with_hysteresis() -> None:
     assert rig.decisions[-1].state == "running"
     rig.x1 = 19.24
     decision = rig.step(1.0)
-    assert (decision.speed, decision.state) == (None, "held")
+    assert (decision.request, decision.state) == (None, "held")
     assert decision.why.startswith("the cistern's level is 0.770 m, but must be above 0.77 m")
     rig.x1 = 19.7
     rig.run(60, 1.0)
@@ -104,40 +83,30 @@ def test_volume_per_day() -> None:
     rig = Rig(x2=0.0, settings=limits)
     rig.run(600, 1.0)
     assert rig.decisions[-1].state == "held"
-    assert rig.decisions[-1].why.startswith("1.0")
     assert "the limit is 1 m3, and the pump may run again in 24.3 h" in rig.decisions[-1].why
     # Beyond it: a step at maximum flow, and what flows while the pump comes to rest.
     assert 1.0 <= rig.delivered <= 1.03
-    rig.state_file.count(1800 + 86_400 - 600 - 10, 0.0, 0.0)
+    rig.state_file.count(1800 + 86_400 - 600 - 10, 0.0)
     assert rig.run(8, 1.0).state == "held"
-    assert rig.run(4, 1.0).speed is not None
+    assert rig.run(4, 1.0).request is not None
 
 
 def test_a_run_without_a_break() -> None:
-    """100 s without a break, then 100 s of rest, or less if the command is 0 in between."""
+    """100 s without a break, then 100 s of rest, whatever is commanded meanwhile."""
     rig = Rig(x2=0.0, settings=settings_for(PAPER_SITE, max_run=99.5))
     rig.run(200, 0.3, until=lambda decision: decision.state == "held")
     assert rig.decisions[-1].why.startswith(
-        "the pump has run for 1.7 min without a break, and now rests for 1.7 min or until the "
-        "command is 0"
+        "the pump has run for 1.7 min without a break, and now rests for 1.7 min"
     )
     begun = rig.now
-    rig.run(200, 0.3, until=lambda decision: decision.speed is not None)
+    rig.run(20, 0.0)
+    rig.run(200, 0.3, until=lambda decision: decision.request is not None)
     assert 95 <= rig.now - begun <= 110
-    rig.run(200, 0.3, until=lambda decision: decision.state == "held")
-    # A command that is missing or refused does not end the rest.
-    for command in (None, math.nan, 0.3):
-        assert rig.step(command).state == "held"
-    begun = rig.now
-    rig.step(0.0)
-    rig.run(200, 0.3, until=lambda decision: decision.speed is not None)
-    assert rig.now - begun <= 12
 
 
 CHANGES: list[dict[str, object]] = [
-    {}, {"frost": True}, {"frost": None}, {"cistern_level": None}, {"roof_level": math.nan},
-    {"cistern_level": 1e9}, {"speed": None}, {"speed": math.nan}, {"speed": 5.0},
-    {"drive_ready": False},
+    {}, {"frost": 1.0}, {"frost": None}, {"cistern_level": None}, {"roof_level": None},
+    {"drive_ready": False}, {"speed": None, "drive_ready": False},
     {"reasons": [Diagnosis("drive_lost", "the cable is out")]}, {"drive_fault": "overload"},
 ]
 
@@ -147,10 +116,7 @@ CHANGES: list[dict[str, object]] = [
     scenes=st.lists(
         st.tuples(
             st.sampled_from([*CHANGES, {}, {}, {}]),
-            st.one_of(
-                st.none(), st.floats(0, 1), st.floats(0, 0.3),
-                st.floats(allow_nan=True, allow_infinity=True),
-            ),
+            st.one_of(st.none(), st.floats(0, 1), st.floats(0, 0.3), st.floats(0, 1e300)),
             st.integers(1, 60),
         ),
         min_size=1, max_size=12,
@@ -170,21 +136,18 @@ def test_never_runs_while_anything_speaks_against_it(
     for change, command, seconds in scenes:
         rig.change = change
         for _ in range(seconds):
-            against = (
-                bool(change) or rig.levels()[0] <= 0.77 or command is None
-                or not 0 <= command < math.inf
-            )
+            against = bool(change) or rig.levels()[0] <= 0.77 or command is None
             decision = rig.step(command)
             fault = fault or "drive_fault" in change
             if against or fault:
-                assert decision.speed is None
+                assert decision.request is None
                 assert decision.state in ("off", "stopping", "held", "fault", "unknown")
             if fault:
                 assert decision.state == "fault"
-            if decision.speed is not None:
-                assert limits.min_speed <= decision.speed <= 1
+            if decision.request is not None:
+                assert limits.min_speed <= decision.request <= 1
                 assert not off_for or off_for >= limits.min_off
-            off_for = off_for + 1 if decision.speed is None else 0
+            off_for = off_for + 1 if decision.request is None else 0
             assert 0 <= (decision.flow or 0.0) < 0.03
             assert decision.why
 
@@ -197,84 +160,38 @@ def pulses(**changes: float) -> Pulses:
     return Pulses(PAPER_SITE, settings_for(PAPER_SITE, **changes))
 
 
-def test_minimum_share_and_pulse_by_hand() -> None:
-    """10 s at a fifth of 0.00842205 m3/s.
-
-    At 80 % of the speed the flow is sqrt((0.64 55.2 - 13) / 42.2) = 0.727392 of the maximum.
-    """
-    assert pulses().min_share(3.0) == 0.2
-    assert pulses().min_pulse(3.0) == pytest.approx(MIN_PULSE, rel=1e-5)
-    assert pulses(min_speed=0.8).min_share(3.0) == pytest.approx(0.727392, abs=5e-7)
-    assert pulses(min_speed=0.8).speed(0.2, 3.0) == 0.8
-
-
-def test_pulses_by_hand() -> None:
-    """A command of 0.013, in seconds of the maximum flow: a minimum pulse is 0.2 10 s = 2 s.
-
-    It starts above 2 - 10 0.013 = 1.87 s outstanding: after 144 s with 1.872. Each second of it
-    takes 0.187: after 10 s 0.002 are outstanding, after 11 s -0.185, and 159 s later again 1.882.
-    """
-    pulse = pulses()
-    on, began, ended = False, [], []
-    for second in range(400):
-        share = pulse.update(0.013, 3.0, on, 1e9)
+@pytest.mark.parametrize(("command", "due"), [
+    # A minimum pulse is 0.2 10 s = 2 s of the maximum flow, outstanding after 182 s with 2.002.
+    # Each second of it takes 0.189: after 11 s -0.077 are outstanding, and 189 s later 2.002.
+    (0.011, [182, 193, 382, 393]),
+    # 20 starts an hour are one every 180 s, in which 0.1 demands 18 s: each second takes 0.1.
+    (0.1, [180, 360, 540]),
+])
+def test_pulses_by_hand(command: float, due: list[int]) -> None:
+    pulse, on, changed = pulses(), False, []
+    for second in range(545):
+        share = pulse.update(command, 3.0, on)
         if (share > 0) != on:
-            (began if share else ended).append(second)
+            changed.append(second)
         on = share > 0
         pulse.count(share * maximum_pump_flow(PAPER_SITE, 75.0), 1.0)
-    assert began == [144, 144 + 11 + 159]
-    assert ended == [144 + 11, 144 + 11 + 159 + 11]
-
-
-def test_the_outstanding_volume_is_limited() -> None:
-    """To 180 s of a fifth of the flow, 0.303194 m3, below that flow; else to a minimum pulse.
-
-    Without a command it is kept for the next command above 0.
-    """
-    pulse = pulses()
-    for _ in range(100):
-        assert pulse.update(0.1, 3.0, False, 0.0) == 0
-        pulse.count(0.0, 1.0)
-    assert pulse.outstanding == pytest.approx(100 * 0.1 * 0.00842205, rel=1e-5)
-    assert pulse.update(0.0, 3.0, False, 1e9) == 0
-    assert pulse.outstanding == pytest.approx(MIN_PULSE, rel=1e-5)
-    pulse.update(0.19, 3.0, False, 0.0)
-    pulse.count(0.0, 3600.0)
-    assert pulse.outstanding == pytest.approx(180 * 0.2 * 0.00842205, rel=1e-5)
-    pulse.update(0.5, 3.0, True, 0.0)
-    assert pulse.outstanding == pytest.approx(MIN_PULSE, rel=1e-5)
-    pulse.clear()
-    assert pulse.outstanding == 0
-    pulse.count(0.0, 3600.0)
-    assert pulse.outstanding == 0
+    assert changed == pytest.approx(due, abs=3)
 
 
 @pytest.mark.parametrize("drive_ramp", [0.1, 1.0])
 def test_volume_within_a_minimum_pulse(drive_ramp: float) -> None:
     """Below 0.0112 of the flow 20 starts an hour are enough: 3600 s x 0.0112 = 20 x 2 s.
 
-    The pump comes to rest from half its speed in at most 5 s, but soon delivers nothing.
+    The pump comes to rest from half its speed in at most 5 s, but soon delivers nothing. A pulse
+    of 10 s, and its ramp, pass before all of it is delivered.
     """
     rig, commanded = Rig(drive_ramp=drive_ramp), 0.0
     for command, seconds in ((0.0105, 1500), (1e-4, 700), (0.004, 1500), (0.0105, 100)):
         for _ in range(seconds):
             rig.step(command)
             # What is commanded in this tick is delivered in the next.
-            assert -0.1 * MIN_PULSE <= commanded - rig.delivered <= MIN_PULSE
+            assert -0.15 * MIN_PULSE <= commanded - rig.delivered <= 1.25 * MIN_PULSE
             commanded += rig.tau * pump_flow(rig.plant, rig.x1, rig.x2, command)
-    assert not any(decision.warnings for decision in rig.decisions)
-    assert max(decision.flow for decision in rig.decisions) <= maximum_pump_flow(rig.site, 75.0)
-
-
-def test_too_many_starts_are_reported() -> None:
-    """At 0.05 of the flow a start is due every 45 s, but only one every 180 s is permitted."""
-    rig = Rig()
-    rig.run(600, 0.05)
-    starts = sum(
-        now.speed is not None and before.speed is None
-        for before, now in zip(rig.decisions, rig.decisions[1:], strict=False)
+    assert max(decision.flow or 0.0 for decision in rig.decisions) <= maximum_pump_flow(
+        rig.site, 75.0
     )
-    assert starts <= 4
-    texts = [each.sentence for decision in rig.decisions for each in decision.warnings]
-    assert "outstanding, which is more than a minimum pulse of 16.8 litres: the" in texts[-1]
-    assert rig.delivered == pytest.approx(600 * 0.05 * 0.0083, abs=180 * 0.05 * 0.0083)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 from contextlib import ExitStack, closing
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -41,26 +40,17 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for() -> None:
     assert site.pumped == pytest.approx(6.1261e-3 * ticks, rel=5e-4)
     assert cistern == pytest.approx(3 - site.pumped / 25, abs=1e-5)
     assert roof == pytest.approx(0.05 + site.pumped / 68.8 + ticks * 9e-6, abs=1e-5)
-    read = [server.devices[1].read()[0] for server in site.servers]
+    read = [site.words(name, SENSORS.by_section[name])[0] for name in ("cistern", "roof")]
     assert read == pytest.approx([1e4 * cistern, 1e4 * roof], abs=1)
 
 
 def read_once(sensor: ModbusSensor) -> float:
     """Return what a sensor on Modbus reads."""
-    with closing(ModbusReader(sensor, "m", SensorLine(sensor.address))) as reader:
+    with closing(ModbusReader(sensor, "m", SensorLine(), 5.0)) as reader:
         reader.start()
         until(lambda: reader.snapshot.value is not None, 20)
         assert reader.snapshot.value is not None
         return reader.snapshot.value
-
-
-def test_a_moisture_probe_reads_the_water_of_the_roof_per_volume_of_its_substrate() -> None:
-    """5 cm in a substrate of 0.5 m are 0.1 m3/m3: 100 counts of 0.1 %."""
-    probe = replace(SENSORS.roof, scale=0.001, substrate_depth=0.5, high=0.5)
-    _, roof = SimulatedSite(
-        PAPER_SITE, [0.0], [0.0], (50.0, 3.44), replace(SENSORS, roof=probe), lambda: 0.0
-    ).servers
-    assert roof.devices[1].read()[0] == 100
 
 
 @needs_mosquitto
