@@ -304,32 +304,23 @@ def substrates() -> str:
 # Names of the parts of a drive's file.
 _DRIVE_PARTS = {
     "the file": drive_file.DriveFile,
-    "`sources`, each": drive_file.Source,
-    "`numbering`": drive_file.Numbering,
-    "`tcp`": drive_file.Tcp,
     "`serial`": drive_file.Serial,
     "`registers`, each": drive_file.Register,
     "`sequences`": drive_file.Sequences,
     "a step of `sequences`": drive_file.Step,
     "a condition: in `status`, and `until` of a step": drive_file.RegisterCondition,
     "`status`": drive_file.StatusWord,
-    "`faults`, `warnings`": drive_file.Codes,
-    "`timeout`": drive_file.Timeouts,
+    "`faults`": drive_file.Codes,
     "`timeout.serial`, `timeout.tcp`": drive_file.Timeout,
     "`action` and `mode` of either": drive_file.Action,
-    "`nameplate`, each": drive_file.Nameplate,
 }
 
 
 _RELAY_PARTS = {
     "the file": drive_file.RelayFile,
-    "`sources`, each": drive_file.Source,
-    "`questions`, each": drive_file.Question,
     "`state`": drive_file.RelayState,
     "`timer`": drive_file.Timer,
-    "`timer.scales`, each": drive_file.Scale,
     "`must`, each": drive_file.Setting,
-    "`name`": drive_file.Value,
     "`switch_on`, `switch_off`": drive_file.RelayMessage,
 }
 
@@ -397,11 +388,6 @@ def _files_of_drives(*, relays: bool) -> list[Path]:
     return [path for path in paths if ("protocol" in read_yaml(path)) is relays]
 
 
-def _advice(*rows: tuple[str, str]) -> str:
-    """Return a list of what a person must do or know; empty texts are left out."""
-    return entries((name, "", text) for name, text in rows if text)
-
-
 def relays() -> str:
     """Return the relays with files in the package, and what is not verified in them."""
     parts = []
@@ -410,12 +396,12 @@ def relays() -> str:
         parts += [
             f"### {path.stem}\n\n{cell(relay.make)}: {cell(relay.model)}.\n",
             "**Timer of the relay**\n",
-            _advice(("Set it", relay.timer.how_to_set), ("Beware", relay.timer.traps)),
+            entries([("Set it", "", relay.timer.how_to_set)]),
             "Other settings required on the relay:\n",
             "\n".join(f"- {cell(text)}" for text in relay.set_up) + "\n",
         ]
         if relay.unverified:
-            names = ", ".join(f"**`{key}`**" for key in relay.unverified)
+            names = ", ".join(f"`{key}`" for key in relay.unverified)
             parts.append(f"Unverified keys, which are reported at startup: {names}.\n")
     return "\n".join(parts)
 
@@ -426,25 +412,17 @@ def drives() -> str:
     for path in _files_of_drives(relays=False):
         drive = drive_file.read_drive_file(path)
         parts.append(f"### {drive.path.stem}\n\n{cell(drive.make)}: {cell(drive.model)}.\n")
-        ports: dict[tuple[tuple[str, str], ...], list[str]] = {}
-        for interface, timeout in drive.timeout.by_interface.items():
-            rows = (
-                ("Set it", timeout.how_to_set), ("Restarted by", timeout.kept_alive_by),
-                ("Beware", timeout.traps),
-            )
+        ports: dict[str, list[str]] = {}
+        for interface, timeout in drive.timeout.items():
             where = "drive's Ethernet port" if interface == "tcp" else "serial port"
-            ports.setdefault(rows, []).append(where)
-        for rows, where in ports.items():
+            ports.setdefault(timeout.how_to_set, []).append(where)
+        for how_to_set, where in ports.items():
             parts.append(f"**Communication timeout of the {' and the '.join(where)}**\n")
-            parts.append(_advice(*rows))
+            parts.append(entries([("Set it", "", how_to_set)]))
         parts.append("Other settings required on the drive:\n")
         parts.append("\n".join(f"- {cell(text)}" for text in drive.set_up) + "\n")
-        vital = set(drive.unverified_and_vital)
-        names = [f"**`{key}`**" if key in vital else f"`{key}`" for key in drive.unverified]
-        parts.append(
-            "Unverified keys (those in bold are reported at startup): "
-            f"{', '.join(names)}.\n"
-        )
+        names = ", ".join(f"`{key}`" for key in drive.unverified)
+        parts.append(f"Unverified keys, which are reported at startup: {names}.\n")
     return "\n".join(parts)
 
 

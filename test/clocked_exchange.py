@@ -208,7 +208,7 @@ class Bench:
     def silences(self) -> list[float]:
         """Return the times without any request, if longer than the waits between attempts."""
         gaps = [later - before for before, later in itertools.pairwise(self.asked)]
-        return [gap for gap in gaps if gap > 5.5]
+        return [gap for gap in gaps if gap > 6.0]
 
     def close(self) -> float:
         """Close the exchange if it was started, and return how long that took (s)."""

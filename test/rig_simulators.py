@@ -357,9 +357,9 @@ class FaultyDrive(SimulatedDrive):
                 self.power_cycle()
             case "timeout_off":  # as someone could at the panel
                 if self.timeout.action is not None:
-                    self.write_raw(self.timeout.action.register, min(self.timeout.action.runs_on))
+                    self.write_raw(self.timeout.action.register, 0)
                 else:
-                    self.write_raw(self.timeout.register, min(self.timeout.off_values, default=0))
+                    self.write_raw(self.timeout.register, 0)
 
     def power_cycle(self) -> None:
         """Lose power for a moment: the motor stops, and nothing answers until it has booted."""
@@ -385,7 +385,7 @@ class DriveBench(Bench):
         super().__init__(workbench)
         self._line = PseudoLine() if address.line == "pty" else None
         reached = address if self._line is None else Address(line=self._line.ends[0])
-        self._reached = replace(reached, gateway=not reached.line and file.timeout.tcp is None)
+        self._reached = replace(reached, gateway=not reached.line and "tcp" not in file.timeout)
         self.drive = FaultyDrive(file, self._reached.interface, timeout_s)
         self.drive.log = self.log
         self.drive.flow = lambda speed: flow_at(

@@ -19,8 +19,8 @@ from greenroof_ros.live.devices.exchange import (
 from greenroof_ros.live.supervisor import StopDrive
 
 _MAY_RUN = (
-    "THE PUMP MAY BE RUNNING: now only the drive's own communication timeout can stop it, if "
-    "that timeout is on; check the pump, and stop it at the drive's panel or at the main switch"
+    "THE PUMP MAY BE RUNNING: now only the drive's own timeout can stop it, if it is on; check the "
+    "pump, and stop it at the drive's panel or at the main switch"
 )
 
 
@@ -77,7 +77,7 @@ class DriveChoice:
                 warning = _MAY_RUN if reached else "the drive has not responded since the start"
                 return reached, f"bringup could not stop the drive: {error}; {warning}"
             message = f"bringup commanded the drive to stop; the drive then reported: {status}"
-            return (False, message) if status.at_rest else (True, f"{message}; {_MAY_RUN}")
+            return not status.at_rest, message if status.at_rest else f"{message}; {_MAY_RUN}"
 
         return stop
 
@@ -85,14 +85,12 @@ class DriveChoice:
 def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the drive to a command's parser."""
     group = parser.add_argument_group(
-        "the drive",
-        "The pump node receives the commands, and runs a real or simulated drive over Modbus, or\n"
-        "a relay over MQTT.",
-    )
-    for parameter, option, metavar in zip(
-        CHOICE, ("--drive", "--drive-at", "--broker-login", "--broker-authority"),
-        ("{NAME,FILE}", "ADDRESS", "FILE", "FILE"), strict=True,
-    ):
+        "the drive", "The pump node runs a drive over Modbus, or a relay over MQTT.")
+    options = {
+        "--drive": "{NAME,FILE}", "--drive-at": "ADDRESS", "--broker-login": "FILE",
+        "--broker-authority": "FILE",
+    }
+    for parameter, (option, metavar) in zip(CHOICE, options.items(), strict=True):
         group.add_argument(option, default="", metavar=metavar, help=parameter.meaning)
 
 
@@ -104,17 +102,13 @@ def read_drive_choice(arguments: argparse.Namespace) -> DriveChoice | None:
     """
     drive, at = arguments.drive, arguments.drive_at
     refuse(
-        (at and not drive, "--drive-at", at,
-         "requires --drive with the make of the drive"),
-        (drive and not at, "--drive", drive,
-         "requires --drive-at, such as tcp://192.168.0.20:502, gateway://..., /dev/ttyUSB0 or "
-         "mqtt://..."),
+        (bool(drive) != bool(at), "--drive", drive,
+         "and --drive-at (tcp://192.168.0.20:502, /dev/ttyUSB0, mqtt://...) require each other"),
         (drive and arguments.pump == EXTERNAL, "--pump", EXTERNAL,
-         "assigns the pump to your own node, but --drive assigns it to the pump node; use only "
-         "one of these options"),
+         "assigns the pump to your own node, but --drive to the pump node; use only one of them"),
     )
-    files = [
-        str(Path(file).resolve()) if file else ""
-        for file in (arguments.broker_login, arguments.broker_authority)
-    ]
-    return DriveChoice(str(find_drive_file(drive).resolve()), at, *files) if drive else None
+    if not drive:
+        return None
+    files = (arguments.broker_login, arguments.broker_authority)
+    absolute = (str(Path(file).resolve()) if file else "" for file in files)
+    return DriveChoice(str(find_drive_file(drive).resolve()), at, *absolute)

@@ -384,7 +384,7 @@ class PumpNode(ActuatorNode):
         snapshot = self._exchange.snapshot
         status, absence = snapshot.status_at(now), snapshot.absence_at(now)
         file = self._exchange.endpoint.file
-        if unverified := ", ".join(file.unverified_and_vital):
+        if unverified := ", ".join(file.unverified):
             self.reports.diagnose("drive file", Diagnosis.of(
                 "drive_file_unverified", file=str(file.path), settings=unverified
             ), level=WARN)
@@ -396,8 +396,8 @@ class PumpNode(ActuatorNode):
             )
         if status is None:
             return
-        self.reports.hardware = f"{snapshot.identity}, {self._exchange.endpoint}"
-        warning = "; ".join(filter(None, (snapshot.problem, status.warning)))
+        self.reports.hardware = f"{file}, {self._exchange.endpoint}"
+        warning = snapshot.problem
         level, diagnosis = WARN, None
         if status.fault:
             level, diagnosis = ERROR, drive_fault(status.fault, status.runs_on)
@@ -408,14 +408,11 @@ class PumpNode(ActuatorNode):
             diagnosis = snapshot.second_master
         elif warning:
             diagnosis = Diagnosis.of("drive_warning", warning=warning)
-        self.reports.diagnose("drive", diagnosis, f"connected to {snapshot.identity}", level)
+        self.reports.diagnose("drive", diagnosis, f"connected to {file}", level)
         self._diagnose_timeout(snapshot)
 
     def _diagnose_timeout(self, snapshot: DriveSnapshot) -> None:
-        guard = self._exchange.endpoint.guard
         well = f"if this computer fails, the drive stops after {snapshot.timeout_s or 0:g} s"
-        if guard is not None and guard.traps:
-            well += f"; beware: {guard.traps}"
         diagnosis, level = self._exchange.timeout_problem(snapshot), ERROR
         if diagnosis is None:
             diagnosis, level = snapshot.unguarded, WARN

@@ -79,7 +79,7 @@ def test_what_is_refused(tmp_path: Path, text: str, place: str) -> None:
 ], ids=itertools.count())
 @pytest.mark.parametrize(("read", "file", "key"), [
     (read_site, "site.yaml", "tau"), (read_site, "site.yaml", "extends"),
-    (read_sensors, "sensors.yaml", "scale"), (read_drive_file, "drives/abb_acs880.yaml", "unit"),
+    (read_sensors, "sensors.yaml", "scale"), (read_drive_file, "drives/abb_acs880.yaml", "type"),
     (read_grid, "studies/seasons.yaml", "site"),
 ])
 def test_no_value_fills_a_message(

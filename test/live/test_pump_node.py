@@ -70,7 +70,7 @@ def test_it_connects_by_itself_and_its_report_shows_the_state(rig: PumpRig) -> N
 
 
 HEAD = b"\x00\x01\x00\x00"  # of a message, little-endian
-GUARDS = DriveSnapshot(timeout_known=True, timeout_s=3.0)
+GUARDS = DriveSnapshot(timeout_s=3.0)
 
 
 @pytest.mark.parametrize(
@@ -78,13 +78,13 @@ GUARDS = DriveSnapshot(timeout_known=True, timeout_s=3.0)
     [
         ("abb_acs880", "gateway://127.0.0.1", GUARDS, False, None),
         ("abb_acs880", "gateway://127.0.0.1",
-         DriveSnapshot(timeout_known=True, timeout_s=10.5), False,
-         "is 10.5 s, but must be at most 10 s; to set it: "),
+         DriveSnapshot(timeout_s=10.5), False,
+         "it is 10.5 s, but must be at most 10 s; to set it: "),
         ("abb_acs880", "gateway://127.0.0.1",
-         DriveSnapshot(timeout_known=True, timeout_note="0"), False,
-         "is not effective (0); to set it: "),
+         DriveSnapshot(timeout_note="0"), False,
+         "is not effective: 0; to set it: "),
         ("abb_acs880", "tcp://127.0.0.1", DriveSnapshot(timeout_note="no timeout.tcp"), False,
-         "could not be read (no timeout.tcp)"),
+         "is not effective: no timeout.tcp"),
         ("grundfos_cim500", "tcp://127.0.0.1", GUARDS, False,
          "and confirm this (local_settings_stop_the_pump: true); to set it: "),
         ("grundfos_cim500", "tcp://127.0.0.1", GUARDS, True, None),
@@ -111,7 +111,7 @@ def test_without_the_drives_own_timeout_it_does_not_run(rig: PumpRig) -> None:
     for _ in range(10):
         assert rig.tick(0.5) == 0.0
     assert rig.drive.speed() == 0.0
-    words = "did not respond at the end", "it can now only be stopped at its panel"
+    words = "was not stopped at the end", "only a person at its panel can stop it"
     ends_in_words(rig, node, "silence", *words)
 
 
@@ -135,7 +135,7 @@ def test_what_the_drive_file_reports(rig: PumpRig) -> None:
         assert rig.tick(0.4) == 0.0
     rig.tick_until(0.4, lambda: rig.drive.speed() > 0.89, 60, "a pulse at the minimum speed")
     assert "in pulses" in rig.state
-    assert rig.shows("drive timeout", OK, "beware: a change of 58.14 to 58.16 takes effect only")
+    assert rig.shows("drive timeout", OK, "the drive stops after 3 s")
 
 
 def test_malformed_messages_stop_the_motor_and_not_the_node(rig: PumpRig) -> None:
@@ -301,7 +301,7 @@ def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(rig: Pump
     stays_off(STOPPED)
     assert rig.call(SetBool, "stop", data=False).success
     rig.run()
-    words = "was not stopped at the end", "its own timeout of 1.5 s must stop it"
+    words = "was not stopped at the end", "its own timeout (1.5 s)"
     ends_in_words(rig, node, "stuck_running", *words)
 
 

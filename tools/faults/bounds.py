@@ -7,13 +7,9 @@ from __future__ import annotations
 
 import os
 
-from greenroof_ros.live.devices.exchange import (
-    FIRST_WAIT_S,
-    PERIOD_S,
-    RUNS_ON_S,
-    SILENCE_MARGIN_S,
-    VISIBLE_S,
-)
+from greenroof_ros.live.devices.drive import DriveEndpoint
+from greenroof_ros.live.devices.drive_file import LIMIT_S as OBEYS_S
+from greenroof_ros.live.devices.exchange import FIRST_WAIT_S
 from greenroof_ros.live.levels import LIMITS
 from greenroof_ros.live.live_bag import FLUSH_S
 from greenroof_ros.live.pump import parameters as parameters_of_pump
@@ -45,10 +41,10 @@ def bounds(site: Site) -> dict[str, float]:
         for name in ("follow_time", "drive_ramp", "averaging_time", "level_tolerance",
                      "min_delivery")
     )
-    exchange = 2 * PERIOD_S
+    exchange = 2 * DriveEndpoint.period
     end = exchange + RAMP_S + SLACK_S
     # The line is left silent if the speed has not fallen for this long.
-    runs_on = RUNS_ON_S + VISIBLE_S + SILENCE_MARGIN_S + DRIVE_TIMEOUT_S + exchange + end
+    runs_on = OBEYS_S + DRIVE_TIMEOUT_S + exchange + end
     step = site.tau + end
     frozen, jump, apart = 0.01, 0.02, 0.1
     flow = flow_at(site, 1.0, 2.0)

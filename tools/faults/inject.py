@@ -305,7 +305,7 @@ def _rewrite_timeout(rig: Rig, case: Case, undo: ExitStack) -> None:
     runs. Then the drive can be reached again.
     """
     file, address = read_drive_file(Path(rig.drive_file)), parse_address(rig.drive_at)
-    timeout = file.timeout.guarding(address)
+    timeout = file.timeout.get(address.interface)
     assert timeout is not None
     register = file.registers[timeout.register]
 

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 import socket
-import threading
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import read_yaml
 from greenroof_ros.base.mqtt import parse_topic
 from greenroof_ros.base.parameter import Parameter
@@ -28,39 +26,24 @@ from greenroof_ros.live.devices.drive_file import (
 from greenroof_ros.live.devices.modbus_line import DeviceThread, DriveError, parse_drive_address
 from greenroof_ros.live.devices.relay import Relay, RelayEndpoint
 
-# Time between two rounds of requests (s), and how long each may wait for its response (s).
-PERIOD_S, TIMEOUT_S = 0.1, 0.5
-# Time without a request of the caller after which the drive is stopped (s).
-DEAD_MAN_S = 1.0
-# Longest time until a change is noticed (s): two rounds whose requests wait for their responses.
-NOTICE_S = 1.0
+# How long each request may wait for its response (s).
+TIMEOUT_S = 0.5
 # The connection is treated as lost after this many consecutive rounds without a valid answer.
 LOST_AFTER = 2
+# Time without a request of the caller after which the drive is stopped (s).
+DEAD_MAN_S = LOST_AFTER * TIMEOUT_S
 # Wait before a new attempt to connect (s): the first, and the longest.
-FIRST_WAIT_S, MAX_WAIT_S = 0.25, LIMIT_S / 2
+FIRST_WAIT_S, MAX_WAIT_S = TIMEOUT_S / 2, LIMIT_S / 2
 # Time in which the drive must acknowledge its fault (s); after that, the fault counts again.
 RESET_S = LIMIT_S / 2
-# Interval at which the drive's safety-relevant settings are read again (s).
-SETTINGS_S = MAX_RAMP_S
-# By how much a silence exceeds the drive's own communication timeout (s).
-SILENCE_MARGIN_S = NOTICE_S
-
 # The minimum decrease of the speed that counts (share of the rated speed).
 SLOWER = 0.005
-# A drive that acknowledges *stop* has a fault if its speed has not fallen for RUNS_ON_S (s), which
-# is longer than a drive needs to begin its ramp. It is left in silence once the fault has been
-# visible for VISIBLE_S (s), which is longer than the caller's step, even if a connection breaks
-# meanwhile. Together they do not exceed the default time for which pump control waits for a speed
-# to follow beyond the ramp (follow_time).
-RUNS_ON_S, VISIBLE_S = LIMIT_S, 2 * NOTICE_S
-# Minimum time from a silence that did not help to the next one (s): the fault may need a person.
-RUNS_ON_AGAIN_S = 2 * MAX_RAMP_S
-# A drive whose speed cannot be read may still receive orders for this long (s); after that, a
-# silence follows in which its own timeout can expire.
-UNREAD_S = RUNS_ON_S + MAX_WAIT_S
-# At the end, a drive that keeps its speed for longer than this (s) is treated as one that does not
-# stop.
-STEADY_S = 3 * NOTICE_S
+# A drive that has not been seen to obey *stop* for LIMIT_S may still receive orders until the next
+# failed attempt to connect (s); after that, a silence follows in which its own timeout can expire.
+UNREAD_S = LIMIT_S + MAX_WAIT_S
+# At the end, a drive that keeps its speed for longer than this (s) is left: nothing is sent to it
+# any more, so its own timeout stops it.
+STEADY_S = 3.0
 # Longest time for which driver and supervisor each wait for a drive to come to rest (s): its ramp
 # and the requests. It must fit into the 40 s that bringup gives the pump node to end. Both waits,
 # one after the other, must fit into the 120 s of examples/greenroof.service.
@@ -68,15 +51,13 @@ REST_LIMIT_S = MAX_RAMP_S + STEADY_S
 
 # How a user chooses a drive: parameters of the pump node, and options of bringup.
 CHOICE = (
-    Parameter(
-        "drive", "", meaning="make of the drive: a name in config/drives/, or a drive file",
-    ),
+    Parameter("drive", "", meaning="make of the drive: a name in config/drives/, or a drive file"),
     Parameter(
         "address", "", meaning="address of the drive: tcp://HOST:PORT for its own Ethernet port, "
         "gateway://HOST:PORT for a gateway to its serial port, or a serial line such as "
-        "/dev/ttyUSB0. If the device id differs from that in the drive file, append it after a "
-        "comma: gateway://HOST:PORT,17. For a relay: mqtt://HOST[:PORT]/DEVICE, where DEVICE is "
-        "the relay's topic at the broker; mqtts:// for TLS",
+        "/dev/ttyUSB0, and the device id after a comma, if it differs from that in the drive file: "
+        "gateway://HOST:PORT,17. For a relay: mqtt://HOST[:PORT]/DEVICE, where DEVICE is its topic "
+        "at the broker; mqtts:// for TLS",
     ),
     Parameter(
         "broker_login", "", meaning="YAML file with the username and password for a relay's broker",
@@ -88,12 +69,9 @@ CHOICE = (
 )
 
 Endpoint: TypeAlias = DriveEndpoint | RelayEndpoint
-Connection: TypeAlias = Drive | Relay
 
 
-def read_endpoint(
-    file: Path, at: str, key: str, login: str = "", authority: str = ""
-) -> Endpoint:
+def read_endpoint(file: Path, at: str, key: str, login: str = "", authority: str = "") -> Endpoint:
     """Read a drive file or a relay file (recognized by its key ``protocol``), and add an address.
 
     Args:
@@ -111,12 +89,6 @@ def read_endpoint(
     """
     if "protocol" in read_yaml(file):
         return RelayEndpoint(read_relay_file(file), *parse_topic(at, key, login, authority))
-    if login or authority:
-        raise ConfigurationError(
-            "has no broker to log in to: a login and certificates are only used for a relay on "
-            "MQTT",
-            key=key, value=at,
-        )
     return DriveEndpoint(read_drive_file(file), parse_drive_address(at, key))
 
 
@@ -144,13 +116,7 @@ def acquire_drive_lock(drive: Endpoint) -> socket.socket:
         DriveError: if the system denies the lock or the host is unknown.
     """
     try:
-        name = drive.lock_name()
-    except OSError as error:
-        raise DriveError(
-            "connection", f"{drive}: cannot connect: the host was not found ({error.strerror})"
-        ) from error
-    try:
-        return acquire_name_lock(f"drive-{name}")
+        return acquire_name_lock(f"drive-{drive.lock_name()}")
     except LockedError as error:
         raise DriveInUseError(
             f"{drive}: process {error.holder or 'unknown'} on this computer is already running "
@@ -158,130 +124,27 @@ def acquire_drive_lock(drive: Endpoint) -> socket.socket:
         ) from None
     except OSError as error:
         raise DriveError(
-            "drive",
-            f"{drive}: its lock cannot be acquired ({error.strerror}); without the lock, two "
-            "programs could run the same drive",
+            "connection",
+            f"{drive}: cannot be locked ({error.strerror}), and without its lock two programs "
+            "could run the same drive",
         ) from error
 
 
-class RunsOnError(DriveError):
-    """Error for a drive that runs on after *stop*; nothing must be sent to it for a while."""
+class Fall:
+    """The fall of a drive's speed after *stop*.
 
-
-class Deceleration:
-    """The fall of a drive's speed after *stop*."""
-
-    def __init__(self) -> None:
-        self._lowest, self._fell_at = math.inf, -math.inf
-
-    def update(self, status: DriveStatus, now: float) -> float:
-        """Process a drive's status, and return the time since its speed last fell (s)."""
-        if abs(status.speed) < self._lowest - SLOWER:
-            self._lowest, self._fell_at = abs(status.speed), now
-        return now - self._fell_at
-
-
-class StopMonitor:
-    """Monitor that checks whether a drive obeys *stop*, even across lost connections.
-
-    A drive obeys if its speed falls, however slowly. A drive under local control is left to the
-    person at its panel. All times are those of `time.monotonic` (s).
+    Attributes:
+        since: when the speed last fell (s, `time.monotonic`), or *stop* became the order.
     """
 
-    def __init__(self, where: str) -> None:
-        """Initialize the monitor without any knowledge of the drive.
+    def __init__(self) -> None:
+        self._lowest, self.since = math.inf, time.monotonic()
 
-        Args:
-            where: address of the drive, for messages.
-        """
-        self._where = where
-        # The fall since *stop* became the last order; None if the drive runs or is stopped.
-        self._fall: Deceleration | None = None
-        # For how long reports have shown that the speed does not fall, and the time of the last
-        # such report on this connection.
-        self._visible_s, self._reported_at = 0.0, math.inf
-        # Time since which *stop* has been written without any speed being read.
-        self._unread_from = math.inf
-        # The number of consecutive connections on which the last *stop* could not be written.
-        self._refusals = 0
-        # End of the last silence because the drive ran on or its speed could not be read; reset
-        # when it comes to rest or runs.
-        self._silent_until = -math.inf
-
-    def stop_written(self, now: float) -> None:
-        """Record that *stop* was written as the last command."""
-        self._fall = self._fall or Deceleration()
-        self._unread_from = min(self._unread_from, now)
-
-    def order_changed(self) -> None:
-        """Record that the last command was not *stop*, or may have come from another program."""
-        self._fall = None
-
-    def speed_read(self) -> None:
-        """Record that the speed was read, or that a person at the panel controls the drive."""
-        self._unread_from = math.inf
-
-    def check(
-        self, status: DriveStatus, now: float, flows_at_rest: bool = False
-    ) -> DriveStatus:
-        """Return a drive's status, with a fault added if the drive runs on after *stop*.
-
-        Args:
-            status: the status.
-            now: the time.
-            flows_at_rest: whether the pump is running although the drive reports standstill.
-
-        Raises:
-            RunsOnError: if the fault has been visible for long enough or is certain.
-        """
-        fall, reported_at, self._reported_at = self._fall, self._reported_at, math.inf
-        if flows_at_rest and fall is not None and status.at_rest:
-            raise RunsOnError(
-                "drive", f"{self._where}: the drive reports standstill, but water is flowing"
-            )
-        if fall is None or status.at_rest or not status.remote:
-            self._fall, self._silent_until = None, -math.inf
-            return status
-        steady_s = fall.update(status, now)
-        if steady_s <= RUNS_ON_S:
-            self._visible_s = 0.0
-            return status
-        self._reported_at, self._visible_s = now, self._visible_s + max(0.0, now - reported_at)
-        problem = f"the drive acknowledges *stop*, but its speed has not fallen for {RUNS_ON_S:g} s"
-        if self._visible_s > VISIBLE_S and now - self._silent_until > RUNS_ON_AGAIN_S:
-            raise RunsOnError(
-                "drive", f"{self._where}: {problem} (the speed is {status.speed:.1%})"
-            )
-        fault = "; ".join(filter(None, (status.fault, problem)))
-        return replace(status, fault=fault, timed_out=False, runs_on=True)
-
-    def connection_lost(self, stopped: bool | None, now: float) -> str | None:
-        """Record that the connection was lost.
-
-        Args:
-            stopped: whether the last *stop* was written; None if no *stop* was attempted.
-            now: the time.
-
-        Returns: The reason why nothing may be sent to the drive for a while, worded to be appended
-        to the problem; None if no silence is needed.
-        """
-        self._reported_at = math.inf
-        if stopped is not None:
-            self._refusals = 0 if stopped else self._refusals + 1
-        unread = now - self._unread_from > RUNS_ON_S
-        if stopped and unread and now - self._silent_until > RUNS_ON_AGAIN_S:
-            return (
-                f"; the speed cannot be read, and for {RUNS_ON_S:g} s it has been unknown "
-                "whether the drive has stopped, although *stop* is written"
-            )
-        if self._refusals > 1:
-            return "; *stop* could not be written on two successive connections"
-        return None
-
-    def silence_started(self, until: float) -> None:
-        """Record the start of a silence, and the time of its end."""
-        if not self._refusals:
-            self._silent_until = until
+    def lasts(self, speed: float) -> float:
+        """Process the drive's speed, and return the time since it last fell (s)."""
+        if abs(speed) < self._lowest - SLOWER:
+            self._lowest, self.since = abs(speed), time.monotonic()
+        return time.monotonic() - self.since
 
 
 @dataclass(frozen=True)
@@ -293,13 +156,11 @@ class DriveSnapshot:
             computer is suspended).
         problem: description of the last problem if it persists; otherwise empty.
         connected: whether the drive is connected and responding; after `close`, it is not.
-        status: last status of the drive; None without a connection. After `close`, this is the
-            status at the time when the drive was released, possibly before it reached standstill,
-            or None if the status could not be read.
-        identity: nameplate of the drive; empty until it has been read.
+        status: last status of the drive; None without a connection, unless the drive is left in
+            silence because it runs on. After `close`, this is the status at the time when the drive
+            was released, possibly before it reached standstill, or None if it could not be read.
         timeout_s: communication timeout of the drive (s); None if it is off.
-        timeout_known: whether the timeout could be read.
-        timeout_note: reason why the timeout is treated as off or could not be read.
+        timeout_note: reason why the timeout is treated as off.
         unguarded: diagnosis that the connected drive is kept off because its own timeout may not be
             effective yet; None if the timeout is effective.
         second_master: diagnosis that another program or a person controls the drive, which is
@@ -313,9 +174,7 @@ class DriveSnapshot:
     problem: str = "not yet connected"
     connected: bool = False
     status: DriveStatus | None = None
-    identity: str = ""
     timeout_s: float | None = None
-    timeout_known: bool = False
     timeout_note: str = ""
     unguarded: Diagnosis | None = None
     second_master: Diagnosis | None = None
@@ -330,9 +189,8 @@ class DriveSnapshot:
         """Return the reason why there is no status at the given time; None if one is available."""
         if self.status_at(now) is not None:
             return None
-        if self.problem:
-            return Diagnosis.of("drive_lost", "problem", problem=self.problem)
-        return Diagnosis.of("drive_lost", "silent", time=LIMIT_S)
+        problem = self.problem or f"it has not responded for {LIMIT_S:g} s"
+        return Diagnosis.of("drive_lost", problem=problem)
 
 
 class DriveExchange(DeviceThread):
@@ -348,11 +206,12 @@ class DriveExchange(DeviceThread):
     number of starts, decides when to start the drive again.
 
     The connection is lost after two rounds without a valid answer, or if it is closed. If *stop* is
-    rejected on two connections, or the speed does not fall, or is unknown, a silence follows:
-    nothing is sent for longer than the drive's own timeout, which then stops the drive; any message
-    might restart that timeout. A timeout above the limit is treated as unknown. `stop` ends a
-    silence early. `close` may be called at any time, and stops the drive. From the first connection
-    until `close`, no other program on this machine can use the drive.
+    rejected on two connections, or the drive has not been seen to obey *stop* for `LIMIT_S` (its
+    speed does not fall, or is unknown), or water flows although it reports standstill, a silence
+    follows: nothing is sent for the longest timeout that the drive may have, which then stops the
+    drive; any message might restart that timeout. `stop` ends a silence early. `close` may be
+    called at any time, and stops the drive. From the first connection until `close`, no other
+    program on this machine can use the drive.
 
     Attributes:
         endpoint: the drive.
@@ -368,7 +227,7 @@ class DriveExchange(DeviceThread):
         Args:
             endpoint: the drive.
             timeout_limit_s: maximum usable communication timeout of the drive (s), which is also
-                the length of a silence if the timeout is longer, unknown or off.
+                the length of a silence.
             stops_locally: whether the operator has confirmed that local settings of the drive,
                 which cannot be read, stop the pump.
 
@@ -376,30 +235,31 @@ class DriveExchange(DeviceThread):
             ConfigurationError: if a library is not installed or a login file is invalid.
         """
         super().__init__("communication with the drive")
-        self._snapshot, self._lock = DriveSnapshot(), threading.Lock()
+        self._snapshot = DriveSnapshot()
         self.endpoint, self.flows_at_rest = endpoint, False
-        self._drive: Connection = endpoint.connection(TIMEOUT_S)
+        self._drive: Drive | Relay = endpoint.connection(TIMEOUT_S)
         self._drive_lock: socket.socket | None = None
-        self._period_s = max(PERIOD_S, endpoint.period)
         self._timeout_limit_s, self._stops_locally = timeout_limit_s, stops_locally
         # Read and written as a whole, so no lock is needed.
         self._requested: tuple[float | None, float] = (None, -math.inf)
-        # Time until which a fault may be acknowledged.
-        self._reset_until = -math.inf
-        self._rest_deadline = math.inf
+        self._reset_requested = self._stop_requested = False
         # When to connect next, how long to wait after that attempt, and whether it is the last one.
         self._connect_at, self._wait_s = -math.inf, FIRST_WAIT_S
         self._last_attempt = False
-        self._stop_requested = False
-        # Time until which another writer is given way.
-        self._other_until = -math.inf
-        self._settings_read_at = -math.inf
-        # Number of consecutive rounds without a valid answer.
-        self._unanswered = 0
-        self._stop_monitor = StopMonitor(str(endpoint))
+        # Time until which another writer is given way, from which the drive's own timeout is
+        # effective, and at which the settings were read.
+        self._other_until = self._guarded_from = self._settings_read_at = -math.inf
         guard = endpoint.guard
         self._unguarded_s = 0.0 if guard is None else guard.unguarded_after_power_up_s
-        self._guarded_from = -math.inf
+        # Number of consecutive rounds without a valid answer.
+        self._unanswered = 0
+        # Whether the last *stop* on this connection was taken, None before any, and the number of
+        # consecutive connections on which it was not.
+        self._stopped: bool | None = None
+        self._refusals = 0
+        # The fall of the speed since *stop* became the last order; None if the drive runs, is at
+        # rest, or is left to another master or to a person at its panel.
+        self._fall: Fall | None = None
 
     @property
     def snapshot(self) -> DriveSnapshot:
@@ -413,7 +273,6 @@ class DriveExchange(DeviceThread):
         fall, or the drive does not respond, the drive is released after a few seconds.
         """
         self._requested = (None, -math.inf)
-        self._rest_deadline = time.monotonic() + REST_LIMIT_S
         if not self._stop_thread(REST_LIMIT_S + MAX_WAIT_S):
             self._fail("could not confirm that the pump has stopped: the connection hangs",
                        connected=False, status=None)
@@ -426,50 +285,40 @@ class DriveExchange(DeviceThread):
         Raises:
             OSError: if the drive did not respond at the end or is not at standstill.
         """
-        snapshot = self.snapshot
-        status = snapshot.status
-        problem = f"the drive was not stopped at the end of the connection: {status}"
-        if status is None or snapshot.connected:
-            # If still connected, the thread has not read that the drive is stopped.
-            why = snapshot.problem or "no final response"
-            problem = f"the drive did not respond at the end of the connection ({why})"
-        elif status.at_rest:
+        snapshot, status = self.snapshot, self.snapshot.status
+        if status is not None and status.at_rest:
             return f"released the drive: {status}"
-        timeout = "off" if snapshot.timeout_known else "unknown"
-        ending = f"it can now only be stopped at its panel; its communication timeout is {timeout}"
-        if snapshot.timeout_s is not None:
-            ending = f"its own timeout of {snapshot.timeout_s:g} s must stop it"
-        raise OSError(f"{problem}; {ending}")
+        timeout = f" or its own timeout ({snapshot.timeout_s:g} s)" if snapshot.timeout_s else ""
+        raise OSError(
+            "the drive was not stopped at the end of the connection: "
+            f"{status or snapshot.problem}; now only a person at its panel{timeout} can stop it"
+        )
 
     def timeout_problem(self, snapshot: DriveSnapshot) -> Diagnosis | None:
         """Return a diagnosis if the drive's own communication timeout is unusable, or None."""
-        guard, seconds, limit_s = self.endpoint.guard, snapshot.timeout_s, self._timeout_limit_s
-        values: dict[str, float | str] = {}
-        if not snapshot.timeout_known:
-            case, values["note"] = "unread", snapshot.timeout_note
-        elif seconds is None:
-            case, values["note"] = "none", snapshot.timeout_note
-        elif seconds > limit_s:
-            case, values = "long", {"timeout": seconds, "limit": limit_s}
-        elif guard is not None and guard.local_settings_decide and not self._stops_locally:
-            case = "local"
+        guard, seconds = self.endpoint.guard, snapshot.timeout_s
+        if seconds is None or guard is None:
+            note = snapshot.timeout_note
+        elif seconds > self._timeout_limit_s:
+            note = f"it is {seconds:g} s, but must be at most {self._timeout_limit_s:g} s"
+        elif guard.local_settings_decide and not self._stops_locally:
+            note = (
+                "it depends on drive settings that cannot be read: set the drive to stop the pump, "
+                "check that it does, and confirm this (local_settings_stop_the_pump: true)"
+            )
         else:
             return None
-        more = {} if guard is None else {"repair": guard.how_to_set, "traps": guard.traps}
-        cases = [name for name, text in more.items() if text]
-        return Diagnosis.of("drive_timeout", case, *cases, **values, **more)
+        repair = "not described" if guard is None else guard.how_to_set
+        return Diagnosis.of("drive_timeout", note=note, repair=repair)
 
     def request_speed(self, speed: float | None) -> None:
         """Request a speed (share of the rated speed), or off (None); valid for `DEAD_MAN_S`.
 
-        A speed outside the range from 0 to 1 is reported as a problem, and treated as off.
+        A speed of 0 or above 1 is treated as off.
         """
-        if speed is not None and not 0 <= speed <= 1:
-            self._fail(f"request rejected: {speed} is not a share of the rated speed (0 to 1)")
-            speed = None
-        before = self._requested[0]
-        self._requested = (speed, boot_time())
-        if (speed is None) != (before is None):
+        wanted = speed if speed is not None and 0 < speed <= 1 else None
+        before, self._requested = self._requested[0], (wanted, boot_time())
+        if (wanted is None) != (before is None):
             self._wake.set()
 
     def stop(self) -> None:
@@ -485,16 +334,15 @@ class DriveExchange(DeviceThread):
         """Request that the thread stop the drive and acknowledge its fault.
 
         Only a fault that is active now is acknowledged: the request expires if there is no
-        connection, or if it cannot be carried out within `RESET_S`.
+        connection, or another program controls the drive.
         """
-        self._reset_until = time.monotonic() + RESET_S
+        self._reset_requested = True
         self._wake.set()
 
     # --- in the thread ----------------------------------------------------------------------------
 
     def _update(self, **changes: Any) -> None:
-        with self._lock:
-            self._snapshot = replace(self._snapshot, **changes)
+        self._snapshot = replace(self._snapshot, **changes)
 
     def _fail(self, problem: str, **changes: Any) -> None:
         self._update(problem=problem, errors=self._snapshot.errors + 1, **changes)
@@ -505,7 +353,8 @@ class DriveExchange(DeviceThread):
     def _target_speed(self) -> float | None:
         speed, at = self._requested
         fresh = boot_time() - at <= DEAD_MAN_S  # a suspension counts
-        return speed if fresh and not self._closing and self._unguarded() is None else None
+        may_run = fresh and self._snapshot.connected and not self._closing
+        return speed if may_run and self._unguarded() is None else None
 
     def _unguarded(self) -> Diagnosis | None:
         """Return the reason why the connected drive must not run yet; None if it may run.
@@ -522,110 +371,58 @@ class DriveExchange(DeviceThread):
         self._pause_until(self._connect_at)
         self._stop_requested, self._last_attempt = False, self._closing
         if self._drive_lock is None:
-            self._acquire_lock()
-            return
+            if self._closing:
+                self._done = True
+                return
+            self._drive_lock = acquire_drive_lock(self.endpoint)
         self._connect()
         while not self._closing:
             self._run_cycle()
-        status = _stop_until_at_rest(self._drive, self._rest_deadline)
+        status = _stop_until_at_rest(self._drive, time.monotonic() + REST_LIMIT_S)
         self._done = True
         self._update(connected=False, status=status, read_at=boot_time())
         self._drive.line.close()
 
     def _handle_failure(self, error: Exception, problem: str) -> None:
         """Close the connection; begin a silence, schedule the next attempt or end the thread."""
-        now, drive = time.monotonic(), self._drive
+        now, fall = time.monotonic(), self._fall
         if self._requested[0] is not None:
             self._update(start_failed=Diagnosis.of("start_failed", "lost", problem=problem))
-        why = self._stop_monitor.connection_lost(drive.stopped, now)
-        if isinstance(error, RunsOnError):
-            why = ""  # the error already gives the reason
-        self._done = self._last_attempt
-        if why is None or self._done:
-            # A drive that closes its connections is given as much time as one that does not answer:
-            # two closed connections in quick succession must not lead to a silence.
-            closes = drive.stopped is False and not drive.line.connected
-            self._connect_at = now + self._wait_s + (TIMEOUT_S if closes else 0.0)
-            self._wait_s = min(2 * self._wait_s, MAX_WAIT_S)
-            self._fail(problem, connected=False, status=None)
-        else:
-            silence_s, timeout = self._silence()
-            self._connect_at = now + silence_s
-            self._stop_monitor.silence_started(self._connect_at)
-            self._fail(
-                f"{problem}{why}, so nothing is sent for {silence_s:g} s, during which the drive's "
-                f"own communication timeout ({timeout}) must stop it; any message could restart "
-                "that timeout",
-                connected=False, status=None,
-            )
-        drive.line.close()
-
-    def _silence(self) -> tuple[float, str]:
-        """Return the length of a silence (s), and a description of the drive's own timeout.
-
-        A timeout above the limit is treated as unknown, since it may have been misread. No silence
-        is longer than the limit.
-        """
-        limit_s, own_s = self._timeout_limit_s, self._snapshot.timeout_s
-        if own_s is None:
-            return limit_s, f"assumed to be at most {limit_s:g} s"
-        if own_s > limit_s:
-            return limit_s, (
-                f"read as {own_s:g} s, which is above the limit of {limit_s:g} s and is not trusted"
-            )
-        return min(own_s + SILENCE_MARGIN_S, limit_s), f"{own_s:g} s"
+        if self._stopped is False:
+            self._refusals += 1
+        runs_on = bool(self._stopped) and fall is not None and now - fall.since > LIMIT_S
+        wait_s, self._wait_s = self._wait_s, min(2 * self._wait_s, MAX_WAIT_S)
+        if runs_on or self._refusals > 1:
+            wait_s = self._timeout_limit_s
+            problem += f"; nothing is sent for {wait_s:g} s, so its own timeout must stop it"
+            if fall is not None:  # that timeout may ramp it down
+                fall.since = now + wait_s + MAX_RAMP_S
+        self._connect_at, self._done = now + wait_s, self._last_attempt
+        self._fail(problem, connected=False, status=self._snapshot.status if runs_on else None)
+        self._drive.line.close()
 
     def _connect(self) -> None:
-        """Connect and stop the drive; then read its nameplate and its own timeout."""
+        """Connect, and stop the drive."""
         self._drive = drive = self.endpoint.connection(TIMEOUT_S)
-        self._unanswered = 0
+        self._unanswered, self._stopped, self._reset_requested = 0, None, False
         drive.line.connect()
+        self._settings_read_at = -math.inf
         self._guarded_from = time.monotonic() + self._unguarded_s
-        try:
-            self._stop()
-            # Learn whether the control word can be read back: no other master has had time to write
-            # yet.
-            drive.second_master()
-            status = self._stop_monitor.check(self._read(), time.monotonic())
-        except DriveError as error:
-            # Still try to read the timeout, which decides how long a silence must be.
-            if error.kind != "connection" and not self._snapshot.timeout_known:
-                self._read_settings()
-            raise
-        try:
-            identity = drive.identify()
-        except DriveError as error:
-            if error.kind == "connection":
-                raise
-            identity = self._snapshot.identity or "unknown"
-        self._read_settings()
-        self._reset_until = -math.inf
-        self._wait_s = FIRST_WAIT_S
-        self._update(
-            connected=True, status=status, read_at=boot_time(), problem="", identity=identity,
-            unguarded=self._unguarded(),
-        )
-
-    def _acquire_lock(self) -> None:
-        """Try to acquire the drive's lock; after a failure, set the time of the next attempt."""
-        self._done = self._closing
-        if not self._done:
-            try:
-                self._drive_lock = acquire_drive_lock(self.endpoint)
-            except DriveError as error:
-                self._fail(str(error))
-                self._connect_at = time.monotonic() + NOTICE_S
+        self._stop()
+        # Learn whether the control word can be read back: no other master has had time to write
+        # yet.
+        drive.second_master()
 
     def _read_settings(self) -> None:
         """Read the safety-relevant settings again, since they may be changed at the panel."""
         try:
-            (seconds, note), timeout_known = self._drive.timeout(), True
+            seconds, note = self._drive.timeout()
         except DriveError as error:
             if error.kind == "connection":
                 raise
-            seconds, note, timeout_known = None, str(error), False
+            seconds, note = None, str(error)
         self._settings_read_at = time.monotonic()
-        self._update(timeout_s=seconds, timeout_known=timeout_known, timeout_note=note)
+        self._update(timeout_s=seconds, timeout_note=note)
 
     def _run_cycle(self) -> None:
         """Write the requested speed or *stop*, and read the drive's status."""
@@ -633,8 +430,8 @@ class DriveExchange(DeviceThread):
         self._stop_requested = False
         try:
             problem = self._write_order()
-            status = self._read()
-            if time.monotonic() - self._settings_read_at > SETTINGS_S:
+            status = self._drive.read()
+            if started - self._settings_read_at > MAX_RAMP_S:
                 self._read_settings()
         except DriveError as error:
             self._unanswered += 1
@@ -642,100 +439,90 @@ class DriveExchange(DeviceThread):
                 raise
             self._fail(str(error))
             # The remainder of a late answer must not be read as the next answer.
-            time.sleep(self._period_s)
+            time.sleep(self.endpoint.period)
             return
-        self._unanswered = 0
-        status = self._stop_monitor.check(status, time.monotonic(), self.flows_at_rest)
+        self._check_stop(status)
+        self._unanswered, self._wait_s = 0, FIRST_WAIT_S
+        # The lost connection that caused such a trip has been restored, so it is acknowledged.
+        self._reset_requested |= status.timed_out
         self._update(
-            status=status, read_at=boot_time(), problem=problem, unguarded=self._unguarded()
+            connected=True, status=status, read_at=boot_time(), problem=problem,
+            unguarded=self._unguarded(),
         )
         if not self._closing:
-            self._pause(self._period_s - (time.monotonic() - started))
+            self._pause(self.endpoint.period - (time.monotonic() - started))
 
-    def _read(self) -> DriveStatus:
-        """Return the drive's status; first acknowledge a trip of its communication timeout.
+    def _check_stop(self, status: DriveStatus) -> None:
+        """Raise an error if the drive does not obey *stop*, after which it is left in silence.
 
-        The lost connection that caused the trip has been restored, so the trip is no longer
-        relevant.
+        A drive obeys if its speed falls, however slowly. A drive under local control is left to the
+        person at its panel.
         """
-        drive = self._drive
-        try:
-            status = drive.read()
-        except DriveError as error:
-            # In local control, a person at the panel sees whether it turns.
-            if error.kind != "connection" and drive.local():
-                self._stop_monitor.speed_read()
-            raise
-        self._stop_monitor.speed_read()
-        if status.timed_out:
-            self._fail(f"the drive had stopped by itself: {status.fault}")
-            try:
-                drive.reset()
-            except DriveError as error:
-                if error.kind != "drive":
-                    raise
-            status = drive.read()
-        return status
+        where, fall = self.endpoint, self._fall
+        if fall is None:
+            return
+        if status.at_rest and self.flows_at_rest and self._snapshot.connected:
+            fall.since = -math.inf
+            raise DriveError("drive", f"{where}: the drive reports standstill, but water flows")
+        if status.at_rest or not status.remote:
+            self._fall = None
+        elif fall.lasts(status.speed) > LIMIT_S:
+            fault = f"the drive acknowledges *stop*, but its speed has not fallen for {LIMIT_S:g} s"
+            status = replace(status, fault=fault, timed_out=False, runs_on=True)
+            self._update(status=status, read_at=boot_time())
+            raise DriveError("drive", f"{where}: {fault} (the speed is {status.speed:.1%})")
 
     def _write_order(self) -> str:
         """Write the current request; return the reason why the drive is kept off despite it."""
         now, other = time.monotonic(), self._drive.second_master()
+        reset, self._reset_requested = self._reset_requested, False
         if other is not None:
             self._other_until = now + LIMIT_S
-            self._stop_monitor.order_changed()  # the drive may obey the other writer
+            self._fall = None  # the drive may obey the other writer
             self._fail(other.sentence, second_master=other)
         elif now >= self._other_until:
             self._update(second_master=None)
         if self._requested[0] is None:
             self._update(start_failed=None)
-        against = self._snapshot.second_master or self._snapshot.start_failed
+        if reset and other is None:
+            self._drive.reset()
+        speed, against = self._target_speed(), (
+            self._snapshot.second_master or self._snapshot.start_failed)
+        if speed is None or against:
+            self._stop()
+            return against.sentence if against else ""
+        self._fall = None
         try:
-            if other is None and now < self._reset_until:
-                self._reset_until = -math.inf
-                self._drive.reset()
-            speed = self._target_speed()
-            if speed is None or against:
-                self._stop()
-            else:
-                self._run(speed)
+            self._drive.run(speed, lambda: self._target_speed() is not None)
         except DriveError as error:
             if error.kind != "drive":
                 raise
             self._stop()
-            self._fail(str(error))
-            return str(error)
-        return against.sentence if against else ""
-
-    def _run(self, speed: float) -> None:
-        try:
-            self._drive.run(speed, lambda: self._target_speed() is not None)
-        except DriveError as error:
-            if error.kind == "drive":
-                failed = Diagnosis.of("start_failed", "failed", problem=str(error))
-                self._update(start_failed=failed)
-            else:
-                self._stop_monitor.order_changed()  # it may obey although the answer was lost
-            raise
-        self._stop_monitor.order_changed()
+            failed = Diagnosis.of("start_failed", "failed", problem=str(error))
+            self._fail(failed.sentence, start_failed=failed)
+            return failed.sentence
+        return ""
 
     def _stop(self) -> None:
+        self._stopped = False
         self._drive.stop()
-        self._stop_monitor.stop_written(time.monotonic())
+        self._stopped, self._refusals, self._fall = True, 0, self._fall or Fall()
 
 
-def _stop_until_at_rest(drive: Connection, until: float) -> DriveStatus:
+def _stop_until_at_rest(drive: Drive | Relay, until: float) -> DriveStatus:
     """Stop a drive; return its status at standstill, or as soon as its speed fails to fall.
 
     Drive files do not specify the ramp time, so the call waits for as long as the speed keeps
     falling.
     """
-    fall = Deceleration()
+    fall = Fall()
     while True:
         drive.stop()
-        status, now = drive.read(), time.monotonic()
-        if status.at_rest or fall.update(status, now) > STEADY_S or now > until:
+        status = drive.read()
+        steady = fall.lasts(status.speed) > STEADY_S
+        if status.at_rest or steady or time.monotonic() > until:
             return status
-        time.sleep(0.1)
+        time.sleep(FIRST_WAIT_S)
 
 
 def stop_drive(endpoint: Endpoint, *, driver: int | None = None) -> DriveStatus:
@@ -759,25 +546,19 @@ def stop_drive(endpoint: Endpoint, *, driver: int | None = None) -> DriveStatus:
     with ExitStack() as lock:
         try:
             lock.enter_context(acquire_drive_lock(endpoint))
-        except DriveInUseError as error:
-            if error.holder not in (None, driver):
+        except DriveError as error:
+            if getattr(error, "holder", None) not in (None, driver):
                 raise
-        except DriveError:
-            pass
-        return _stop(endpoint)
-
-
-def _stop(endpoint: Endpoint) -> DriveStatus:
-    attempts, until = 3, time.monotonic() + REST_LIMIT_S
-    while True:
-        drive = endpoint.connection()
-        try:
-            drive.line.connect()
-            return _stop_until_at_rest(drive, until)
-        except DriveError:
-            attempts -= 1
-            if not attempts:
-                raise
-            time.sleep(FIRST_WAIT_S)
-        finally:
-            drive.line.close()
+        attempts, until = 3, time.monotonic() + REST_LIMIT_S
+        while True:
+            drive = endpoint.connection()
+            try:
+                drive.line.connect()
+                return _stop_until_at_rest(drive, until)
+            except DriveError:
+                attempts -= 1
+                if not attempts:
+                    raise
+                time.sleep(FIRST_WAIT_S)
+            finally:
+                drive.line.close()

@@ -9,13 +9,11 @@ service 0 and without the retain flag, so the broker stores no messages.
 
 from __future__ import annotations
 
-import itertools
 import json
-import secrets
-import threading
+import queue
 import time
-from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from string import Template
@@ -24,18 +22,17 @@ from typing import Any
 from greenroof_ros.base.mqtt import Broker, make_client
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.devices.drive import DriveStatus
-from greenroof_ros.live.devices.drive_file import LIMIT_S, RelayFile, RelayMessage, Timer, Value
+from greenroof_ros.live.devices.drive_file import Question, RelayFile, RelayMessage, Timer
 from greenroof_ros.live.devices.json_path import value_at
 from greenroof_ros.live.devices.modbus_line import Address, DriveError
 
-# Longest wait for the broker (s).
-_CONNECT_S = 3.0
-# How long the relay may take to switch on after *on*, and the interval between questions (s).
-_ON_S, _POLL_S = 2.0, 0.1
-# An *on* is renewed after this share of the timer.
+# Time between two questions (s), also while it is expected to switch on.
+_PERIOD_S, _POLL_S = 0.5, 0.1
+# Longest wait for a reply (s), for the broker (s), and for the relay to switch on (s).
+_ANSWER_S, _CONNECT_S, _ON_S = 1.0, 3.0, 2.0
+# An *on* is renewed after this share of the timer, which must therefore last for a few periods (s).
 _RENEWED = 1 / 3
-# Number of characters of an invalid answer that are shown, and of messages that may wait.
-_SHOWN, _MAX_WAITING = 120, 1000
+_MIN_TIMER_S = 2 * _PERIOD_S / _RENEWED
 
 
 @dataclass(frozen=True)
@@ -52,13 +49,10 @@ class RelayEndpoint:
     broker: Broker
     device: str
 
+    period = _PERIOD_S
+
     def __str__(self) -> str:
         return f"{self.broker}/{self.device}"
-
-    @property
-    def period(self) -> float:
-        """Minimum polling interval (s)."""
-        return self.file.period
 
     @property
     def guard(self) -> Timer:
@@ -75,17 +69,16 @@ class RelayEndpoint:
         """
         return f"{Address(self.broker.host).canonical_name(self.broker.port)}-{self.device}"
 
-    def connection(self, timeout_s: float = 0.5) -> Relay:
+    def connection(self, timeout_s: float = _ANSWER_S) -> Relay:
         """Return the relay on a new connection that is not yet open and must be opened only once.
 
         Args:
-            timeout_s: maximum time to wait for a reply (s), unless the relay file sets a longer
-                time.
+            timeout_s: maximum time to wait for a reply (s), which is at least 1 s.
 
         Raises:
             ConfigurationError: if the MQTT library is not installed or a login file is invalid.
         """
-        return Relay(self, max(timeout_s, self.file.answer_within))
+        return Relay(self, max(timeout_s, _ANSWER_S))
 
 
 class RelayLine:
@@ -108,14 +101,15 @@ class RelayLine:
         """
         self.where = str(relay)
         self.last_message: RelayMessage | None = None
-        self._file, self._timeout_s = relay.file, timeout_s
-        # All connections use this name, so a broker can restrict who may publish under it. If
-        # answers are numbered, an answer to another connection does not count.
+        self._timeout_s = timeout_s
+        # All connections use this name, so a broker can restrict who may publish under it.
         self._placeholders = {"device": relay.device, "me": f"greenroof_ros-{relay.device}"}
-        self._numbers = itertools.count(secrets.randbelow(10**9))
+        questions = (relay.file.state, relay.file.timer, *relay.file.must)
+        self._topics = sorted({self._fill(question.answer) for question in questions})
+        # How many replies of each kind are on their way.
         self._awaited: Counter[str] = Counter()
-        self._received: deque[tuple[str, bytes]] = deque(maxlen=_MAX_WAITING)
-        self._changed = threading.Condition()
+        # The messages; one without topic tells that the connection was established or lost.
+        self._received: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()
         self._connected, self._closed_by = False, ""
         self._client = make_client(
             relay.broker, "greenroof_ros", self._on_connect, self._on_message, self._on_disconnect,
@@ -133,8 +127,7 @@ class RelayLine:
             DriveError: if the broker does not respond or rejects the connection.
         """
         self._client.loop_start()
-        with self._changed:
-            self._changed.wait_for(lambda: self._connected or self._closed_by, _CONNECT_S)
+        self._receive(time.monotonic() + _CONNECT_S)
         if not self.connected:
             why = self._closed_by or f"no reply within {_CONNECT_S:g} s"
             raise self.error("connection", f"cannot connect: {why}")
@@ -148,8 +141,8 @@ class RelayLine:
         self._client.disconnect()
         self._client.loop_stop()
 
-    def publish(self, message: RelayMessage, **values: str) -> str:
-        """Publish a message once, and return its number.
+    def publish(self, message: RelayMessage, **values: str) -> None:
+        """Publish a message once.
 
         Args:
             message: message to the relay.
@@ -159,61 +152,44 @@ class RelayLine:
         Raises:
             DriveError: if the connection has been lost.
         """
-        number = str(next(self._numbers))
-        topic, payload = self._fill(message.topic), self._fill(message.payload, id=number, **values)
+        topic, payload = self._fill(message.topic), self._fill(message.payload, **values)
         if not self.connected or self._client.publish(topic, payload).rc:
             raise self.error("connection", f"the connection was closed: {self._closed_by}")
-        return number
 
-    def request(self, name: str) -> Any:
-        """Send a request to the relay, and return its reply, parsed from JSON.
+    def ask(self, question: Question) -> Any:
+        """Ask the relay, and return the value in its reply.
+
+        The replies arrive in the order of the requests, so late ones are counted, and skipped.
 
         Raises:
-            DriveError: if no valid response arrives in time.
+            DriveError: if no valid reply arrives in time.
         """
-        question = self._file.questions[name]
         if not self._awaited.total():
-            self._received.clear()  # earlier messages answer no question
-        self._awaited[name] += 1
-        number = self.publish(question)
+            self._received = queue.SimpleQueue()  # earlier messages answer no question
+        self._awaited[question.path] += 1
+        self.publish(question)
         topic, until = self._fill(question.answer), time.monotonic() + self._timeout_s
-        payload = b""
-        while (message := self._receive(until)) is not None:
-            if message[0] != topic:
-                continue
-            payload = message[1]
-            try:
-                answer = json.loads(payload)
-                value_at(answer, question.known_by)
-                if self._file.number and str(value_at(answer, self._file.number)) != number:
-                    continue
-            except (ValueError, LookupError, RecursionError):
-                continue
-            self._awaited[name] -= 1
-            if self._file.number or self._awaited[name] <= 0:
-                self._awaited[name] = 0
-                return answer
-        if payload and self.connected:
-            raise self.error("answer", (
-                f"no valid reply to the request {name!r} within {self._timeout_s:g} s; received "
-                f"{payload[:_SHOWN]!r}"
-            ))
-        raise self.error("connection", (
-            f"no reply to the request {name!r} within {self._timeout_s:g} s"
-            if self.connected else f"the connection was closed: {self._closed_by}"
-        ))
+        while self.connected and (message := self._receive(until)) is not None:
+            with suppress(ValueError, LookupError, RecursionError):  # not a reply to this
+                reply = json.loads(message[1]) if message[0] == topic else {}
+                value = value_at(reply, question.path)
+                self._awaited[question.path] -= 1
+                if not self._awaited[question.path]:
+                    return value
+        if not self.connected:
+            raise self.error("connection", f"the connection was closed: {self._closed_by}")
+        raise self.error(
+            "answer", f"no valid reply with {question.path} within {self._timeout_s:g} s")
 
     def error(self, kind: str, problem: str) -> DriveError:
         """Return an error that names the relay and the problem."""
         return DriveError(kind, f"{self.where}: {problem}")
 
     def _receive(self, until: float) -> tuple[str, bytes] | None:
-        """Return the next message; None if none arrives in time or the connection ends."""
-        with self._changed:
-            self._changed.wait_for(
-                lambda: self._received or self._closed_by, max(0.0, until - time.monotonic())
-            )
-            return self._received.popleft() if self._received else None
+        """Return the next message; None if none arrives in time."""
+        with suppress(queue.Empty):
+            return self._received.get(timeout=max(0.0, until - time.monotonic()))
+        return None
 
     def _fill(self, text: str, **values: str) -> str:
         return Template(text).substitute(self._placeholders, **values)
@@ -222,31 +198,24 @@ class RelayLine:
 
     def _on_connect(self) -> None:
         if not self._closed_by:  # after the end the client reconnects automatically
-            topics = {self._fill(question.answer) for question in self._file.questions.values()}
-            self._client.subscribe([(topic, 0) for topic in sorted(topics)])
-            with self._changed:
-                self._connected = True
-                self._changed.notify()
+            self._client.subscribe([(topic, 0) for topic in self._topics])
+            self._connected = True
+            self._received.put(("", b""))
 
     def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
         if not retained:
-            with self._changed:
-                self._received.append((topic, payload))
-                self._changed.notify()
+            self._received.put((topic, payload))
 
     def _on_disconnect(self, why: str) -> None:
-        with self._changed:
-            self._closed_by = self._closed_by or why
-            self._changed.notify()
+        self._closed_by = self._closed_by or why
+        self._received.put(("", b""))
 
 
 class Relay:
     """A relay on a single connection, which the caller opens and closes.
 
     Attributes:
-        file: the relay file.
         line: the connection.
-        stopped: whether the last `stop` on this connection was published; None before any `stop`.
     """
 
     def __init__(self, endpoint: RelayEndpoint, timeout_s: float) -> None:
@@ -259,8 +228,7 @@ class Relay:
         Raises:
             ConfigurationError: if the MQTT library is not installed or a login file is invalid.
         """
-        self.file, self.line = endpoint.file, RelayLine(endpoint, timeout_s)
-        self.stopped: bool | None = None
+        self._file, self.line = endpoint.file, RelayLine(endpoint, timeout_s)
         # The state that was last ordered, None if unknown; and the state that it has reported since
         # *on* was last published, None if it has not answered.
         self._ordered: bool | None = None
@@ -268,14 +236,6 @@ class Relay:
         # Its timer as last read (s), None if it is not effective; and when *on* was published (s).
         self._timer_s: float | None = None
         self._on_at = 0.0
-
-    def identify(self) -> str:
-        """Return the relay's make, model and own name as text.
-
-        Raises:
-            DriveError: if the name cannot be read.
-        """
-        return f"{self.file.make} {self.file.model} ({_text(self._value(self.file.name))})"
 
     def timeout(self) -> tuple[float | None, str]:
         """Return the relay's timer (s), or None and the reason if the timer is not effective.
@@ -286,33 +246,16 @@ class Relay:
         Raises:
             DriveError: if the timer or another required setting cannot be read.
         """
-        answers = {
-            setting.question: self.line.request(setting.question)
-            for setting in (self.file.timer, *self.file.must)
-        }
         self._timer_s = None  # the earlier value was valid only until now
-        for setting in self.file.must:
-            if (value := _text(self._value(setting, answers))) != setting.value:
-                return None, (
-                    f"{setting.meaning}: {setting.path} is {value}, but must be {setting.value}"
-                )
-        timer = self.file.timer
-        raw = self._value(timer, answers)
-        if isinstance(raw, bool) or not isinstance(raw, int | float):
-            raise self.line.error("answer", f"the timer {timer.path} is {raw!r}, not a number")
-        try:
-            seconds = timer.seconds(raw)
-        except OverflowError:
-            raise self.line.error("answer", f"the timer {timer.path} is too large") from None
-        if seconds is None:
-            return None, f"{timer.path} is {raw:g}, which means off"
-        if seconds < self.file.min_timer:
-            return None, (
-                f"{timer.path} is {raw:g}, which is {seconds:g} s; a timer shorter than "
-                f"{self.file.min_timer:g} s cannot be renewed in time"
-            )
-        self._timer_s = seconds
-        return seconds, ""
+        for setting in self._file.must:
+            if (value := _text(self.line.ask(setting))) != setting.value:
+                return None, f"{setting.path} is {value}, but must be {setting.value}"
+        timer, raw = self._file.timer, self.line.ask(self._file.timer)
+        low, high = _MIN_TIMER_S / timer.scale, timer.high
+        if isinstance(raw, bool) or not isinstance(raw, int | float) or not low <= raw <= high:
+            return None, f"{timer.path} is {raw}, but must be {low:g} to {high:g}"
+        self._timer_s = timer.scale * raw
+        return self._timer_s, ""
 
     def read(self) -> DriveStatus:
         """Return the status that the relay reports.
@@ -321,13 +264,7 @@ class Relay:
             DriveError: if the state cannot be read or is an impossible value.
         """
         on = self._read()
-        return DriveStatus(
-            ready=True, running=on, fault="", warning="", speed=float(on), flow=None, remote=True
-        )
-
-    def local(self) -> bool:
-        """Return False, since the local control of a relay cannot be detected."""
-        return False
+        return DriveStatus(ready=True, running=on, fault="", speed=float(on))
 
     def run(self, speed: float, may_continue: Callable[[], bool] = lambda: True) -> None:
         """Switch the relay on, or keep it on.
@@ -345,25 +282,27 @@ class Relay:
         Raises:
             DriveError: if no valid response arrives, the relay's timer is not effective, or the
                 relay does not switch on.
-            ValueError: if the speed is out of range.
         """
-        if not 0 < speed <= 1:
-            raise ValueError(
-                f"{speed} is not a valid speed for a relay that is on (above 0, at most 1)")
-        timer_s = self._timer_s
-        if timer_s is None:
+        if (timer_s := self._timer_s) is None:
             raise self.line.error(
-                "drive", "the relay is not switched on: its own timer is not effective"
-            )
+                "drive", "the relay is not switched on: its own timer is not effective")
         is_on = self._read() if self._is_on is None else self._is_on
         if self._ordered:
             # Renew it one period early, since the next round might be too late.
-            due = self._on_at + _RENEWED * timer_s - self.file.period
+            due = self._on_at + _RENEWED * timer_s - _PERIOD_S
             if is_on and time.monotonic() >= due:
                 self._switch_on(timer_s)
         elif may_continue():
             self._switch_on(timer_s)
-            self._wait_until_on(may_continue)
+            self._ordered = None  # unknown until it has answered
+            while not self._read():
+                if not may_continue():
+                    return
+                if time.monotonic() > self._on_at + _ON_S:
+                    raise self.line.error(
+                        "drive", f"the relay was switched on, but is still off after {_ON_S:g} s")
+                time.sleep(_POLL_S)
+            self._ordered = True
 
     def stop(self) -> None:
         """Switch the relay off; the caller repeats the call while the relay must be off.
@@ -371,18 +310,11 @@ class Relay:
         Raises:
             DriveError: if the connection has been lost.
         """
-        self.stopped = False
-        self.line.publish(self.file.switch_off)
+        self.line.publish(self._file.switch_off)
         self._ordered, self.line.last_message = False, None
-        self.stopped = True
 
-    def reset(self) -> None:
-        """Switch the relay off; a relay has no faults that could be acknowledged.
-
-        Raises:
-            DriveError: if the connection has been lost.
-        """
-        self.stop()
+    # A relay has no faults that could be acknowledged.
+    reset = stop
 
     def second_master(self) -> Diagnosis | None:
         """Return a diagnosis if the relay is known not to be in the state last commanded.
@@ -395,14 +327,12 @@ class Relay:
         is_on = self._read()
         if self._ordered is None or is_on == self._ordered:
             return None
-        return Diagnosis.of(
-            "second_master", "on" if is_on else "off", "pause", where=self.line.where, pause=LIMIT_S
-        )
+        return Diagnosis.of("second_master", "on" if is_on else "off", where=self.line.where)
 
     def _read(self) -> bool:
         """Return whether the relay reports that it is on."""
-        self._is_on, state = None, self.file.state
-        answer = _text(self._value(state))
+        self._is_on, state = None, self._file.state
+        answer = _text(self.line.ask(state))
         if answer not in (state.is_on, state.is_off):
             raise self.line.error(
                 "answer",
@@ -412,31 +342,9 @@ class Relay:
         return self._is_on
 
     def _switch_on(self, timer_s: float) -> None:
-        self.line.last_message = self.file.switch_off
+        self.line.last_message = self._file.switch_off
         self._on_at, self._is_on = time.monotonic(), None
-        self.line.publish(self.file.switch_on, seconds=f"{timer_s:g}")
-
-    def _wait_until_on(self, may_continue: Callable[[], bool]) -> None:
-        self._ordered = None  # unknown until it has answered
-        while not self._read():
-            if not may_continue():
-                return
-            if time.monotonic() > self._on_at + _ON_S:
-                raise self.line.error(
-                    "drive", f"the relay was switched on, but is still off after {_ON_S:g} s"
-                )
-            time.sleep(_POLL_S)
-        self._ordered = True
-
-    def _value(self, value: Value, answers: Mapping[str, Any] | None = None) -> Any:
-        """Return a value from the replies; if there are none, send the value's request first."""
-        answer = self.line.request(value.question) if answers is None else answers[value.question]
-        try:
-            return value_at(answer, value.path)
-        except LookupError:
-            raise self.line.error(
-                "answer", f"the reply does not contain {value.path}: {answer}"
-            ) from None
+        self.line.publish(self._file.switch_on, seconds=f"{timer_s:g}")
 
 
 def _text(value: Any) -> str:

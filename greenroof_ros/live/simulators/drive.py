@@ -48,12 +48,12 @@ class SimulatedDrive:
         Raises:
             ConfigurationError: if the drive file has no timeout for that interface.
         """
-        if interface not in file.timeout.by_interface:
+        if interface not in file.timeout:
             raise ConfigurationError(
                 "is missing: a drive without a communication timeout cannot be simulated",
                 file=file.path, key=f"timeout.{interface}",
             )
-        self.timeout = file.timeout.by_interface[interface]
+        self.timeout = file.timeout[interface]
         self.flow: Callable[[float], float] = lambda speed: 0.0
         self.log: Callable[[str], None] = lambda text: None
         self.speed, self.fault, self.on, self.lost = 0.0, 0, False, False
@@ -61,10 +61,7 @@ class SimulatedDrive:
         self._at, self._last_request = time.monotonic(), math.inf
         sequences = file.sequences
         self._ready = [(step.write, step.value) for step in sequences.ready]
-        self._run, self._stop = (
-            next(step.value for step in steps if step.write == "control")
-            for steps in (sequences.run, sequences.stop)
-        )
+        self._run, self._stop = sequences.run[-1].value, sequences.stop[0].value
         # The control words that only *reset* has clear a fault.
         self._resets = {step.value for step in sequences.reset if step.write == "control"}
         self._resets -= {self._run, self._stop, *(value for _, value in self._ready)}
@@ -100,12 +97,7 @@ class SimulatedDrive:
         elif name == "control" and word not in (self._run, self._stop):
             self._done = int(self._ready[0] == (name, word))
         if name == "control":
-            self.on = word == self._run and self.is_ready
-
-    @property
-    def is_ready(self) -> bool:
-        """Whether all steps of *ready* have been carried out."""
-        return self._done == len(self._ready)
+            self.on = word == self._run and self._done == len(self._ready)
 
     def trip(self, fault: int) -> None:
         """Trip with a fault; 0 clears the current fault."""
@@ -123,7 +115,7 @@ class SimulatedDrive:
         steps += self._file.sequences.run[-1:] if self.on else ()
         states: list[tuple[RegisterCondition | None, bool]] = [
             (conditions.remote, True), (conditions.ready, not self.fault),
-            (conditions.enabled, self.is_ready), *((step.until, True) for step in steps),
+            *((step.until, True) for step in steps),
             (conditions.running, not self.fault and (self.on or self.speed > 0)),
             (conditions.fault, bool(self.fault)),
         ]
@@ -161,7 +153,7 @@ class SimulatedDrive:
     def _loss_at(self) -> float:
         """Return the time at which the timeout will expire without another request, or infinity."""
         raw = self.read_raw(self.timeout.register)
-        if self.lost or raw in (0, *self.timeout.off_values):
+        if self.lost or raw == 0:
             return math.inf
         return self._last_request + raw * self._registers[self.timeout.register].scale
 

@@ -43,8 +43,7 @@ class SimulatedRelay:
         self._file, self._device = file, device
         self._off_at = -math.inf
         self.settings: dict[str, Any] = {
-            file.name.path: "simulator",
-            **{setting.path: _value(setting.value) for setting in file.must},
+            setting.path: _value(setting.value) for setting in file.must
         }
         self.set_timer(timer_s)
         self.client = make_client(
@@ -64,10 +63,7 @@ class SimulatedRelay:
     def set_timer(self, seconds: float) -> None:
         """Set the timer of the relay (s)."""
         self.timer_s, timer = seconds, self._file.timer
-        self.settings[timer.path] = next(
-            round(raw, 3) for scale in timer.scales
-            if scale.low <= (raw := (seconds - scale.offset) / scale.scale) <= scale.high
-        )
+        self.settings[timer.path] = _value(f"{seconds / timer.scale:g}")
 
     def switch(self, on: bool, seconds: float) -> None:
         """Switch the relay off, or on for a time (s)."""
@@ -80,21 +76,16 @@ class SimulatedRelay:
             if (given := self._match(message, topic, payload)) is not None:
                 self.switch(on, float(given.get("seconds", self.timer_s)))
                 return
-        for name, question in file.questions.items():
+        values = {**self.settings, file.state.path: _value(
+            file.state.is_on if self.on else file.state.is_off
+        )}
+        answer, reply_to = None, ""
+        for question in (file.state, file.timer, *file.must):
             if (given := self._match(question, topic, payload)) is not None:
-                state = file.state.is_on if self.on else file.state.is_off
-                values = {question.known_by: None, file.state.path: _value(state), **self.settings}
-                asked = {
-                    value.path for value in (file.state, file.timer, file.name, *file.must)
-                    if value.question == name
-                } | {question.known_by}
-                if file.number:
-                    values[file.number] = int(given["id"])
-                    asked.add(file.number)
-                answer: Any = {}
-                for path in filter(asked.__contains__, values):
-                    answer = with_value(answer, parse_path(path), values[path])
-                yield self._fill(question.answer, given.get("me", "")), json.dumps(answer)
+                answer = with_value(answer, parse_path(question.path), values[question.path])
+                reply_to = self._fill(question.answer, given.get("me", ""))
+        if reply_to:
+            yield reply_to, json.dumps(answer)
 
     def _match(self, message: RelayMessage, topic: str, payload: str) -> dict[str, str] | None:
         """Return the values of the placeholders in a message; None if it is another message."""
@@ -124,7 +115,8 @@ class SimulatedRelay:
         self.client.loop_stop()
 
     def _subscribe(self) -> None:
-        messages = (self._file.switch_on, self._file.switch_off, *self._file.questions.values())
+        file = self._file
+        messages = (file.switch_on, file.switch_off, file.state, file.timer, *file.must)
         topics = {self._fill(message.topic, "+") for message in messages}
         self.client.subscribe([(topic, 0) for topic in sorted(topics)])
 
