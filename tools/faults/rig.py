@@ -53,7 +53,7 @@ _TARGET = 0.45
 _CISTERN_M3, _ROOF_M3 = 73.0, 0.5
 CONTROLLER = "onoff"
 _CISTERN_TOPIC = "cistern/sensor/level/state"
-_NONSENSE = ("", "NaN", "1e999", "-3", "true", "null", '"2.5"', "{", "[2.5]", "[" * 30_000)
+_NONSENSE = ("", "NaN", "1e999", "-3", "true", "null", "2.5", "{", "[2.5]", "[" * 30_000)
 
 
 class BrokenError(Exception):

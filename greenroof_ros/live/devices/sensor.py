@@ -246,13 +246,6 @@ class SensorLine:
                     time.sleep(max(0.0, began + _TIMEOUTS * timeout_s - time.monotonic()))
                 raise
 
-    def close(self) -> None:
-        """Close the connection; the next reading opens it again."""
-        with self._turn:
-            if self._line is not None:
-                self._line.close()
-            self._line = None
-
 
 class ModbusReader(Reader, DeviceThread):
     """A thread that reads a sensor on a line once per period."""
@@ -281,7 +274,7 @@ class ModbusReader(Reader, DeviceThread):
         line.max_ages[sensor.unique_key] = max_age
 
     def close(self) -> None:
-        """End the thread, and wait until it has closed the connection, up to four timeouts."""
+        """End the thread, and wait for its last reading, up to four timeouts."""
         self._stop_thread(4 * _TIMEOUT_S)
 
     # --- in the thread ----------------------------------------------------------------------------
@@ -290,7 +283,6 @@ class ModbusReader(Reader, DeviceThread):
         self._pause_until(self._due)
         if self._closing:
             self._done = True
-            self._line.close()
             return
         sensor = self.sensor
         try:
