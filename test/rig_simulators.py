@@ -542,35 +542,43 @@ class DistantPump:
             self.update()
 
 
-class FaultySite(SimulatedSite):
-    """Cistern and roof with faults, which can write a line for each tick.
+class SiteBench(Bench, SimulatedSite):
+    """Runs cistern and roof behind their sensors, and can write a line for each tick."""
 
-    Attributes:
-        fault: the present fault.
-        output: where the lines go; None for nowhere.
-    """
-
-    fault = ActiveFault()
-    output = None
-
-    def began(self) -> None:
-        """Note that a fault begins."""
-        self._fault_since, self._frozen = self.tick, {}
-
-    def _has_fault(self, section: str, name: str) -> bool:
-        return self.fault.name == f"{section}_{name}"
-
-    def connect(self) -> None:
-        """Let the sensors be silent on request."""
-        for server in self.servers:
-            sensors = {
+    def __init__(
+        self, site: Site, rain, evapotranspiration, volumes, sensors, workbench: Address,
+        drive: Address | None = None, output=None,
+    ) -> None:
+        Bench.__init__(self, workbench)
+        pump = drive and DistantPump(drive, lambda: self.virtual_site.levels()[0], self.log)
+        SimulatedSite.__init__(
+            self, site, rain, evapotranspiration, volumes, sensors,
+            lambda: pump.speed if pump else 0.0,
+        )
+        self._fault_since, self._frozen, self._output = 0, dict[str, float](), output
+        for server in self.servers:  # each has its own sensors
+            there = {
                 section: sensor for section, sensor in self._sensors.items()
                 if isinstance(sensor, ModbusSensor)
                 and parse_address(sensor.address) == server.address
             }
             server.connection = partial(
-                FaultyConnection, fault=self.fault, hear=partial(self._hear, sensors)
+                FaultyConnection, fault=self.fault, hear=partial(self._hear, there)
             )
+        if pump is not None:
+            pump.update()
+            threading.Thread(target=pump.poll, daemon=True).start()
+        if output is not None:
+            print("time_s,cistern_level_m,roof_level_m", file=output, flush=True)
+
+    run, addresses = SimulatedSite.run, SimulatedSite.addresses
+
+    def inject(self, name: str, parameter: int) -> None:
+        self._fault_since, self._frozen = self.tick, {}
+        super().inject(name, parameter)
+
+    def _has_fault(self, section: str, name: str) -> bool:
+        return self.fault.name == f"{section}_{name}"
 
     def _hear(self, sensors, request) -> bool:
         return not any(
@@ -614,48 +622,8 @@ class FaultySite(SimulatedSite):
         elif self.fault.name == "leak":
             x1 = max(0.0, x1 - tau * self.fault.parameter * 1e-6)
         site.state = State(x1, x2, layer)
-        if self.output is not None:
-            cistern, roof = site.levels()
-            print(f"{self.tick * tau:.10g},{cistern:.9g},{roof:.9g},{speed:.4f},"
-                  f"{self._flowing:.9g},{self.pumped:.9g}", file=self.output, flush=True)
-
-
-COLUMNS = "time_s,cistern_level_m,roof_level_m,speed,pump_flow_m3_per_s,pumped_m3"
-
-
-class SiteBench(Bench):
-    """Runs cistern and roof behind their sensors."""
-
-    def __init__(
-        self, site: Site, rain, evapotranspiration, volumes, sensors, workbench: Address,
-        drive: Address | None = None, output=None,
-    ) -> None:
-        super().__init__(workbench)
-        pump = drive and DistantPump(drive, lambda: self.site.virtual_site.levels()[0], self.log)
-        self.site = FaultySite(
-            site, rain, evapotranspiration, volumes, sensors,
-            lambda: pump.speed if pump else 0.0,
-        )
-        self.site.fault, self.site.output = self.fault, output
-        self.site.began()
-        self.site.connect()
-        self.servers += self.site.servers
-        if pump is not None:
-            pump.update()
-            threading.Thread(target=pump.poll, daemon=True).start()
-        if output is not None:
-            print(COLUMNS, file=output, flush=True)
-
-    @property
-    def addresses(self) -> str:
-        return self.site.addresses
-
-    def inject(self, name: str, parameter: int) -> None:
-        self.site.began()
-        super().inject(name, parameter)
-
-    async def run(self, ended: asyncio.Event) -> None:
-        await self.site.run(ended)
+        if self._output is not None:
+            print(self.tick * tau, *site.levels(), sep=",", file=self._output, flush=True)
 
 
 # --- programs -------------------------------------------------------------------------------------
