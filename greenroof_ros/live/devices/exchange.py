@@ -207,7 +207,8 @@ class DriveExchange(DeviceThread):
 
     The connection is lost after two rounds without a valid answer, or if it is closed. If *stop* is
     rejected on two connections, or the drive has not been seen to obey *stop* for `LIMIT_S` (its
-    speed does not fall, or is unknown), or water flows although it reports standstill, a silence
+    speed does not fall or is unknown, or it closes each connection), or water flows although it
+    reports standstill, a silence
     follows: nothing is sent for the longest timeout that the drive may have, which then stops the
     drive; any message might restart that timeout. `stop` ends a silence early. `close` may be
     called at any time, and stops the drive. From the first connection until `close`, no other
@@ -388,17 +389,17 @@ class DriveExchange(DeviceThread):
         now, fall = time.monotonic(), self._fall
         if self._requested[0] is not None:
             self._update(start_failed=Diagnosis.of("start_failed", "lost", problem=problem))
-        if self._stopped is False:
-            self._refusals += 1
-        runs_on = bool(self._stopped) and fall is not None and now - fall.since > LIMIT_S
+        # What a closed connection does not take is a refusal only if that lasts.
+        self._refusals += self._stopped is False and self._drive.line.connected
+        unseen = fall is not None and now - fall.since > LIMIT_S and self._stopped is not None
         wait_s, self._wait_s = self._wait_s, min(2 * self._wait_s, MAX_WAIT_S)
-        if runs_on or self._refusals > 1:
+        if unseen or self._refusals > 1:
             wait_s = self._timeout_limit_s
             problem += f"; nothing is sent for {wait_s:g} s, so its own timeout must stop it"
             if fall is not None:  # that timeout may ramp it down
                 fall.since = now + wait_s + MAX_RAMP_S
         self._connect_at, self._done = now + wait_s, self._last_attempt
-        self._fail(problem, connected=False, status=self._snapshot.status if runs_on else None)
+        self._fail(problem, connected=False, status=self._snapshot.status if unseen else None)
         self._drive.line.close()
 
     def _connect(self) -> None:
@@ -504,9 +505,9 @@ class DriveExchange(DeviceThread):
         return ""
 
     def _stop(self) -> None:
-        self._stopped = False
+        self._stopped, self._fall = False, self._fall or Fall()
         self._drive.stop()
-        self._stopped, self._refusals, self._fall = True, 0, self._fall or Fall()
+        self._stopped, self._refusals = True, 0
 
 
 def _stop_until_at_rest(drive: Drive | Relay, until: float) -> DriveStatus:

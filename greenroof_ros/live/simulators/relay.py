@@ -63,7 +63,7 @@ class SimulatedRelay:
     def set_timer(self, seconds: float) -> None:
         """Set the timer of the relay (s)."""
         self.timer_s, timer = seconds, self._file.timer
-        self.settings[timer.path] = _value(f"{seconds / timer.scale:g}")
+        self.settings[timer.path] = round(seconds / timer.scale, 3)
 
     def switch(self, on: bool, seconds: float) -> None:
         """Switch the relay off, or on for a time (s)."""

@@ -134,6 +134,27 @@ def test_one_lost_answer_stops_nothing_and_a_half_open_connection_heals(bench: B
         bench.exchange.outcome()
 
 
+def test_a_drive_that_closes_its_connections_is_left_in_silence_after_a_while(bench: Bench) -> None:
+    """Not at once: if its own timeout is off, only a new connection can stop it.
+
+    At the end it is connected once more to be stopped.
+    """
+    bench.run()
+    for seconds, silent in ((4.0, False), (17.0, True)):
+        bench.lose()
+        bench.wait(seconds)
+        assert not bench.now.connected and (SILENT in bench.now.problem) == silent
+        bench.drive.written.clear()
+        bench.answer = bench.drive
+        assert bench.until(lambda: bench.now.connected) < (10.5 if silent else 5.5)
+        assert bench.drive.written[0] == OFF
+        bench.until_half()
+    bench.lose()
+    bench.answer = bench.drive
+    bench.close()
+    assert bench.drive.values[0] == 0x047E
+
+
 def test_after_each_connection_the_drive_is_off_while_it_may_not_guard(
     monkeypatch: pytest.MonkeyPatch
 ) -> None:
