@@ -152,7 +152,7 @@ REFUSED = {
     "live.sensors --sensors sensors.yaml":
         ("line 22: cistern.period = 2.6: must be at most 2.5 s",),
     "live.sensors --sensors sensors_mqtt.yaml --ros-args -p level_limit:=4.0":
-        ("line 16: cistern.max_age = 5.0: must be at most 4 s, which is level_limit",),
+        ("line 16: cistern.max_age = 5.0: must be at most 4 s, since older values than",),
     "live.sensors": ("--sensors is missing",),
     "live.sensors --sensors login.yaml":
         ("/no/greenroof/broker.yaml: ",),
