@@ -61,10 +61,7 @@ class SimulatedDrive:
         self._at, self._last_request = time.monotonic(), math.inf
         sequences = file.sequences
         self._ready = [(step.write, step.value) for step in sequences.ready]
-        self._run, self._stop = (
-            next(step.value for step in steps if step.write == "control")
-            for steps in (sequences.run, sequences.stop)
-        )
+        self._run, self._stop = sequences.run[-1].value, sequences.stop[0].value
         # The control words that only *reset* has clear a fault.
         self._resets = {step.value for step in sequences.reset if step.write == "control"}
         self._resets -= {self._run, self._stop, *(value for _, value in self._ready)}
@@ -100,12 +97,7 @@ class SimulatedDrive:
         elif name == "control" and word not in (self._run, self._stop):
             self._done = int(self._ready[0] == (name, word))
         if name == "control":
-            self.on = word == self._run and self.is_ready
-
-    @property
-    def is_ready(self) -> bool:
-        """Whether all steps of *ready* have been carried out."""
-        return self._done == len(self._ready)
+            self.on = word == self._run and self._done == len(self._ready)
 
     def trip(self, fault: int) -> None:
         """Trip with a fault; 0 clears the current fault."""
