@@ -39,13 +39,7 @@ from greenroof_ros.ros.executable import node_command
 from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.messages import qos_profile
 from greenroof_ros.ros.parameters import declare
-from greenroof_ros.ros.reports import (
-    PAUSE_S,
-    Reports,
-    StatusDiagnosis,
-    make_diagnosis,
-    read_statuses,
-)
+from greenroof_ros.ros.reports import PAUSE_S, Reports, diagnose, read_statuses
 from greenroof_ros.ros.spin import start_receiving
 from greenroof_ros.site.site import Site
 
@@ -86,8 +80,6 @@ class AlarmsNode(GraphNode):
         self._judge = Judge(self._log.last_number)
         self._reports = Reports(self.get_namespace(), values["expected"].split())
         self._start = StartList(tell) if directory else None
-        # Why the process was restarted, which only its successor can report.
-        self._restarted = os.environ.pop(RESTARTED, "")
         self._checked, self._published = time.monotonic(), -math.inf
         topic = self.interface["/alarms"]
         self._publisher = self.create_publisher(
@@ -137,23 +129,19 @@ class AlarmsNode(GraphNode):
         if passed > PAUSE_S:  # this process was paused: what it did not receive was no silence
             self._reports.excuse_silence(passed)
             return
-        diagnoses = self._reports.diagnoses(now) | self._explain_restart()
+        diagnoses = self._reports.diagnoses(now)
+        if why := os.environ.pop(RESTARTED, ""):  # only this process can report that, and once
+            restarted = diagnose(ERROR, ROLE, "station_restarted", began=now, why=why)
+            diagnoses[f"{self.get_fully_qualified_name()}: station"] = restarted
         starting = self._reports.is_starting(now)
-        changes = self._judge.update(now, self._now, diagnoses, starting=starting)
-        self._log.add(changes)
-        self._log.warn(self._reports.warnings)
+        changed = self._judge.update(now, self._now, diagnoses, starting=starting)
+        self._log.add(changed)
         if self._start is not None and self._start.update(now, self._judge, self._reports):
             self._start = None
-        if changes or now - self._published >= _PUBLISH_S:
+        if changed or now - self._published >= _PUBLISH_S:
             self._published = now
             self._publish_alarms()
             self._log.write()
-
-    def _explain_restart(self) -> dict[str, StatusDiagnosis]:
-        """Return, once, the reason why the process was restarted."""
-        why, self._restarted = self._restarted, ""
-        name = f"{self.get_fully_qualified_name()}: station"
-        return {name: make_diagnosis(ERROR, ROLE, "station_restarted", why=why)} if why else {}
 
     def _publish_alarms(self) -> None:
         array = DiagnosticArray()

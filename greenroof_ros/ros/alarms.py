@@ -7,10 +7,9 @@ shows alarms shows those.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
 
 from greenroof_ros.interface.alarm import ERROR, LEVELS, WARN, Alarm
 from greenroof_ros.interface.conditions import Diagnosis
@@ -22,40 +21,16 @@ ROLE = "alarms"
 """role and name of the alarms node"""
 RESTARTED = "GREENROOF_ROS_RESTARTED"
 """environment variable with the reason why the process of the alarms node was restarted"""
-# An alarm that comes back within this time (s) is the same one.
-_AGAIN_S = 10.0
 # Devices that fall silent within this time of one another (s) do so for one reason.
 _TOGETHER_S = 15.0
-# How far a node's time stamps may be ahead of the graph's time (s).
-_AHEAD_S = 60.0
 # How many alarms that are over are kept.
 _MAX_OVER = 20
-# Endings of the names of statuses about what a node receives: they explain nothing elsewhere.
-_OF_INPUTS = ": inputs", ": refused"
 
-
-class Change(NamedTuple):
-    """A change in an alarm.
-
-    Attributes:
-        what: type of the change: ``begins``, ``changes`` (of the level or the cause), ``ends`` or
-            ``returns``.
-        alarm: the alarm after the change.
-    """
-
-    what: str
-    alarm: Alarm
+Diagnoses = Mapping[str, StatusDiagnosis]
+"""What is wrong now, by status name."""
 
 
 # --- the judge ------------------------------------------------------------------------------------
-
-
-class _Lasting(NamedTuple):
-    """The identity of a current diagnosis, and its start in steady and in graph time (s)."""
-
-    identity: tuple[str, str]
-    began: float
-    since: float
 
 
 class Judge:
@@ -64,54 +39,34 @@ class Judge:
     Arguments named ``wall`` are times on the steady clock (s).
 
     Attributes:
-        alarms: the active alarms and the latest past alarms, keyed by status name.
-        diagnoses: the diagnoses at the last update, keyed by status name.
+        present: the active alarms, by status name.
+        over: the latest past alarms, latest first.
+        diagnoses: the diagnoses at the last update, by status name.
         causes: name of the causing diagnosis for every diagnosis that follows from another
             diagnosis.
         missing: diagnoses about nodes and values that may still arrive while the site is starting,
-            keyed by status name.
+            by status name.
     """
 
     def __init__(self, number: int = 0) -> None:
         """Start without alarms; the first alarm will have the number after the given number."""
-        self.alarms: dict[str, Alarm] = {}
-        self.diagnoses: Mapping[str, StatusDiagnosis] = {}
+        self.present: dict[str, Alarm] = {}
+        self.over: deque[Alarm] = deque(maxlen=_MAX_OVER)
+        self.diagnoses: Diagnoses = {}
         self.causes: dict[str, str] = {}
-        self.missing: dict[str, StatusDiagnosis] = {}
+        self.missing: dict[str, Alarm] = {}
         self._number = number
-        self._lasting: dict[str, _Lasting] = {}
-        self._groups: dict[str, str] = {}
-        # When the present alarms began, and when the past ones ended (steady clock, s).
-        self._began: dict[str, float] = {}
-        self._ended: dict[str, float] = {}
+        self._began: dict[str, float] = {}  # of each active alarm (steady clock, s)
 
     @property
     def shown(self) -> list[Alarm]:
         """Everything on /alarms: active and past alarms, and what is missing at the start."""
-        missing = (
-            Alarm(0, *_split(name), diagnosis.role, diagnosis.code, LEVELS[WARN],
-                  _headline(diagnosis), self._lasting[name].since, about=diagnosis.about,
-                  follows=self.causes.get(name, ""), fault=diagnosis.fault)
-            for name, diagnosis in self.missing.items()
-        )
-        return [*self.present.values(), *self.over, *missing]
-
-    @property
-    def present(self) -> dict[str, Alarm]:
-        """The active alarms, by name."""
-        return {name: alarm for name, alarm in self.alarms.items() if alarm.ended is None}
-
-    @property
-    def over(self) -> list[Alarm]:
-        """The past alarms, latest first."""
-        ended = sorted(self._ended, key=lambda name: -self._ended[name])
-        return [self.alarms[name] for name in ended]
+        return [*self.present.values(), *self.over, *self.missing.values()]
 
     def update(
-        self, wall: float, now: float, diagnoses: Mapping[str, StatusDiagnosis], *,
-        starting: bool = False,
-    ) -> list[Change]:
-        """Update the alarms and return their changes.
+        self, wall: float, now: float, diagnoses: Diagnoses, *, starting: bool = False
+    ) -> list[Alarm]:
+        """Update the alarms, and return those that begin, end, or change in level or cause.
 
         Args:
             wall: current time on the steady clock (s).
@@ -120,123 +75,54 @@ class Judge:
             starting: True while the site is starting; nodes and values that are merely late then
                 cause no alarm.
         """
-        before, self._lasting = self._lasting, {}
-        for name, diagnosis in diagnoses.items():
-            lasting = before.get(name)
-            if lasting is None or lasting.identity != diagnosis.identity:
-                since = diagnosis.since
-                if since is None or since > now + _AHEAD_S:
-                    since = now
-                lasting = _Lasting(diagnosis.identity, wall - diagnosis.age_s, since)
-            self._lasting[name] = lasting
-        self._groups = {}
-        self.diagnoses = diagnoses = {**diagnoses, **dict(self._group_devices(diagnoses))}
-        older_first = sorted(diagnoses, key=lambda name: self._lasting[name].began)
-        self.causes = find_causes(
-            {name: diagnoses[name] for name in older_first if diagnoses[name].role}, self._groups
-        )
-        self.missing = {
-            name: diagnosis for name, diagnosis in diagnoses.items()
-            if starting and self._is_awaited(name, diagnosis)
-        }
-        changes = [*self._end(wall, now, diagnoses)]
+        groups = dict(_group_devices(diagnoses))
+        self.diagnoses = {**diagnoses, **{name: group for name, (group, _) in groups.items()}}
+        self.causes = find_causes(self.diagnoses, {
+            name: group for group, (_, names) in groups.items() for name in names
+        })
+        changed, self.missing = [*self._end(wall, now)], {}
         # Causes first: what follows from something that is not yet an alarm is not one, either.
-        for name in sorted(diagnoses, key=lambda name: name in self.causes):
-            if name not in self.missing:
-                changes += self._judge(wall, name, diagnoses[name], self.causes.get(name, ""))
-        for alarm in self.over[_MAX_OVER:]:
-            del self.alarms[alarm.name], self._ended[alarm.name], self._began[alarm.name]
-        return changes
+        for name in sorted(self.diagnoses, key=lambda name: name in self.causes):
+            diagnosis, before = self.diagnoses[name], self.present.get(name)
+            cause = self.causes.get(name, "")
+            alarm = Alarm(
+                0, *_split(name), diagnosis.role, diagnosis.code, LEVELS[diagnosis.level],
+                _headline(diagnosis), diagnosis.since or now - (wall - diagnosis.began),
+                follows=cause, about=diagnosis.about, fault=diagnosis.fault,
+            )
+            if before is not None:
+                follows = cause if cause in self.present else ""
+                alarm = replace(alarm, number=before.number, since=before.since, follows=follows)
+            elif starting and diagnosis.condition.late and not diagnosis.was_good:
+                self.missing[name] = replace(alarm, level=LEVELS[WARN])
+                continue
+            elif not self.has_lasted(wall, name) or (cause and cause not in self.present):
+                continue
+            else:
+                self._number, self._began[name] = self._number + 1, diagnosis.began
+                alarm = replace(alarm, number=self._number)
+            self.present[name] = alarm
+            if before is None or (alarm.level, alarm.follows) != (before.level, before.follows):
+                changed.append(alarm)
+        return changed
 
     def has_lasted(self, wall: float, name: str) -> bool:
         """Return whether a diagnosis has lasted long enough to be an alarm."""
-        condition = self.diagnoses[name].condition
-        lasts = condition.lasts if condition is not None else 0.0
-        return wall - self._lasting[name].began >= lasts
+        diagnosis = self.diagnoses[name]
+        return wall - diagnosis.began >= diagnosis.condition.lasts
 
-    def _group_devices(
-        self, diagnoses: Mapping[str, StatusDiagnosis]
-    ) -> Iterator[tuple[str, StatusDiagnosis]]:
-        """Yield a diagnosis for the devices on each line or broker that fell silent together."""
-        lines: dict[str, list[str]] = {}
-        for name in sorted(diagnoses, key=lambda name: self._lasting[name].began):
-            condition = diagnoses[name].condition
-            if condition is None or not condition.device or not diagnoses[name].line:
-                continue
-            together = lines.setdefault(diagnoses[name].line, [])
-            before = self._lasting[together[-1]].began if together else -math.inf
-            if len(together) < 2 and self._lasting[name].began - before > _TOGETHER_S:
-                together.clear()
-            together.append(name)
-        for line, names in lines.items():
-            devices = dict.fromkeys(map(name_source, names))
-            if len(devices) < 2:
-                continue
-            first = self._lasting[names[0]]
-            group = f"{names[0].partition(': ')[0].rpartition('/')[0]}/{ROLE}: {line}"
-            self._groups |= dict.fromkeys(names, group)
-            *others, last = (device.lower() for device in devices)
-            yield group, StatusDiagnosis(
-                max(diagnoses[name].level for name in names),
-                Diagnosis.of("devices_lost", devices=f"{', '.join(others)} and {last}").sentence,
-                "devices_lost", ROLE,
-                tuple({topic: None for name in names for topic in diagnoses[name].about}),
-                was_good=any(diagnoses[name].was_good for name in names),
-            )
-            self._lasting[group] = _Lasting(("devices_lost", ""), first.began, first.since)
-
-    def _is_awaited(self, name: str, diagnosis: StatusDiagnosis) -> bool:
-        condition = diagnosis.condition
-        late = condition is not None and condition.late and not diagnosis.was_good
-        return late and not self._is_present(name)
-
-    def _is_present(self, name: str) -> bool:
-        return name in self.alarms and name not in self._ended
-
-    def _end(
-        self, wall: float, now: float, diagnoses: Mapping[str, StatusDiagnosis]
-    ) -> Iterator[Change]:
+    def _end(self, wall: float, now: float) -> Iterator[Alarm]:
         """End the alarms whose diagnosis has ended or has been replaced by another diagnosis."""
-        for name, alarm in self.present.items():
-            diagnosis = diagnoses.get(name)
+        for name, alarm in [*self.present.items()]:
+            diagnosis = self.diagnoses.get(name)
             if diagnosis is None or diagnosis.identity != (alarm.code, alarm.fault):
-                seconds = round(wall - self._began[name], 1)
-                ahead = 0 < alarm.since - now <= _AHEAD_S  # otherwise the clock was set back
-                ended = alarm.since if ahead else now
-                self.alarms[name] = replace(alarm, ended=ended, seconds=seconds)
-                self._ended[name] = wall
-                yield Change("ends", self.alarms[name])
-
-    def _judge(
-        self, wall: float, name: str, diagnosis: StatusDiagnosis, cause: str
-    ) -> Iterator[Change]:
-        """Begin or continue the alarm for a diagnosis, if the diagnosis now counts as an alarm."""
-        lasting, before = self._lasting[name], self.alarms.get(name)
-        news: dict[str, Any] = {
-            "level": LEVELS[diagnosis.level], "sentence": _headline(diagnosis),
-            "about": diagnosis.about, "follows": cause if self._is_present(cause) else "",
-        }
-        if before is not None and (before.code, before.fault) == diagnosis.identity and (
-            wall - self._ended.get(name, wall) <= _AGAIN_S
-        ):
-            alarm = self.alarms[name] = replace(before, ended=None, seconds=None, **news)
-            if self._ended.pop(name, None) is not None:
-                yield Change("returns", alarm)
-            elif (alarm.level, alarm.follows) != (before.level, before.follows):
-                yield Change("changes", alarm)
-            return
-        # What follows from something that is not yet an alarm is not one, either.
-        waits = cause and not news["follows"] and self._lasting[cause].began <= lasting.began
-        if waits or not self.has_lasted(wall, name):
-            return
-        self._number += 1
-        self._ended.pop(name, None)
-        self._began[name] = lasting.began
-        self.alarms[name] = Alarm(
-            self._number, *_split(name), diagnosis.role, diagnosis.code, fault=diagnosis.fault,
-            since=lasting.since, **news,
-        )
-        yield Change("begins", self.alarms[name])
+                del self.present[name]
+                # The stamp of its node may be ahead of this clock, which may also be set back.
+                self.over.appendleft(replace(
+                    alarm, ended=max(now, alarm.since),
+                    seconds=round(wall - self._began.pop(name), 1),
+                ))
+                yield self.over[0]
 
 
 def name_source(name: str) -> str:
@@ -252,99 +138,118 @@ def _split(name: str) -> tuple[str, str]:
 
 def _headline(diagnosis: StatusDiagnosis) -> str:
     """Return the sentence of a diagnosis in an operator's words, if the table has one."""
-    condition = diagnosis.condition
-    if condition is None or not condition.headline:
-        return diagnosis.sentence
     topics = read_topics()
     labels = [
         display.label.lower() for name in diagnosis.about
         if name in topics and (display := topics[name].display) is not None
     ]
-    return condition.headline.format(inputs=" or ".join(labels) or "value")
+    headline = diagnosis.condition.headline.format(inputs=" or ".join(labels) or "value")
+    return headline or diagnosis.sentence
 
 
 # --- causes ---------------------------------------------------------------------------------------
 
 
-def find_causes(
-    diagnoses: Mapping[str, StatusDiagnosis], groups: Mapping[str, str] = {}
-) -> dict[str, str]:
+def _group_devices(diagnoses: Diagnoses) -> Iterator[tuple[str, tuple[StatusDiagnosis, list[str]]]]:
+    """Yield what the devices on a line or broker have in common that fell silent together.
+
+    Yields:
+        The name of the common diagnosis, and that diagnosis with the names of the devices'.
+    """
+    lines: dict[str, list[str]] = {}
+    for name in _older_first(diagnoses):
+        diagnosis = diagnoses[name]
+        if diagnosis.line and diagnosis.condition.device:
+            together = lines.setdefault(diagnosis.line, [])
+            if len(together) == 1 and (
+                diagnosis.began - diagnoses[together[0]].began > _TOGETHER_S
+            ):
+                together.clear()
+            together.append(name)
+    for line, names in lines.items():
+        devices = sorted({name_source(name).lower() for name in names})
+        if len(devices) < 2:
+            continue
+        first = diagnoses[names[0]]
+        sentence = Diagnosis.of(
+            "devices_lost", devices=f"{', '.join(devices[:-1])} and {devices[-1]}"
+        ).sentence
+        about = {topic: None for name in names for topic in diagnoses[name].about}
+        yield f"{names[0].partition(': ')[0].rpartition('/')[0]}/{ROLE}: {line}", (StatusDiagnosis(
+            max(diagnoses[name].level for name in names), sentence, "devices_lost", ROLE,
+            first.since, first.began, tuple(about),
+            was_good=any(diagnoses[name].was_good for name in names),
+        ), names)
+
+
+def find_causes(diagnoses: Diagnoses, groups: Mapping[str, str] = {}) -> dict[str, str]:
     """Return the name of the root cause of every diagnosis that follows from another diagnosis.
 
-    The pump's state follows from the diagnosis of the part that reports the reason in more detail.
-    A node's missing input follows from the diagnosis of the publisher. An error does not follow
-    from a warning. A state of the pump that requires a visit to the pump does not follow from any
-    other diagnosis, because advice about a cause would conceal the need for this visit.
+    An error does not follow from a warning. A state of the pump that requires a visit to the pump
+    does not follow from any other diagnosis, because advice about a cause would conceal the need
+    for this visit.
 
     Args:
-        diagnoses: diagnoses of the graph's own nodes, keyed by status name, oldest first.
+        diagnoses: diagnoses of the graph's nodes, keyed by status name.
         groups: name of the diagnosis of the group to which a device belongs, by status name.
     """
     causes: dict[str, str] = {}
-    for name, diagnosis in diagnoses.items():
-        grouped = [groups[name]] if name in groups else []
-        for other in (*grouped, *_find_candidates(name, diagnosis, diagnoses)):
-            first = causes.get(other, other)
-            group = [name, *(follower for follower, cause in causes.items() if cause == name)]
-            worse = diagnoses[first].level == WARN and any(
-                diagnoses[follower].level == ERROR for follower in group
-            )
-            if first != name and not worse:
-                causes.update(dict.fromkeys(group, first))
+
+    def root_of(name: str) -> str:
+        return root_of(causes[name]) if name in causes else name
+
+    names = _older_first(diagnoses)
+    for name in names:
+        ranks = {
+            other: 1 if groups.get(name) == other else _rank(name, other, diagnoses)
+            for other in names if other != name
+        }
+        for other in sorted(filter(ranks.get, ranks), key=lambda other: ranks[other]):
+            root = root_of(other)
+            if root != name and not _is_worse(diagnoses[name], diagnoses[root]):
+                causes[name] = other
                 break
-    return causes
+    return {
+        name: root for name in causes
+        if not _is_worse(diagnoses[name], diagnoses[root := root_of(name)])
+    }
 
 
-def _find_candidates(
-    name: str, diagnosis: StatusDiagnosis, diagnoses: Mapping[str, StatusDiagnosis]
-) -> Iterator[str]:
-    """Yield the names of diagnoses that may be the cause of a diagnosis, the most likely first."""
-    node, _, part = name.partition(": ")
-    condition = diagnosis.condition
-    if condition is not None and condition.needs_operator and part == PUMP:
-        return
-    if part and node in diagnoses:  # the node as a whole, for example if it is silent
-        yield node
-    if condition is None:
-        return
-    if not part:  # awaited nodes that are wrong as a whole
-        for name, other in diagnoses.items():
-            waited_for = {name.rpartition("/")[2], other.role} & {*diagnosis.about}
-            if name != node and ": " not in name and waited_for:
-                yield name
-    elif condition.no_data:
-        yield from _find_publishers(diagnosis, diagnoses)
-    interlock = condition.interlock
-    more: Sequence[str] = condition.explained_by if interlock is None else interlock.parts
-    if interlock is None or part == PUMP:
-        yield from (own for explains in more if (own := f"{node}: {explains}") in diagnoses)
-    if interlock is not None:  # another node may know more, such as the temperature in frost
-        yield from (
-            other for explains in more for other in diagnoses
-            if other.endswith(f": {explains}") and not other.startswith(f"{node}: ")
-        )
-    if part == "inputs":
-        # A part of the pump node that stops the pump because of that input reports more about it.
-        yield from (
-            name for name, other in diagnoses.items()
-            if other.role == PUMP and not name.endswith(_OF_INPUTS)
-            and {*other.about} & {*diagnosis.about}
-        )
+def _older_first(diagnoses: Diagnoses) -> list[str]:
+    return sorted(diagnoses, key=lambda name: diagnoses[name].began)
 
 
-def _find_publishers(
-    diagnosis: StatusDiagnosis, diagnoses: Mapping[str, StatusDiagnosis]
-) -> Iterator[str]:
-    """Yield the names of the diagnoses of the nodes that publish what a diagnosis is about.
+def _is_worse(diagnosis: StatusDiagnosis, cause: StatusDiagnosis) -> bool:
+    return (diagnosis.level, cause.level) == (ERROR, WARN)
 
-    Diagnoses of whole nodes come before diagnoses of parts of nodes.
-    """
-    interface, roles = read_topics(), set[str]()
-    for topic in interface.keys() & {*diagnosis.about}:
-        roles.update(interface[topic].publishers, interface[topic].live_publishers)
-    roles.discard(diagnosis.role)
-    names = [
-        name for name, other in diagnoses.items()
-        if other.role in roles and not name.endswith(_OF_INPUTS)
-    ]
-    yield from sorted(names, key=lambda name: ": " in name)
+
+def _rank(name: str, other: str, diagnoses: Diagnoses) -> int:
+    """Return how well another diagnosis explains one: 1 is best, and 0 is not at all."""
+    (node, part), (other_node, other_part) = _split(name), _split(other)
+    diagnosis, cause = diagnoses[name], diagnoses[other]
+    condition, interlock = diagnosis.condition, diagnosis.condition.interlock
+    if part == PUMP and condition.needs_operator:
+        return 0
+    about, own = {*diagnosis.about}, node == other_node
+    sends = part and condition.no_data and other_part != "inputs" and _sends(cause, diagnosis)
+    reports_more = other_part in (condition.explained_by if interlock is None else interlock.parts)
+    rules = (
+        own and not other_part,  # the node as a whole, for example if it is silent
+        not part and not other_part and {other_node.rpartition("/")[2], cause.role} & about,
+        sends and not other_part,
+        sends,
+        # Of an interlock, another node may know more, such as the temperature in frost.
+        reports_more and (own if interlock is None else part == PUMP or not own),
+        # A part of the pump node that stops the pump because of that input knows more about it.
+        part == "inputs" != other_part and cause.role == PUMP and {*cause.about} & about,
+    )
+    return next((rank for rank, rule in enumerate(rules, start=1) if rule), 0)
+
+
+def _sends(cause: StatusDiagnosis, diagnosis: StatusDiagnosis) -> bool:
+    """Return whether a node of another role publishes what a diagnosis is about."""
+    topics = read_topics()
+    return cause.role != diagnosis.role and any(
+        cause.role in (*topics[name].publishers, *topics[name].live_publishers)
+        for name in diagnosis.about if name in topics
+    )
