@@ -9,12 +9,11 @@ from typing import Any
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter as RosParameter
 
-from greenroof_ros.base.errors import rename_keys
 from greenroof_ros.base.parameter import replace_infinity
 from greenroof_ros.controllers.decide import locate_error
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.ros.graph_node import GraphNode
-from greenroof_ros.ros.parameters import declare, find_given
+from greenroof_ros.ros.parameters import declare
 from greenroof_ros.site.site import Site
 
 # How many of the newest parameter changes are kept; all are counted.
@@ -39,15 +38,10 @@ class ControllerParameters:
             site: the site.
 
         Raises:
-            ConfigurationError: if a value is invalid, or if a parameter is for a valve that the
-                site does not have.
+            ConfigurationError: if a value is invalid.
         """
         self._node, self._choice, self._site = node, choice, site
-        known = choice.parameters_on(site)
-        others = choice.parameters.keys() - {parameter.name for parameter in known}
-        with rename_keys({name: f"parameter {name} of {node.get_name()}" for name in others}):
-            choice.complete_parameters(site, find_given(node, others))
-        self.values = declare(node, known)
+        self.values = declare(node, choice.parameters_on(site))
         self.controller: Any = None
         # Limited, since every report contains them, and a program may change a parameter in every
         # tick.
