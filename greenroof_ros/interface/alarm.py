@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from datetime import datetime
 from typing import Any
 
@@ -81,7 +81,8 @@ class Alarm:
 
 def to_record(alarm: Alarm) -> dict[str, Any]:
     """Return the record of an alarm for the file and for a summary."""
-    record = {**asdict(alarm), "about": list(alarm.about)}
+    record = {key.name: getattr(alarm, key.name) for key in fields(Alarm)}
+    record["about"] = list(alarm.about)
     for key in _TIMES:
         if record[key] is not None:
             record[key] = iso(record[key])

@@ -8,21 +8,13 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from greenroof_ros.controllers.check import trial_values
-from greenroof_ros.nodes.check import NodeCheck, Story, StoryEndError, Values, describe
+from greenroof_ros.nodes.check import CISTERN, COMMAND, FROST, ROOF, NodeCheck, Story, Values
 from greenroof_ros.ros.messages import WithFront
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
 
-CISTERN, ROOF, FROST, COMMAND = "/cistern/level", "/roof/level", "/weather/frost", "/pump/command"
 _FORECASTS = ("/forecast/precipitation", "/forecast/evapotranspiration")
 _NOT_FINITE = (math.nan, math.inf, -math.inf)
-# Inputs for which the command must be 0.
-_STOPS = (
-    ("in frost", FROST, (1.0,)),
-    ("while frost is not finite", FROST, _NOT_FINITE),
-    ("while the cistern's level is not finite", CISTERN, _NOT_FINITE),
-    ("while the roof's level is not finite", ROOF, _NOT_FINITE),
-)
 # Number of ticks after the first in which the command must stay 0.
 _STAYS = 2
 # Simulated time within which a controller must water again (s), as it may limit the pump's starts.
@@ -59,17 +51,19 @@ class ControllerCheck(NodeCheck):
 
     def story(self) -> Story:
         """Tell when a controller must not water, after which it must water again."""
+        yield "its topics match the interface", self.match_topics
         yield "waters a dry roof", self._find_watering
-        for when, topic, values in _STOPS:
-            yield f"commands 0 {when}", self._command_0, topic, values
-        hidden = [{topic: value} for topic in _FORECASTS for value in _NOT_FINITE]
-        yield "its commands are valid while a forecast is not", self._answer, hidden
+        yield "commands 0 in frost", self._command_0, FROST, (1.0,)
+        for topic in self.required:
+            yield f"commands 0 while {topic} is not finite", self._command_0, topic, _NOT_FINITE
+        for topic in self.optional:
+            hidden = [{topic: value} for value in _NOT_FINITE]
+            yield f"its commands are valid while {topic} is not", self._answer, hidden
         yield "waits for its inputs in any order", self.answer_in_any_order, _EQUAL
         yield "its commands are valid at all levels", self._answer, self._trials
-        yield "sends exactly one command for each tick", self.answer_once
-        yield "ends when the plant has ended", self.end_with_peers
+        yield "sends one command for each tick, and ends with the plant", self.end
 
-    def _find_watering(self) -> str:
+    def _find_watering(self) -> None:
         """Find levels and forecasts at which the controller waters the roof.
 
         Forecasts without rain, dry roofs and full cisterns are tried first, because a controller
@@ -79,13 +73,11 @@ class ControllerCheck(NodeCheck):
         def dryness(trial: Values) -> tuple[float, float, float]:
             return trial[_FORECASTS[0]], trial[ROOF], -trial[CISTERN]
 
-        for trial in sorted(self._trials, key=dryness):
-            answers = self.tick(trial)
-            if answers[COMMAND] > 0:
-                self.usual |= trial
-                return f"{describe(answers)} with {describe(trial)}"
+        trials = sorted(self._trials, key=dryness)
+        watered = next((trial for trial in trials if self.tick(trial)[COMMAND] > 0), None)
         # A command of 0 would prove nothing.
-        raise StoryEndError(f"{COMMAND} is 0 at all levels and forecasts")
+        self.require(watered, f"{COMMAND} is 0 at all levels and forecasts", ends=True)
+        self.usual |= watered or {}
 
     def _command_0(self, topic: str, values: Sequence[float]) -> None:
 

@@ -7,7 +7,7 @@ would have no effect. This module rejects undeclared parameters.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from greenroof_ros.base.command_line import refuse
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
 from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.parameter import Parameter
-from greenroof_ros.base.parameter_sections import ParameterSection, read_sections
+from greenroof_ros.base.parameter_sections import read_sections
 from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
 from greenroof_ros.site.file import read_site
 
@@ -62,38 +62,28 @@ def node_parameter_files(
                 f"applies to no node that bringup starts: {', '.join(sorted(nodes))}",
                 file=file, line=section.line, key=section.name,
             )
-        refuse_unknown_section(file, section, {name for parameters in known for name in parameters})
         for name, value in section.values.items():
             try:
-                if name in _SET_BY_BRINGUP or given.get(name, value) != value:
-                    raise ValueError("must not be set in this file, since an option sets it")
-                for parameters in known:
-                    if name in parameters:
-                        check_value(parameters[name], value)
+                _check(name, value, known, given)
             except ValueError as error:
-                raise _refusal(str(error), file, section, name) from None
+                raise ConfigurationError(
+                    str(error), file=file, line=section.values.lines[name],
+                    key=f"{section.name}: {name}", value=value,
+                ) from None
     return [file]
 
 
-def refuse_unknown_section(
-    file: Path, section: ParameterSection, known: Collection[str]
+def _check(
+    name: str, value: Any, known: Sequence[Mapping[str, Parameter]], given: Mapping[str, float]
 ) -> None:
-    """Reject a section of a parameter file with a parameter that is not among the known ones.
-
-    Raises:
-        ConfigurationError: if there is such a parameter.
-    """
-    for name in section.values:
-        if name not in known and name.partition(".")[0] not in OF_EVERY_NODE:
-            wrong = f"there is no such parameter; {suggest_names(name, sorted(known))}"
-            raise _refusal(wrong, file, section, name)
-
-
-def _refusal(why: str, file: Path, section: ParameterSection, name: str) -> ConfigurationError:
-    return ConfigurationError(
-        why, file=file, line=section.values.lines[name], key=f"{section.name}: {name}",
-        value=section.values[name],
-    )
+    matching = [parameters[name] for parameters in known if name in parameters]
+    if not matching and name.partition(".")[0] not in OF_EVERY_NODE:
+        names = sorted({name for parameters in known for name in parameters})
+        raise ValueError(f"there is no such parameter; {suggest_names(name, names)}")
+    if name in _SET_BY_BRINGUP or given.get(name, value) != value:
+        raise ValueError("must not be set in this file, since an option sets it")
+    for parameter in matching:
+        check_value(parameter, value)
 
 
 def find_value(files: Iterable[Path], node: str, parameter: Parameter) -> Any:

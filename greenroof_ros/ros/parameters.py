@@ -20,7 +20,7 @@ from greenroof_ros.base.errors import ConfigurationError, suggest_names
 from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.parameter_sections import read_sections
-from greenroof_ros.ros.parameter_file import check_value, refuse_unknown_section
+from greenroof_ros.ros.parameter_file import check_value
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import MAX_HORIZON
 from greenroof_ros.site.site import Site
@@ -137,17 +137,22 @@ def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:
         ConfigurationError: if the node has not declared a parameter.
     """
     own, known = node.get_name(), node.get_parameters_by_prefix("")
+
+    def refuse(name: str, value: object, **place: Any) -> None:
+        if name not in known and not name.startswith("qos_overrides."):
+            wrong = f"there is no such parameter; {suggest_names(name, known)}"
+            key = f"parameter {name} of {own}"
+            raise ConfigurationError(wrong, key=key, value=value, **place)
+
     for option, text in pairwise(arguments):
         if option in ("-p", "--param"):
             qualified, _, value = text.partition(":=")
             of, _, name = qualified.rpartition(":")
-            if of in ("", own) and name not in known:
-                raise ConfigurationError(
-                    f"there is no such parameter; {suggest_names(name, known)}",
-                    key=f"parameter {name} of {own}", value=value,
-                )
+            if of in ("", own):
+                refuse(name, value)
         elif option == "--params-file":
             for section in read_sections(Path(text)):
                 is_own = section.name.rpartition("/")[2] == own
                 if is_own and section.applies_to(node.get_fully_qualified_name()):
-                    refuse_unknown_section(Path(text), section, known)
+                    for name, value in section.values.items():
+                        refuse(name, value, file=text, line=section.values.lines[name])

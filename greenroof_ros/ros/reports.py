@@ -11,17 +11,12 @@ import json
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 from greenroof_ros.base.text import clean_text
-from greenroof_ros.interface.alarm import ERROR, OK, STALE, WARN
-from greenroof_ros.interface.conditions import (
-    Condition,
-    Diagnosis,
-    identity_of,
-    read_conditions,
-)
+from greenroof_ros.interface.alarm import ERROR, LEVELS, OK, STALE, WARN, Alarm
+from greenroof_ros.interface.conditions import Condition, Diagnosis, identity_of, read_conditions
 from greenroof_ros.interface.states import ENDED, FINISHED, PLANT, STARTING, STATES
 from greenroof_ros.interface.topics import node_names
 
@@ -84,39 +79,22 @@ def read_statuses(message: bytes) -> tuple[int, list[Status]]:
 
 
 @dataclass(frozen=True)
-class StatusDiagnosis:
-    """The state of a node or of one of its parts.
+class StatusDiagnosis(Alarm):
+    """What is wrong with a node or one of its parts: an alarm that has no number yet.
 
     Attributes:
-        level: OK, WARN, ERROR or STALE.
-        sentence: sentence that describes the fault.
-        code: code of the condition.
-        role: the node's role in the interface.
-        since: beginning of the fault, in the graph's time (s since 1970); 0 if unknown.
         began: beginning of the fault on the steady clock (s).
-        about: the topics concerned, or the nodes that are being waited for.
-        fault: a device's own fault or warning.
         was_good: for a part, True if its status has ever been OK.
         line: the broker, gateway or serial line of the part's device; empty if unknown.
     """
 
-    level: int
-    sentence: str
-    code: str
-    role: str
-    since: float = 0.0
     began: float = 0.0
-    about: tuple[str, ...] = ()
-    fault: str = ""
     was_good: bool = False
     line: str = ""
 
     @property
     def identity(self) -> tuple[str, str]:
-        """Code and fault.
-
-        A new alarm begins when the code or the fault changes, but not when the sentence changes.
-        """
+        """Code and fault; if they change, but not if the sentence does, a new alarm begins."""
         return self.code, self.fault
 
     @property
@@ -128,7 +106,7 @@ class StatusDiagnosis:
     def stops_pump(self) -> bool:
         """Whether the pump cannot start while the fault lasts."""
         condition = self.condition
-        return self.level != WARN and (condition.stops_pump or condition.interlock is not None)
+        return self.is_serious and (condition.stops_pump or condition.interlock is not None)
 
 
 @dataclass
@@ -176,51 +154,57 @@ class NodeReport:
             self._lost = (self.last_time, self.received_at) if died else None
             self.began, self.parts = wall, {}
         self.state, self.values, self.received_at, self.last_time = state, values, wall, now
-        self.parts = {
-            (part := clean_text(status.name.partition(": ")[2], _NAME)):
-                self._read_part(self.parts.get(part), wall, now, status)
-            for status in parts[:_PARTS]
-        }
+        reported = (self._read_part(wall, now, status) for status in parts[:_PARTS])
+        self.parts = {diagnosis.part: diagnosis for diagnosis in reported}
 
-    def _read_part(
-        self, before: StatusDiagnosis | None, wall: float, now: float, status: Status
-    ) -> StatusDiagnosis:
+    def _read_part(self, wall: float, now: float, status: Status) -> StatusDiagnosis:
+        part = clean_text(status.name.partition(": ")[2], _NAME)
         values = {key: clean_text(text) for key, text in status.values.items()}
         about = (values.get("topics") or values.get("topic", "")).split()[:_ABOUT]
         namespace = self.name.rpartition("/")[0]
         line, age = _LINE.search(status.hardware), _read_age(values.get("age_s", ""))
-        (code, fault), since, began = identity_of(values), now - age, wall - age
+        before, (code, fault) = self.parts.get(part), identity_of(values)
+        since, began = now - age, wall - age
         if before is not None and before.identity == (code, fault):
             since, began = before.since, before.began
         return StatusDiagnosis(
-            status.level, clean_text(status.message) or "reports nothing", code, self.role, since,
-            began, tuple(topic.removeprefix(namespace) for topic in about), fault,
-            status.level == OK or (before is not None and before.was_good),
-            clean_text(line[1] or line[2]) if line else "",
+            0, self.name, part, self.role, code, LEVELS[status.level],
+            clean_text(status.message) or "reports nothing", since, fault=fault, began=began,
+            about=tuple(topic.removeprefix(namespace) for topic in about),
+            was_good=status.level == OK or (before is not None and before.was_good),
+            line=clean_text(line[1] or line[2]) if line else "",
         )
 
-    def diagnoses(self, wall: float) -> Iterator[tuple[str, StatusDiagnosis]]:
-        """Yield what is wrong with the node and its parts, each with the name of its status."""
+    def diagnoses(self, wall: float) -> Iterator[StatusDiagnosis]:
+        """Yield what is wrong with the node and its parts."""
+
+        def diagnose(
+            code: str, level: int, since: float, began: float, **values: float | str
+        ) -> StatusDiagnosis:
+            sentence = Diagnosis.of(code, **values).sentence
+            return StatusDiagnosis(
+                0, self.name, "", self.role, code, LEVELS[level], sentence, since, began=began
+            )
+
         last = self.last_time, self.received_at
         failure, waiting = self.values.get("failure"), self.values.get("waiting")
         if self.has_ended:
             if failure:
-                text = clean_text(str(failure))
-                yield self.name, diagnose(ERROR, self.role, "node_failed", *last, failure=text)
+                yield diagnose("node_failed", ERROR, *last, failure=clean_text(str(failure)))
             return
-        if not self.is_online(wall):
-            yield self.name, diagnose(STALE, self.role, "not_heard", *last, time=SILENT_S)
+        if not self.values:
+            yield diagnose("node_awaited", STALE, *last)
+        elif not self.is_online(wall):
+            yield diagnose("not_heard", STALE, *last, time=SILENT_S)
         elif self._lost is not None and wall - self.began <= _REPLACED_S:
-            yield self.name, diagnose(STALE, self.role, "not_heard", *self._lost, time=SILENT_S)
+            yield diagnose("not_heard", STALE, *self._lost, time=SILENT_S)
         elif self.state == STARTING and isinstance(waiting, list):
             about = tuple(clean_text(str(peer), _NAME) for peer in waiting[:_ABOUT])
             since = self.last_time - (self.received_at - self.began)
-            yield self.name, diagnose(
-                WARN, self.role, "peers_awaited", since, self.began, about, peers=", ".join(about),
-            )
-        for part, diagnosis in self.parts.items():
-            if diagnosis.level != OK:  # that of a silent node stays
-                yield f"{self.name}: {part}", diagnosis
+            awaits = diagnose("peers_awaited", WARN, since, self.began, peers=", ".join(about))
+            yield replace(awaits, about=about)
+        # That of a silent node stays.
+        yield from (part for part in self.parts.values() if part.level != LEVELS[OK])
 
 
 class Reports:
@@ -312,27 +296,17 @@ class Reports:
         return bool(up) and all(isinstance(age, (int, float)) and age < _START_S for age in up)
 
     def diagnoses(self, wall: float) -> dict[str, StatusDiagnosis]:
-        """Return everything that is wrong, keyed by the name of the status."""
+        """Return everything that is wrong, by the name of its status."""
         self._began = min(self._began, wall)
-        diagnoses = {
-            name: diagnose(
-                STALE, node if node in node_names() else "controller", "node_awaited",
-                began=self._began,
-            )
-            for name, node in self.expected.items() if name not in self.nodes
+        awaited = [
+            NodeReport(
+                name, node if node in node_names() else "controller", received_at=self._began
+            ) for name, node in self.expected.items() if name not in self.nodes
+        ]
+        return {
+            diagnosis.name: diagnosis for node in (*awaited, *self.nodes.values())
+            for diagnosis in node.diagnoses(wall)
         }
-        for node in self.nodes.values():
-            diagnoses.update(node.diagnoses(wall))
-        return diagnoses
-
-
-def diagnose(
-    level: int, role: str, code: str, since: float = 0.0, began: float = 0.0,
-    about: tuple[str, ...] = (), **values: float | str,
-) -> StatusDiagnosis:
-    """Return a diagnosis that the receiver of the reports makes itself."""
-    sentence = Diagnosis.of(code, **values).sentence
-    return StatusDiagnosis(level, sentence, code, role, since, began, about)
 
 
 def _read_value(text: str) -> Any:

@@ -6,16 +6,21 @@ import json
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
 
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from graphs import environment
+from rclpy.executors import SingleThreadedExecutor
 from ros_rig import LATE, Observer
 
 from greenroof_ros.interface.alarm import Alarm
+from greenroof_ros.nodes.alarms import AlarmsNode
 from greenroof_ros.results.alarm_file import read_alarms
 from greenroof_ros.ros.alarm_status import read_status
+
+if TYPE_CHECKING:
+    from greenroof_ros.base.standard_error import Lines
 
 
 class Reporter:
@@ -54,6 +59,8 @@ class Reporter:
 
         def holds() -> bool:
             nonlocal due
+            self.executor.spin_once(timeout_sec=0.0)
+            self.node.check(time.monotonic())
             if time.monotonic() > due:
                 due = time.monotonic() + 0.25
                 self.report()
@@ -61,23 +68,28 @@ class Reporter:
 
         self._observer.until(holds, LATE, event)
 
-
-@contextmanager
-def running(observer: Observer, out: Path) -> Iterator[None]:
-    with out.open("w") as stream:
-        process = observer.start("nodes.alarms", directory="run", popen={
-            "env": environment(observer.domain), "stdout": stream,
-        })
-        yield
-        process.terminate()
-        assert process.wait(60) == 0
+    @contextmanager
+    def running(self) -> Iterator[list[str]]:
+        """Run the node beside the observer, and yield the lines that it prints."""
+        lines: list[str] = []
+        words = ["--ros-args", "-p", f"directory:={self._observer.cwd}"]
+        rclpy.init(args=words, domain_id=self._observer.domain)
+        printer = SimpleNamespace(print_line=lines.append, wait=lambda _: None)
+        self.node = AlarmsNode(cast("Lines", printer))
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.node)
+        try:
+            yield lines
+        finally:
+            self.node.on_stop()
+            self.node.destroy_node()
+            rclpy.shutdown()
 
 
 def test_from_reports_to_alarms(observer: Observer) -> None:
     """At once, once a second, and to whoever comes later; numbers go on after a restart."""
-    (observer.cwd / "run").mkdir()
-    reporter, out = Reporter(observer), observer.cwd / "out"
-    with running(observer, out):
+    reporter = Reporter(observer)
+    with reporter.running() as lines:
         reporter.until(lambda: reporter.arrays, "a first message without alarms")
         assert not reporter.alarms
         reporter.parts = {"drive": (2, "drive_lost")}
@@ -95,12 +107,11 @@ def test_from_reports_to_alarms(observer: Observer) -> None:
         assert late[0] == 1
         reporter.parts = {"drive": (0, "")}
         reporter.until(lambda: reporter.alarms["/pump: drive"].ended, "its end")
+        assert "alarm 1: Pump: the drive is not responding" in lines
+        assert lines[-1].startswith("alarm 1 is over, after ")
     reporter.parts = {"drive": (2, "drive_fault")}
-    with running(observer, observer.cwd / "out2"):
+    with reporter.running():
         reporter.until(lambda: "drive_fault" in {a.code for a in reporter.alarms.values()}, "more")
-    assert [(alarm.number, alarm.code) for alarm in read_alarms(observer.cwd / "run")] == [
+    assert [(alarm.number, alarm.code) for alarm in read_alarms(observer.cwd)] == [
         (1, "drive_lost"), (2, "drive_fault"),
     ]
-    first, *_, last = out.read_text().splitlines()
-    assert "alarm 1: Pump: the drive is not responding" in out.read_text()
-    assert last.startswith("alarm 1 is over, after ") and last.endswith(" s: Pump"), first

@@ -142,7 +142,7 @@ REFUSED = {
         ("at most 34.4 m3", "is the unit wrong?"),
     "nodes.plant --ros-args -p speed": ("-p speed",),
     "nodes.plant --ros-args --params-file wrong.yaml":
-        ("wrong.yaml, line 2: /**/plant: run_lenght = 4: ", "did you mean run_length?"),
+        ("wrong.yaml, line 2: parameter run_lenght of plant = 4: ", "did you mean run_length?"),
     "live.recorder --ros-args -p use_sim_time:=true": ("use_sim_time", "must be false"),
     "nodes.weather --ros-args -p run_length:=10000000": ("toronto_2021-07.csv",),
     "live.weather --ros-args -p forecast:=perfect":

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from greenroof_ros.interface.alarm import ERROR, OTHER, STALE, WARN, Alarm, advise
+from greenroof_ros.interface.alarm import ERROR, LEVELS, OTHER, STALE, WARN, Alarm, advise
 from greenroof_ros.interface.conditions import (
     LATCHED,
     Diagnosis,
@@ -24,7 +24,16 @@ NOON = 1_800_000_000.0
 
 def wrong(code: str, role: str = "pump", level: int = ERROR, **more: Any) -> StatusDiagnosis:
     """Return a diagnosis with this code, which began at 100 s unless it is given."""
-    return StatusDiagnosis(level, f"it is {code}", code, role, **{"began": 100.0, **more})
+    what = {"since": 0.0, "began": 100.0, "sentence": f"it is {code}", **more}
+    return StatusDiagnosis(0, "", "", role, code, LEVELS[level], **what)
+
+
+def named(diagnoses: dict[str, StatusDiagnosis]) -> dict[str, StatusDiagnosis]:
+    """Return diagnoses of the nodes and parts in their names."""
+    return {
+        name: replace(diagnosis, node=name.partition(": ")[0], part=name.partition(": ")[2])
+        for name, diagnosis in diagnoses.items()
+    }
 
 
 class Site:
@@ -41,7 +50,7 @@ class Site:
         for _ in range(max(1, round(4 * seconds))):
             self.wall += 0.25
             self.changed += self.judge.update(
-                self.wall, NOON + self.wall, diagnoses, starting=starting
+                self.wall, NOON + self.wall, named(diagnoses), starting=starting
             )
 
     @property
@@ -185,6 +194,7 @@ def test_causes(
 ) -> None:
     if isinstance(causes, str):
         causes = dict.fromkeys(diagnoses.keys() - {causes}, causes)
+    diagnoses = named(diagnoses)
     assert find_causes(diagnoses) == causes
     assert find_causes(dict(reversed(diagnoses.items()))).keys() == causes.keys()
 

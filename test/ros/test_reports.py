@@ -50,7 +50,7 @@ def test_a_node_that_does_not_respond() -> None:
     assert codes(reports, SILENT_S) == {"/weather: frost": "temperature_unknown"}
     found = reports.diagnoses(SILENT_S + 0.5)
     lost = found["/weather"]
-    assert (lost.code, lost.since, lost.began, lost.level) == ("not_heard", NOON, 0.0, STALE)
+    assert (lost.code, lost.since, lost.began, lost.level) == ("not_heard", NOON, 0.0, "stale")
     assert found["/weather: frost"].code == "temperature_unknown"
     reports.receive(5.0, NOON + 5, said("/weather"))
     assert not codes(reports, 5.0)
@@ -79,7 +79,7 @@ def test_what_is_wrong_with_a_node() -> None:
     assert codes(reports, 600.0) == {}
     reports.receive(7.5, NOON, said("/weather", state="ended", failure="No space left on device"))
     (failed,) = reports.diagnoses(600.0).values()
-    assert (failed.code, failed.level) == ("node_failed", ERROR)
+    assert (failed.code, failed.level) == ("node_failed", "error")
     assert "No space left" in failed.sentence
 
 
