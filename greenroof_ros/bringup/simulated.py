@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import shlex
-import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,7 +30,6 @@ from greenroof_ros.ros.domain import (
     ros_arguments,
 )
 from greenroof_ros.ros.errors import explain
-from greenroof_ros.ros.ros_arguments import remove_ros_arguments
 from greenroof_ros.simulation import screen, summary
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration
 from greenroof_ros.simulation.options import (
@@ -49,7 +47,7 @@ def make_parser() -> Parser:
     """Return the parser of the command line."""
     parser = Parser(
         prog="greenroof run",
-        usage="%(prog)s [options] [--ros-args ...]",
+        usage="%(prog)s [options]",
         description="Run the plant, weather, controller and recorder as ROS 2 nodes in one "
         "process, in lockstep with simulated time. During the run, 'ros2 topic echo "
         "--qos-durability volatile /roof/level' shows the level on the roof.\n\n"
@@ -61,11 +59,7 @@ def make_parser() -> Parser:
         "  greenroof run --speed 60 --no-record\n"
         "  greenroof run --controller external    # your node runs alongside it; for the four "
         "rules, see\n"
-        "                                         # greenroof check-controller --help\n"
-        "  greenroof run --ros-args -r plant:/roof/level:=/raw\n\n"
-        "ROS arguments: all nodes of the run receive them, as rclpy defines them. They remap "
-        "topics; parameters are options of the run. Other commands, such as watch, do not "
-        "recognize a remapped topic.\n\n"
+        "                                         # greenroof check-controller --help\n\n"
         "exit codes: 0 done, 1 a node failed, 2 bad usage or configuration, or an error in a "
         "controller's code, 3 a graph is already running, 130 interrupted",
     )
@@ -114,7 +108,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         summary.write(summary.make_unfinished_summary(run, summary.RUNNING), directory)
         progress = RunProgress(run.steps, run.site.tau, LINES)
         graph = Composition(
-            run, ros_arguments([parameters], arguments.namespace, sys.argv[1:]),
+            run, ros_arguments([parameters], arguments.namespace),
             record=not arguments.no_record, external=is_external or arguments.pump == EXTERNAL,
             progress=progress,
         )
@@ -180,8 +174,6 @@ def _print_bag_contents(directory: Path, ticks: int | None) -> None:
 @command
 def main() -> int:
     """Start the graph, supervise it until the run is over, and stop it."""
-    parser, words = make_parser(), sys.argv[1:]
-    own = remove_ros_arguments(words) if "--ros-args" in words else words
-    arguments = parser.parse_args(own)
+    arguments = make_parser().parse_args()
     run = simulated_run(arguments)
     return bring_up(arguments, partial(run_graph, run, arguments))

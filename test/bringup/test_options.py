@@ -210,20 +210,6 @@ def test_a_parameter_that_would_have_no_effect(tmp_path: Path, text: str) -> Non
     assert str(error.value).startswith(f"{file}, {NO_EFFECT[text]}")
 
 
-@pytest.mark.parametrize(("rule", "words"), [
-    ("-r __node:=a", "is not possible in a run"),
-    ("-r plant:__ns:=/a", "is not possible in a run"),
-    ("-p weight:=4", "is not possible in a run"),
-    ("--remap a", "Couldn't parse remap rule"),
-    ("--nonsense", "--ros-args: ['--nonsense']"),
-])
-def test_ros_arguments_that_do_not_fit_a_run(rule: str, words: str, tmp_path: Path) -> None:
-    pytest.importorskip("rclpy")
-    done = bringup(tmp_path, "--controller", "onoff", "--ros-args", *rule.split())
-    assert (done.returncode, done.stdout, list(tmp_path.iterdir())) == (2, "", [])
-    assert words in done.stderr
-
-
 def test_a_drive_of_another_program_is_left_to_it() -> None:
     """As at the end of a second bringup that was started with the same drive by mistake."""
     with closing(Wire(acs880())) as wire:

@@ -277,15 +277,3 @@ def test_two_at_once(domain: int, tmp_path: Path) -> None:
     assert summary_of(tmp_path / "site1")["parameters"]["weight"] == 0.02
     # The file took effect in the node: on/off commands its fraction, and nothing else.
     assert summary_of(tmp_path / "site2")["max_command"] == 0.4
-
-
-def test_ros_arguments(domain: int, tmp_path: Path) -> None:
-    """A remapping is for all nodes, or for one."""
-    bring_up(
-        domain, tmp_path, "--controller", "onoff", "--namespace", "x", "--hours", "0.01",
-        "--ros-args", "-r", "roof/level:=/raw", "-r", "plant:pump/flow:=/f",
-        "-r", "recorder:pump/flow:=/f",
-    )
-    moved = {"/roof/level": "/raw", "/pump/flow": "/f"}
-    names = {moved.get(topic, f"/x{topic}") for topic in bag_topics()}
-    assert messages_of(tmp_path / "run").keys() == names
