@@ -17,8 +17,10 @@ _FORECASTS = ("/forecast/precipitation", "/forecast/evapotranspiration")
 _NOT_FINITE = (math.nan, math.inf, -math.inf)
 # Number of ticks after the first in which the command must stay 0.
 _STAYS = 2
-# Simulated time within which a controller must water again (s), as it may limit the pump's starts.
-_WATERS_AGAIN_S = 3600.0
+# Share of its target at which a roof is dry, and of its outlet's level at which a cistern is full,
+# for a valve to open. Simulated time within which a controller must water that roof (s), as it may
+# limit the pump's starts.
+_DRY, _FULL, _WATERS_S = 0.5, 1.5, 3600.0
 # By how much a solver's answers to equal inputs may differ.
 _EQUAL = 1e-6
 
@@ -40,19 +42,18 @@ class ControllerCheck(NodeCheck):
         """
         outputs = [COMMAND, "/outlet/command"] if site.low_outlet_valve else [COMMAND]
         weather = ("/weather/precipitation", "/weather/evapotranspiration")
-        usual = dict.fromkeys((*self.required, *self.optional, *weather), 0.0)
+        usual = {
+            CISTERN: _FULL * site.z_o, ROOF: _DRY * site.z_veg,
+            **dict.fromkeys((FROST, *self.optional, *weather), 0.0),
+        }
         super().__init__(controller, site, outputs, usual)
         # The numbers in front of a forecast: no time of issue, and the ends of the steps.
         self._front = array("d", [math.nan, *look_ahead_ends(site, horizon)[1:]])
-        self._trials = [
-            dict(zip((CISTERN, ROOF, *_FORECASTS), trial, strict=True))
-            for trial in trial_values(site)
-        ]
 
     def story(self) -> Story:
         """Tell when a controller must not water, after which it must water again."""
         yield "its topics match the interface", self.match_topics
-        yield "waters a dry roof", self._find_watering
+        yield "waters a dry roof", self._water
         yield "commands 0 in frost", self._command_0, FROST, (1.0,)
         for topic in self.required:
             yield f"commands 0 while {topic} is not finite", self._command_0, topic, _NOT_FINITE
@@ -60,24 +61,12 @@ class ControllerCheck(NodeCheck):
             hidden = [{topic: value} for value in _NOT_FINITE]
             yield f"its commands are valid while {topic} is not", self._answer, hidden
         yield "waits for its inputs in any order", self.answer_in_any_order, _EQUAL
-        yield "its commands are valid at all levels", self._answer, self._trials
+        trials = [
+            dict(zip((CISTERN, ROOF, *_FORECASTS), trial, strict=True))
+            for trial in trial_values(self.site)
+        ]
+        yield "its commands are valid at all levels", self._answer, trials
         yield "sends one command for each tick, and ends with the plant", self.end
-
-    def _find_watering(self) -> None:
-        """Find levels and forecasts at which the controller waters the roof.
-
-        Forecasts without rain, dry roofs and full cisterns are tried first, because a controller
-        that has seen rain in a forecast may keep its plan for hours.
-        """
-
-        def dryness(trial: Values) -> tuple[float, float, float]:
-            return trial[_FORECASTS[0]], trial[ROOF], -trial[CISTERN]
-
-        trials = sorted(self._trials, key=dryness)
-        watered = next((trial for trial in trials if self.tick(trial)[COMMAND] > 0), None)
-        # A command of 0 would prove nothing.
-        self.require(watered, f"{COMMAND} is 0 at all levels and forecasts", ends=True)
-        self.usual |= watered or {}
 
     def _command_0(self, topic: str, values: Sequence[float]) -> None:
 
@@ -92,7 +81,7 @@ class ControllerCheck(NodeCheck):
 
     def _water(self) -> None:
         """Require a command above 0; otherwise, a later command of 0 would prove nothing."""
-        self.until(lambda answers: answers[COMMAND] > 0, within=_WATERS_AGAIN_S)
+        self.until(lambda answers: answers[COMMAND] > 0, within=_WATERS_S, ends=True)
 
     def _answer(self, trials: Iterable[Values]) -> None:
         for trial in trials:
