@@ -40,7 +40,6 @@ class Case(NamedTuple):
 
 
 CONTROLLERS = {
-    "example": Case({}, {}),
     "valve": Case({}, {}, ("-p", "valve:=true"), VALVE),
     # This package's lookahead has a memory and limits the starts.
     "lookahead": Case({}, {}, check=("--horizon", "120")),
@@ -80,10 +79,6 @@ CONTROLLERS = {
         "while /weather/frost": "1 on /outlet/command .* nan on /weather/frost",
         "while /roof/level": "1 on /outlet/command .* nan on /roof/level",
     }, ("-p", "valve:=true"), VALVE),
-    "silent": Case(
-        {"        publisher.": '        tick["weather/frost"] == 1 or publisher.'},
-        {"0 in frost": "on /pump/command within 5 s in tick 2, with 1 on /weather/frost;"},
-    ),
     "doubled": Case({ANSWER: 2 * ANSWER}, {"frost": "2 messages on /pump/command in tick 0"}),
     "never_waters": Case(
         {"GAIN = 20.0": "GAIN = 0.0"},
