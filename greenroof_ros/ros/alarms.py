@@ -23,6 +23,8 @@ RESTARTED = "GREENROOF_ROS_RESTARTED"
 """environment variable with the reason why the process of the alarms node was restarted"""
 # Devices that fall silent within this time of one another (s) do so for one reason.
 _TOGETHER_S = 15.0
+# Parts about what a node receives, which explain nothing elsewhere.
+_OF_INPUTS = "inputs", "refused"
 # How many alarms that are over are kept.
 _MAX_OVER = 20
 
@@ -221,10 +223,11 @@ def _rank(diagnosis: StatusDiagnosis, cause: StatusDiagnosis) -> int:
         own and not cause.part,  # the node as a whole, for example if it is silent
         not part and not cause.part and {cause.node.rpartition("/")[2], cause.role} & about,
         sends and not cause.part,
-        sends and cause.part != "inputs",
+        sends and cause.part not in _OF_INPUTS,
         # Of an interlock, another node may know more, such as the temperature in frost.
         reports_more and (own if interlock is None else part == PUMP or not own),
         # A part of the pump node that stops the pump because of that input knows more about it.
-        part == "inputs" != cause.part and cause.role == PUMP and {*cause.about} & about,
+        part == "inputs" and cause.role == PUMP and cause.part not in _OF_INPUTS
+        and {*cause.about} & about,
     )
     return next((rank for rank, rule in enumerate(rules, start=1) if rule), 0)

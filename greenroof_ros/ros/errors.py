@@ -17,6 +17,12 @@ class MalformedMessageError(Exception):
     """Raised if the bytes received do not form a message of the topic's type."""
 
 
+def describe(error: Exception) -> str:
+    """Return an unexpected error as one line: its type, message and location in the code."""
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno})"
+
+
 def print_failure(error: Exception) -> tuple[str, int]:
     """Print why a node or a run failed, and return it as a sentence, with the exit code.
 
@@ -30,14 +36,8 @@ def print_failure(error: Exception) -> tuple[str, int]:
 
 
 def explain(error: Exception) -> tuple[str, int]:
-    """Return a sentence that states why a node or a run failed, and the exit code.
-
-    An unexpected error is described by its type, message and location in the code.
-    """
+    """Return a sentence that states why a node or a run failed, and the exit code."""
     if isinstance(error, ConfigurationError):
         return str(error), exit_code(error)
-    if isinstance(error, (LockstepError, OSError, HangError)):
-        return str(error), EXIT_FAILED
-    place = traceback.extract_tb(error.__traceback__)[-1]
-    where = f"{place.filename}, line {place.lineno}"
-    return f"{type(error).__name__}: {error} ({where})", EXIT_FAILED
+    known = isinstance(error, (LockstepError, OSError, HangError))
+    return str(error) if known else describe(error), EXIT_FAILED

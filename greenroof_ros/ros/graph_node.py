@@ -22,7 +22,7 @@ from greenroof_ros.base.files import as_started
 from greenroof_ros.interface.states import ENDED, STARTING
 from greenroof_ros.interface.topics import Topic
 from greenroof_ros.ros.diagnostics import NodeDiagnostics
-from greenroof_ros.ros.errors import LockstepError, MalformedMessageError, explain
+from greenroof_ros.ros.errors import LockstepError, MalformedMessageError, describe
 from greenroof_ros.ros.inputs import Input
 from greenroof_ros.ros.messages import encoder, message_class, qos_profile
 from greenroof_ros.ros.parameters import declare, site_file
@@ -165,7 +165,7 @@ class GraphNode(Node):
         if self.failure is not None:
             return
         if not isinstance(error, (LockstepError, ConfigurationError, OSError)):
-            error = LockstepError(f"{self.get_name()}: {explain(error)[0]}")
+            error = LockstepError(f"{self.get_name()}: {describe(error)}")
         self.failure = error
         self.on_failure()
 

@@ -134,6 +134,9 @@ class NodeReport:
     parts: dict[str, StatusDiagnosis] = field(default_factory=dict)
     # last_time and received_at of the process before, unless it reported that it ended.
     _lost: tuple[float, float] | None = field(default=None, init=False)
+    # The same of the last report that the node had rejected more values, and their topics.
+    _refused: tuple[float, float] = field(default=(0.0, -math.inf), init=False)
+    _topics: tuple[str, ...] = field(default=(), init=False)
 
     @property
     def has_ended(self) -> bool:
@@ -152,7 +155,11 @@ class NodeReport:
         if values["process"] != self.values.get("process"):
             died = self.values and not self.has_ended
             self._lost = (self.last_time, self.received_at) if died else None
-            self.began, self.parts = wall, {}
+            self.began, self.values, self.parts = wall, {}, {}
+        known = _read_counts(self.values)
+        grown = [key for key, count in _read_counts(values).items() if count > known.get(key, 0)]
+        if grown:
+            self._refused, self._topics = (now, wall), tuple(map(clean_text, grown[:_ABOUT]))
         self.state, self.values, self.received_at, self.last_time = state, values, wall, now
         reported = (self._read_part(wall, now, status) for status in parts[:_PARTS])
         self.parts = {diagnosis.part: diagnosis for diagnosis in reported}
@@ -203,6 +210,10 @@ class NodeReport:
             since = self.last_time - (self.received_at - self.began)
             awaits = diagnose("peers_awaited", WARN, since, self.began, peers=", ".join(about))
             yield replace(awaits, about=about)
+        if wall - self._refused[1] <= SILENT_S:
+            topics = ", ".join(self._topics)
+            refused = diagnose("values_refused", WARN, *self._refused, topics=topics)
+            yield replace(refused, part="refused", about=self._topics)
         # That of a silent node stays.
         yield from (part for part in self.parts.values() if part.level != LEVELS[OK])
 
@@ -320,6 +331,13 @@ def _read_value(text: str) -> Any:
         parse_float=lambda digits: value if math.isfinite(value := float(digits)) else None,
         parse_constant=lambda _: None,
     )
+
+
+def _read_counts(values: Mapping[str, Any]) -> dict[str, int]:
+    """Return the number of values that a node has rejected so far, by topic."""
+    refused = values.get("refused")
+    counts = refused.items() if isinstance(refused, dict) else ()
+    return {topic: count for topic, count in counts if isinstance(count, int)}
 
 
 def _read_age(text: str) -> float:

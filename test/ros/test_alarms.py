@@ -146,8 +146,8 @@ def test_what_follows_from_another_one() -> None:
     }, {"/pump: levels": "/cistern_sensor"}),
     # Without a forecast there is no temperature.
     ({
-        "/weather: forecast": wrong("forecast_service_silent", "weather"),
-        "/weather: frost": wrong("temperature_not_fetched", "weather"),
+        "/weather: forecast": wrong("forecast_missing", "weather"),
+        "/weather: frost": wrong("temperature_unknown", "weather"),
         "/pump: frost": wrong("temperature_unknown", level=WARN, about=("/weather/frost",)),
     }, "/weather: forecast"),
     # Frost is told by the weather node, with its temperature.
@@ -155,6 +155,12 @@ def test_what_follows_from_another_one() -> None:
         "/pump: pump": wrong("frost", level=WARN), "/pump: frost": wrong("frost", level=WARN),
         "/weather: frost": wrong("freezing", "weather", WARN),
     }, "/weather: frost"),
+    # A second controller explains that there is no command, and refused values.
+    ({
+        "/pump: command": wrong("input_publishers"),
+        "/pump: pump": wrong("command_unknown", level=WARN),
+        "/pump: refused": wrong("values_refused", level=WARN, about=("/pump/command",)),
+    }, "/pump: command"),
     # A level that only its readers find wrong: the pump node knows the most about it.
     ({
         "/pump: levels": wrong("input_frozen", about=("/roof/level",)),
@@ -266,7 +272,7 @@ def test_status_of_an_alarm() -> None:
         "about": "/roof/level /x", "serious": "true",
     })
     missing = replace(SILENT, number=0, level="warn")
-    assert to_status(missing)[1]["starting"] == "true"
+    assert "number" not in to_status(missing)[1]
     ended = {"ended": 1_700_000_060.0, "seconds": 60.5}
     over, minor = replace(SILENT, **ended), replace(SILENT, level="warn", **ended)
     for alarm, shown in ((SILENT, 2), (missing, 1), (over, 0), (minor, 0)):

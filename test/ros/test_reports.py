@@ -71,6 +71,13 @@ def test_what_is_wrong_with_a_node() -> None:
     reports = heard((0.0, said("/weather", state="starting", waiting=["roof_sensor"])))
     (waits,) = reports.diagnoses(2.0).values()
     assert (waits.code, waits.about, waits.began) == ("peers_awaited", ("roof_sensor",), 0.0)
+    for at in (3.0, 3.5):
+        reports.receive(at, NOON, said("/weather", refused={"/a": 7, "/b": "x"}))
+    (refused,) = reports.diagnoses(6.5).values()
+    assert (refused.name, refused.code, refused.about) == (
+        "/weather: refused", "values_refused", ("/a",)
+    )
+    assert codes(reports, 6.9) == {}
     reports.receive(7.0, NOON, said("/weather", state="ended"))  # as it was asked to
     assert codes(reports, 600.0) == {}
     reports.receive(7.5, NOON, said("/weather", state="ended", failure="No space left on device"))
