@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from operator import itemgetter
 
 from greenroof_ros.interface.alarm import ERROR, LEVELS, WARN, Alarm
 from greenroof_ros.interface.conditions import Diagnosis
@@ -192,13 +193,14 @@ def find_causes(
 
     ordered = _older_first(diagnoses)
     for diagnosis in ordered:
+        senders = _find_senders(diagnosis)
         ranked = [
-            (1 if groups.get(diagnosis.name) is cause else _rank(diagnosis, cause), cause.name)
+            (1 if groups.get(diagnosis.name) is cause else _rank(diagnosis, cause, senders), cause)
             for cause in ordered if cause is not diagnosis
         ]
-        for rank, name in sorted(ranked, key=lambda pair: pair[0]):
-            if rank and may_follow(diagnosis.name, root_of(name)):
-                causes[diagnosis.name] = name
+        for _, cause in sorted(filter(itemgetter(0), ranked), key=itemgetter(0)):
+            if may_follow(diagnosis.name, root_of(cause.name)):
+                causes[diagnosis.name] = cause.name
                 break
     return {name: root for name in causes if may_follow(name, root := root_of(name))}
 
@@ -207,27 +209,33 @@ def _older_first(diagnoses: Diagnoses) -> list[StatusDiagnosis]:
     return sorted(diagnoses.values(), key=lambda diagnosis: diagnosis.began)
 
 
-def _rank(diagnosis: StatusDiagnosis, cause: StatusDiagnosis) -> int:
+def _find_senders(diagnosis: StatusDiagnosis) -> set[str]:
+    """Return the roles that publish the data that a part of a node lacks."""
+    if not diagnosis.part or not diagnosis.condition.no_data:
+        return set()
+    topics = [topic for name, topic in read_topics().items() if name in diagnosis.about]
+    return {
+        role for topic in topics for role in (*topic.publishers, *topic.live_publishers)
+        if role != diagnosis.role
+    }
+
+
+def _rank(diagnosis: StatusDiagnosis, cause: StatusDiagnosis, senders: set[str]) -> int:
     """Return how well one diagnosis explains another: 1 is best, and 0 is not at all."""
     part, about, own = diagnosis.part, {*diagnosis.about}, diagnosis.node == cause.node
     condition, interlock = diagnosis.condition, diagnosis.condition.interlock
     if part == PUMP and condition.needs_operator:
         return 0
-    topics = read_topics()
-    sends = part and condition.no_data and cause.role != diagnosis.role and any(
-        cause.role in (*topics[name].publishers, *topics[name].live_publishers)
-        for name in about & topics.keys()
-    )
     reports_more = cause.part in (condition.explained_by if interlock is None else interlock.parts)
     rules = (
         own and not cause.part,  # the node as a whole, for example if it is silent
         not part and not cause.part and {cause.node.rpartition("/")[2], cause.role} & about,
-        sends and not cause.part,
-        sends and cause.part not in _OF_INPUTS,
+        cause.role in senders and not cause.part,
+        cause.role in senders and cause.part not in _OF_INPUTS,
         # Of an interlock, another node may know more, such as the temperature in frost.
         reports_more and (own if interlock is None else part == PUMP or not own),
         # A part of the pump node that stops the pump because of that input knows more about it.
         part == "inputs" and cause.role == PUMP and cause.part not in _OF_INPUTS
-        and {*cause.about} & about,
+        and not about.isdisjoint(cause.about),
     )
     return next((rank for rank, rule in enumerate(rules, start=1) if rule), 0)

@@ -34,12 +34,13 @@ MAX_BYTES = 8_000_000
 # Limits to what a sender can fill: statuses in a message, values of each and characters of each
 # text; nodes, parts of each, characters of a name; topics or nodes that a diagnosis is about.
 _STATUSES, _VALUES, _TEXT = 1000, 100, 20_000
-_NODES, _PARTS, _NAME, _ABOUT = 32, 24, 160, 10
+_NODES, _PARTS, _NAME, _ABOUT = 24, 24, 160, 10
 # The latest time of a run (ns since 1970), which is in the year 2116.
 _LAST_NS, _NS = 2**62, 1_000_000_000
 # A name that ROS allows for a node, since the name becomes part of commands that users are advised
 # to run.
 _NODE_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
+_UNKNOWN = Condition("", "")
 # The broker or gateway in a device's address, or its serial line.
 _LINE = re.compile(r"[a-z]+://([^/, ]+)|(/dev/[^, ]+)")
 
@@ -100,7 +101,7 @@ class StatusDiagnosis(Alarm):
     @property
     def condition(self) -> Condition:
         """The condition with the code; one without properties if the code is unknown."""
-        return read_conditions().get(self.code, Condition("", ""))
+        return read_conditions().get(self.code, _UNKNOWN)
 
     @property
     def stops_pump(self) -> bool:
