@@ -237,7 +237,7 @@ class Reports:
         """
         self.nodes: dict[str, NodeReport] = {}
         self.time_ns = 0
-        self._began = math.inf  # since when nodes are awaited (steady clock, s)
+        self._awaited_since = math.inf  # since when nodes are awaited (steady clock, s)
         self._namespace = "/" + namespace.strip("/")
         self.expected = {f"{namespace.rstrip('/')}/{name}": name for name in expected}
 
@@ -309,10 +309,11 @@ class Reports:
 
     def diagnoses(self, wall: float) -> dict[str, StatusDiagnosis]:
         """Return everything that is wrong, by the name of its status."""
-        self._began = min(self._began, wall)
+        self._awaited_since = min(self._awaited_since, wall)
         awaited = [
             NodeReport(
-                name, node if node in node_names() else "controller", received_at=self._began
+                name, node if node in node_names() else "controller",
+                received_at=self._awaited_since,
             ) for name, node in self.expected.items() if name not in self.nodes
         ]
         return {
