@@ -24,7 +24,7 @@ from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.ros import messages
 from greenroof_ros.ros.errors import MalformedMessageError
 from greenroof_ros.ros.lockstep import CLOCK, RUN, RunIdentity
-from greenroof_ros.ros.publishers import display_name
+from greenroof_ros.ros.publishers import name_owner
 from greenroof_ros.ros.spin import make_executor, ros
 from greenroof_ros.site.site import Site
 
@@ -162,7 +162,7 @@ class NodeCheck(ABC):
         for topic in (CLOCK, *self.usual):
             for info in self.node.get_publishers_info_by_topic(read_topics()[topic].graph_name):
                 raise OccupiedError(
-                    f"{topic} already has a publisher ({display_name(info.node_name)}); the check "
+                    f"{topic} already has a publisher ({name_owner(info)}); the check "
                     "publishes this topic itself, so stop the graph first"
                 )
 
@@ -177,9 +177,8 @@ class NodeCheck(ABC):
             if self.live and topic not in self.outputs:
                 continue  # it needs no messages from before it joined
             for info in infos:
-                if lacking := " and ".join(messages.find_lacking(info.qos_profile, qos)):
-                    needs = messages.describe_qos(qos)
-                    problems.append(f"its {end} {topic} {lacking}; it must be {needs}")
+                if lacking := messages.find_lacking(info.qos_profile, qos):
+                    problems.append(f"its {end} {topic} must have {lacking}")
         require(not problems, "; ".join(problems), StoryEndError)
 
     def _wait_for_tick(self) -> None:

@@ -19,7 +19,7 @@ from typing import Any
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
-from greenroof_ros.base.errors import OccupiedError, rename_keys
+from greenroof_ros.base.errors import OccupiedError
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.interface.states import PLANT
@@ -32,8 +32,8 @@ from greenroof_ros.physics.virtual_site import VirtualSite
 from greenroof_ros.results.metrics import Metrics
 from greenroof_ros.ros.errors import LockstepError
 from greenroof_ros.ros.executable import node_command
-from greenroof_ros.ros.lockstep import CLOCK, RUN, RunIdentity
-from greenroof_ros.ros.node import SimulationNode
+from greenroof_ros.ros.lockstep import CLOCK, RUN, LockstepNode, RunIdentity
+from greenroof_ros.ros.messages import decoder
 from greenroof_ros.ros.parameters import declare, site_file
 from greenroof_ros.site.site import Site
 
@@ -43,8 +43,6 @@ _AHEAD = 32
 _LATE_S = 1.0
 # A clock that is not affected when the system's clock is set.
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
-# A run's identity has this many bits: a double holds it exactly.
-_IDENTITY_BITS = 53
 
 
 def parameters(site: Site) -> list[Parameter]:
@@ -89,39 +87,35 @@ def parameters(site: Site) -> list[Parameter]:
     ]
 
 
-class PlantNode(SimulationNode):
+class PlantNode(LockstepNode):
     """Node that simulates the plant and paces the ticks."""
 
     def __init__(self) -> None:
         """Declare the parameters and open the topics."""
         super().__init__("plant", PLANT)
         site = self.declare_site()
-        values = declare(self, parameters(site))
-        x1, x2 = values["initial_cistern_volume"], values["initial_roof_volume"]
-        with rename_keys({"cistern": "initial_cistern_volume", "roof": "initial_roof_volume"}):
-            check_volumes(site, x1, x2)
+        self._values = values = declare(self, parameters(site))
+        volumes = values["initial_cistern_volume"], values["initial_roof_volume"]
+        check_volumes(site, *volumes)
         self._run_length = values["run_length"]
-        self._speed = values["speed"]
+        # The wall time of a tick (s); 0 for as fast as possible.
+        self._tick_s = site.tau / values["speed"] if values["speed"] else 0.0
         self._external = values["pump"] == "external"
         sensor_and_pump = SensorAndPump(**{name: values[name] for name in PARAMETERS})
         if self._external:
             sensor_and_pump.refuse_external_pump()
-        self._record = values["record"]
-        self._limit = values["peer_limit"]
-        self._start_limit = values["start_limit"]
-        self._tau = site.tau
         start_ns = epoch_ns(read_start(values["start"]))
         self._site = VirtualSite(
-            site, x1, x2, start_ns, sensor_and_pump, self._run_length + 1
+            site, *volumes, start_ns, sensor_and_pump, self._run_length + 1
         )
         self._metrics = Metrics(
             site, self._run_length, start_ns / 1e9, values[WITHOUT_RAIN.name]
         )
         # The tick that was published last, and its levels.
         self._published = 0, *self._site.observe()
-        self._written = 0
-        self._running = False
-        self._paused = False  # whether the tick waits for the pace or the recorder
+        # How many ticks the recorder has flushed; without a recorder, it does not matter.
+        self._written: float = 0 if values["record"] else math.inf
+        self._paused = True  # the tick waits for the start, for the pace or for the recorder
         self._pace = self.create_timer(_LATE_S, self._publish_if_due, clock=_STEADY)
         self._pace.cancel()
         self._wall_s = 0.0
@@ -144,31 +138,13 @@ class PlantNode(SimulationNode):
             self._flow = self.subscribe("/pump/flow")
         else:
             self.open_outputs("/pump/flow")
-        if self._record:
-            self.listen("/recorder/written", self._on_written)
-        identity = float(secrets.randbits(_IDENTITY_BITS))
-        self.publish(RUN, RunIdentity(identity, self._run_length, self._speed).values)
+        if values["record"]:
+            decode = decoder(self.interface["/recorder/written"].type)
+            self.open("/recorder/written", lambda message: self._on_written(decode(message)))
+        identity = float(secrets.randbits(53))  # a double holds it exactly
+        self.publish(RUN, RunIdentity(identity, self._run_length, values["speed"]).values)
 
-    def _on_written(self, ticks: float) -> None:
-        self._written = int(ticks)
-        self._publish_if_due()
-
-    def _behind(self) -> bool:
-        """Return True if the recorder's lag has reached its limit."""
-        return self._record and self._site.tick >= self._written + _AHEAD
-
-    def all_arrived(self) -> bool:
-        """Return True if all messages have reached their readers and are flushed to the bag."""
-        recorded = not self._record or self._written > self._run_length
-        return recorded and super().all_arrived()
-
-    def _pause(self) -> float:
-        if not self._speed:
-            return 0.0
-        wait = self._began + self._site.tick * self._tau / self._speed - time.monotonic()
-        if wait < -_LATE_S:
-            self._began -= wait  # a real pump's minimum times must not pass faster than in reality
-        return max(0.0, wait)
+    # --- the ticks ----------------------------------------------------------------------------
 
     def _publish_tick(self) -> None:
         site = self._site
@@ -180,16 +156,16 @@ class PlantNode(SimulationNode):
         self.publish("/roof/level", roof)
         self._paused = False
         self._waiting_since = time.monotonic()
-        self.set_time(now)
+        self.time_ns = now
 
     def on_inputs(self) -> None:
         """Compute the next tick of the plant from the inputs of this tick."""
-        if not self._running or self._paused:
-            raise OccupiedError(
-                f"answers to tick {self._site.tick} arrived before the tick was published: nodes "
-                "of an earlier run are still in this graph; stop them"
-            )
         site = self._site
+        if self._paused:
+            raise OccupiedError(
+                f"answers to tick {site.tick} arrived before the tick was published: nodes of an "
+                "earlier run are still in this graph; stop them"
+            )
         if site.tick == 0:
             self._began = time.monotonic()  # before this, the other nodes were still joining
         if self._frost is not None:
@@ -205,23 +181,16 @@ class PlantNode(SimulationNode):
             self._publish_flows(flows)
             self._wall_s = time.monotonic() - self._began
             self.finish()
-            deviation = self._metrics.results(site.state).metrics["total_deviation_m3"]
-            self.get_logger().info(
-                f"finished {self._run_length} ticks in {self._wall_s:.1f} s; total deviation "
-                f"{deviation:.2f} m3"
-            )
+            self.get_logger().info(f"finished {self._run_length} ticks in {self._wall_s:.1f} s")
             return
         known_rain = rain if self._rain.good else math.nan  # unknown rain counts as wet weather
         self._metrics.add(site.state, command, known_rain, evapotranspiration, flows)
         site.step()
+        self._paused = True
+        self._waiting_since = time.monotonic()
         # Publish the next tick first, if allowed: the other nodes begin it while this node still
         # publishes the flows of the last tick. The order within a topic does not change.
-        if not self._behind() and not self._pause():
-            self._publish_tick()
-        else:
-            self._paused = True
-            self._waiting_since = time.monotonic()
-            self._publish_if_due()
+        self._publish_if_due()
         self._publish_flows(flows)
 
     def _publish_flows(self, flows: Flows) -> None:
@@ -232,17 +201,36 @@ class PlantNode(SimulationNode):
         if not self._external:
             self.publish("/pump/flow", flows.pump)
 
+    # --- the pace -----------------------------------------------------------------------------
+
+    @property
+    def _is_behind(self) -> bool:
+        """Whether the recorder's lag has reached its limit."""
+        return self._site.tick >= self._written + _AHEAD
+
     def _publish_if_due(self) -> None:
         """Publish the waiting tick if it is due and the recorder is not too far behind."""
-        self._pace.cancel()
-        if not self._paused or self._behind():
+        if self._is_behind:
             return
-        pause = self._pause()
-        if pause:
-            self._pace.timer_period_ns = math.ceil(1e9 * pause)
-            self._pace.reset()
-        else:
-            self._publish_tick()
+        if self._tick_s:
+            self._pace.cancel()
+            wait = self._began + self._site.tick * self._tick_s - time.monotonic()
+            if wait > 0:
+                self._pace.timer_period_ns = math.ceil(1e9 * wait)
+                self._pace.reset()
+                return
+            if wait < -_LATE_S:  # a pump's minimum times must not pass faster than in reality
+                self._began -= wait
+        self._publish_tick()
+
+    def _on_written(self, ticks: float) -> None:
+        self._written = ticks
+        if self.acted and self._paused:
+            self._publish_if_due()
+
+    def all_arrived(self) -> bool:
+        """Return True if all messages have reached their readers and are flushed to the bag."""
+        return self._written > self._run_length and super().all_arrived()
 
     def on_timer(self, now: float) -> None:
         """Start the run once all nodes are present, and check timeouts.
@@ -252,34 +240,33 @@ class PlantNode(SimulationNode):
         """
         if self.finished:
             return
-        if not self._running:
+        limit = self.limit()
+        is_late = now - self._waiting_since > limit
+        if self._paused and not self.acted:
             if not (absent := self.peers.absent()):
-                self._running = True
-                self._began = now
                 self._publish_tick()
-            elif now - self._began > self._start_limit:
+            elif is_late:
                 raise LockstepError(
-                    f"the run did not start within {self._start_limit:g} s: "
-                    f"{self.peers.describe(absent)}"
+                    f"the run did not start within {limit:g} s: {self.peers.describe(absent)}"
                 )
             return
-        if self._paused and not self._behind():
+        if (self._paused and not self._is_behind) or not is_late:
             return  # the tick waits for its time
-        limit = self.limit()
-        if now - self._waiting_since > limit:
-            missing = "/recorder/written from recorder"
-            if not self._paused:
-                awaited = [name for name in self.inputs if name in self.lockstep.awaited]
-                missing = self.peers.describe_silent(awaited)
-            tick = self._site.tick
-            raise LockstepError(f"tick {tick}: no message within {limit:g} s on {missing}")
+        missing = "/recorder/written from recorder"
+        if not self._paused:
+            awaited = [name for name in self.inputs if name in self.awaited]
+            missing = self.peers.describe_silent(awaited)
+        raise LockstepError(f"tick {self._site.tick}: no message within {limit:g} s on {missing}")
 
     def limit(self) -> float:
         """Return the current maximum wait for another node (s of wall time)."""
         # Nodes that have not answered yet may still be joining, which takes seconds on a busy
         # machine.
+        limits = self._values["peer_limit"], self._values["start_limit"]
         answered = self._site.tick and (self._written or not self._paused)
-        return self._limit if answered else max(self._limit, self._start_limit)
+        return limits[0] if answered else max(limits)
+
+    # --- reports ------------------------------------------------------------------------------
 
     def progress(self) -> dict[str, Any]:
         """Return the tick, the levels (m) and the command.

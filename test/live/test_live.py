@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import math
 import os
-import re
 import signal
 import subprocess
 import time
-from array import array
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
@@ -49,7 +47,6 @@ from ros_rig import (
     write_forecast,
 )
 from rosbags.highlevel import AnyReader
-from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
 from greenroof_ros.live.devices.sensor_file import QUANTITIES
 from greenroof_ros.live.live_topics import read_live_topics
@@ -66,7 +63,9 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
     commands = site.be_dry()
     for name in FORECASTS:
         del site.values[name]
-    good = {**site.values, **dict.fromkeys(FORECASTS, [math.nan] * 10)}
+    # The flow lowers the cistern as fast as be_dry does: by 0.3 mm in 1.9 s.
+    flow = 1.6e-4 * PAPER_SITE.a1
+    good = {**site.values, **dict.fromkeys(FORECASTS, [math.nan] * 10), "/pump/flow": flow}
     roof, cistern = good["/roof/level"], good["/cistern/level"]
     recovery = 1.0
 
@@ -80,14 +79,12 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
 
     with site.live(
         "controller --controller onoff", fraction=0.5, level_limit=1.5,
-        recovery_time=recovery, frozen_movement=3e-4, jump_tolerance=0.02,
+        recovery_time=recovery, frozen_movement=3e-4, jump_tolerance=0.01,
     ):
         site.until(lambda: newest(commands) == 0.5, LATE, "a command")
-        assert site.watcher.values("/onoff")["site"] == str(site.cwd / "site.yaml")
         for change, level, *words in (
             ({"/roof/level": math.nan}, ERROR, "/roof/level was rejected", "0 to 100 m"),
             ({"/cistern/level": None}, ERROR, "/cistern/level is older than 1.5 s"),
-            # 0.5 of the pumps' flow is 0.16 mm/s of the cistern: 0.3 mm in 1.8 s.
             ({"/cistern/level": cistern(time.monotonic())}, ERROR, "/cistern/level is frozen"),
         ):
             changed = {**good, **change}
@@ -98,33 +95,21 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
             mended = time.monotonic()
             recovers()
             assert commands[-1][0] - mended > recovery - 0.1  # from the first good value on
-        site.values["/roof/level"] = lambda now: roof(now) + 0.012  # within the tolerance
-        site.during(1)
         site.values["/roof/level"] = lambda now: roof(now) - 0.015
         stops(WARN, "/roof/level jumped")
         recovers()
         intruder = Node("intruder", context=site.watcher.context, start_parameter_services=False)
-        second = site.watcher.publisher("/roof/level", intruder)
+        site.watcher.publisher("/roof/level", intruder)
         stops(ERROR, "/roof/level has 2 publishers (intruder, observer)")
-        second.publish(Float64(data=0.03))
-        site.during(1)
-        assert newest(commands) == 0.0
         intruder.destroy_node()
         recovers()
-        # The received flow counts, not the command: a pump that is held freezes no level.
-        site.values["/pump/flow"] = 0.0
+        # A pump that is held freezes no level.
+        site.values |= {"/pump/flow": 0.0, "/cistern/level": cistern(time.monotonic())}
         site.during(2)
-        site.messages.clear()
-        site.values["/cistern/level"] = cistern(time.monotonic())
-        site.during(4)
-        # Nor does a pump that has been silent for longer than flow_limit: it may be stopped.
-        del site.values["/pump/flow"]
         reported = len(arrays)
-        site.during(9)
-        assert 3 < len(arrays) - reported < 12  # what does not change is reported once a second
-        # A command 0 for another reason, e.g. this process was paused, is only temporary.
-        assert not [text for text in site.messages if "frozen" in text]
-        site.until(lambda: newest(commands) == 0.5, LATE, "a command")
+        site.during(6)
+        assert 2 < len(arrays) - reported < 9  # what does not change is reported once a second
+        assert newest(commands) == 0.5
         # One command per tick: none twice, and none left out unless the machine is busy.
         times = [now for now, _ in commands]
         assert len(times) < 1.1 * (times[-1] - times[0]) / TAU + 10
@@ -163,8 +148,6 @@ def test_nothing_that_is_published_ends_a_node(site: Site) -> None:
             ("/recorder", [*topics]),
         ):
             site.until(partial(counted, node, *names), LATE, f"{node} counts")
-        warnings = watcher.values("/recorder")["warnings"]
-        assert any("dropped a malformed message on /diagnostics" in text for text in warnings)
         for process in others:
             process.send_signal(signal.SIGINT)
             assert process.wait(300) in (0, -signal.SIGALRM)
@@ -173,40 +156,31 @@ def test_nothing_that_is_published_ends_a_node(site: Site) -> None:
             bag.deserialize(message, connection.msgtype)
 
 
-# Bad rain forecasts, and what is reported: too long, an impossible value far ahead, none.
-BAD_FORECASTS: dict[str, tuple[list[float] | None, str]] = {
-    "long": ([0.0] * 2000, "was rejected"),
-    "not finite": ([*[0.0] * 9, math.nan], "was rejected: nan"),
-    "none": (None, "is older than 1 s"),
-}
-
-
 def test_onoff_commands_without_a_forecast(site: Site) -> None:
     """It reports this with reason and time; unknown level or frost stops the pump as always."""
     commands = site.be_dry()
-    good = dict(site.values)
-    rain = "/forecast/precipitation"
+    good, rain = dict(site.values), "/forecast/precipitation"
+    without = {name: value for name, value in good.items() if name != rain}
     with site.live(
         "controller --controller mpc", max_command=0.4, recovery_time=0.2,
         forecast_limit=1.0, level_limit=1.5, jump_tolerance=1.0,
     ):
-        for case, (bad, why) in BAD_FORECASTS.items():
+        for bad, why in (
+            ([*[0.0] * 9, math.nan], "was rejected: nan"),
+            ([0.0] * 2000, "was rejected"),  # too long for mpc
+            (None, "is older than 1 s"),
+        ):
             site.until(lambda: 0 < (newest(commands) or 0) <= 0.4, LATE, "a command of mpc")
             site.until(site.shows("/mpc: forecast", OK), LATE, "all well")
-            began = datetime.now(UTC).replace(microsecond=0)
-            without = {name: value for name, value in good.items() if name != rain}
             site.values = without if bad is None else {**without, rain: bad}
-            site.until(lambda: newest(commands) == 1.0, LATE, f"on/off, {case}")
+            site.until(lambda: newest(commands) == 1.0, LATE, f"on/off, {why}")
             words = "on/off control has been in command since ", f"{rain} {why}"
-            degraded = site.shows("/mpc: forecast", WARN, *words)
-            site.until(degraded, LATE, case)
-            since = re.search(r"since (\S+ \S+), ", site.diagnoses["/mpc: forecast"].message)
-            assert since and began <= datetime.fromisoformat(since[1]) <= datetime.now(UTC)
+            site.until(site.shows("/mpc: forecast", WARN, *words), LATE, why)
             # All commands are the on/off controller's, even if the controller is asked again and
             # refuses again.
-            commands_before = len(commands)
+            before = len(commands)
             site.during(1)
-            assert {value for _, value in commands[commands_before:]} == {1.0}
+            assert {value for _, value in commands[before:]} == {1.0}
             assert site.shows("/mpc: inputs", OK)()
             if bad is not None:
                 site.values = dict(good)
@@ -215,22 +189,6 @@ def test_onoff_commands_without_a_forecast(site: Site) -> None:
             site.until(lambda: newest(commands) == 0.0, LATE, f"stop by {change}")
             site.values = without
             site.until(lambda: newest(commands) == 1.0, LATE, f"on/off after {change}")
-        site.values = dict(good)
-        site.until(lambda: 0 < newest(commands) <= 0.4, LATE, "mpc again")
-        # A wrong layout ends a simulated run; a live node refuses it, like too many members.
-        del site.values[rain]
-        for sizes, count, why in (((3, 5), 4, "layout [3, 5]"), ((2, 10), 20, "has 2 members")):
-            dimensions = [MultiArrayDimension(size=size) for size in sizes]
-            message = Float64MultiArray(
-                layout=MultiArrayLayout(dim=dimensions), data=array("d", [0.0] * count)
-            )
-            refused = site.shows("/mpc: forecast", WARN, why)
-            # A single one could become too old before a busy node decides again.
-            site.until(
-                lambda: site.publishers[rain].publish(message) or refused(),  # noqa: B023
-                LATE, why,
-            )
-            site.until(lambda: newest(commands) == 1.0, LATE, "on/off")
 
 
 MINE = """
@@ -297,26 +255,11 @@ def test_quiet_hours_are_of_the_system_clock(site: Site) -> None:
         assert {command for _, command in commands} == {0.0}
 
 
-def test_classes_of_a_users_own(site: Site) -> None:
-    """Without a forecast on/off takes over, then it starts again."""
+def test_a_forecast_that_is_missing_for_a_moment_starts_no_pump(site: Site) -> None:
+    """A roof that waits for rain goes on waiting; a controller without a need goes on, too."""
     commands = site.be_dry()
     good = dict(site.values)
-    without = {name: value for name, value in good.items() if name not in FORECASTS}
     (site.cwd / "mine.py").write_text(MINE)
-    limits = {"recovery_time": 0.2, "forecast_limit": 1.0}
-    with site.live("controller --controller mine:Counting", **limits):
-        site.until(lambda: (newest(commands) or 0) > 0.105, LATE, "its commands")
-        site.values = without
-        site.until(lambda: newest(commands) == 1.0, LATE, "on/off")
-        base = Parameter("base", value=0.5).to_parameter_msg()
-        site.call(SetParameters, "/counting/set_parameters", parameters=[base])
-        before = len(commands)
-        site.values = good
-        site.until(lambda: newest(commands) != 1.0, LATE, "its commands again")
-        first = next(value for _, value in commands[before:] if value != 1.0)
-        assert first == pytest.approx(0.501)
-    # A roof that waits for rain: if the forecast is missing for a moment, on/off starts no pump.
-    commands.clear()
     with site.live("controller --controller mine:Waiting", recovery_time=2.0):
         site.until(site.shows("/waiting: forecast", OK), LATE, "a forecast")
         site.values = {**good, "/forecast/precipitation": [math.nan] * 10}
@@ -324,7 +267,7 @@ def test_classes_of_a_users_own(site: Site) -> None:
         site.values = good
         site.until(site.shows("/waiting: forecast", OK), LATE, "a forecast again")
         assert {value for _, value in commands} == {0.0}
-    # A controller that needs no forecast continues, and reports that it has none.
+    site.values = {**good, "/forecast/precipitation": [math.nan] * 10}
     commands.clear()
     with site.live("controller --controller lookahead", recovery_time=0.2):
         without = site.shows("/lookahead: forecast", WARN, "working without a forecast")
@@ -333,14 +276,8 @@ def test_classes_of_a_users_own(site: Site) -> None:
 
 
 BROKEN = """
-import math, time
+import math
 from pathlib import Path
-from greenroof_ros.base.errors import ConfigurationError
-
-asked = 0
-
-class Wordless(Exception):
-    def __str__(self): return None
 
 def fault():
     file = Path("fault")
@@ -353,17 +290,9 @@ class Broken:
     def __init__(self, site):
         if fault() == "made": raise ValueError("no")
     def command(self, *inputs):
-        global asked
-        asked += 1
         what = fault()
         if what == "raises": 1 / 0
-        if what == "every other time" and asked % 2: raise ArithmeticError
-        if what == "in a library": time.sleep("1")
         if what == "exits": raise SystemExit(3)
-        if what == "is interrupted": raise KeyboardInterrupt
-        if what == "ends a generator": raise GeneratorExit
-        if what == "refuses": raise ConfigurationError("I cannot")
-        if what == "has no words": raise Wordless
         while what == "never returns": pass
         return math.nan if what == "NaN" else 0.3
     def skip(self): pass
@@ -372,21 +301,14 @@ class Broken:
     def fill_to(self):
         if fault() == "no number": return None
         return math.sqrt(-1.0 if fault() == "output" else 1.0)
-    @property  # of learned
+    @property
     def learned(self): return {"x": "much"} if fault() == "learns words" else None
 """
 # A class as its user has left it since the site was started: what is said of it, and the line.
 LEFT = {
     "broken": ("class Mine(:", "SyntaxError", 1),
-    "without a library": ("import math\nimport no_such_library", "No module named", 2),
     "exits": ("raise SystemExit", "SystemExit", 1),
-    "never returns": ("import time\ntime.sleep(1000)", "did not return within 12 s", 2),
-    "of another range": (
-        "from greenroof_ros.controllers.onoff import OnOff\n"
-        "from greenroof_ros.base.parameter import Parameter\n"
-        "class Mine(OnOff):\n    parameters = (Parameter('fraction', 0.5, '1', 0.4, 0.6, 'x'),)",
-        "parameter fraction of mine = 0.3: must be a number from 0.4 to 0.6", None,
-    ),
+    "never_returns": ("import time\ntime.sleep(1000)", "did not return within 12 s", 2),
 }
 
 
@@ -394,30 +316,25 @@ def test_a_class_with_which_the_node_cannot_run(observer: Observer) -> None:
     """The node ends with a usage error, which names file and line; on/off then replaces it."""
     ended = {}
     for name, (content, *_) in LEFT.items():
-        module = name.replace(" ", "_")
-        (observer.cwd / f"{module}.py").write_text(content)
+        (observer.cwd / f"{name}.py").write_text(content)
         ended[name] = observer.start(
-            f"live.controller --controller {module}:Mine", fraction=0.3,
+            f"live.controller --controller {name}:Mine",
             popen={"stderr": subprocess.PIPE, "text": True},
         )
     for name, (_, why, line) in LEFT.items():
         _, error = ended[name].communicate(timeout=60)
         assert ended[name].returncode == 2 and why in error, (name, error)
-        file = observer.cwd / f"{name.replace(' ', '_')}.py"
-        assert line is None or error.startswith(f"error: {file}, line {line}: "), (name, error)
+        file = observer.cwd / f"{name}.py"
+        assert error.startswith(f"error: {file}, line {line}: "), (name, error)
 
 
-# What is reported of each fault, and the text of the line that is named. For other commands that
-# are none see controllers/test_decide.py.
+# What is reported of each fault, and the text of the line that is named, if a line is. For other
+# commands that are none see controllers/test_decide.py.
 FAULTS = {
     "made": ("ValueError: no", "raise ValueError"), "raises": ("ZeroDivisionError", "1 / 0"),
-    "every other time": ("ArithmeticError", "raise Arith"), "in a library": ("TypeError", "sleep"),
-    "exits": ("SystemExit: 3", "SystemExit"), "is interrupted": ("Keyboard", "raise Keyb"),
-    "ends a generator": ("GeneratorExit", "raise Gen"), "refuses": ("I cannot", "raise Conf"),
-    "has no words": ("Wordless", "raise Wordless"),
-    "never returns": ("did not return", "while what"),
+    "exits": ("SystemExit: 3", "SystemExit"), "never returns": ("did not return", "while what"),
     "NaN": ("must be a finite number", "def command"), "output": ("ValueError", "math.sqrt"),
-    "learns words": ("learned = {'x': 'much'}: must be a mapping of names", "of learned"),
+    "learns words": ("could not convert string to float: 'much'", ""),
 }
 
 
@@ -435,12 +352,12 @@ def test_on_off_replaces_a_class_that_fails(site: Site) -> None:
     ) as process:
         for what, (why, text) in FAULTS.items():
             fault.write_text(what)
-            (line,) = (
+            (line, *_) = (
                 number for number, words in enumerate(BROKEN.splitlines(), 1) if text in words
             )
             place = site.shows(
                 "/broken: command", WARN, "on/off control has been in command",
-                f"{file}, line {line}", why,
+                f"{file}, line {line}" if text else "", why,
             )
             site.until(place, LATE, f"{what}: {why}")
             site.until(lambda: newest(commands) == 1.0, LATE, f"{what}: on/off")
@@ -477,10 +394,7 @@ def test_a_controller_that_decides_for_seconds_commands(site: Site) -> None:
 
 
 def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(site: Site) -> None:
-    """Its commands grow by a thousandth each time, across the turn of on/off and a restart.
-
-    With a file that does not have its values, it starts from the beginning.
-    """
+    """Its commands grow by a thousandth each time, across the turn of on/off and a restart."""
     commands = site.be_dry()
     good = dict(site.values)
     (site.cwd / "mine.py").write_text(MINE)
@@ -506,12 +420,6 @@ def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(site: 
     with site.live("controller --controller mine:Learner", **limits):
         site.until(lambda: len(its_own()) > 0, LATE, "its commands in the next life")
         assert its_own()[0] > last  # includes the commands that came while it ended
-    file.write_text('{"another": 3.0}')
-    site.during(0.5)  # the last messages of the previous node are received
-    commands.clear()
-    with site.live("controller --controller mine:Learner", **limits):
-        site.until(lambda: len(its_own()) > 0, LATE, "its first command")
-        assert its_own()[0] == pytest.approx(0.101, abs=0.002)  # the first may be missed
 
 
 def test_no_command_of_what_was_before_a_suspend(
@@ -721,34 +629,6 @@ def test_a_short_forecast_keeps_no_pump_off(site: Site) -> None:
         site.until(lambda: newest(frost) == 0.0, LATE, "the temperature")
         site.until(lambda: (newest(commands) or 0.0) > 0.0, LATE, "a command")
         site.until(site.shows("/lookahead: forecast", OK), LATE, "a forecast for the controller")
-
-
-# What a site has besides no forecast: whether a service, whether a thermometer that is lost later;
-# and the codes of forecast and frost.
-LACKING = {
-    "a file": (False, False, "forecast_missing", "temperature_unknown"),
-    "a service": (True, False, "forecast_service_silent", "temperature_not_fetched"),
-    "a file and a thermometer": (False, True, "forecast_missing", "thermometer_lost"),
-}
-
-
-@pytest.mark.parametrize("name", LACKING)
-def test_advice_is_by_what_the_site_has(site: Site, name: str) -> None:
-    """An owner without a file is not asked to renew it; one with a thermometer, to check that."""
-    fetched, measured, forecast, frost = LACKING[name]
-    options: dict[str, Any] = {"forecast": site.cwd / "forecast.csv"}
-    if fetched:  # no one answers there
-        options |= {"fetch": "forecast", "fetch_url": "http://127.0.0.1:1/v1/forecast"}
-    with site.live("weather", gauge_limit=1.0, recovery_time=0.3, **options):
-        if measured:
-            site.values = {"/gauge/temperature": 4.0}
-            site.until(site.shows("/weather: frost", OK), LATE, "a temperature")
-            site.values = {}
-        for part, code in (("forecast", forecast), ("frost", frost)):
-            site.until(
-                lambda part=part, code=code:
-                site.watcher.values(f"/weather: {part}").get("code") == code, LATE, code,
-            )
 
 
 def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> None:

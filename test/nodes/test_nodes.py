@@ -26,7 +26,7 @@ from rcl_interfaces.srv import (
 from rclpy.parameter import Parameter
 from ros_rig import Observer
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Float64MultiArray
 
 START = 1_625_641_200  # 2021-07-07T02:00-05:00 in seconds since 1970
 
@@ -86,8 +86,9 @@ def test_a_start_without_an_offset_is_of_the_sites_clock(
     site = tmp_path / "site.yaml"
     site.write_text(f"extends: {CONFIG / 'site.yaml'}\ntime_zone: America/Toronto\n")
     rain = observer.collect("/weather/precipitation")
-    clock = observer.publisher("/clock")
+    clock, run = observer.publisher("/clock"), observer.publisher("/run")
     observer.start("nodes.weather", site_file=site, start="2021-07-07T02:00")
+    run.publish(Float64MultiArray(data=[7.0, 9.0, 0.0]))
     clock.publish(Clock(clock=Time(sec=START - 3600)))
     observer.until(lambda: rain, 60, "the weather of tick 0")
 
@@ -143,10 +144,7 @@ REFUSED = {
     "nodes.plant --ros-args -p speed": ("-p speed",),
     "nodes.plant --ros-args --params-file wrong.yaml":
         ("wrong.yaml, line 2: parameter run_lenght of plant = 4: ", "did you mean run_length?"),
-    "live.recorder --ros-args -p use_sim_time:=true": ("use_sim_time", "must be false"),
     "nodes.weather --ros-args -p run_length:=10000000": ("toronto_2021-07.csv",),
-    "live.weather --ros-args -p forecast:=perfect":
-        ("forecast", "perfect", "must be a FILE.csv"),
     "nodes.recorder --ros-args -p directory:=.": ("directory", "exists"),
     # A level counts for 5 s (level_limit), which must cover two readings.
     "live.sensors --sensors sensors.yaml":

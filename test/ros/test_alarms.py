@@ -178,8 +178,8 @@ TWO = wrong("input_publishers")
     }, {"/pump: levels": "/cistern_sensor"}),
     # Without a forecast there is no temperature.
     ({
-        "/weather: forecast": wrong("forecast_service_silent", "weather"),
-        "/weather: frost": wrong("temperature_not_fetched", "weather"),
+        "/weather: forecast": wrong("forecast_missing", "weather"),
+        "/weather: frost": wrong("temperature_unknown", "weather"),
         "/mpc: forecast": wrong(
             "no_forecast", "controller", WARN, about=("/forecast/precipitation",)
         ),
