@@ -48,6 +48,8 @@ from greenroof_ros.site.site import Site
 
 # How long the start waits for the first forecast (s), which is more than most files take.
 _FIRST_READ_S = 1.0
+# Interval at which forecasts are fetched (s).
+_FETCH_S = 1800.0
 _GAUGES = ("/gauge/precipitation", "/gauge/temperature")
 
 
@@ -72,9 +74,6 @@ def parameters(site: Site) -> list[Parameter]:
         ),
         Parameter("fetch_url", "", meaning="address of an Open-Meteo-compatible server; if empty, "
             "Open-Meteo's own server is used"),
-        Parameter(
-            "fetch_every", 30.0, "min", 10.0, 1440.0, "interval at which forecasts are fetched"
-        ),
         Parameter(
             "issue_limit", 7200.0, "s", 1.0, 1e6,
                 "maximum age of the latest forecast in the file, counted from its time of issue",
@@ -125,7 +124,7 @@ class LiveWeatherNode(WeatherNode, LiveNode):
         )
         files = ForecastFiles(file, file.with_suffix(""))
         kept = LatestWriter[IssuedForecast](files.write, str)
-        fetcher = Fetcher(service, kept.write, 60 * values["fetch_every"])
+        fetcher = Fetcher(service, kept.write, _FETCH_S)
         fetcher.start()
         return fetcher
 

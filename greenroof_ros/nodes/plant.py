@@ -39,6 +39,8 @@ from greenroof_ros.site.site import Site
 
 # How far the plant may be ahead of the ticks that the recorder has flushed (ticks).
 _AHEAD = 32
+# The longest time to wait for the other nodes to appear, which takes seconds on a busy machine (s).
+_START_LIMIT_S = 30.0
 # If a tick is late by more than this (s), the delay is not made up.
 _LATE_S = 1.0
 # A clock that is not affected when the system's clock is set.
@@ -80,10 +82,6 @@ def parameters(site: Site) -> list[Parameter]:
         Parameter(
             "peer_limit", 5.0, "", 2, 1e6, "longest time to wait for another node (s of wall time)",
         ),
-        Parameter(
-            "start_limit", 30.0, "", 0.1, 1e6, "longest time to wait for the other nodes to "
-            "appear (s of wall time)",
-        ),
     ]
 
 
@@ -94,10 +92,10 @@ class PlantNode(LockstepNode):
         """Declare the parameters and open the topics."""
         super().__init__("plant", PLANT)
         site = self.declare_site()
-        self._values = values = declare(self, parameters(site))
+        values = declare(self, parameters(site))
         volumes = values["initial_cistern_volume"], values["initial_roof_volume"]
         check_volumes(site, *volumes)
-        self._run_length = values["run_length"]
+        self._run_length, self._limit = values["run_length"], values["peer_limit"]
         # The wall time of a tick (s); 0 for as fast as possible.
         self._tick_s = site.tau / values["speed"] if values["speed"] else 0.0
         self._external = values["pump"] == "external"
@@ -177,6 +175,8 @@ class PlantNode(LockstepNode):
             self._flow.value if self._external else OWN_PUMPS,
             1.0 if self._outlet is None else self._outlet.value,
         )
+        self._paused = True
+        self._waiting_since = time.monotonic()
         if site.tick == self._run_length:
             self._publish_flows(flows)
             self._wall_s = time.monotonic() - self._began
@@ -186,8 +186,6 @@ class PlantNode(LockstepNode):
         known_rain = rain if self._rain.good else math.nan  # unknown rain counts as wet weather
         self._metrics.add(site.state, command, known_rain, evapotranspiration, flows)
         site.step()
-        self._paused = True
-        self._waiting_since = time.monotonic()
         # Publish the next tick first, if allowed: the other nodes begin it while this node still
         # publishes the flows of the last tick. The order within a topic does not change.
         self._publish_if_due()
@@ -225,7 +223,7 @@ class PlantNode(LockstepNode):
 
     def _on_written(self, ticks: float) -> None:
         self._written = ticks
-        if self.acted and self._paused:
+        if self.acted and self._paused and not self.finished:
             self._publish_if_due()
 
     def all_arrived(self) -> bool:
@@ -238,7 +236,7 @@ class PlantNode(LockstepNode):
         Raises:
             LockstepError: if a node is missing or does not respond in time.
         """
-        if self.finished:
+        if self.finished and self._written > self._run_length:
             return
         limit = self.limit()
         is_late = now - self._waiting_since > limit
@@ -250,21 +248,22 @@ class PlantNode(LockstepNode):
                     f"the run did not start within {limit:g} s: {self.peers.describe(absent)}"
                 )
             return
-        if (self._paused and not self._is_behind) or not is_late:
-            return  # the tick waits for its time
         missing = "/recorder/written from recorder"
         if not self._paused:
             awaited = [name for name in self.inputs if name in self.awaited]
             missing = self.peers.describe_silent(awaited)
-        raise LockstepError(f"tick {self._site.tick}: no message within {limit:g} s on {missing}")
+        elif not (self.finished or self._is_behind):
+            return  # the tick waits for its time
+        if is_late:
+            raise LockstepError(
+                f"tick {self._site.tick}: no message within {limit:g} s on {missing}"
+            )
 
     def limit(self) -> float:
         """Return the current maximum wait for another node (s of wall time)."""
-        # Nodes that have not answered yet may still be joining, which takes seconds on a busy
-        # machine.
-        limits = self._values["peer_limit"], self._values["start_limit"]
+        # Nodes that have not answered yet may still be joining.
         answered = self._site.tick and (self._written or not self._paused)
-        return limits[0] if answered else max(limits)
+        return self._limit if answered else max(self._limit, _START_LIMIT_S)
 
     # --- reports ------------------------------------------------------------------------------
 

@@ -6,7 +6,6 @@ from greenroof_ros.ros import begin_node
 
 begin_node(__name__)
 
-import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -38,10 +37,6 @@ def parameters(site: Site | None = None) -> list[Parameter]:
         Parameter(
             "controller", DEFAULT, meaning="name of the active controller, or package.module:Class",
         ),
-        Parameter(
-            "peer_limit", 5.0, "s", 0.1, 1e6, "longest time to wait for the messages of the last "
-            "tick",
-        ),
     ]
 
 
@@ -58,7 +53,6 @@ class RecorderNode(LockstepNode):
         site = self.declare_site()
         values = declare(self, parameters())
         directory = Path(values["directory"])
-        self._limit = values["peer_limit"]
         controller = find_controller(values["controller"])
         topics = recorded_topics(controller.outputs, site.low_outlet_valve)
         if directory.exists():
@@ -70,7 +64,6 @@ class RecorderNode(LockstepNode):
             replace(topic, name=name) for topic, name in zip(topics, self._full_names, strict=True)
         ])
         self._closed = False
-        self._ending_since = math.inf
         self.open_outputs("/recorder/written")
         self._queues: dict[str, deque[bytes]] = {topic.name: deque() for topic in topics}
         self._every_queue = self._queues.values()
@@ -85,9 +78,7 @@ class RecorderNode(LockstepNode):
         """
         decode(message)  # a malformed message is not recorded
         if self._closed:
-            raise LockstepError(
-                f"{name} has a second message in tick {self.tick} (after the last tick)"
-            )
+            raise self._superfluous(name)
         self._queues[name].append(message)
         while all(self._every_queue):
             now = decode_clock(self._queues[CLOCK][0])
@@ -98,12 +89,28 @@ class RecorderNode(LockstepNode):
             self._end_if_complete()
 
     def _end_if_complete(self) -> None:
-        """Close the bag once the last tick is written, unless there are superfluous messages."""
-        if self.run is None or self.tick <= self.run.last_tick or any(self._every_queue):
+        """Close the bag once the last tick is written.
+
+        Raises:
+            LockstepError: if a topic has more messages.
+        """
+        if self._closed or self.run is None or self.tick <= self.run.last_tick:
             return
+        for name, queue in self._queues.items():
+            if queue:
+                raise self._superfluous(name)
         self.on_stop()
         self._report_written()
         self.finish()
+
+    def _superfluous(self, name: str) -> LockstepError:
+        return LockstepError(
+            f"{name} has a second message in tick {self.tick} (after the last tick)"
+        )
+
+    def on_timer(self, now: float) -> None:
+        """End if ``/run`` has arrived after the last tick; the plant finds what is missing."""
+        self._end_if_complete()
 
     def progress(self) -> dict[str, Any]:
         """Return the bag's absolute path."""
@@ -111,28 +118,6 @@ class RecorderNode(LockstepNode):
 
     def _report_written(self) -> None:
         self.publish("/recorder/written", float(self._bag.safe))
-
-    def on_timer(self, now: float) -> None:
-        """Raise an error if the last tick is still incomplete after the time limit.
-
-        Raises:
-            LockstepError: if a topic has too few or too many messages.
-        """
-        if self._closed or self.run is None:
-            return
-        self._end_if_complete()  # /run may have arrived after the last tick
-        ticks = round(self.run.last_tick) + 1
-        counts = {name: self.tick + len(queue) for name, queue in self._queues.items()}
-        if self._closed or max(counts.values()) < ticks:
-            return
-        self._ending_since = min(self._ending_since, now)
-        if now - self._ending_since > self._limit:
-            wrong = ", ".join(
-                f"{name}: {count}" for name, count in counts.items() if count != ticks
-            )
-            raise LockstepError(
-                f"expected {ticks} messages of each topic; some were lost or arrived twice: {wrong}"
-            )
 
     def summary(self) -> dict[str, Any]:
         """Return the number of messages in the bag, by topic."""

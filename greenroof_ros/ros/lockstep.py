@@ -18,7 +18,7 @@ end a run:
 - a second publisher, or a second message before the node has acted;
 - a second message after the node has acted. This message counts for the next tick, and is detected
   when the actual message of the next tick arrives; after the last tick, any message ends the run.
-  A message that does not reach the recorder is detected by the recorder's message count.
+  A message that does not reach the recorder is detected by the plant, which waits for its bag.
 
 A value out of its range and a malformed message are messages of the tick; they act as 0.
 

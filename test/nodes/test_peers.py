@@ -80,17 +80,6 @@ def test_started_by_hand_gives_the_bag_of_bringup(
     assert mine.read_bytes() == bag_file(recorded).read_bytes()
 
 
-def test_a_plant_without_a_controller_names_it(nodes: Nodes) -> None:
-    """It ends; the status that it reports last is in the sample of the campaign, test_faults.py."""
-    nodes.node("weather")
-    nodes.node("plant", start_limit=6.0)
-    assert nodes.code("plant") == 1
-    (fatal,) = [line for line in nodes.log("plant").splitlines() if line.startswith("error: ")]
-    assert "the run did not start within 6 s" in fatal
-    assert "/pump/command from the controller" in fatal
-    assert "weather" not in fatal.partition("did not start")[2]
-
-
 def test_plant_that_is_killed_ends_the_others(
     nodes: Nodes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -162,7 +151,6 @@ RECORDED: Messages = [
     (name, dict(INPUTS).get(name, [0.0] if "Array" in topic.type else 0.0))
     for name, topic in read_topics().items() if name in MPC_TOPICS
 ]
-COUNT = "expected 1 messages of each topic; some were lost or arrived twice: /cistern/"
 # The node, its messages, those after its first command, its exit code, and its message.
 WRONG: dict[str, tuple[str, Messages, Messages, int, str]] = {
     "a level twice before the run": (
@@ -176,10 +164,7 @@ WRONG: dict[str, tuple[str, Messages, Messages, int, str]] = {
         "onoff", [LONGER, *INPUTS], [("/run", [8.0, 5.0, 0.0])], 1,
         "the plant was restarted, or there are two plants"),
     # Whether the tick is complete before the second message depends on the order of the topics.
-    "one more of a topic": ("recorder", [RUN, *RECORDED, LEVEL], [], 1, "/cistern/level"),
-    "one less of a topic": (
-        "recorder", [RUN, *(message for message in RECORDED if message != LEVEL)], [], 1,
-        f"{COUNT}level: 0\n"),
+    "one more of a topic": ("recorder", [RUN, LEVEL, *RECORDED], [], 1, "/cistern/level has"),
 }
 
 
@@ -198,7 +183,7 @@ def test_what_lockstep_cannot_be_ends_the_node(nodes: Nodes, observer: Observer,
             publishers[topic].publish(kind(**{field: value}))
 
     publish(before)
-    nodes.node(node, **({"peer_limit": 0.5} if node == "recorder" else {}))
+    nodes.node(node)
     if then:
         observer.until(lambda: commands, 60, "a command")
         for publisher in publishers.values():  # a later reader would get only the newest
