@@ -260,19 +260,16 @@ class LiveControllerNode(ControllerNode, LiveNode):
         A controller that can do without a forecast continues to issue commands; if the site never
         had a forecast, nothing is reported.
         """
-        needs = self._choice.needs_forecast
-        if not needs and not ("horizon" in self._choice.parameters and self._rain.received):
+        can_use = "horizon" in self._choice.parameters and self._rain.received
+        if not (can_use or self._choice.needs_forecast):
             return
         bad, since = self._find_bad_forecast(), self._stand_in_since
-        diagnosis = None
-        if bad is not None:
-            case = "without" if not needs else "onoff" if since else "bad"
-            diagnosis = Diagnosis.of(
-                "no_forecast", case, problem=bad.sentence, topic=bad.values["topic"], since=since,
-            )
-        self.reports.diagnose(
-            "forecast", diagnosis, "the forecast is valid", WARN, bad.code if bad else ""
+        diagnosis = bad and Diagnosis.of(
+            "no_forecast", "onoff" if since else "without", since=since, problem=bad.sentence,
+            topic=bad.values["topic"],
         )
+        cause = bad.code if bad else ""
+        self.reports.diagnose("forecast", diagnosis, "the forecast is valid", WARN, cause)
 
     # --- what is kept and reported ------------------------------------------------------------
 

@@ -201,12 +201,15 @@ class LiveWeatherNode(WeatherNode, LiveNode):
             why += ", and the forecast has no temperature column" if forecast else ", no forecast"
             level, case = (ERROR, "off") if math.isnan(self._unknown_frost) else (WARN, "may_run")
             diagnosis = Diagnosis.of("temperature_unknown", case, why=why)
+            if lost is not None and lost.code in AWAITED:  # it will soon be known
+                diagnosis = diagnosis.change_code(lost.code)
         self.reports.diagnose("frost", diagnosis, "the temperature is known", level)
 
     def _diagnose_gauge(self, part: str, gauge: LiveInput) -> None:
         """Report the state of a gauge unless it is still awaited; a site may have no gauges."""
         bad = gauge.diagnosis
-        if bad is not None and bad.code in AWAITED and part not in self.reports.parts:
+        is_awaited = bad is not None and bad.code in AWAITED and part not in self.reports.parts
+        if is_awaited or not gauge.received:
             return
         diagnosis = bad and Diagnosis.of(
             "gauge_bad", problem=bad, topic=gauge.publishers.full_name
