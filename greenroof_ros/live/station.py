@@ -13,7 +13,6 @@ from greenroof_ros.ros import begin_node
 
 begin_node(__name__)
 
-import argparse
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -79,23 +78,19 @@ def keep_nodes(
     spin(nodes, make_due, fail)
 
 
-def _list_makers(arguments: argparse.Namespace) -> list[Make]:
-    """Return what makes the nodes of the command line, in the order in which they end."""
-    makers: list[Make] = []
-    if arguments.sensors is not None:
-        makers += sensor_makers(arguments.sensors)
-    if arguments.weather:
-        makers.append(LiveWeatherNode)
-    return [*makers, LiveRecorderNode, partial(AlarmsNode, Lines(1))]
-
-
 @command
 def main() -> int:
     """Run the nodes."""
     parser = NodeParser(description=__doc__)
     parser.add_argument("--sensors", type=Path, help="sensor file")
     parser.add_argument("--weather", action="store_true", help="run the weather node")
-    makers = _list_makers(parser.parse_own_args())
+    arguments = parser.parse_own_args()
+    # In the order in which they end.
+    makers: list[Make] = [LiveRecorderNode, partial(AlarmsNode, Lines(1))]
+    if arguments.weather:
+        makers.insert(0, LiveWeatherNode)
+    if arguments.sensors is not None:
+        makers = [*sensor_makers(arguments.sensors), *makers]
     return run_nodes(lambda: [make() for make in makers], partial(keep_nodes, makers))
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
+from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -188,7 +189,7 @@ class NodeCheck(ABC):
         self._publishers = {topic: self.open(topic) for topic in (RUN, CLOCK, *self.usual)}
         # The identity is fixed, so a node can be checked twice.
         speed = self.site.tau / self.period if self.period else 0.0
-        self.publish(RUN, RunIdentity(0.0, _LAST_TICK, speed).values)
+        self.publish(RUN, array("d", RunIdentity(0.0, _LAST_TICK, speed)))
         self.wait(_DISCOVERY_S)
         # A live pump publishes that it is off.
         early = [

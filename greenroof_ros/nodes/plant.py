@@ -14,6 +14,7 @@ begin_node(__name__)
 import math
 import secrets
 import time
+from array import array
 from typing import Any
 
 from rclpy.clock import Clock
@@ -140,7 +141,8 @@ class PlantNode(LockstepNode):
             decode = decoder(self.interface["/recorder/written"].type)
             self.open("/recorder/written", lambda message: self._on_written(decode(message)))
         identity = float(secrets.randbits(53))  # a double holds it exactly
-        self.publish(RUN, RunIdentity(identity, self._run_length, values["speed"]).values)
+        run = RunIdentity(identity, self._run_length, values["speed"])
+        self.publish(RUN, array("d", run))
 
     # --- the ticks ----------------------------------------------------------------------------
 

@@ -30,7 +30,6 @@ is used only to end a run that hangs.
 from __future__ import annotations
 
 import math
-from array import array
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple, cast
@@ -67,11 +66,6 @@ class RunIdentity(NamedTuple):
     last_tick: float
     speed: float
 
-    @property
-    def values(self) -> array[float]:
-        """The numbers in the message on ``/run``."""
-        return array("d", self)
-
 
 class LockstepNode(NoClockSubscription, GraphNode):
     """A node of a simulated graph, which acts in lockstep and ends with the run.
@@ -104,6 +98,7 @@ class LockstepNode(NoClockSubscription, GraphNode):
         fix(self, USE_SIM_TIME, True, "must be true: this node is part of a simulated graph")
         self.inputs: dict[str, Input] = {}
         self.run: RunIdentity | None = None
+        self._always["run_length"] = None
         self.awaited: set[str] = set()
         self._of_tick: set[str] = set()  # names of the inputs that the node acts on
         self.result: dict[str, Any] = {}
@@ -170,6 +165,7 @@ class LockstepNode(NoClockSubscription, GraphNode):
     def _join(self, run: RunIdentity) -> None:
         if self.run is None:
             self.run = run
+            self._always["run_length"] = round(run.last_tick)
             self.awaited.discard(RUN)
             if self._of_tick and not self.awaited:
                 self._act()
@@ -237,8 +233,3 @@ class LockstepNode(NoClockSubscription, GraphNode):
         """Return True if all subscribers have received all messages of the node."""
         now = Duration()
         return all(publisher.wait_for_all_acked(now) for publisher in self._outputs.values())
-
-    def report_state(self, **values: Any) -> None:
-        """Report the node's state together with the number N of the last tick."""
-        run = self.run
-        super().report_state(run_length=None if run is None else round(run.last_tick), **values)

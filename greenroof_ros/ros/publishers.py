@@ -42,7 +42,6 @@ class Publishers:
         self.full_name: str = node.resolve_topic_name(topic.graph_name)
         self.required = required
         self._node = node
-        self._names: list[str] = []
 
     @property
     def count(self) -> int:
@@ -55,9 +54,8 @@ class Publishers:
         return len(self._endpoints()) - len(self._incompatible())
 
     def names(self) -> list[str]:
-        """Return the names of the publishers' nodes, or the last known names if all are gone."""
-        self._names = sorted({name_owner(info) for info in self._endpoints()}) or self._names
-        return self._names
+        """Return the names of the publishers' nodes."""
+        return sorted({name_owner(info) for info in self._endpoints()})
 
     def describe_second(self) -> str:
         """Return a predicate that reports a second publisher, or "" if there is none."""
