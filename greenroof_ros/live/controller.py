@@ -189,11 +189,12 @@ class LiveControllerNode(ControllerNode, LiveNode):
 
         A forecast that the controller cannot use is rejected.
         """
-        if self.controller is None:
+        is_new = self.controller is None
+        if is_new:
             self.make_controller()
         allowed = may_decide(self.controller, allowed, self._quiet)
         decides = allowed and self._may_use_forecast
-        if decides and self._stand_in_since:
+        if decides and self._stand_in_since and not is_new:
             self.make_controller()
         set_optional(self.controller, gauge_rain=self._measured_rain())
         try:

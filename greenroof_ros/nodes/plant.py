@@ -250,16 +250,14 @@ class PlantNode(LockstepNode):
                     f"the run did not start within {limit:g} s: {self.peers.describe(absent)}"
                 )
             return
+        waits_for_time = self._paused and not (self.finished or self._is_behind)
+        if waits_for_time or not is_late:
+            return
         missing = "/recorder/written from recorder"
         if not self._paused:
             awaited = [name for name in self.inputs if name in self.awaited]
             missing = self.peers.describe_silent(awaited)
-        elif not (self.finished or self._is_behind):
-            return  # the tick waits for its time
-        if is_late:
-            raise LockstepError(
-                f"tick {self._site.tick}: no message within {limit:g} s on {missing}"
-            )
+        raise LockstepError(f"tick {self._site.tick}: no message within {limit:g} s on {missing}")
 
     def limit(self) -> float:
         """Return the current maximum wait for another node (s of wall time)."""

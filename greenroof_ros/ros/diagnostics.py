@@ -147,32 +147,32 @@ class NodeDiagnostics:
         elif values["warnings"]:
             level, code = WARN, "values_refused" if values["refused"] else "input_publishers"
         own = self._own = _follow(self._own, level, self.state, {"code": code})
+        statuses = {"": own, **self.parts}
         shown = self.state, [
-            (name, status.level, identity_of(status.values))
-            for name, status in {"": own, **self.parts}.items()
+            (part, status.level, identity_of(status.values)) for part, status in statuses.items()
         ]
         now = time.monotonic()
         if shown == self._published and now - self._published_at < _PUBLISH_S:
             return
         self._published, self._published_at = shown, now
-        texts = {key: json.dumps(value) for key, value in {
+        own_texts = {key: json.dumps(value) for key, value in {
             "role": self._role, "process": self._process, "up_s": round(now - self._began, 1),
             **({"code": code, "since": iso(own.since)} if code else {}), **values,
         }.items()}
-        name = self._node.get_fully_qualified_name()
+        name, array = self._node.get_fully_qualified_name(), DiagnosticArray()
+        for part, status in statuses.items():
+            texts = status.list_texts() if part else own_texts
+            array.status.append(DiagnosticStatus(
+                level=status.level, name=f"{name}: {part}" if part else name,
+                message=status.message, hardware_id=(part and self.hardware) or self.machine,
+                values=[
+                    KeyValue(key=key, value=text) for key, text in texts.items()
+                    if len(text) <= _MAX_LENGTH
+                ],
+            ))
         # The node's time; before simulated time begins, the system's, since 0 is no time to tools.
-        now_at_node = self._node.get_clock().now()
-        array = DiagnosticArray(status=[
-            _make_message(name, own, self.machine, {
-                key: text for key, text in texts.items() if len(text) <= _MAX_LENGTH
-            }),
-            *(
-                _make_message(
-                    f"{name}: {part}", status, self.hardware or self.machine, status.list_texts()
-                ) for part, status in self.parts.items()
-            ),
-        ])
-        array.header.stamp = (now_at_node if now_at_node.nanoseconds else Clock().now()).to_msg()
+        node_time = self._node.get_clock().now()
+        array.header.stamp = (node_time if node_time.nanoseconds else Clock().now()).to_msg()
         self._publisher.publish(array)
 
     def flush(self, seconds: float) -> None:
@@ -187,12 +187,3 @@ def _follow(
     if before is not None and identity_of(before.values) == identity_of(values):
         return replace(before, level=level, message=message, values=values)
     return Status(level, message, values, time.time(), time.monotonic())
-
-
-def _make_message(
-    name: str, status: Status, hardware: str, texts: dict[str, str]
-) -> DiagnosticStatus:
-    return DiagnosticStatus(
-        level=status.level, name=name, message=status.message, hardware_id=hardware,
-        values=[KeyValue(key=key, value=text) for key, text in texts.items()],
-    )

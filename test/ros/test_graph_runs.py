@@ -191,10 +191,8 @@ class Opens:
 
 @pytest.mark.parametrize(("controller", "options", "opened"), [
     ("onoff", ("--outlet-reserve", "50"), 60),
-    ("mpc", ("--outlet", "open"), 0),
     ("anticipating_onoff", ("--outlet", "plan", "--forecast", "errors", "--outlet-price", "0.1"),
      60),
-    ("lookahead", ("--horizon", "24", "--forecast", "ensemble", "--outlet-reach", "5"), 60),
     ("opens:Opens", (), 0),
 ])
 def test_same_bits_with_a_valve(

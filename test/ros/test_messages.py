@@ -51,7 +51,7 @@ NUMBER, NUMBERS, CLOCK = (
 REPORTS = "diagnostic_msgs/msg/DiagnosticArray"
 KINDS = (NUMBER, NUMBERS, CLOCK, REPORTS)
 ENSEMBLE = ("member", "step")
-VALUES = [0.0, -0.0, 1.0, -1 / 3, 5e-324, 1.7976931348623157e308, math.inf, -math.inf, math.nan]
+VALUES = [-0.0, -1 / 3, 5e-324, 1.7976931348623157e308, -math.inf, math.nan]
 
 
 @pytest.mark.parametrize(
@@ -169,18 +169,12 @@ def test_changed_bytes_are_read_or_malformed(kind: str) -> None:
             decoder(kind)(bytes(changed))
 
 
-@pytest.mark.parametrize(
-    ("kind", "message", "value"),
-    [
-        (NUMBER, struct.pack(">4xd", 2.5), 2.5),
-        (NUMBERS, struct.pack(">4xIII4xdd", 0, 0, 2, 2.5, -1.0), [2.5, -1.0]),
-        (CLOCK, struct.pack(">4xiI", 7, 8), 7_000_000_008),
-    ],
-)
-def test_big_endian(kind: str, message: bytes, value: Any) -> None:
+def test_big_endian() -> None:
     """A publisher on a big-endian machine is understood, too."""
-    decoded = decoder(kind)(message)
-    assert list(decoded) == value if kind == NUMBERS else decoded == value
+    assert decoder(NUMBER)(struct.pack(">4xd", 2.5)) == 2.5
+    rows = struct.pack(">4xIII4xdd", 0, 0, 2, 2.5, -1.0)
+    assert list(decoder(NUMBERS)(rows)) == [2.5, -1.0]
+    assert decoder(CLOCK)(struct.pack(">4xiI", 7, 8)) == 7_000_000_008
 
 
 # --- what a node accepts as input -----------------------------------------------------------------

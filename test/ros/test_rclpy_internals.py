@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 
 import pytest
@@ -12,7 +11,6 @@ rclpy = pytest.importorskip("rclpy", reason="it is about ROS 2")
 pytestmark = pytest.mark.graph  # also run with the next ROS 2
 
 from rclpy.duration import Duration  # noqa: E402
-from rclpy.experimental import EventsExecutor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
@@ -75,11 +73,12 @@ def test_messages_that_came_before_an_executor_listens(small: Node) -> None:
         profile, raw=True,
     )
     publisher = small.create_publisher(Float64, "level", profile)
+    publish = raw_publish(publisher)
     wait_for(publisher.get_subscription_count, 60, "the subscription")
 
     def publish_all(*values: float) -> None:
         for value in values:
-            publisher.publish(Float64(data=value))
+            publish(serialize_message(Float64(data=value)))
         assert publisher.wait_for_all_acked(Duration(seconds=60))
 
     publish_all(1.0, 2.0, 3.0)
@@ -89,19 +88,3 @@ def test_messages_that_came_before_an_executor_listens(small: Node) -> None:
     (subscription,) = (entry for entry in small.subscriptions if entry.raw)
     numbers = [info["publication_sequence_number"] for _, info in take_messages(subscription)]
     assert numbers == [4, 5]
-
-
-def test_the_short_ways_of_a_message(small: Node) -> None:
-    """What is published without rclpy's checks arrives through the fast executor."""
-    profile = qos_profile(read_topics()["/roof/level"].qos)
-    received: list[bytes] = []
-    small.create_subscription(Float64, "level", received.append, profile, raw=True)
-    publish = raw_publish(small.create_publisher(Float64, "level", profile))
-    executor = EventsExecutor(context=small.context)
-    start_receiving(executor, small)
-    message = serialize_message(Float64(data=0.05))
-    publish(message)
-    until = time.monotonic() + 60
-    while not received and time.monotonic() < until:
-        executor.spin_once(timeout_sec=0.1)
-    assert received == [message]
