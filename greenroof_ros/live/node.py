@@ -197,10 +197,9 @@ class LiveNode(GraphNode):
             return
         self._due += (math.floor((now - self._due) / self._period) + 1) * self._period
         self.check_inputs()
-        if not all(entry.publishers.optional for entry in self.inputs.values()):
-            bad = self._find_bad_input()
-            level = WARN if bad is not None and bad.code in AWAITED else ERROR
-            self.reports.diagnose("inputs", bad, "all inputs are valid", level)
+        bad = self._find_bad_input()
+        level = WARN if bad is not None and bad.code in AWAITED else ERROR
+        self.reports.diagnose("inputs", bad, "all inputs are valid", level)
         self.tick += 1
         with self.deciding():
             self.on_inputs()

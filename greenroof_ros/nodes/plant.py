@@ -44,6 +44,7 @@ _AHEAD = 32
 _START_LIMIT_S = 30.0
 # If a tick is late by more than this (s), the delay is not made up.
 _LATE_S = 1.0
+_PUBLISHED = "tick", "cistern_level", "roof_level"
 # A clock that is not affected when the system's clock is set.
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
@@ -111,7 +112,7 @@ class PlantNode(LockstepNode):
             site, self._run_length, start_ns / 1e9, values[WITHOUT_RAIN.name]
         )
         # The tick that was published last, and its levels.
-        self._published = 0, *self._site.observe()
+        self._published = dict(zip(_PUBLISHED, (0, *self._site.observe()), strict=True))
         # How many ticks the recorder has flushed; without a recorder, it does not matter.
         self._written: float = 0 if values["record"] else math.inf
         self._paused = True  # the tick waits for the start, for the pace or for the recorder
@@ -151,7 +152,7 @@ class PlantNode(LockstepNode):
         now = site.time_ns
         self.publish(CLOCK, now)
         cistern, roof = site.observe()
-        self._published = site.tick, cistern, roof
+        self._published = dict(zip(_PUBLISHED, (site.tick, cistern, roof), strict=True))
         self.publish("/cistern/level", cistern)
         self.publish("/roof/level", roof)
         self._paused = False
@@ -183,7 +184,6 @@ class PlantNode(LockstepNode):
             self._publish_flows(flows)
             self._wall_s = time.monotonic() - self._began
             self.finish()
-            self.get_logger().info(f"finished {self._run_length} ticks in {self._wall_s:.1f} s")
             return
         known_rain = rain if self._rain.good else math.nan  # unknown rain counts as wet weather
         self._metrics.add(site.state, command, known_rain, evapotranspiration, flows)
@@ -273,20 +273,11 @@ class PlantNode(LockstepNode):
         The values are from the tick that was published last, whose time is the time stamp of the
         report. The next tick may already be computed and waiting to be due.
         """
-        tick, cistern, roof = self._published
-        return {
-            "tick": tick,
-            "cistern_level": cistern,
-            "roof_level": roof,
-            "command": self._command.value,
-        }
+        return {**self._published, "command": self._command.value}
 
     def summary(self) -> dict[str, Any]:
         """Return the metrics, events and duration (s of wall time) of the run."""
-        return {
-            **self._metrics.results(self._site.state)._asdict(),
-            "wall_s": self._wall_s,
-        }
+        return {**self._metrics.results(self._site.state)._asdict(), "wall_s": self._wall_s}
 
 
 main = node_command(PlantNode, "nodes.plant", __doc__, parameters)

@@ -145,7 +145,7 @@ class NodeDiagnostics:
         if "failure" in values:
             level, code = ERROR, "node_failed"
         elif values["warnings"]:
-            level, code = WARN, "values_refused" if values["refused"] else "input_publishers"
+            level, code = WARN, "input_publishers"
         own = self._own = _follow(self._own, level, self.state, {"code": code})
         statuses = {"": own, **self.parts}
         shown = self.state, [

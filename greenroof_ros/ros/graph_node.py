@@ -53,7 +53,7 @@ class GraphNode(Node):
         peers: the nodes that publish the node's inputs.
         reports: object that reports the node's state.
         tick: number of the node's next tick.
-        warnings: sentences about faults of the node's inputs.
+        warnings: sentences about incompatible publishers of the node's inputs.
     """
 
     def __init__(self, name: str, role: str, interface: Mapping[str, Topic]) -> None:
@@ -99,10 +99,6 @@ class GraphNode(Node):
     def progress(self) -> dict[str, Any]:
         """Return the values that the node adds to each of its reports."""
         return {}
-
-    def find_warnings(self) -> list[str]:
-        """Return sentences about incompatible publishers, until every input has a publisher."""
-        return [] if self.ready else self.peers.warnings()
 
     # --- topics -----------------------------------------------------------------------------
 
@@ -204,13 +200,16 @@ class GraphNode(Node):
         if now - self._reported < _REPORT_S and not self.reports.urgent:
             return
         self._reported = now
-        if not self.finished:
-            before, self.warnings = self.warnings, self.find_warnings()
-            for sentence in set(self.warnings).difference(before):
-                self.get_logger().warning(sentence)
+        self.check_peers()
         if not self.ready and self.acted and not self.peers.absent():
             self.reports.state = READY
         self.report_state()
+
+    def check_peers(self) -> None:
+        """Warn about incompatible publishers, until every input has a publisher."""
+        before, self.warnings = self.warnings, [] if self.ready else self.peers.warnings()
+        for sentence in set(self.warnings).difference(before):
+            self.get_logger().warning(sentence)
 
     # --- ending -----------------------------------------------------------------------------
 

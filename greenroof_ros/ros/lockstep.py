@@ -191,25 +191,20 @@ class LockstepNode(NoClockSubscription, GraphNode):
 
     def finish(self) -> None:
         """Set the state to finished, and report the state and the node's summary."""
-        self.warnings = self.find_warnings()
         self.result = self.summary()
         self._always |= self.result
         self.reports.state = FINISHED
         self.report_state()
 
-    def find_warnings(self) -> list[str]:
-        """Return sentences about incompatible publishers, and about rejected values.
+    def check_peers(self) -> None:
+        """Refuse a second publisher of an input.
 
         Raises:
             LockstepError: if an input has a second publisher; an OccupiedError before the run.
         """
-        if second := self.peers.describe_second():
+        super().check_peers()
+        if not self.finished and (second := self.peers.describe_second()):
             raise self.conflict(second)
-        return [*super().find_warnings(), *(
-            f"rejected a value on {entry.name}: it {entry.topic.range.expected()}; the node used 0 "
-            "instead, and later rejections are counted but not logged"
-            for entry in self.inputs.values() if entry.refused
-        )]
 
     # --- ending -----------------------------------------------------------------------------
 

@@ -194,21 +194,17 @@ import math, time
 from greenroof_ros.base.parameter import Parameter
 
 class Waiting:
-    parameters = (Parameter("answer", 0.0, "1", 0.0, 2.0, "of its commands", may_change=True),)
+    parameters = (Parameter("answer", 0.0, "1", 0.0, 2.0, "its command"),)
     def __init__(self, site, answer): self.answer = answer
     def command(self, *inputs): return self.answer
     def skip(self): pass
     def statistics(self): return None
 
-class Counting(Waiting):
-    parameters = (Parameter("base", 0.1, "1", 0.0, 1.0, "of its commands", may_change=True),)
-    def __init__(self, site, base):
-        self.base, self.asked = base, 0
+class Learner(Waiting):
+    asked = 0
     def command(self, *inputs):
         self.asked += 1
-        return self.base + 0.001 * self.asked
-
-class Learner(Counting):
+        return 0.1 + 0.001 * self.asked
     @property
     def learned(self): return {"asked": float(self.asked)}
     @learned.setter
@@ -238,12 +234,13 @@ def test_quiet_hours_are_of_the_system_clock(site: Site) -> None:
         "extends: site.yaml\ntime_zone: UTC\nutc_offset: 0\n"
         f"quiet_hours: ['{begin:%H:%M}-{end:%H:%M}']\n"
     )
-    with site.live("controller --controller mine:Counting", site_file=file, recovery_time=0.2):
+    options = {"site_file": file, "recovery_time": 0.2, "answer": 0.4}
+    with site.live("controller --controller mine:Waiting", **options):
         for part, *words in (
             ("forecast", WARN, "on/off control has been in command since"), ("forecast", OK)
         ):
-            site.until(site.shows(f"/counting: {part}", *words), LATE, "good inputs")
-            site.until(site.shows("/counting: inputs", OK), LATE, "good inputs")
+            site.until(site.shows(f"/waiting: {part}", *words), LATE, "good inputs")
+            site.until(site.shows("/waiting: inputs", OK), LATE, "good inputs")
             before = len(commands)
             site.until(lambda before=before: len(commands) > before + 3, LATE, "commands")
             site.values = good
