@@ -31,7 +31,6 @@ from greenroof_ros.ros.diagnostics import ERROR, WARN
 from greenroof_ros.ros.executable import node_command
 from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.messages import decoder
-from greenroof_ros.ros.parameters import USE_SIM_TIME, fix
 from greenroof_ros.ros.reports import PAUSE_S
 from greenroof_ros.ros.spin import start_receiving
 from greenroof_ros.site.site import Site
@@ -64,7 +63,6 @@ class LiveNode(GraphNode):
             ConfigurationError: if the ROS arguments or a parameter file are invalid.
         """
         super().__init__(name, role, read_live_topics())
-        fix(self, USE_SIM_TIME, False, "must be false: this node is in a live graph")
         heartbeat.states[name] = Beat(0)
         self.inputs: dict[str, LiveInput] = {}
         self._period = self._due = math.inf  # without a site, the node only reacts

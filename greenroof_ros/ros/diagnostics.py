@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.clock import Clock
 from rclpy.duration import Duration
-from rclpy.node import Node
+from rclpy.time import Time
 
 from greenroof_ros.base.times import iso
 from greenroof_ros.interface.conditions import Diagnosis, identity_of
@@ -81,7 +80,7 @@ class NodeDiagnostics:
         urgent: whether a diagnosis has changed since the last report.
     """
 
-    def __init__(self, node: Node, role: str) -> None:
+    def __init__(self, node: Any, role: str) -> None:
         """Open the topic.
 
         Args:
@@ -170,9 +169,8 @@ class NodeDiagnostics:
                     if len(text) <= _MAX_LENGTH
                 ],
             ))
-        # The node's time; before simulated time begins, the system's, since 0 is no time to tools.
-        node_time = self._node.get_clock().now()
-        array.header.stamp = (node_time if node_time.nanoseconds else Clock().now()).to_msg()
+        # Before simulated time begins, the system's, since 0 is no time to tools.
+        array.header.stamp = Time(nanoseconds=self._node.time_ns or time.time_ns()).to_msg()
         self._publisher.publish(array)
 
     def flush(self, seconds: float) -> None:

@@ -32,12 +32,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
-from rclpy.clock import Clock, ROSClock
-from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
-from rclpy.time import Time
 
 from greenroof_ros.base.errors import OccupiedError
 from greenroof_ros.interface.states import FINISHED, PLANT
@@ -46,9 +43,7 @@ from greenroof_ros.ros.errors import LockstepError
 from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.inputs import Input
 from greenroof_ros.ros.messages import decoder, qos_profile
-from greenroof_ros.ros.parameters import USE_SIM_TIME, fix
 from greenroof_ros.ros.publishers import Publishers
-from greenroof_ros.ros.rclpy_internals import NoClockSubscription
 
 CLOCK, RUN = "/clock", "/run"
 
@@ -67,7 +62,7 @@ class RunIdentity(NamedTuple):
     speed: float
 
 
-class LockstepNode(NoClockSubscription, GraphNode):
+class LockstepNode(GraphNode):
     """A node of a simulated graph, which acts in lockstep and ends with the run.
 
     A subclass opens its topics with :meth:`open_outputs` and :meth:`subscribe`, using their names
@@ -95,7 +90,6 @@ class LockstepNode(NoClockSubscription, GraphNode):
             ConfigurationError: if the ROS arguments or a parameter file is invalid.
         """
         super().__init__(name, role, read_topics())
-        fix(self, USE_SIM_TIME, True, "must be true: this node is part of a simulated graph")
         self.inputs: dict[str, Input] = {}
         self.run: RunIdentity | None = None
         self._always["run_length"] = None
@@ -117,14 +111,6 @@ class LockstepNode(NoClockSubscription, GraphNode):
         return {}
 
     # --- setting up -------------------------------------------------------------------------
-
-    def get_clock(self) -> Clock:
-        """Return the node's clock; only this method updates the clock, since few ticks use it."""
-        clock = super().get_clock()
-        if self.time_ns:
-            now = Time(nanoseconds=self.time_ns, clock_type=ClockType.ROS_TIME)
-            cast(ROSClock, clock).set_ros_time_override(now)
-        return clock
 
     def subscribe(self, name: str) -> Input:
         """Open an input that the node waits for in every tick, and return it.

@@ -30,7 +30,6 @@ from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import MAX_HORIZON
 from greenroof_ros.site.site import Site
 
-USE_SIM_TIME = "use_sim_time"  # rclpy's name
 # The name of every Python type in ROS 2.
 _KINDS = {float: "double", int: "integer", bool: "bool", str: "string", list: "string array"}
 
@@ -141,15 +140,6 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     else:
         descriptor.floating_point_range = [FloatingPointRange(**limits)]
     return descriptor
-
-
-def fix(node: Node, name: str, value: Any, reason: str) -> None:
-    """Set a parameter of a node, and make it read-only for the given reason."""
-    parameter = RosParameter(name, value=value)
-    node.set_parameters([parameter])
-    node.set_descriptor(name, ParameterDescriptor(
-        type=parameter.type_.value, read_only=True, additional_constraints=reason,
-    ))
 
 
 # --- unknown parameters -----------------------------------------------------------------------

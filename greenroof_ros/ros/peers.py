@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 
 from greenroof_ros.interface.states import ROLES
-from greenroof_ros.ros.publishers import Publishers
+from greenroof_ros.ros.publishers import DISCOVERY_S, Publishers
 
 
 class Peers:
@@ -82,7 +82,7 @@ class Peers:
 
     def publishers_of(self, name: str) -> str:
         """Return the names of the nodes that publish an input, as a list for a sentence."""
-        return ", ".join(self.publishers[name].names())
+        return ", ".join(self.publishers[name].names(DISCOVERY_S))
 
     def warnings(self) -> list[str]:
         """Return a sentence for every input that has incompatible publishers."""
@@ -95,6 +95,6 @@ class Peers:
         """Return a sentence about the first input with a second publisher; empty for none."""
         for publishers in self.publishers.values():
             if publishers.count > 1 and publishers.compatible > 1:
-                return f"{publishers.full_name} {publishers.describe_second()}"
+                return f"{publishers.full_name} {publishers.describe_second(DISCOVERY_S)}"
         return ""
 

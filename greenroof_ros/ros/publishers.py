@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 from rclpy.node import Node
@@ -11,6 +12,8 @@ from greenroof_ros.ros.messages import find_lacking
 
 # A node's name and its other endpoints may be discovered this long after its publisher (s).
 DISCOVERY_S = 1.0
+UNKNOWN = "a node whose name is unknown"
+"""stands for the name of a node"""
 
 
 class Publishers:
@@ -53,18 +56,33 @@ class Publishers:
         """The number of publishers that have a compatible quality of service."""
         return len(self._endpoints()) - len(self._incompatible())
 
-    def names(self) -> list[str]:
-        """Return the names of the publishers' nodes."""
-        return sorted({name_owner(info) for info in self._endpoints()})
+    def names(self, wait_s: float = 0.0) -> list[str]:
+        """Return the names of the publishers' nodes.
 
-    def describe_second(self) -> str:
-        """Return a predicate that reports a second publisher, or "" if there is none."""
+        Args:
+            wait_s: maximum wait for names that have not been discovered yet (s); after the first
+                messages, discovery may take :data:`DISCOVERY_S`.
+        """
+        until, names = time.monotonic() + wait_s, {UNKNOWN}
+        while UNKNOWN in names:
+            names = {name_owner(info) for info in self._endpoints()}
+            if time.monotonic() >= until:
+                break
+        return sorted(names)
+
+    def describe_second(self, wait_s: float = 0.0) -> str:
+        """Return a predicate that reports a second publisher, or "" if there is none.
+
+        Args:
+            wait_s: maximum wait for names (s), as in :meth:`names`.
+        """
         count = self.count
         if count < 2 or len(self._endpoints()) < 2:
             return ""
+        names = ", ".join(self.names(wait_s))
         return (
-            f"has {count} publishers ({', '.join(self.names())}), but must have only one: stop the "
-            "other publisher, or use another ROS_DOMAIN_ID or --namespace"
+            f"has {count} publishers ({names}), but must have only one: stop the other publisher, "
+            "or use another ROS_DOMAIN_ID or --namespace"
         )
 
     def describe_incompatible(self) -> str:
@@ -95,5 +113,4 @@ def name_owner(info: Any) -> str:
     A node that joins the graph just before another node is killed may discover the topics of the
     killed node, but never its name.
     """
-    known = info.node_name != "_NODE_NAME_UNKNOWN_"
-    return info.node_name if known else "a node whose name is unknown"
+    return UNKNOWN if info.node_name == "_NODE_NAME_UNKNOWN_" else str(info.node_name)

@@ -24,10 +24,7 @@ from disks import disk_that_hangs
 from forecast_service import started_service
 from modbus_wire import Wire
 from paper import PAPER_SITE
-from places import CONFIG
-from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from ros_rig import (
     ERROR,
     FORECAST_HEADER,
@@ -430,16 +427,6 @@ def test_no_command_of_what_was_before_a_suspend(
                 LATE, "why",
             )
         site.until(lambda: newest(commands), LATE, "a command of what is new")
-
-
-def test_nothing_takes_a_live_node_off_the_system_clock(observer: Observer) -> None:
-    """Also not later, as by ``ros2 param set``."""
-    observer.start(f"live.sensors --sensors {CONFIG}/sensors.yaml")
-    parameter = Parameter("use_sim_time", value=True).to_parameter_msg()
-    (result,) = observer.call(
-        SetParameters, "/roof_sensor/set_parameters", parameters=[parameter]
-    ).results
-    assert not result.successful and "use_sim_time" in result.reason
 
 
 def test_no_command_of_what_was_before_a_stop(site: Site) -> None:

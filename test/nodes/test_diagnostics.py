@@ -34,8 +34,6 @@ def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
     )
     weight = parameter(observer, "/site1/mpc", "weight")
     assert (weight.type, weight.double_value) == (ParameterType.PARAMETER_DOUBLE, 5.0)
-    for name in names:
-        assert parameter(observer, name, "use_sim_time").bool_value is True
 
     def ended() -> bool:
         intruder.publish(message)

@@ -12,14 +12,12 @@ pytestmark = pytest.mark.graph  # also run with the next ROS 2
 
 from rclpy.duration import Duration  # noqa: E402
 from rclpy.node import Node  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
 from greenroof_ros.interface.topics import read_topics  # noqa: E402
 from greenroof_ros.ros.messages import qos_profile  # noqa: E402
 from greenroof_ros.ros.rclpy_internals import (  # noqa: E402
-    NoClockSubscription,
     raw_publish,
     take_messages,
 )
@@ -34,21 +32,6 @@ def small(domain: int) -> Iterator[Node]:
     yield node
     node.destroy_node()
     context.try_shutdown()
-
-
-class Unclocked(NoClockSubscription, Node):
-    """A node that sets its clock itself."""
-
-
-@pytest.mark.parametrize(("kind", "subscriptions"), [(Node, 1), (Unclocked, 0)])
-def test_a_node_in_simulated_time_need_not_subscribe_to_the_clock(
-    small: Node, kind: type[Node], subscriptions: int
-) -> None:
-    simulated = Parameter("use_sim_time", Parameter.Type.BOOL, True)
-    node = kind("timed", context=small.context, parameter_overrides=[simulated])
-    topics = [subscription.topic_name for subscription in node.subscriptions]
-    assert topics.count("/clock") == subscriptions
-    node.destroy_node()
 
 
 class ExecutorThatMisses:
