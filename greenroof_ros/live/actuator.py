@@ -27,10 +27,10 @@ from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.states import PUMP, DriveState, PumpState
 from greenroof_ros.live.boot_clock import boot_time
-from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.node import LiveNode
 from greenroof_ros.live.pumping.interlocks import clear_refusal
 from greenroof_ros.live.pumping.state_file import MAX_NUMBER, StateFile
+from greenroof_ros.ros.diagnostics import ERROR, WARN
 from greenroof_ros.ros.parameter_file import check_value
 
 STATE_FILE = Parameter(

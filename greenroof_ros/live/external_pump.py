@@ -31,13 +31,13 @@ from greenroof_ros.interface.states import DriveState, PumpState
 from greenroof_ros.live.actuator import STATE_FILE, ActuatorNode
 from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.levels import LIMITS, live_parameters
-from greenroof_ros.live.live_diagnostics import ERROR, OK, WARN
 from greenroof_ros.live.node import live_command
 from greenroof_ros.live.pumping.input_rules import AWAITED
 from greenroof_ros.live.pumping.interlocks import evaluate, latch, state_of, stored_reasons
 from greenroof_ros.live.pumping.limits import check_command_limit, pump_parameters
 from greenroof_ros.live.pumping.state_file import GUARD
 from greenroof_ros.physics.pump import maximum_pump_flow
+from greenroof_ros.ros.diagnostics import ERROR, OK, WARN
 from greenroof_ros.ros.parameters import declare, site_file
 from greenroof_ros.ros.reports import PAUSE_S
 from greenroof_ros.site.site import Site

@@ -42,7 +42,6 @@ from greenroof_ros.live.devices.exchange import (
     read_endpoint,
 )
 from greenroof_ros.live.levels import LIMITS, Levels, live_parameters
-from greenroof_ros.live.live_diagnostics import ERROR, OK, WARN
 from greenroof_ros.live.live_input import bad_inputs, join_diagnoses
 from greenroof_ros.live.node import live_command
 from greenroof_ros.live.pumping.dose import DONE, Dose
@@ -53,6 +52,7 @@ from greenroof_ros.live.pumping.limits import (
 )
 from greenroof_ros.live.pumping.pump_control import Decision, PumpControl, drive_fault
 from greenroof_ros.live.pumping.pump_inputs import INPUTS, Observation
+from greenroof_ros.ros.diagnostics import ERROR, OK, WARN
 from greenroof_ros.ros.parameters import declare, site_file
 from greenroof_ros.ros.reports import PAUSE_S
 from greenroof_ros.site.site import Site

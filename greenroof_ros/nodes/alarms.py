@@ -27,7 +27,6 @@ from greenroof_ros.nodes.alarm_log import AlarmLog
 from greenroof_ros.nodes.start_list import StartList
 from greenroof_ros.ros.alarm_status import to_status
 from greenroof_ros.ros.alarms import RESTARTED, ROLE, Judge
-from greenroof_ros.ros.diagnostics import NodeDiagnostics
 from greenroof_ros.ros.errors import MalformedMessageError
 from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.messages import qos_profile
@@ -63,7 +62,7 @@ class AlarmsNode(GraphNode):
         Args:
             lines: writer of the lines for the person at the terminal; None to print nothing.
         """
-        super().__init__(ROLE, ROLE, read_topics(), NodeDiagnostics)
+        super().__init__(ROLE, ROLE, read_topics())
         values = declare(self, parameters())
         self._lines = lines
         tell: Callable[[str], None] = lines.print_line if lines is not None else lambda _: None

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
+from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import permutations
@@ -22,7 +23,7 @@ from greenroof_ros.base.processes import Signals
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.ros import messages
 from greenroof_ros.ros.lockstep import CLOCK, RUN, RunIdentity
-from greenroof_ros.ros.publishers import display_name
+from greenroof_ros.ros.publishers import name_owner
 from greenroof_ros.ros.spin import make_executor, ros
 from greenroof_ros.site.site import Site
 
@@ -147,7 +148,7 @@ class NodeCheck(ABC):
             )
         for topic in (CLOCK, *self.usual):
             for info in self.node.get_publishers_info_by_topic(read_topics()[topic].graph_name):
-                other = display_name(info.node_name)
+                other = name_owner(info)
                 raise OccupiedError(f"{topic} already has a publisher ({other}); stop it first")
         for topic, answers in self.received.items():
             entry = read_topics()[topic]
@@ -156,7 +157,7 @@ class NodeCheck(ABC):
         self._publishers = {topic: self.open(topic) for topic in (RUN, CLOCK, *self.usual)}
         # The identity is fixed, so a node can be checked twice.
         speed = self.site.tau / self.period if self.period else 0.0
-        self.publish(RUN, RunIdentity(0.0, _LAST_TICK, speed).values)
+        self.publish(RUN, array("d", RunIdentity(0.0, _LAST_TICK, speed)))
         self.wait(_DISCOVERY_S)
 
     def match_topics(self) -> None:
@@ -171,9 +172,8 @@ class NodeCheck(ABC):
             if not infos and topic not in self.optional:
                 problems.append(f"the node has no {end} {topic}")
             for info in infos:
-                if lacking := " and ".join(messages.find_lacking(info.qos_profile, qos)):
-                    needs = messages.describe_qos(qos)
-                    problems.append(f"its {end} {topic} {lacking}; it must be {needs}")
+                if lacking := messages.find_lacking(info.qos_profile, qos):
+                    problems.append(f"its {end} {topic} must have {lacking}")
         self.require(not problems, "; ".join(problems), ends=True)
 
     def open(self, topic: str) -> Any:

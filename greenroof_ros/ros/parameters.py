@@ -14,7 +14,6 @@ from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
-from rclpy.parameter import Parameter as RosParameter
 
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
 from greenroof_ros.base.files import default_site_file
@@ -25,7 +24,6 @@ from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import MAX_HORIZON
 from greenroof_ros.site.site import Site
 
-USE_SIM_TIME = "use_sim_time"  # rclpy's name
 _LONG = 2**62  # beyond any number that a node uses
 # The name of every Python type in ROS 2.
 _KINDS = {float: "double", int: "integer", bool: "bool", str: "string", list: "string array"}
@@ -109,15 +107,6 @@ def _describe(parameter: Parameter) -> ParameterDescriptor:
     elif isinstance(parameter.default, float):
         descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
     return descriptor
-
-
-def fix(node: Node, name: str, value: Any, reason: str) -> None:
-    """Set a parameter of a node, and make it read-only for the given reason."""
-    parameter = RosParameter(name, value=value)
-    node.set_parameters([parameter])
-    node.set_descriptor(name, ParameterDescriptor(
-        type=parameter.type_.value, read_only=True, additional_constraints=reason,
-    ))
 
 
 # --- unknown parameters -----------------------------------------------------------------------

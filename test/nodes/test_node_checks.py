@@ -88,9 +88,9 @@ CONTROLLERS = {
         ", durability=DurabilityPolicy.TRANSIENT_LOCAL": "",
         '"weather/frost": Float64,': "", 'tick["weather/frost"] != 0 or ': "",
     }, {
-        "topics match": "its publisher of /pump/command is volatile; it must be reliable, transient"
-        " local, keep last 64, with a liveliness lease of 1 s; its subscription to /cistern/level "
-        "is volatile.*node has no subscription to /weather/frost",
+        "topics match": "its publisher of /pump/command must have transient local durability; its "
+        "subscription to /cistern/level must have transient local durability.*node has no "
+        "subscription to /weather/frost",
     }),
 }
 # The rules for topics and messages are those of controllers, in the same code.
@@ -207,7 +207,7 @@ def test_without_a_node_or_with_a_second_graph_it_explains(domain: int, tmp_path
 
 
 def test_publisher_that_does_not_fit_is_named_at_once(domain: int, tmp_path: Path) -> None:
-    """In one line: the node, its settings, and all that are required."""
+    """In one line: the node, and what its settings must be."""
     with in_domain(domain), closing(Peer(domain, "pump")) as driver:
         driver.node.create_publisher(Float64, "/pump/flow", 10)  # with rclpy's default settings
         process = Process(domain, "bringup", "--pump", "external", "--output", "run", cwd=tmp_path)
@@ -216,6 +216,6 @@ def test_publisher_that_does_not_fit_is_named_at_once(domain: int, tmp_path: Pat
         assert process.wait(300) == 130
     warnings = [line for line in process.stderr().splitlines() if "warning" in line]
     assert warnings == [
-        "warning: /pump/flow has a publisher with an incompatible QoS (pump): it is volatile, but "
-        "must be reliable, transient local, keep last 64; change its QoS, or stop it"
+        "warning: /pump/flow has a publisher with an incompatible QoS (pump): it must have "
+        "transient local durability; change its QoS, or stop it"
     ]
