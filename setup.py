@@ -14,7 +14,7 @@ SHARE = Path("share") / NAME
 NUMBA = "numba>=0.68,<1"
 # What ``ros2 run greenroof_ros NAME`` starts in a workspace, besides ``greenroof``.
 NODES = {
-    **{name: f"nodes.{name}" for name in ("plant", "weather", "controller", "recorder", "alarms")},
+    **{name: f"nodes.{name}" for name in ("plant", "weather", "controller", "recorder")},
     **{f"live_{name}": f"live.{name}" for name in ("weather", "controller", "recorder")},
     **{name: f"live.{name}" for name in ("station", "sensors", "pump")},
     "pump_guard": "live.external_pump",

@@ -464,10 +464,10 @@ def interlocks() -> str | None:
 
 # What a code is about: how it begins; all interlocks are about the pump.
 _SUBJECTS = {
-    "Pump": "drive_ stands_ stop_ two_pump_",
+    "Pump": "drive_ stands_ stop_",
     "Inputs and sensors": "input_ sensor_ readings_ broker_ values_ devices_",
     "Forecast and weather": "forecast_ no_forecast temperature_ freezing thermometer_ gauge_",
-    "Controller, recorder and nodes": "controller_ not_ peers_ node_ station_ two_processes",
+    "Controller, recorder and nodes": "controller_ not_ peers_ node_ station_",
 }
 
 

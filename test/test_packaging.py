@@ -21,7 +21,7 @@ import greenroof_ros
 from greenroof_ros.__main__ import COMMANDS
 
 NODES = (
-    "plant", "weather", "controller", "alarms",
+    "plant", "weather", "controller",
     "recorder", "live_weather", "live_controller", "live_recorder", "station", "sensors",
     "pump", "pump_guard",
 )

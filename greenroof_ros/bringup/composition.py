@@ -16,7 +16,7 @@ from greenroof_ros.nodes.controller import SimulatedController
 from greenroof_ros.nodes.plant import PlantNode
 from greenroof_ros.nodes.recorder import RecorderNode
 from greenroof_ros.nodes.weather import RecordedWeather
-from greenroof_ros.ros.node import SimulationNode
+from greenroof_ros.ros.lockstep import LockstepNode
 from greenroof_ros.ros.spin import destroy_nodes, end_nodes, ros, spin
 from greenroof_ros.ros.watchdog import Watchdog
 from greenroof_ros.simulation.run import Run
@@ -58,7 +58,7 @@ class Composition:
         self._external = external
         self._progress = progress
         self._arguments = ["greenroof", *arguments, "--disable-stdout-logs"]
-        self._nodes: dict[str, SimulationNode] = {}
+        self._nodes: dict[str, LockstepNode] = {}
         self._beside: list[AlarmsNode] = []
         self._checks = 0
         self._finished_at = time.monotonic()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import shlex
-import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +19,7 @@ from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.base.standard_error import LINES, print_line
 from greenroof_ros.bringup.progress import RunProgress
 from greenroof_ros.bringup.start import bring_up
-from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL, ControllerChoice, find_controller
+from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL
 from greenroof_ros.interface.states import RECORDER
 from greenroof_ros.results.bag_read import count_ticks
 from greenroof_ros.ros.arguments import add_graph_arguments
@@ -31,8 +30,6 @@ from greenroof_ros.ros.domain import (
     ros_arguments,
 )
 from greenroof_ros.ros.errors import explain
-from greenroof_ros.ros.parameter_file import node_parameter_files
-from greenroof_ros.ros.ros_arguments import find_options, remove_ros_arguments
 from greenroof_ros.simulation import screen, summary
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration
 from greenroof_ros.simulation.options import (
@@ -45,14 +42,12 @@ from greenroof_ros.simulation.run import Run
 if TYPE_CHECKING:
     from greenroof_ros.bringup.composition import Composition
 
-_NODES = "greenroof_ros.nodes"
-
 
 def make_parser() -> Parser:
     """Return the parser of the command line."""
     parser = Parser(
         prog="greenroof run",
-        usage="%(prog)s [options] [--ros-args ...]",
+        usage="%(prog)s [options]",
         description="Run the plant, weather, controller and recorder as ROS 2 nodes in one "
         "process, in lockstep with simulated time. During the run, 'ros2 topic echo "
         "--qos-durability volatile /roof/level' shows the level on the roof.\n\n"
@@ -64,11 +59,7 @@ def make_parser() -> Parser:
         "  greenroof run --speed 60 --no-record\n"
         "  greenroof run --controller external    # your node runs alongside it; for the four "
         "rules, see\n"
-        "                                         # greenroof check-controller --help\n"
-        "  greenroof run --ros-args -r plant:/roof/level:=/raw\n\n"
-        "ROS arguments: all nodes of the run receive them, as rclpy defines them. -p NAME:=VALUE "
-        "and --params-file FILE set parameters of the controller. Nodes cannot be renamed. Other "
-        "commands, such as watch, do not recognize a remapped topic.\n\n"
+        "                                         # greenroof check-controller --help\n\n"
         "exit codes: 0 done, 1 a node failed, 2 bad usage or configuration, or an error in a "
         "controller's code, 3 a graph is already running, 130 interrupted",
     )
@@ -103,13 +94,10 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
     with require_ros():
         from greenroof_ros.bringup.composition import Composition
     is_external = run.controller.reference == EXTERNAL
-    modules = _modules(run.controller, arguments)
-    user_files = node_parameter_files(arguments, modules, run.controller, run.parameters)
+    controllers = [] if is_external else [run.controller.name, *BUILT_IN]
     with lock_namespace(arguments.namespace):
-        refuse_other_nodes(
-            arguments.namespace,
-            {*modules, RECORDER, *([] if is_external else BUILT_IN)}, signals.check,
-        )
+        names = {"plant", "weather", RECORDER, *controllers}
+        refuse_other_nodes(arguments.namespace, names, signals.check)
         directory = make_run_directory(arguments.output, run.controller.name)
         parameters = write_configuration(directory, run, {
             "speed": arguments.speed,
@@ -120,7 +108,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         summary.write(summary.make_unfinished_summary(run, summary.RUNNING), directory)
         progress = RunProgress(run.steps, run.site.tau, LINES)
         graph = Composition(
-            run, ros_arguments([parameters, *user_files], arguments.namespace, sys.argv[1:]),
+            run, ros_arguments([parameters], arguments.namespace),
             record=not arguments.no_record, external=is_external or arguments.pump == EXTERNAL,
             progress=progress,
         )
@@ -140,17 +128,6 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
                 code = EXIT_FAILED
             _end(run, directory, graph, status, reason, arguments)
         return code
-
-
-def _modules(controller: ControllerChoice, arguments: argparse.Namespace) -> dict[str, str]:
-    """Return the module of every node of the run, by the node's name."""
-    is_external = controller.reference == EXTERNAL
-    return {
-        "plant": f"{_NODES}.plant",
-        "weather": f"{_NODES}.weather",
-        **({} if is_external else {controller.name: f"{_NODES}.controller"}),
-        **({} if arguments.no_record else {RECORDER: f"{_NODES}.recorder"}),
-    }
 
 
 def _end(
@@ -197,15 +174,6 @@ def _print_bag_contents(directory: Path, ticks: int | None) -> None:
 @command
 def main() -> int:
     """Start the graph, supervise it until the run is over, and stop it."""
-    parser, words = make_parser(), sys.argv[1:]
-    if "--ros-args" in words:
-        own = remove_ros_arguments(words)
-        arguments = parser.parse_args(own)
-        controller = find_controller(arguments.controller)
-        nodes = _modules(controller, arguments)
-        options = find_options(words, arguments.namespace, nodes, controller)
-        arguments = parser.parse_args([*own, *options])
-    else:
-        arguments = parser.parse_args(words)
+    arguments = make_parser().parse_args()
     run = simulated_run(arguments)
     return bring_up(arguments, partial(run_graph, run, arguments))

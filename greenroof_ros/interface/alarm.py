@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from datetime import datetime
 from typing import Any
 
@@ -17,11 +17,6 @@ ALARMS = "alarms.jsonl"
 _TIMES = "since", "ended"
 
 OTHER = "There is no advice for this code; read the log of the node that reports it."
-FOREIGN = (
-    "Reported by another device or program, not by the green roof: see the documentation of that "
-    "device or program."
-)
-"""Advice for unknown codes, and for other devices, about which nothing is known here."""
 
 
 def advise(code: str, role: str, node: str) -> str:
@@ -29,11 +24,9 @@ def advise(code: str, role: str, node: str) -> str:
 
     Args:
         code: code of the condition.
-        role: the node's role in the interface; empty for another device.
+        role: the node's role in the interface.
         node: fully qualified name of the node, for the commands in the advice.
     """
-    if not role:
-        return FOREIGN
     condition = read_conditions().get(code)
     return OTHER if condition is None else condition.advise(node, role)
 
@@ -47,7 +40,7 @@ class Alarm:
             not an alarm, since it may still arrive while the site is starting.
         node: fully qualified name of the node that reports the fault or does not respond.
         part: part of the node; empty for the node itself.
-        role: the node's role in the interface; empty for another device.
+        role: the node's role in the interface.
         code: code of the condition.
         level: ``error``, ``stale`` (no report), or ``warn`` for a warning.
         sentence: sentence that describes the fault, as last reported.
@@ -82,13 +75,14 @@ class Alarm:
 
     @property
     def is_serious(self) -> bool:
-        """Whether this is an alarm rather than a warning; other devices cause only warnings."""
+        """Whether this is an alarm of a node of this package, rather than a warning."""
         return bool(self.role) and self.level != LEVELS[WARN]
 
 
 def to_record(alarm: Alarm) -> dict[str, Any]:
     """Return the record of an alarm for the file and for a summary."""
-    record = {**asdict(alarm), "about": list(alarm.about)}
+    record = {key.name: getattr(alarm, key.name) for key in fields(Alarm)}
+    record["about"] = list(alarm.about)
     for key in _TIMES:
         if record[key] is not None:
             record[key] = iso(record[key])

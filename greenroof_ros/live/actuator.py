@@ -30,11 +30,11 @@ from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.states import PUMP, DriveState
 from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.levels import LIMITS
-from greenroof_ros.live.live_diagnostics import ERROR, OK, WARN
 from greenroof_ros.live.node import LiveNode
 from greenroof_ros.live.pumping.interlocks import Decision, clear_refusal
 from greenroof_ros.live.pumping.limits import check_command_limit
 from greenroof_ros.live.pumping.state_file import MAX_TIME, StateFile
+from greenroof_ros.ros.diagnostics import ERROR, OK, WARN
 from greenroof_ros.ros.parameter_file import check_value
 from greenroof_ros.ros.parameters import declare
 from greenroof_ros.site.site import Site

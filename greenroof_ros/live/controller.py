@@ -12,39 +12,28 @@ from greenroof_ros.ros import begin_node
 begin_node(__name__)
 
 import math
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.parameter import Parameter
-from greenroof_ros.base.ranges import Range
 from greenroof_ros.base.times import from_epoch_ns, to_people
-from greenroof_ros.controllers.decide import (
-    ControllerError,
-    find_place,
-    locate_error,
-    may_decide,
-)
+from greenroof_ros.controllers.decide import ControllerError, locate_error, may_decide
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
 from greenroof_ros.controllers.protocol import set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.levels import RECOVERY, Levels, live_parameters
-from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.live_input import LiveInput, bad_inputs
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.live.number_file import NumberFile
 from greenroof_ros.live.time_limit import deciding_limit, time_limit
 from greenroof_ros.nodes.controller import FORECASTS, FROST, LEVELS, ControllerNode, Outputs
-from greenroof_ros.physics.parameters import plant_parameters
-from greenroof_ros.physics.pump import pump_flow
+from greenroof_ros.ros.diagnostics import ERROR, WARN
 from greenroof_ros.ros.parameters import declare, site_file
-from greenroof_ros.site.site import Site
 
 _FLOW, _GAUGE, _HOLD = "/pump/flow", "/gauge/precipitation", "/pump/hold"
 # On/off takes over once the controller has failed, or a forecast has been missing, for this
@@ -57,6 +46,8 @@ _ASKED_AGAIN = 60
 # each take (s). Both, and the start of ROS before them, fit into the 30 s for which a starting node
 # may be silent.
 _STARTING_S = 12.0
+# How often learned values are saved (s).
+_SAVE_S = 600.0
 LIVE_PARAMETERS = live_parameters([*LEVELS, *FORECASTS, FROST, _FLOW, _GAUGE, _HOLD])
 EXTERNAL_PUMP = Parameter(
     "external_pump", False, meaning="whether your own node runs the pump: the command is then 0 "
@@ -70,9 +61,6 @@ GIVEN_UP = Parameter(
     "given_up", "", meaning="reason why bringup has replaced the controller with on/off control; "
         "empty if the controller is running",
 )
-# How often learned values are saved (s).
-_SAVE_S = 600.0
-_FINITE = Range(-sys.float_info.max, sys.float_info.max)
 
 
 def parameters(choice: ControllerChoice | None) -> list[Parameter]:
@@ -87,12 +75,12 @@ class LiveControllerNode(ControllerNode, LiveNode):
     On/off control with default parameters takes over from a controller that needs a forecast but
     has no valid forecast, or whose code fails, that is, raises an error, does not return, or
     returns an invalid command. A failed controller is tried again at intervals of 60 times
-    ``recovery_time``. After on/off control has pumped, the controller is restarted, since its
+    ``recovery_time``. When on/off control ends, the controller is restarted, since its
     knowledge of the roof and its plan are outdated. The cost of waiting for rain is stored in
     ``state_file``, and thus survives restarts of the node.
 
-    If the node cannot run its controller, it exits. Bringup then restarts the node with
-    ``given_up``, and on/off control is used until the site is restarted.
+    If the node cannot run its controller, it exits. Bringup then restarts the node with on/off
+    control as its controller and ``given_up``, until the site is restarted.
     """
 
     _rain: LiveInput
@@ -109,15 +97,11 @@ class LiveControllerNode(ControllerNode, LiveNode):
         """
         choice = find_controller(controller)
         super().__init__(choice.name, "controller")
-        values = declare(self, [STATE_FILE, GIVEN_UP, EXTERNAL_PUMP])
-        if why := values[GIVEN_UP.name]:
-            choice = replace(choice, given=_given_up(why))
         with time_limit(_STARTING_S):
             _ = choice.kind
         self.prepare(choice)
-        live = declare(self, LIVE_PARAMETERS)
-        self._values: dict[str, float | None] = {}
-        self._levels = Levels(self._site, live, self.subscribe)
+        values = declare(self, [STATE_FILE, GIVEN_UP, EXTERNAL_PUMP, *LIVE_PARAMETERS])
+        self._levels = Levels(self._site, values, self.subscribe)
         self._cistern, self._roof = self._levels.cistern, self._levels.roof
         self._frost = self.subscribe(FROST)
         # Without the others, the node still commands.
@@ -125,34 +109,59 @@ class LiveControllerNode(ControllerNode, LiveNode):
             self.subscribe(name, optional=True) for name in (*FORECASTS, _FLOW, _GAUGE)
         )
         self._hold = self.subscribe(_HOLD) if values[EXTERNAL_PUMP.name] else None
-        self._failure, self._failed_at = "", -math.inf  # the controller's last (steady clock, s)
         self._stand_in = OnOff(self._site, FRACTION.default)
-        self._stand_in_after = _GIVEN_UP * live[RECOVERY.name]
-        self._asked_again_after = _ASKED_AGAIN * live[RECOVERY.name]
+        self._stand_in_after = _GIVEN_UP * values[RECOVERY.name]
+        self._asked_again_after = _ASKED_AGAIN * values[RECOVERY.name]
+        self._failure, self._failed_at = "", -math.inf  # the controller's last (steady clock, s)
         self._lacking_since = math.inf  # lacking a forecast or a working controller (s)
         self._stand_in_since = ""  # when on/off took over, in words; empty if not
-        self._outdated = False
+        self._given_up, self._started = values[GIVEN_UP.name], self._time_in_words()
         file = values[STATE_FILE.name]
         self._learned_file = NumberFile(Path(file)) if file else None
-        self._learned = self._load_learned()
+        self._learned: dict[str, float] = {}
         self._saved_at = time.monotonic()
+        with self._keeping_learned():
+            self._learned = self._learned_file.read() if self._learned_file is not None else {}
         with self._controllers_code(_STARTING_S):
-            self._make()
+            self.make_controller()
 
-    def on_inputs(self) -> None:
-        """Publish the command and the controller's optional outputs."""
-        super().on_inputs()
-        self._expect(self.command)
-        self._values = {
-            "command": self.command,
-            "cistern_level": self._cistern.value if self._cistern.good else None,
-            "roof_level": self._roof.value if self._roof.good else None,
-        }
+    def _time_in_words(self) -> str:
+        return to_people(from_epoch_ns(self.time_ns).replace(microsecond=0))
+
+    # --- the controller's code ----------------------------------------------------------------
+
+    @contextmanager
+    def _controllers_code(self, limit: float) -> Iterator[None]:
+        """Record an error in the controller's code, or a call that exceeds a time limit (s)."""
+        try:
+            with self.deciding(), time_limit(limit):
+                yield
+            return
+        except BaseException as error:  # signals do not raise exceptions in this process
+            self._failure = str(locate_error(self._choice.kind, error))
+        self._failed_at, self.controller = time.monotonic(), None
+
+    def make_controller(self) -> None:
+        """Create a new controller with the values that the previous controller had learned."""
+        super().make_controller()
+        if self._learned and getattr(self.controller, "learned", None) is not None:
+            with self._keeping_learned():
+                self.controller.learned = self._learned
+
+    @contextmanager
+    def _keeping_learned(self) -> Iterator[None]:
+        """Log that learned values are lost, because they cannot be read or are of another class."""
+        try:
+            yield
+        except (ConfigurationError, KeyError) as error:
+            self.get_logger().warning(f"learned values are lost: {error}")
 
     def publish_outputs(self, outputs: Outputs) -> None:
         """Publish the optional outputs; one that cannot be published is the controller's fault."""
         with self._controllers_code(deciding_limit(self._site.tau)):
             super().publish_outputs(outputs)
+
+    # --- decisions ----------------------------------------------------------------------------
 
     def find_command(self, allowed: bool) -> tuple[float, Outputs]:
         """Return the command of the controller or of on/off, and the former's optional outputs."""
@@ -166,39 +175,28 @@ class LiveControllerNode(ControllerNode, LiveNode):
         if decided and failed_for >= self._stand_in_after:
             self._failure = ""
         self._update_stand_in()
-        self._diagnose_failure()
-        self._diagnose_forecast()
         self._save_learned(_SAVE_S)
         if self._stand_in_since:
             levels = self._cistern.value, self._roof.value
             command = self._stand_in.command(*levels, (), ()) if allowed else 0.0
-            self._outdated |= command > 0
         if command and (self._quiet or held or not self.good):
             command = 0.0
+        self._expect_movement()
         return command, outputs
-
-    @contextmanager
-    def _controllers_code(self, limit: float) -> Iterator[None]:
-        """Record an error in the controller's code, or a call that exceeds a time limit (s)."""
-        try:
-            with self.deciding(), time_limit(limit):
-                yield
-            return
-        except BaseException as error:  # signals do not raise exceptions in this process
-            self._failure = str(locate_error(self._choice.kind, error))
-        self._failed_at, self._settings.controller = time.monotonic(), None
 
     def _command_by_controller(self, allowed: bool) -> tuple[float, Outputs, bool]:
         """Return the controller's command and outputs, and whether it has decided.
 
         A forecast that the controller cannot use is rejected.
         """
-        if self._settings.controller is None:
-            self._make()
-        allowed = may_decide(self._settings.controller, allowed, self._quiet)
+        is_new = self.controller is None
+        if is_new:
+            self.make_controller()
+        allowed = may_decide(self.controller, allowed, self._quiet)
         decides = allowed and self._may_use_forecast
-        if decides and self._outdated:
-            self._make()
+        if decides and self._stand_in_since and not is_new:
+            self.make_controller()
+        set_optional(self.controller, gauge_rain=self._measured_rain())
         try:
             command, outputs = self.decide(decides)
         except ControllerError:
@@ -207,103 +205,17 @@ class LiveControllerNode(ControllerNode, LiveNode):
             self._rain.refuse(str(error))  # any other error is the controller's
             decides = allowed and self._may_use_forecast
             command, outputs = self.decide(decides)
-        self._learned = self._read_learned()
+        learned = getattr(self.controller, "learned", None) or {}
+        self._learned = {name: float(value) for name, value in learned.items()}
         return command, outputs, decides
 
-    def decide(self, decides: bool) -> tuple[float, Outputs]:
-        """Tell the controller the measured rain, and return its command and optional outputs."""
-        set_optional(self._settings.controller, gauge_rain=self._measured_rain())
-        return super().decide(decides)
-
-    def _read_learned(self) -> dict[str, float] | None:
-        """Return the values that the controller has learned, which must all be finite numbers."""
-        controller = self._settings.controller
-        learned = getattr(controller, "learned", None)
-        if learned is None:
-            return None
-        if isinstance(learned, dict) and all(
-            value in _FINITE for value in learned.values()
-        ):
-            return {name: float(value) for name, value in learned.items()}
-        kind = type(controller)
-        file, line = find_place(kind, "learned")
-        raise ControllerError(
-            "must be a mapping of names to finite numbers", file=file, line=line,
-            key=f"{kind.__name__}.learned = {learned!r}",
-        )
-
-    def _make(self) -> None:
-        """Create a new controller with the values that the previous controller had learned."""
-        controller, self._outdated = self._settings.make(), False
-        if self._learned and getattr(controller, "learned", None) is not None:
-            try:
-                controller.learned = self._learned
-            except KeyError as error:
-                self.get_logger().warning(f"learned values are lost: {error}")
-                self._settings.make()
-
-    def _update_stand_in(self) -> None:
-        """Switch to on/off control once the controller has failed to decide for too long."""
-        if not self._failure and self._may_use_forecast:
-            self._lacking_since, self._stand_in_since = math.inf, ""
-            return
-        now = time.monotonic()
-        self._lacking_since = min(self._lacking_since, now)
-        if not self._stand_in_since and now - self._lacking_since >= self._stand_in_after:
-            system_time = from_epoch_ns(self.time_ns)
-            self._stand_in_since = to_people(system_time.replace(microsecond=0))
-
-    def _diagnose_failure(self) -> None:
-        if self._failure:
-            case, values, level = "stops", {"why": self._failure}, ERROR
-            if self._stand_in_since:
-                case, values["since"], level = "onoff", self._stand_in_since, WARN
-            self.reports.diagnose(
-                "command", Diagnosis.of("controller_failed", case, **values), level=level
-            )
-        elif "command" in self.reports.diagnoses:
-            self.reports.diagnose("command", None, "the controller is in command again")
-
-    def _load_learned(self) -> dict[str, float] | None:
-        """Return the values that the controller had learned; if lost, warn and return None."""
-        if self._learned_file is None:
-            return None
-        try:
-            return self._learned_file.read()
-        except ConfigurationError as error:
-            self.get_logger().warning(f"learned values are lost: {error}")
-            return None
-
-    def _save_learned(self, every: float) -> None:
-        """Save the learned values if they were last saved at least ``every`` s ago."""
-        now = time.monotonic()
-        if self._learned_file is None or not self._learned or now - self._saved_at < every:
-            return
-        self._saved_at = now
-        if self._learned_file.problem:
-            why = self._learned_file.problem
-            self.get_logger().warning(f"learned values of {self.get_name()} are not saved: {why}")
-        self._learned_file.write(self._learned)
-
-    def on_stop(self) -> None:
-        """Save the values that the controller has learned."""
-        if self._learned_file is not None:
-            self._save_learned(0.0)
-            self._learned_file.close()
-
-    def _expect(self, command: float) -> None:
+    def _expect_movement(self) -> None:
         """Set the level changes expected in a tick, based on the pump's flow.
 
-        The flow is received from the pump, or is computed from the command if none has ever been
-        received. An invalid flow is treated as 0, since the pump may be stopped; a constant level
-        then does not count as frozen.
+        An unknown flow is treated as 0, since the pump may be stopped; a constant level then does
+        not count as frozen.
         """
-        site, flow = self._site, self._flow.value if self._flow.good else 0.0
-        if not self._flow.received:
-            cistern, roof = self._cistern.value, self._roof.value
-            volumes = site.cistern_volume(cistern), site.roof_volume(roof)
-            flow = pump_flow(plant_parameters(site), *volumes, min(command, 1.0))
-        self._levels.expect(flow)
+        self._levels.expect(self._flow.value if self._flow.good else 0.0)
 
     def _measured_rain(self) -> float:
         """Return the rain from the gauge (m/s); 0 without a valid reading."""
@@ -318,42 +230,71 @@ class LiveControllerNode(ControllerNode, LiveNode):
     def _find_bad_forecast(self) -> Diagnosis | None:
         return bad_inputs((self._rain, self._evapotranspiration))
 
+    # --- the stand-in -------------------------------------------------------------------------
+
+    def _update_stand_in(self) -> None:
+        """Switch to on/off control once the controller has failed to decide for too long."""
+        now = time.monotonic()
+        if not self._failure and self._may_use_forecast:
+            self._lacking_since, self._stand_in_since = math.inf, ""
+        else:
+            self._lacking_since = min(self._lacking_since, now)
+            if not self._stand_in_since and now - self._lacking_since >= self._stand_in_after:
+                self._stand_in_since = self._time_in_words()
+        self._diagnose_failure()
+        self._diagnose_forecast()
+
+    def _diagnose_failure(self) -> None:
+        since = self._stand_in_since if self._failure else self._started
+        if why := self._failure or self._given_up:
+            case, level = ("onoff", WARN) if since else ("stops", ERROR)
+            diagnosis = Diagnosis.of("controller_failed", case, why=why, since=since)
+            self.reports.diagnose("command", diagnosis, level=level)
+        elif "command" in self.reports.parts:
+            self.reports.diagnose("command", None, "the controller is in command again")
+
     def _diagnose_forecast(self) -> None:
         """Report a problem with the forecasts.
 
         A controller that can do without a forecast continues to issue commands; if the site never
         had a forecast, nothing is reported.
         """
-        needs = self._choice.needs_forecast
-        if not needs and not ("horizon" in self._choice.parameters and self._rain.received):
+        can_use = "horizon" in self._choice.parameters and self._rain.received
+        if not (can_use or self._choice.needs_forecast):
             return
-        bad = self._find_bad_forecast()
-        if bad is None:
-            self.reports.diagnose("forecast", None, "the forecast is valid")
-            return
-        values = {"problem": bad.sentence, "topic": bad.values["topic"]}
-        case = "bad" if needs else "without"
-        if needs and self._stand_in_since:
-            case, values["since"] = "onoff", self._stand_in_since
-        self.reports.diagnose(
-            "forecast", Diagnosis.of("no_forecast", case, **values), level=WARN, cause=bad.code
+        bad, since = self._find_bad_forecast(), self._stand_in_since
+        diagnosis = bad and Diagnosis.of(
+            "no_forecast", "onoff" if since else "without", since=since, problem=bad.sentence,
+            topic=bad.values["topic"],
         )
+        cause = bad.code if bad else ""
+        self.reports.diagnose("forecast", diagnosis, "the forecast is valid", WARN, cause)
+
+    # --- what is kept and reported ------------------------------------------------------------
+
+    def _save_learned(self, every: float) -> None:
+        """Save the learned values if they were last saved at least ``every`` s ago."""
+        now = time.monotonic()
+        if self._learned_file is None or not self._learned or now - self._saved_at < every:
+            return
+        self._saved_at = now
+        if why := self._learned_file.problem:
+            self.get_logger().warning(f"learned values of {self.get_name()} are not saved: {why}")
+        self._learned_file.write(self._learned)
+
+    def on_stop(self) -> None:
+        """Save the values that the controller has learned."""
+        self._save_learned(0.0)
+        if self._learned_file is not None:
+            self._learned_file.close()
 
     def progress(self) -> dict[str, Any]:
         """Return the changed parameters, and the values that bringup shows."""
-        return {**super().progress(), **self._values}
-
-
-def _given_up(why: str) -> type[OnOff]:
-    """Return a controller class that cannot be instantiated, for the given reason."""
-
-    class GivenUp(OnOff):
-        parameters = ()
-
-        def __init__(self, site: Site) -> None:
-            raise ConfigurationError(why)
-
-    return GivenUp
+        levels = {"cistern_level": self._cistern, "roof_level": self._roof}
+        return {
+            **super().progress(), "command": self.command,
+            **{name: entry.value if entry.good else None for name, entry in levels.items()},
+        }
 
 
 main = live_command(

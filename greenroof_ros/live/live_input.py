@@ -16,7 +16,6 @@ from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.topics import Topic
 from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.pumping.input_rules import AWAITED, InputRules
-from greenroof_ros.ros.errors import MalformedMessageError
 from greenroof_ros.ros.inputs import Input
 from greenroof_ros.ros.messages import qos_profile
 from greenroof_ros.ros.publishers import DISCOVERY_S, Publishers
@@ -131,11 +130,7 @@ class LiveInput(Input):
     def receive(self, message: bytes) -> None:
         """Receive the value of a message, or 0 if the value must be rejected, and check it."""
         self.received, self._unknown = True, False
-        try:
-            super().receive(message)
-        except MalformedMessageError as error:
-            self.refused += 1
-            self.refusal = str(error)
+        super().receive(message)
         refused = None
         if self.refusal:
             case = "unknown" if self._unknown else "refused"
@@ -157,11 +152,11 @@ class LiveInput(Input):
         self.rules.refuse(boot_time(), why)
         self.check()
 
-    def _refuse(self, value: float, instead: Any) -> None:
+    def _refuse(self, value: float, why: str) -> None:
+        super()._refuse(value, why)
         if self.topic.may_be_unknown and math.isnan(value):
-            self.value, self.refusal, self._unknown = instead, "unknown", True
-            return
-        super()._refuse(value, instead)
+            self.refused -= 1  # its publisher does not know it, which is no fault
+            self.refusal, self._unknown = "unknown", True
 
 
 def bad_inputs(inputs: Iterable[LiveInput]) -> Diagnosis | None:

@@ -13,24 +13,24 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from rclpy.executors import SingleThreadedExecutor
 
-from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.interface.states import READY
+from greenroof_ros.interface.conditions import Diagnosis
+from greenroof_ros.interface.states import READY, DriveState
+from greenroof_ros.live import heartbeat
 from greenroof_ros.live.boot_clock import boot_time, suspended_time
+from greenroof_ros.live.heartbeat import NOT_REQUIRED, Beat
 from greenroof_ros.live.levels import LIMITS, RECOVERY
-from greenroof_ros.live.live_diagnostics import ERROR, WARN, LiveDiagnostics
 from greenroof_ros.live.live_input import LiveInput, LivePublishers, bad_inputs
 from greenroof_ros.live.live_topics import read_live_topics
 from greenroof_ros.live.pumping.input_rules import AWAITED, InputRules, LevelRule
 from greenroof_ros.live.valve import refuse_valve
+from greenroof_ros.ros.diagnostics import ERROR, WARN
 from greenroof_ros.ros.executable import node_command
 from greenroof_ros.ros.graph_node import GraphNode
-from greenroof_ros.ros.messages import pass_whole
-from greenroof_ros.ros.parameters import USE_SIM_TIME, fix
-from greenroof_ros.ros.publishers import DISCOVERY_S
+from greenroof_ros.ros.messages import decoder
 from greenroof_ros.ros.reports import PAUSE_S
 from greenroof_ros.ros.spin import start_receiving
 from greenroof_ros.site.site import Site
@@ -39,9 +39,6 @@ from greenroof_ros.site.site import Site
 _FIRST_S = 1.0
 # Longest time for which a node waits for messages before it checks clocks and signals again (s).
 _CHECK_S = 0.05
-# Interval at which a node reports its state to the supervisor (s), which kills a silent pump node
-# after 2 s; on /diagnostics it reports once a second.
-_REPORT_S = 0.25
 
 
 class LiveNode(GraphNode):
@@ -55,8 +52,6 @@ class LiveNode(GraphNode):
     methods and ``progress``.
     """
 
-    reports: LiveDiagnostics
-
     def __init__(self, name: str, role: str) -> None:
         """Join the graph.
 
@@ -67,18 +62,12 @@ class LiveNode(GraphNode):
         Raises:
             ConfigurationError: if the ROS arguments or a parameter file are invalid.
         """
-        super().__init__(name, role, read_live_topics(), LiveDiagnostics)
+        super().__init__(name, role, read_live_topics())
+        heartbeat.states[name] = Beat(0)
         self.inputs: dict[str, LiveInput] = {}
-        if self.get_parameter(USE_SIM_TIME).value:
-            raise ConfigurationError(
-                "must be false: a live site runs on the steady clock",
-                key=f"parameter {USE_SIM_TIME} of {name}", value="true",
-            )
-        fix(self, USE_SIM_TIME, False, "must be false: this node is in a live graph")
-        self._tick = 0
         self._period = self._due = math.inf  # without a site, the node only reacts
         self._awake_at = self._ignoring_until = boot_time()
-        self._checked = self._reported = self._warned = -math.inf
+        self._checked = -math.inf
 
     # --- to override ------------------------------------------------------------------------
 
@@ -137,8 +126,13 @@ class LiveNode(GraphNode):
     def record(self, name: str, callback: Callable[[bytes], None]) -> None:
         """Pass every serialised message on a topic of any type to a callback."""
         topic = self.interface[name]
-        publishers = LivePublishers(self, topic, recorded=True)
-        self._open(publishers, pass_whole(topic.type, callback))
+        decode = decoder(topic.type)
+
+        def receive(message: bytes) -> None:
+            decode(message)  # a malformed message is not recorded
+            callback(message)
+
+        self._open(LivePublishers(self, topic, recorded=True), receive)
 
     def _open(self, publishers: LivePublishers, callback: Callable[[bytes], None]) -> None:
         self.peers.publishers[publishers.topic.name] = publishers
@@ -149,24 +143,20 @@ class LiveNode(GraphNode):
     # --- running ----------------------------------------------------------------------------
 
     @property
-    def tick(self) -> int:
-        """The number of the node's next tick."""
-        return self._tick
-
-    @property
     def acted(self) -> bool:
         """Whether the node has acted or is acting; always true without a period."""
-        return self._tick > 0 or math.isinf(self._period)
+        return self.tick > 0 or math.isinf(self._period)
 
     @property
     def good(self) -> bool:
         """Whether all required inputs satisfy their rules."""
         self.check_inputs()
-        return all(entry.good for entry in self._required)
+        return self._find_bad_input() is None
 
-    @property
-    def _required(self) -> list[LiveInput]:
-        return [entry for entry in self.inputs.values() if not entry.publishers.optional]
+    def _find_bad_input(self) -> Diagnosis | None:
+        return bad_inputs(
+            entry for entry in self.inputs.values() if not entry.publishers.optional
+        )
 
     def check_inputs(self) -> None:
         """Check all inputs at the current time; after a pause of this process, all are too old."""
@@ -193,19 +183,9 @@ class LiveNode(GraphNode):
         if self.failure is not None:
             raise self.failure
         self._act_if_due()
-        if now - self._checked < _CHECK_S:  # asking ROS takes milliseconds: not for every message
-            return
-        self._checked = now
-        self.on_timer(now)
-        if now - self._warned >= DISCOVERY_S:
-            self._warned = now
-            self.warn(self.peers.warnings(now))
-        begins = not self.ready and self.acted and not self.peers.absent()
-        if begins:
-            self.reports.state = READY
-        if begins or self.reports.urgent or now - self._reported > _REPORT_S:
-            self._reported = now
-            self.report_state()
+        if now - self._checked >= _CHECK_S:  # asking ROS takes milliseconds: not for every message
+            self._checked = now
+            super().check(now)
 
     def _act_if_due(self) -> None:
         """Act if the period has passed; periods that were missed during a pause are skipped."""
@@ -215,11 +195,10 @@ class LiveNode(GraphNode):
             return
         self._due += (math.floor((now - self._due) / self._period) + 1) * self._period
         self.check_inputs()
-        if required := self._required:
-            bad = bad_inputs(required)
-            level = WARN if bad is not None and bad.code in AWAITED else ERROR
-            self.reports.diagnose("inputs", bad, "all inputs are valid", level)
-        self._tick += 1
+        bad = self._find_bad_input()
+        level = WARN if bad is not None and bad.code in AWAITED else ERROR
+        self.reports.diagnose("inputs", bad, "all inputs are valid", level)
+        self.tick += 1
         with self.deciding():
             self.on_inputs()
 
@@ -247,26 +226,48 @@ class LiveNode(GraphNode):
                 entry.rules.clear(now, passed)
                 entry.check()
 
+    def report_state(self, **values: Any) -> None:
+        """Report the node's state, and send a heartbeat, since bringup must notice a hang soon."""
+        super().report_state(**values)
+        shown, beat = self.reports.values, Beat(0)
+        if self.reports.state == READY or self.role in NOT_REQUIRED:
+            beat |= Beat.READY
+        if shown.get("at_rest") is True:
+            beat |= Beat.AT_REST
+        if shown.get("drive_state") not in (None, DriveState.CONNECTING.value):
+            beat |= Beat.REACHED
+        heartbeat.send_beat(self.get_name(), beat)
 
-def spin(nodes: Sequence[LiveNode], check: Callable[[], None]) -> NoReturn:
+
+def spin(
+    nodes: Sequence[Any], check: Callable[[], None],
+    fail: Callable[[Any, Exception], None] | None = None,
+) -> NoReturn:
     """Run the live nodes of this process until one fails or a check ends them.
 
     The function does not use rclpy's fast executor, which publisher events can lock up
     (rmw_fastrtps, pull request 890).
 
     Args:
-        nodes: the nodes.
+        nodes: the nodes, which may become other nodes in the meantime.
         check: function that is called at least 20 times a second and may raise an exception.
+        fail: function that removes a node that has failed; None to raise the error.
     """
     executor = SingleThreadedExecutor()
-    for node in nodes:
-        node.on_start()
-        start_receiving(executor, node)
     while True:
         check()
-        executor.spin_once(timeout_sec=min(node.wait_s for node in nodes))
-        for node in nodes:
-            node.check(time.monotonic())
+        for node in tuple(nodes):
+            try:
+                if node not in executor.get_nodes():
+                    node.on_start()
+                    start_receiving(executor, node)
+                node.check(time.monotonic())
+            except Exception as error:  # whatever it is, it must not end the other nodes
+                if fail is None:
+                    raise
+                executor.remove_node(node)
+                fail(node, error)
+        executor.spin_once(timeout_sec=min([_CHECK_S, *(node.wait_s for node in nodes)]))
 
 
 live_command = partial(node_command, spin=spin)

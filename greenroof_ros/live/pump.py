@@ -40,13 +40,13 @@ from greenroof_ros.live.devices.exchange import (
     read_endpoint,
 )
 from greenroof_ros.live.levels import Levels, live_parameters
-from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.live_input import bad_inputs
 from greenroof_ros.live.node import live_command
 from greenroof_ros.live.pumping.interlocks import Decision
 from greenroof_ros.live.pumping.limits import Observation, PumpSettings, pump_parameters
 from greenroof_ros.live.pumping.pump_control import PumpControl, drive_fault
 from greenroof_ros.physics.pump import STANDSTILL
+from greenroof_ros.ros.diagnostics import ERROR, WARN
 from greenroof_ros.ros.parameters import site_file
 from greenroof_ros.ros.reports import PAUSE_S
 from greenroof_ros.site.site import Site

@@ -20,15 +20,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.serialization import deserialize_message
-
 from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.interface.conditions import Diagnosis, identity_of
 from greenroof_ros.live.live_bag import LiveBag
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.ros.parameters import declare
+from greenroof_ros.ros.reports import read_statuses
 from greenroof_ros.site.site import Site
 
 # A file of the bag is neither larger than this nor than a tenth of the whole bag.
@@ -53,34 +51,30 @@ def parameters(site: Site | None = None) -> list[Parameter]:
     ]
 
 
-class ReportFilter:
-    """Filter that selects the reports on /diagnostics to be recorded."""
+Recorded = dict[str, tuple[list[tuple[object, ...]], float]]
+"""what each sender's last recorded report showed, and when it arrived (steady clock, s)"""
 
-    def __init__(self) -> None:
-        """Initialize without a report."""
-        # What each sender's last recorded report showed, and when it arrived (steady clock, s).
-        self._recorded: dict[str, tuple[list[tuple[object, ...]], float]] = {}
 
-    def passes(self, message: bytes, now: float) -> bool:
-        """Return whether a report shows a change, or is the sender's first in ten seconds.
+def shows_change(message: bytes, now: float, recorded: Recorded) -> bool:
+    """Return whether a report shows a change, or is the sender's first in ten seconds.
 
-        Args:
-            message: a serialised ``diagnostic_msgs/msg/DiagnosticArray``.
-            now: time of the steady clock (s).
-        """
-        statuses = deserialize_message(message, DiagnosticArray).status
-        shown: list[tuple[object, ...]] = []
-        for status in statuses:
-            values = {entry.key: entry.value for entry in status.values}
-            # A node's own message is its state; any other is a sentence, which may contain numbers.
-            state = status.message if "role" in values else ""
-            shown.append((status.name, status.level, identity_of(values), state))
-        sender = statuses[0].name if statuses else ""
-        before, recorded_at = self._recorded.get(sender, (None, 0.0))
-        if shown == before and now - recorded_at < _UNCHANGED_S:
-            return False
-        self._recorded[sender] = shown, now
-        return True
+    Args:
+        message: a serialised ``diagnostic_msgs/msg/DiagnosticArray``.
+        now: time of the steady clock (s).
+        recorded: the last recorded reports, by sender.
+    """
+    _, statuses = read_statuses(message)
+    # A node's own message is its state; any other is a sentence, which may contain numbers.
+    shown: list[tuple[object, ...]] = [
+        (status.name, status.level, identity_of(status.values),
+         status.message if "role" in status.values else "") for status in statuses
+    ]
+    sender = statuses[0].name if statuses else ""
+    before, recorded_at = recorded.get(sender, (None, 0.0))
+    if shown == before and now - recorded_at < _UNCHANGED_S:
+        return False
+    recorded[sender] = shown, now
+    return True
 
 
 class LiveRecorderNode(LiveNode):
@@ -104,7 +98,7 @@ class LiveRecorderNode(LiveNode):
             file_bytes=int(min(_FILE_BYTES, total / 10)),
             total_bytes=int(total),
         )
-        self._reports = ReportFilter()
+        self._recorded: Recorded = {}
         self._unwritten = 0  # messages for which there was no room in memory
         self._updated_at = time.monotonic()
         for name, topic in topics.items():
@@ -113,7 +107,7 @@ class LiveRecorderNode(LiveNode):
     def _queue(self, name: str, message: bytes) -> None:
         """Queue a message for writing, with its time of arrival."""
         now = time.monotonic()
-        if name == _DIAGNOSTICS and not self._reports.passes(message, now):
+        if name == _DIAGNOSTICS and not shows_change(message, now, self._recorded):
             return
         write = partial(self._bag.write, name, time.time_ns(), message, now)
         if not DISK.do(write, len(message)):
@@ -124,11 +118,9 @@ class LiveRecorderNode(LiveNode):
         if now - self._updated_at > _UPDATE_S:
             self._updated_at = now
             DISK.do(partial(self._bag.flush_if_due, now))
-        directory, why, diagnosis = str(self._bag.directory), self._bag.problem, None
-        if DISK.late:
-            diagnosis = Diagnosis.of("not_recorded", "late", directory=directory)
-        elif why:
-            diagnosis = Diagnosis.of("not_recorded", "why", why=why)
+        directory = self._bag.directory
+        why = f"{directory}: the disk does not respond" if DISK.late else self._bag.problem
+        diagnosis = Diagnosis.if_any("not_recorded", why)
         self.reports.diagnose("recording", diagnosis, f"recording to {directory}")
 
     def progress(self) -> dict[str, Any]:
@@ -140,11 +132,10 @@ class LiveRecorderNode(LiveNode):
 
     def on_stop(self) -> None:
         """Close the bag; if the disk hangs, leave the bag as if the node had been killed."""
-        problem = ""
-        if not (DISK.do(self._bag.close) and DISK.wait(_WRITTEN_S)):
-            problem = f"{self._bag.directory}: the disk does not respond; the bag was not closed"
-        if problem or self._bag.problem:
-            self.get_logger().error(problem or self._bag.problem)
+        is_closed = DISK.do(self._bag.close) and DISK.wait(_WRITTEN_S)
+        if not is_closed or self._bag.problem:
+            why = self._bag.problem or "the disk does not respond"
+            self.get_logger().error(f"{self._bag.directory} was not closed: {why}")
 
 
 main = live_command(LiveRecorderNode, "live.recorder", __doc__, parameters)

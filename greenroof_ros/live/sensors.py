@@ -23,8 +23,8 @@ from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.devices.sensor import ModbusReader, MqttReader, SensorLine
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS, ModbusSensor, read_sensors
 from greenroof_ros.live.levels import LIMITS
-from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.node import LiveNode, live_command
+from greenroof_ros.ros.diagnostics import ERROR, WARN
 from greenroof_ros.ros.parameters import declare
 
 

@@ -13,18 +13,14 @@ from greenroof_ros.ros import begin_node
 
 begin_node(__name__)
 
-import argparse
-import math
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from rclpy.executors import SingleThreadedExecutor
-
 from greenroof_ros.base.command_line import command
 from greenroof_ros.base.standard_error import Lines
-from greenroof_ros.live.node import LiveNode
+from greenroof_ros.live.node import LiveNode, spin
 from greenroof_ros.live.recorder import LiveRecorderNode
 from greenroof_ros.live.restarts import Restarts
 from greenroof_ros.live.sensors import sensor_makers
@@ -32,28 +28,9 @@ from greenroof_ros.live.weather import LiveWeatherNode
 from greenroof_ros.nodes.alarms import AlarmsNode
 from greenroof_ros.ros.errors import print_failure
 from greenroof_ros.ros.executable import NodeParser, run_nodes
-from greenroof_ros.ros.spin import end_nodes, start_receiving
-
-# Longest wait for a message while no node asks for less (s).
-_WAIT_S = 0.05
+from greenroof_ros.ros.spin import end_nodes
 
 Make = Callable[[], LiveNode | AlarmsNode]
-
-
-class _Place:
-    """A node's place in the station: what makes it, and when."""
-
-    def __init__(self, make: Make, node: LiveNode | AlarmsNode) -> None:
-        self.make = make
-        self.node: LiveNode | AlarmsNode | None = node
-        self.is_required = isinstance(node, AlarmsNode)  # without it, nobody reports an alarm
-        self.due = math.inf  # when it is made again (steady clock, s)
-        self._restarts = Restarts()
-
-    def fail(self, now: float) -> None:
-        """Note a failure, and set when the node is made again."""
-        self.node, wait = None, self._restarts.wait(now)
-        self.due = math.inf if wait is None else now + wait
 
 
 def keep_nodes(
@@ -66,45 +43,39 @@ def keep_nodes(
         nodes: the nodes, in the same order; from then on, those that are running.
         check: function that is called at least 20 times a second and may raise an exception.
     """
-    executor = SingleThreadedExecutor()
-    places = [_Place(make, node) for make, node in zip(makers, nodes, strict=True)]
-    for node in nodes:
-        node.on_start()
-        start_receiving(executor, node)
-    while True:
+    made: dict[LiveNode | AlarmsNode, Make] = dict(zip(nodes, makers, strict=True))
+    restarts = {make: Restarts() for make in makers}
+    due: dict[Make, float] = {}  # when a node is made again (steady clock, s)
+
+    def postpone(make: Make) -> bool:
+        """Set when a node is made again; return False if it has failed too often."""
+        wait = restarts[make].wait(time.monotonic())
+        if wait is not None:
+            due[make] = time.monotonic() + wait
+        return wait is not None
+
+    def fail(node: LiveNode | AlarmsNode, error: Exception) -> None:
+        failure, _ = print_failure(error)
+        nodes.remove(node)
+        end_nodes([node], failure)
+        node.destroy_node()
+        if not postpone(made.pop(node)) and isinstance(node, AlarmsNode):
+            raise error  # without it, nobody reports an alarm
+
+    def make_due() -> None:
         check()
-        executor.spin_once(timeout_sec=min([_WAIT_S, *(node.wait_s for node in nodes)]))
-        for place in places:
-            now = time.monotonic()
+        for make in [make for make, at in due.items() if at <= time.monotonic()]:
+            del due[make]
             try:
-                if place.node is not None:
-                    place.node.check(now)
-                elif now >= place.due:
-                    place.node = place.make()
-                    nodes.append(place.node)
-                    place.node.on_start()
-                    start_receiving(executor, place.node)
-            except Exception as error:  # whatever it is, it must not end the other nodes
-                failure, _ = print_failure(error)
-                failed = place.node
-                if failed is not None:
-                    nodes.remove(failed)
-                    executor.remove_node(failed)
-                    end_nodes([failed], failure)
-                    failed.destroy_node()
-                place.fail(now)
-                if math.isinf(place.due) and place.is_required:
-                    raise
+                node = make()
+            except Exception as error:
+                print_failure(error)
+                postpone(make)
+            else:
+                made[node] = make
+                nodes.append(node)
 
-
-def _list_makers(arguments: argparse.Namespace) -> list[Make]:
-    """Return what makes the nodes of the command line, in the order in which they end."""
-    makers: list[Make] = []
-    if arguments.sensors is not None:
-        makers += sensor_makers(arguments.sensors)
-    if arguments.weather:
-        makers.append(LiveWeatherNode)
-    return [*makers, LiveRecorderNode, partial(AlarmsNode, Lines(1))]
+    spin(nodes, make_due, fail)
 
 
 @command
@@ -113,7 +84,13 @@ def main() -> int:
     parser = NodeParser(description=__doc__)
     parser.add_argument("--sensors", type=Path, help="sensor file")
     parser.add_argument("--weather", action="store_true", help="run the weather node")
-    makers = _list_makers(parser.parse_own_args())
+    arguments = parser.parse_own_args()
+    # In the order in which they end.
+    makers: list[Make] = [LiveRecorderNode, partial(AlarmsNode, Lines(1))]
+    if arguments.weather:
+        makers.insert(0, LiveWeatherNode)
+    if arguments.sensors is not None:
+        makers = [*sensor_makers(arguments.sensors), *makers]
     return run_nodes(lambda: [make() for make in makers], partial(keep_nodes, makers))
 
 

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.base.disk import DiskThread
-from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import from_epoch_ns, to_people
 from greenroof_ros.forecast.issue import IssuedForecast
@@ -39,15 +38,18 @@ from greenroof_ros.forecast.service import (
 from greenroof_ros.forecast.steps import Outlook
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.levels import live_parameters
-from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.live_input import LiveInput
 from greenroof_ros.live.node import LiveNode, live_command
+from greenroof_ros.live.pumping.input_rules import AWAITED
 from greenroof_ros.nodes.weather import WeatherNode
+from greenroof_ros.ros.diagnostics import ERROR, WARN
 from greenroof_ros.ros.parameters import declare, look_ahead_parameters, site_file
 from greenroof_ros.site.site import Site
 
 # How long the start waits for the first forecast (s), which is more than most files take.
 _FIRST_READ_S = 1.0
+# Interval at which forecasts are fetched (s).
+_FETCH_S = 1800.0
 _GAUGES = ("/gauge/precipitation", "/gauge/temperature")
 
 
@@ -72,9 +74,6 @@ def parameters(site: Site) -> list[Parameter]:
         ),
         Parameter("fetch_url", "", meaning="address of an Open-Meteo-compatible server; if empty, "
             "Open-Meteo's own server is used"),
-        Parameter(
-            "fetch_every", 30.0, "min", 10.0, 1440.0, "interval at which forecasts are fetched"
-        ),
         Parameter(
             "issue_limit", 7200.0, "s", 1.0, 1e6,
                 "maximum age of the latest forecast in the file, counted from its time of issue",
@@ -102,54 +101,19 @@ class LiveWeatherNode(WeatherNode, LiveNode):
         self._unknown_frost = 0.0 if values["unknown_frost_may_pump"] else math.nan
         # A file with many members, or on a slow disk, takes seconds to read.
         self._reader = DiskThread()
-        self._forecast: LiveForecast | None = None
+        self._file = ForecastFile(file := Path(values["forecast"])) if values["forecast"] else None
         self._fetcher: Fetcher | None = None
-        self._unkept = ""  # why the last fetched forecast is not kept
-        if values["forecast"]:
-            self._file = ForecastFile(file := Path(values["forecast"]))
-            if file.suffix.lower() != ".csv":
-                raise ConfigurationError(
-                    "must be a FILE.csv, or empty for none", key="parameter forecast of weather",
-                    value=values["forecast"],
-                )
-            self._forecast = LiveForecast(
-                site, values["horizon"], values["issue_limit"], values["all_members"]
-            )
+        self._forecast = LiveForecast(
+            site, values["horizon"], values["issue_limit"], values["all_members"]
+        )
+        if self._file is not None:
             self._reader.do(self._file.update)
             self._reader.wait(_FIRST_READ_S)
             self._fetcher = self._fetch(values, file) if values["fetch"] else None
-        self._gauges: set[str] = set()  # those that have been good
         self._rain_gauge, self._thermometer = (
             self.subscribe(name, optional=True) for name in _GAUGES
         )
         self.open_weather(site, values["horizon"])
-
-    def on_inputs(self) -> None:
-        """Publish the values known now; subscribers recognize a missing value by its age."""
-        now = from_epoch_ns(self.time_ns)
-        rain = self._rain_gauge.value if self._rain_gauge.good else None
-        forecast, outlook, instead = self._forecast, None, "unknown"
-        why = "no thermometer reading"
-        if self._thermometer.received and self._thermometer.diagnosis is not None:
-            why = self._thermometer.diagnosis.sentence
-        if forecast is not None:
-            outlook, instead = self._outlook(forecast, now, rain), "forecast"
-            lacks = "no forecast" if outlook is None else "the forecast has no temperature column"
-            why += f", and {lacks}"
-        temperature, evapotranspiration = math.nan, _find_monthly_mean(self._site, now)
-        if outlook is not None:
-            temperature, rain = outlook.temperature, outlook.rain_now
-            evapotranspiration = outlook.evapotranspiration_now
-        if self._thermometer.good:
-            temperature = self._thermometer.value
-        source = "measured" if self._thermometer.good else "forecast"
-        frost = self._frost(temperature, source, why)
-        self.publish_weather(frost, outlook, rain, evapotranspiration)
-        self._diagnose_gauge("rain gauge", self._rain_gauge, f"the current rain rate is {instead}")
-        self._diagnose_gauge(
-            "thermometer", self._thermometer, f"the current temperature is {instead}"
-        )
-        self._diagnose_service()
 
     def _fetch(self, values: dict[str, Any], file: Path) -> Fetcher:
         """Start fetching forecasts on a separate thread."""
@@ -159,52 +123,60 @@ class LiveWeatherNode(WeatherNode, LiveNode):
             days=min(days, MAX_DAYS), url=values["fetch_url"],
         )
         files = ForecastFiles(file, file.with_suffix(""))
-        self._kept = LatestWriter[IssuedForecast](files.write)
-        fetcher = Fetcher(service, self._kept.write, 60 * values["fetch_every"])
+        kept = LatestWriter[IssuedForecast](files.write)
+        fetcher = Fetcher(service, kept.write, _FETCH_S)
         fetcher.start()
         return fetcher
 
-    def _diagnose_service(self) -> None:
-        if self._fetcher is None:
-            return
-        unfetched = Diagnosis.if_any("forecast_not_fetched", self._fetcher.problem)
-        self.reports.diagnose("forecast service", unfetched, ATTRIBUTION, WARN)
-        before, self._unkept = self._unkept, self._kept.problem
-        if self._unkept not in ("", before):
-            self.get_logger().warning(
-                f"the forecast is used, but has not been saved: {self._unkept}")
+    def on_inputs(self) -> None:
+        """Publish the values known now; subscribers recognize a missing value by its age."""
+        now = from_epoch_ns(self.time_ns)
+        rain = self._rain_gauge.value if self._rain_gauge.good else None
+        outlook = None if self._file is None else self._find_outlook(self._file, now, rain)
+        temperature, evapotranspiration = math.nan, _find_monthly_mean(self._site, now)
+        if outlook is not None:
+            temperature, rain = outlook.temperature, outlook.rain_now
+            evapotranspiration = outlook.evapotranspiration_now
+        if self._thermometer.good:
+            temperature = self._thermometer.value
+        frost = self._unknown_frost if math.isnan(temperature) else float(temperature <= 0)
+        self.publish_weather(frost, outlook, rain, evapotranspiration)
+        self._diagnose_frost(temperature, outlook is not None)
+        self._diagnose_gauge("rain gauge", self._rain_gauge)
+        self._diagnose_gauge("thermometer", self._thermometer)
+        if self._fetcher is not None:
+            unfetched = Diagnosis.if_any("forecast_not_fetched", self._fetcher.problem)
+            self.reports.diagnose("forecast service", unfetched, ATTRIBUTION, WARN)
 
     def progress(self) -> dict[str, Any]:
         """Return the source of the forecast, which its licence requires to be shown."""
         return {} if self._fetcher is None else {"forecast_by": ATTRIBUTION}
 
-    def _outlook(
-        self, forecast: LiveForecast, now: datetime, rain: float | None
+    def _find_outlook(
+        self, file: ForecastFile, now: datetime, rain: float | None
     ) -> Outlook | None:
         """Return the outlook, or None without a forecast; report its time of issue or a problem.
 
         Args:
-            forecast: forecast for the look-ahead.
+            file: the forecast file.
             now: the current time.
             rain: rain from the gauge (m/s); None if unknown.
         """
-        problem, forecast.issues = "", self._file.issues
+        problem, self._forecast.issues = "", file.issues
         if self._fetcher is None:
-            self._reader.do(self._file.update)
-            problem = self._file.problem
+            self._reader.do(file.update)
+            problem = file.problem
         elif self._fetcher.newest is not None:
-            forecast.issues = [self._fetcher.newest]
-        unreadable = "forecast_unreadable" if problem else ""
+            self._forecast.issues = [self._fetcher.newest]
         try:
-            outlook, short = forecast.at(now, rain), forecast.shortage(now)
+            outlook = self._forecast.at(now, rain)
         except NoForecastError as error:
-            reading = "the file is still being read" if self._reader.late else ""
-            why = "; ".join(filter(None, [str(error), problem, reading]))
-            code = "forecast_missing" if self._fetcher is None else "forecast_service_silent"
-            self.reports.diagnose("forecast", Diagnosis.of(code, why=why), cause=unreadable)
+            why = "; ".join(filter(None, [str(error), problem]))
+            self.reports.diagnose("forecast", Diagnosis.of("forecast_missing", why=why))
             return None
         assert outlook.issued is not None
-        issued, wrong = to_people(outlook.issued), Diagnosis.if_any("forecast_short", short)
+        issued = to_people(outlook.issued)
+        wrong = Diagnosis.if_any("forecast_short", self._forecast.shortage(now))
         if problem:
             wrong = Diagnosis.of("forecast_unreadable", issued=issued, why=problem)
         self.reports.diagnose(
@@ -212,55 +184,38 @@ class LiveWeatherNode(WeatherNode, LiveNode):
         )
         return outlook
 
-    def _frost(self, temperature: float, source: str, why: str) -> float:
-        """Return 1 in frost, otherwise 0.
-
-        If the temperature is unknown, report this and return NaN, or 0 if that is allowed.
+    def _diagnose_frost(self, temperature: float, forecast: bool) -> None:
+        """Report frost, or an unknown temperature.
 
         Args:
             temperature: air temperature (degC); NaN if unknown.
-            source: ``measured`` or ``forecast``.
-            why: reason why the temperature is unknown, if it is.
+            forecast: whether there is a forecast.
         """
-        if not math.isnan(temperature):
-            freezing = Diagnosis.of("freezing", source, temperature=temperature)
-            self.reports.diagnose(
-                "frost", freezing if temperature <= 0 else None, "the temperature is known", WARN
-            )
-            return float(temperature <= 0)
-        level, case = (ERROR, "off") if math.isnan(self._unknown_frost) else (WARN, "may_run")
-        diagnosis = Diagnosis.of("temperature_unknown", case, why=why)
-        self.reports.diagnose("frost", diagnosis.change_code(self._temperature_code()), level=level)
-        return self._unknown_frost
+        gauge, diagnosis, level = self._thermometer, None, WARN
+        if temperature <= 0:
+            source = "measured" if gauge.good else "forecast"
+            diagnosis = Diagnosis.of("freezing", source, temperature=temperature)
+        elif math.isnan(temperature):
+            lost = gauge.diagnosis if gauge.received else None
+            why = "no thermometer reading" if lost is None else lost.sentence
+            why += ", and the forecast has no temperature column" if forecast else ", no forecast"
+            level, case = (ERROR, "off") if math.isnan(self._unknown_frost) else (WARN, "may_run")
+            diagnosis = Diagnosis.of("temperature_unknown", case, why=why)
+            if lost is not None and lost.code in AWAITED:  # it will soon be known
+                diagnosis = diagnosis.change_code(lost.code)
+        self.reports.diagnose("frost", diagnosis, "the temperature is known", level)
 
-    def _temperature_code(self) -> str:
-        """Return the code for an unknown temperature, which depends on the site's equipment."""
-        thermometer = self._thermometer
-        diagnosis = thermometer.diagnosis
-        if thermometer.received and diagnosis is not None and diagnosis.code == "input_recovering":
-            return diagnosis.code
-        if thermometer.received or thermometer.publishers.count:
-            return "thermometer_lost"
-        return "temperature_unknown" if self._fetcher is None else "temperature_not_fetched"
-
-    def _diagnose_gauge(self, part: str, gauge: LiveInput, instead: str) -> None:
-        """Report the state of a gauge if it has ever sent a reading; a site may have no gauges."""
-        if gauge.good:
-            self._gauges.add(part)
-        if not gauge.received:
+    def _diagnose_gauge(self, part: str, gauge: LiveInput) -> None:
+        """Report the state of a gauge unless it is still awaited; a site may have no gauges."""
+        bad = gauge.diagnosis
+        is_awaited = bad is not None and bad.code in AWAITED and part not in self.reports.parts
+        if is_awaited or not gauge.received:
             return
-        bad, well, diagnosis = None, f"{gauge.name} is good", gauge.diagnosis
-        if part not in self._gauges and not gauge.publishers.count:
-            well = f"no node publishes {gauge.name}"
-        elif diagnosis is not None and diagnosis.code == "input_recovering" and (
-            part not in self._gauges  # it has just been received for the first time
-        ):
-            well = diagnosis.sentence
-        elif diagnosis is not None:
-            bad = Diagnosis.of(
-                "gauge_bad", problem=diagnosis, instead=instead, topic=gauge.publishers.full_name
-            )
-        self.reports.diagnose(part, bad, well, WARN, diagnosis.code if diagnosis else "")
+        diagnosis = bad and Diagnosis.of(
+            "gauge_bad", problem=bad, topic=gauge.publishers.full_name
+        )
+        well = f"{gauge.name} is good"
+        self.reports.diagnose(part, diagnosis, well, WARN, bad.code if bad else "")
 
 
 def _find_monthly_mean(site: Site, now: datetime) -> float | None:

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import json
-import os
 import time
-from collections import deque
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from greenroof_ros.base.disk import DiskThread
+from greenroof_ros.base.files import replace_text
 from greenroof_ros.interface.alarm import Alarm, to_record
-from greenroof_ros.results.alarm_file import OLDER, read_alarms
-from greenroof_ros.ros.alarms import Change, name_source
+from greenroof_ros.results.alarm_file import read_alarms
+from greenroof_ros.ros.alarms import name_source
 
-# Size at which the file is renamed, replacing the previous one: over a thousand alarms (bytes).
-_FULL = 1_000_000
-# How many alarms wait for a full disk, and how long the start waits for the file to be read (s).
-_MAX_UNWRITTEN, _RESUMED_S = 10_000, 5.0
+# Size beyond which the file is written anew, with this many of the newest alarms (bytes).
+_FULL, _KEPT = 1_000_000, 1000
+# How long the start waits for the file to be read (s).
+_RESUMED_S = 5.0
 _NOT_SHOWN = "; alarms from before this start will not be shown"
 # Its own disk thread, since the recorder's may be full of messages; a node that is made again reads
 # the file after the node before it has written.
@@ -28,7 +26,10 @@ _DISK = DiskThread()
 
 
 class AlarmLog:
-    """Log that prints every change in an alarm and stores it immediately.
+    """Log that prints every alarm that begins or ends, and stores every change immediately.
+
+    A line is added to the file for every change. If that fails, or if the file is too large, all
+    alarms are written anew.
 
     Attributes:
         last_number: number of the last alarm in the file.
@@ -41,101 +42,69 @@ class AlarmLog:
             tell: function that prints a line of text.
             file: file to which the disk thread writes every change; None to write nothing.
         """
-        self.last_number = 0
         self._tell, self._file = tell, file
-        self._lasting: dict[int, Alarm] = {}
-        # What is not written yet: an alarm, and those that are active with it.
-        self._unwritten: deque[tuple[Alarm, Sequence[Alarm]]] = deque(maxlen=_MAX_UNWRITTEN)
-        self._problem = ""  # why the last write failed
-        self._warnings = set[str]()
-        if file is not None and not (
-            _DISK.do(partial(self._resume, file)) and _DISK.wait(_RESUMED_S)
-        ):
+        self._alarms: dict[int, Alarm] = {}
+        self._problem = ""  # why all alarms must be written anew; empty if a line may be added
+        self._write_all = partial(self._write, None)  # the same object, so that it is queued once
+        if file is not None and not (_DISK.do(self._resume) and _DISK.wait(_RESUMED_S)):
             tell(f"warning: {file}: the disk does not respond{_NOT_SHOWN}")
+        self.last_number = max(self._alarms, default=0)
 
-    def _resume(self, file: Path) -> None:
-        """Read the file (in the disk thread, after what was to be written before)."""
+    def _resume(self) -> None:
+        """Read the file (in the disk thread), and write it anew, since its last line may be cut."""
+        file, began = self._file, time.time()
+        if file is None or not file.is_file():
+            return
         try:
-            if file.is_file():  # a crash may have cut off its last line
-                os.truncate(file, file.read_bytes().rfind(b"\n") + 1)
-            began = time.time()
             for alarm in read_alarms(file.parent):
-                self.last_number = alarm.number
-                if alarm.ended is None:
-                    self._store(replace(alarm, ended=began))
+                ended = began if alarm.ended is None else alarm.ended
+                self._alarms[alarm.number] = replace(alarm, ended=ended)
         except (OSError, ValueError) as error:
             self._tell(f"warning: {error}{_NOT_SHOWN}")
+        else:
+            self._write_all()
 
-    def add(self, changes: Iterable[Change]) -> None:
-        """Print and store changes to alarms; a new level or cause is stored but not printed."""
-        for what, alarm in changes:
+    def add(self, changed: Iterable[Alarm]) -> None:
+        """Print and store alarms; a new level or cause is stored but not printed."""
+        for alarm in changed:
             title = f"{'alarm' if alarm.is_serious else 'warning'} {alarm.number}"
             source = name_source(alarm.name)
-            if what == "begins":
+            if alarm.ended is not None:
+                self._tell(f"{title} is over, after {alarm.seconds:.1f} s: {source}")
+            elif alarm.number not in self._alarms:
                 follows = f" (follows from {name_source(alarm.follows)})" if alarm.follows else ""
                 self._tell(f"{title}: {source}: {alarm.sentence}{follows}")
-            elif what == "returns":
-                self._tell(f"{title} has returned: {source}: {alarm.sentence}")
-            elif what == "ends":
-                self._tell(f"{title} is over, after {alarm.seconds:.1f} s: {source}")
-            self._lasting.pop(alarm.number, None)
-            if alarm.ended is None:
-                self._lasting[alarm.number] = alarm
-            self._store(alarm)
-
-    def warn(self, warnings: set[str]) -> None:
-        """Print the warnings of nodes that are new."""
-        for text in sorted(warnings - self._warnings):
-            self._tell(f"warning: {text}")
-        self._warnings = warnings
-
-    def _store(self, alarm: Alarm) -> None:
-        if self._file is not None:
-            self._unwritten.append((alarm, tuple(self._lasting.values())))
-            self.write()
+            self._alarms[alarm.number] = alarm
+            _DISK.do(partial(self._write, alarm))
+        for number in [*self._alarms][:-_KEPT]:
+            if self._alarms[number].ended is not None:
+                del self._alarms[number]
 
     def write(self) -> None:
-        """Write what is not written yet; call this often, since the disk may be full."""
-        if self._file is not None and self._unwritten:
-            _DISK.do(partial(self._write_all, self._file))
+        """Try again if the last write failed; call this once a second."""
+        if self._problem:
+            _DISK.do(self._write_all)
 
-    def _write_all(self, file: Path) -> None:
-        """Write the waiting alarms (in the disk thread), and keep those that cannot be written."""
-        for entry in tuple(self._unwritten):
-            try:
-                _write(file, *entry)
-            except OSError as error:
-                problem = error.strerror or str(error)
-                if problem != self._problem:
-                    again = "another attempt is made every second"
-                    self._tell(f"warning: {file}: {problem}; {again}")
-                self._problem = problem
-                return
-            self._problem = ""
-            if self._unwritten[0] is entry:
-                self._unwritten.popleft()
+    def _write(self, added: Alarm | None) -> None:
+        """Add an alarm to the file, or write all of them anew (in the disk thread)."""
+        file = self._file
+        if file is None or (added is not None and self._problem):
+            return  # all will be written anew
+        alarms = [added] if added is not None else [*self._alarms.values()]
+        lines = "".join(f"{json.dumps(to_record(alarm))}\n" for alarm in alarms)
+        try:
+            if added is None:
+                replace_text(file, lines)
+            else:
+                with file.open("a", encoding="utf-8") as stream:
+                    stream.write(lines)
+            self._problem = "it is full" if file.stat().st_size > _FULL else ""
+        except OSError as error:
+            problem = error.strerror or str(error)
+            if problem != self._problem:
+                self._tell(f"warning: {file}: {problem}; another attempt is made every second")
+            self._problem = problem
 
     def wait(self, seconds: float) -> None:
         """Wait for a limited time (s) until everything is written."""
         _DISK.wait(seconds)
-
-
-def _write(file: Path, alarm: Alarm, lasting: Sequence[Alarm]) -> None:
-    """Write an alarm; if the file is full, begin a new file.
-
-    A new file begins with the alarms that are still active, so that none of them is lost.
-
-    Raises:
-        OSError: if the alarm cannot be written; nothing is left of it in the file.
-    """
-    size, written = file.stat().st_size if file.exists() else 0, [alarm]
-    if size >= _FULL:
-        file.replace(file.with_name(OLDER))
-        size, written = 0, [*lasting, alarm]
-    try:
-        with file.open("a", encoding="utf-8") as stream:
-            stream.writelines(f"{json.dumps(to_record(entry))}\n" for entry in written)
-    except OSError:
-        with suppress(OSError):
-            os.truncate(file, size)
-        raise

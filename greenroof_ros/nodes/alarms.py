@@ -7,46 +7,31 @@ in ``alarms.jsonl``, and prints the changes, and at the start a list of what kee
 
 from __future__ import annotations
 
-from greenroof_ros.ros import begin_node
-
-begin_node(__name__)
-
 import math
 import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import NoReturn
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.time import Time
 
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.standard_error import Lines
-from greenroof_ros.interface.alarm import ALARMS, ERROR
+from greenroof_ros.interface.alarm import ALARMS, ERROR, LEVELS
+from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.states import READY
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.nodes.alarm_log import AlarmLog
 from greenroof_ros.nodes.start_list import StartList
 from greenroof_ros.ros.alarm_status import to_status
 from greenroof_ros.ros.alarms import RESTARTED, ROLE, Judge
-from greenroof_ros.ros.diagnostics import NodeDiagnostics
 from greenroof_ros.ros.errors import MalformedMessageError
-from greenroof_ros.ros.executable import node_command
 from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.messages import qos_profile
 from greenroof_ros.ros.parameters import declare
-from greenroof_ros.ros.reports import (
-    PAUSE_S,
-    Reports,
-    StatusDiagnosis,
-    make_diagnosis,
-    read_statuses,
-)
-from greenroof_ros.ros.spin import start_receiving
+from greenroof_ros.ros.reports import PAUSE_S, Reports, StatusDiagnosis, read_statuses
 from greenroof_ros.site.site import Site
 
 # Interval at which the alarms are judged, and at which they are published without a change (s).
@@ -77,7 +62,7 @@ class AlarmsNode(GraphNode):
         Args:
             lines: writer of the lines for the person at the terminal; None to print nothing.
         """
-        super().__init__(ROLE, ROLE, read_topics(), NodeDiagnostics)
+        super().__init__(ROLE, ROLE, read_topics())
         values = declare(self, parameters())
         self._lines = lines
         tell: Callable[[str], None] = lines.print_line if lines is not None else lambda _: None
@@ -86,8 +71,6 @@ class AlarmsNode(GraphNode):
         self._judge = Judge(self._log.last_number)
         self._reports = Reports(self.get_namespace(), values["expected"].split())
         self._start = StartList(tell) if directory else None
-        # Why the process was restarted, which only its successor can report.
-        self._restarted = os.environ.pop(RESTARTED, "")
         self._checked, self._published = time.monotonic(), -math.inf
         topic = self.interface["/alarms"]
         self._publisher = self.create_publisher(
@@ -111,7 +94,7 @@ class AlarmsNode(GraphNode):
         """The graph's time (s since 1970): in a simulation, the time of the plant's last report."""
         return self._reports.time_ns / 1e9 or time.time()
 
-    # --- running, alone or beside other nodes ---------------------------------------------------
+    # --- running, beside other nodes ------------------------------------------------------------
 
     finished = acted = True
     wait_s = _JUDGE_S
@@ -137,23 +120,22 @@ class AlarmsNode(GraphNode):
         if passed > PAUSE_S:  # this process was paused: what it did not receive was no silence
             self._reports.excuse_silence(passed)
             return
-        diagnoses = self._reports.diagnoses(now) | self._explain_restart()
+        diagnoses = self._reports.diagnoses(now)
+        if why := os.environ.pop(RESTARTED, ""):  # only this process can report that, and once
+            found = Diagnosis.of("station_restarted", why=why)
+            name = self.get_fully_qualified_name()
+            diagnoses[f"{name}: station"] = StatusDiagnosis(
+                0, name, "station", ROLE, found.code, LEVELS[ERROR], found.sentence, 0.0, began=now,
+            )
         starting = self._reports.is_starting(now)
-        changes = self._judge.update(now, self._now, diagnoses, starting=starting)
-        self._log.add(changes)
-        self._log.warn(self._reports.warnings)
+        changed = self._judge.update(now, self._now, diagnoses, starting=starting)
+        self._log.add(changed)
         if self._start is not None and self._start.update(now, self._judge, self._reports):
             self._start = None
-        if changes or now - self._published >= _PUBLISH_S:
+        if changed or now - self._published >= _PUBLISH_S:
             self._published = now
             self._publish_alarms()
             self._log.write()
-
-    def _explain_restart(self) -> dict[str, StatusDiagnosis]:
-        """Return, once, the reason why the process was restarted."""
-        why, self._restarted = self._restarted, ""
-        name = f"{self.get_fully_qualified_name()}: station"
-        return {name: make_diagnosis(ERROR, ROLE, "station_restarted", why=why)} if why else {}
 
     def _publish_alarms(self) -> None:
         array = DiagnosticArray()
@@ -172,23 +154,3 @@ class AlarmsNode(GraphNode):
         self._log.wait(_WRITTEN_S)
         if self._lines is not None:
             self._lines.wait(_WRITTEN_S)
-
-
-def spin_alone(nodes: list[AlarmsNode], check: Callable[[], None]) -> NoReturn:
-    """Run the node until a check ends it; see :func:`node_command`."""
-    (node,) = nodes
-    executor = SingleThreadedExecutor()
-    start_receiving(executor, node)
-    while True:
-        check()
-        executor.spin_once(timeout_sec=0.05)
-        node.check(time.monotonic())
-
-
-main = node_command(
-    partial(AlarmsNode, Lines(1)), "nodes.alarms", __doc__, parameters, spin=spin_alone
-)
-
-
-if __name__ == "__main__":
-    main()

@@ -9,62 +9,45 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
+from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from itertools import permutations
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.publisher import Publisher
+from std_msgs.msg import Float64
 
 from greenroof_ros.base.errors import ConfigurationError, OccupiedError
 from greenroof_ros.base.processes import Signals
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.ros import messages
-from greenroof_ros.ros.errors import MalformedMessageError
 from greenroof_ros.ros.lockstep import CLOCK, RUN, RunIdentity
-from greenroof_ros.ros.publishers import display_name
+from greenroof_ros.ros.publishers import name_owner
 from greenroof_ros.ros.spin import make_executor, ros
 from greenroof_ros.site.site import Site
 
-# More ticks than a check ever takes.
-_LAST_TICK = 1e9
-# Simulated time of the first tick (ns since 1970), on a summer's day.
-_EPOCH_NS = 1_751_371_200_000_000_000
-# How long the tested node may take to join the graph, and its topics to be discovered (s).
+CISTERN, ROOF, FROST = "/cistern/level", "/roof/level", "/weather/frost"
+COMMAND = "/pump/command"
+# More ticks than a check ever takes, and the time of the first (ns since 1970), on a summer's day.
+_LAST_TICK, _EPOCH_NS = 1e9, 1_751_371_200_000_000_000
+# How long the tested node may take to join the graph, and the discovery of new topics (s).
 ARRIVAL_S, _DISCOVERY_S = 10.0, 2.0
-# How long an answer may take after the last input of a tick (s).
-ANSWER_S = 5.0
-# Time within which a second answer would follow the first (s), awaited in the first and last ticks.
-_SETTLE_S = 0.5
-# How long the last input of a tick is held back (s): a node that does not wait for it answers by
-# then.
-_DELAY_S = 0.05
+# How long an answer may take after the last input of a tick (s), how long that input is held back
+# (a node that does not wait for it answers by then), and when a second answer would have come.
+ANSWER_S, _DELAY_S, _SETTLE_S = 5.0, 0.05, 0.5
 # How long a node may take to leave the graph after the plant (s).
 _END_S = 10.0
 
 Values = Mapping[str, float]
 """Values by topic."""
 USUAL: Values = {}
-Result = tuple[str, str, str]
-"""A line, its problem, and what was measured; each of the last two may be empty."""
 Story = Iterator[tuple[Any, ...]]
 """The lines of a check: what is shown; the function that shows it, and its arguments."""
 
 
 class BrokenRuleError(Exception):
-    """Error for a tested node that breaks a rule; the message describes the fault."""
-
-
-class StoryEndError(BrokenRuleError):
-    """Error for a broken rule after which the rest of the story would prove nothing."""
-
-
-def require(right: bool, problem: str, error: type[BrokenRuleError] = BrokenRuleError) -> None:
-    """Raise an error that describes the problem unless a condition holds."""
-    if not right:
-        raise error(problem)
+    """Error for a tested node that breaks a rule: the problem, and whether it ends the story."""
 
 
 def describe(values: Values) -> str:
@@ -78,8 +61,7 @@ class NodeCheck(ABC):
     Attributes:
         required: topics to which the node must subscribe.
         optional: topics to which the node may subscribe.
-        received: values received on each output since the last tick.
-        remark: text that is added to the description of a fault.
+        received: messages received on each output since the last tick.
     """
 
     required: tuple[str, ...]
@@ -101,120 +83,100 @@ class NodeCheck(ABC):
         """
         namespace, _, self._tested = tested.rpartition("/")
         self.node = Node("check", namespace=namespace or "/")
-        self.site, self.outputs, self.usual = site, outputs, usual
-        self.period, self.live = period, live
-        self.received: dict[str, list[float]] = {topic: [] for topic in outputs}
-        self.remark = ""
-        self._publishers: dict[str, Publisher] = {}
+        self.site, self.usual, self.period, self.live = site, usual, period, live
+        self.received: dict[str, list[Float64]] = {topic: [] for topic in outputs}
+        self._publishers: dict[str, Any] = {}
         self._ticks = 0
         self._executor = make_executor()
         self._executor.add_node(self.node)
 
     @abstractmethod
     def story(self) -> Story:
-        """Tell what is checked in ticks; a line is told once the lines before it are."""
+        """Tell what is checked; a line is told once the lines before it are."""
 
-    def run(self) -> Iterator[Result]:
-        """Yield each line of the story, with the problem, and what was measured if there is none.
+    def run(self) -> Iterator[tuple[str, str]]:
+        """Yield each line of the story, with the problem; empty if there is none.
 
         Raises:
             ConfigurationError: if the node under test is not found.
             OccupiedError: if other nodes already publish the topics that the check publishes.
         """
-        self._find_node()
-        for title, act, *arguments in self._whole_story():
+        self._join()
+        for title, act, *arguments in self.story():
             try:
-                yield title, "", act(*arguments) or ""
-            except StoryEndError as error:
-                yield title, f"{error}{self.remark}; nothing else was checked", ""
-                return
+                act(*arguments)
+                yield title, ""
             except BrokenRuleError as error:
-                yield title, f"{error}{self.remark}", ""
+                problem, ends = error.args
+                yield title, f"{problem}; nothing else was checked" if ends else problem
+                if ends:
+                    return
 
-    def _whole_story(self) -> Story:
-        yield "its topics match the interface", self._match_topics
-        yield "sends nothing before the first tick", self._wait_for_tick
-        yield from self.story()
+    def require(self, right: Any, problem: str, *, ends: bool = False) -> None:
+        """Raise an error that describes the problem unless a condition holds.
+
+        Args:
+            right: the condition.
+            problem: what is wrong otherwise.
+            ends: whether the rest of the story would then prove nothing.
+        """
+        if not right:
+            raise BrokenRuleError(problem, ends)
 
     # --- the graph ------------------------------------------------------------------------------
 
     def _endpoints(self, topic: str) -> list[Any]:
         """Return the tested node's publishers of an output, or its subscriptions to an input."""
-        tested = self._tested, self.node.get_namespace()
         find = (
-            self.node.get_publishers_info_by_topic if topic in self.outputs
+            self.node.get_publishers_info_by_topic if topic in self.received
             else self.node.get_subscriptions_info_by_topic
         )
-        infos = find(read_topics()[topic].graph_name)
-        return [info for info in infos if (info.node_name, info.node_namespace) == tested]
+        tested = self._tested, self.node.get_namespace()
+        return [
+            info for info in find(read_topics()[topic].graph_name)
+            if (info.node_name, info.node_namespace) == tested
+        ]
 
-    def _find_node(self) -> None:
-        """Wait until the node has all its topics; raise an error if its inputs have publishers."""
-        needed = (*self.outputs, *self.required)
-        if not self.wait(ARRIVAL_S, lambda: any(map(self._endpoints, needed))):
-            others = sorted({*self.node.get_node_names()} - {self.node.get_name()})
+    def _join(self) -> None:
+        """Wait for the node, and open the topics; raise an error if its inputs have publishers."""
+        needed = (*self.received, *self.required)
+        self.wait(ARRIVAL_S, lambda: all(map(self._endpoints, needed)))
+        if not any(map(self._endpoints, needed)):
             raise ConfigurationError(
-                f"no node {self._tested} that publishes {needed[0]} was found within "
-                f"{ARRIVAL_S:g} s; found: {', '.join(others) or 'no node'}. Start it first, with "
-                "the same ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE"
+                f"no node {self._tested} that publishes {needed[0]} was found: start it first, "
+                "with the same ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE"
             )
-        self.wait(_DISCOVERY_S, lambda: all(map(self._endpoints, needed)))
         for topic in (CLOCK, *self.usual):
             for info in self.node.get_publishers_info_by_topic(read_topics()[topic].graph_name):
-                raise OccupiedError(
-                    f"{topic} already has a publisher ({display_name(info.node_name)}); the check "
-                    "publishes this topic itself, so stop the graph first"
-                )
-
-    def _match_topics(self) -> None:
-        problems = []
-        for topic in (*self.outputs, *self.required, *self.optional):
-            qos, infos, end = read_topics()[topic].qos, self._endpoints(topic), "publisher of"
-            if topic not in self.outputs:  # only publishers must have a lease
-                qos, end = replace(qos, lease_s=math.inf), "subscription to"
-            if not infos and topic not in self.optional:
-                problems.append(f"the node has no {end} {topic}")
-            if self.live and topic not in self.outputs:
-                continue  # it needs no messages from before it joined
-            for info in infos:
-                if lacking := " and ".join(messages.find_lacking(info.qos_profile, qos)):
-                    needs = messages.describe_qos(qos)
-                    problems.append(f"its {end} {topic} {lacking}; it must be {needs}")
-        require(not problems, "; ".join(problems), StoryEndError)
-
-    def _wait_for_tick(self) -> None:
-        """Open the topics, wait until the node has discovered them, and require its silence."""
-        for topic, values in self.received.items():
-            self.listen(topic, values.append)
+                other = name_owner(info)
+                raise OccupiedError(f"{topic} already has a publisher ({other}); stop it first")
+        for topic, answers in self.received.items():
+            entry = read_topics()[topic]
+            profile = messages.qos_profile(entry.qos)
+            self.node.create_subscription(Float64, entry.graph_name, answers.append, profile)
         self._publishers = {topic: self.open(topic) for topic in (RUN, CLOCK, *self.usual)}
         # The identity is fixed, so a node can be checked twice.
         speed = self.site.tau / self.period if self.period else 0.0
-        self.publish(RUN, RunIdentity(0.0, _LAST_TICK, speed).values)
+        self.publish(RUN, array("d", RunIdentity(0.0, _LAST_TICK, speed)))
         self.wait(_DISCOVERY_S)
-        # A live pump publishes that it is off.
-        early = [
-            value for values in self.received.values() for value in values
-            if not (self.live and value <= 0)
-        ]
-        for values in self.received.values():
-            values.clear()
-        require(not early, f"{len(early)} messages arrived before any input: {early[:3]}")
 
-    def listen(self, topic: str, callback: Callable[[Any], None]) -> None:
-        """Pass each value received on a topic to a callback; malformed messages are ignored."""
-        entry = read_topics()[topic]
-        decode = messages.decoder(entry.type)
+    def match_topics(self) -> None:
+        """Require the topics of the interface, with their quality of service."""
+        problems = []
+        for topic in (*self.received, *self.required, *self.optional):
+            qos, infos, end = read_topics()[topic].qos, self._endpoints(topic), "publisher of"
+            if topic not in self.received:  # only publishers must have a lease
+                end, qos = "subscription to", replace(qos, lease_s=math.inf)
+                if self.live:  # it needs no messages from before it joined
+                    qos = replace(qos, durability="volatile")
+            if not infos and topic not in self.optional:
+                problems.append(f"the node has no {end} {topic}")
+            for info in infos:
+                if lacking := messages.find_lacking(info.qos_profile, qos):
+                    problems.append(f"its {end} {topic} must have {lacking}")
+        self.require(not problems, "; ".join(problems), ends=True)
 
-        def receive(message: bytes) -> None:
-            with suppress(MalformedMessageError):
-                callback(decode(message))
-
-        self.node.create_subscription(
-            messages.message_class(entry.type), entry.graph_name, receive,
-            messages.qos_profile(entry.qos), raw=True,
-        )
-
-    def open(self, topic: str) -> Publisher:
+    def open(self, topic: str) -> Any:
         """Return a new publisher of a topic."""
         entry = read_topics()[topic]
         return self.node.create_publisher(
@@ -232,7 +194,7 @@ class NodeCheck(ABC):
             self._executor.spin_once(timeout_sec=min(remaining, 0.1))
         return over
 
-    # --- ticks ----------------------------------------------------------------------------------
+    # --- ticks, and what must come --------------------------------------------------------------
 
     def tick(self, unusual: Values = USUAL, order: Sequence[str] = ()) -> dict[str, float]:
         """Publish a tick, and return the answer on each output.
@@ -242,10 +204,10 @@ class NodeCheck(ABC):
             order: topics to publish after all others, the last of them after a delay.
 
         Raises:
-            StoryEndError: if no answer arrives in time, or more than one.
-            BrokenRuleError: if an answer arrives before the last input, or is out of its range.
+            BrokenRuleError: if no answer arrives in time, or more than one, if an answer arrives
+                before the last input, or if it is out of its range.
         """
-        self._discard_answers()
+        self.refuse_more_answers()
         began, values = time.monotonic(), {**self.usual, **unusual}
         self.publish(CLOCK, _EPOCH_NS + round(self._ticks * self.site.tau * 1e9))
         self._ticks += 1
@@ -254,64 +216,52 @@ class NodeCheck(ABC):
             self.publish(topic, values[topic])
         if order:
             self.wait(_DELAY_S)
-        early = bool(order) and any(self.received.values())
+        early = order and any(self.received.values())
         self.publish(last, values[last])
         self.wait(ANSWER_S, lambda: all(self.received.values()))
-        self.wait(began + self.period - time.monotonic())
-        if self._ticks == 1:
-            self.wait(_SETTLE_S)
-        require(not early, f"an answer came before the last input in {', '.join(order)}")
+        # In the first tick, a second answer is awaited: later, it would count for the next tick.
+        self.wait(began + self.period - time.monotonic() + _SETTLE_S * (self._ticks == 1))
+        self.require(not early, f"an answer came before the last input in {', '.join(order)}")
+        sent = f"with {describe(unusual)}"
         for topic, answers in self.received.items():
-            require(
-                bool(answers), f"nothing came on {topic} within {ANSWER_S:g} s in tick "
-                f"{self._ticks - 1}, with {describe(unusual)}", StoryEndError,
-            )
-            allowed = read_topics()[topic].range
-            require(
-                answers[-1] in allowed,
-                f"{answers[-1]:g} on {topic} with {describe(unusual)}; it {allowed.expected()}",
-            )
-        return {topic: answers[-1] for topic, answers in self.received.items()}
+            silent = f"nothing came on {topic} within {ANSWER_S:g} s in tick {self._ticks - 1}"
+            self.require(answers, f"{silent}, {sent}", ends=True)
+            value, allowed = answers[-1].data, read_topics()[topic].range
+            self.require(value in allowed, f"{value:g} on {topic} {sent}; it {allowed.expected()}")
+        return {topic: answers[-1].data for topic, answers in self.received.items()}
 
-    def _discard_answers(self) -> None:
+    def refuse_more_answers(self) -> None:
         """Discard the answers, and require that none was superfluous, if the node is not live."""
         for topic, answers in self.received.items():
-            number = len(answers)
+            number, allowed = len(answers), min(self._ticks, 1)
             answers.clear()
-            require(
-                self.live or number <= 1,
-                f"{number} messages on {topic} in tick {self._ticks - 1}", StoryEndError,
-            )
-
-    # --- what must come -------------------------------------------------------------------------
-
-    @property
-    def _now(self) -> float:
-        """The time of the ticks (s): real, unless they are as fast as possible."""
-        return time.monotonic() if self.period else self._ticks * self.site.tau
+            when = f"in tick {self._ticks - 1}" if allowed else "before any input"
+            more = f"{number} messages on {topic} {when}"
+            self.require(self.live or number <= allowed, more, ends=True)
 
     def until(
         self, right: Callable[[Values], bool], sent: Values = USUAL, *, within: float,
-        stays: int = 0, error: type[BrokenRuleError] = BrokenRuleError,
-    ) -> str:
-        """Send a tick again and again until the answers are right, and return what was measured.
+        stays: int = 0, ends: bool = False,
+    ) -> None:
+        """Send a tick again and again until the answers are right.
 
         Args:
             right: whether answers are right.
             sent: values that replace the usual ones.
-            within: time within which the answers must be right (s).
+            within: time within which the answers must be right (s): real, unless the ticks are as
+                fast as possible.
             stays: number of further ticks in which they must stay so.
-            error: what to raise if they are not.
+            ends: whether the story ends if they are not.
         """
-        began = self._now
+        began, first = time.monotonic(), self._ticks
         while not right(answers := self.tick(sent)):
+            ticks = (self._ticks - first) * self.site.tau
+            passed = time.monotonic() - began if self.period else ticks
             problem = f"{describe(answers)} after {within:g} s with {describe(sent)}"
-            require(self._now <= began + within, problem, error)
-        measured = f"{describe(answers)} after {self._now - began:.1f} s"
+            self.require(passed <= within, problem, ends=ends)
         for _ in range(stays):
-            answers = self.tick(sent)
-            require(right(answers), f"{describe(answers)} again with {describe(sent)}", error)
-        return measured
+            problem = f"{describe(answers := self.tick(sent))} again with {describe(sent)}"
+            self.require(right(answers), problem)
 
     def answer_in_any_order(self, tolerance: float) -> None:
         """Send the same tick in every order of the inputs, and require the same answers.
@@ -323,28 +273,27 @@ class NodeCheck(ABC):
             answers, after = self.tick(order=order), self.tick()
             for topic, answer in answers.items():
                 low, high = sorted((before[topic], after[topic]))
-                require(
+                self.require(
                     low - tolerance <= answer <= high + tolerance,
                     f"{answer:g} on {topic} if the inputs come in the order {', '.join(order)}, "
                     f"but {low:g} to {high:g} with the same inputs in the ticks before and after",
                 )
             before = after
 
-    def answer_once(self) -> str:
-        """Require that no answer follows that to the last tick; earlier ones have been counted."""
-        self.wait(_SETTLE_S)
-        self._discard_answers()
-        return f"{self._ticks} ticks"
+    def end(self) -> None:
+        """Require one answer to the last tick, and that the node leaves the graph after its peers.
 
-    def end_with_peers(self) -> None:
-        """Close the topics, as ending nodes do, and require that the node leaves the graph."""
+        Earlier answers have been counted.
+        """
+        self.wait(_SETTLE_S)
+        self.refuse_more_answers()
         for publisher in self._publishers.values():
             self.node.destroy_publisher(publisher)
-        ended = self.wait(_END_S, lambda: not self._endpoints(self.outputs[0]))
-        require(ended, f"the node still runs {_END_S:g} s after {CLOCK} has lost its publisher")
+        ended = self.wait(_END_S, lambda: not any(map(self._endpoints, self.required)))
+        self.require(ended, f"the node still runs {_END_S:g} s after {CLOCK} lost its publisher")
 
 
-def check_node(make: Callable[[], NodeCheck]) -> Iterator[Result]:
+def check_node(make: Callable[[], NodeCheck]) -> Iterator[tuple[str, str]]:
     """Run ROS and the check that a function makes, and yield the results as they come."""
     Signals(interrupt=True)  # the node leaves the graph
     with ros([]):

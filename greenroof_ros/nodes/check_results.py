@@ -6,19 +6,21 @@ from collections.abc import Iterable
 
 from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED
 
+NODE = "check the running node of this name, with its namespace if it has one: /site1/pump"
+"""help of the option for the node that a command checks"""
 
-def print_results(title: str, results: Iterable[tuple[str, str, str]]) -> int:
+
+def print_results(title: str, results: Iterable[tuple[str, str]]) -> int:
     """Print results as they come, and return exit code 0 if every check passed, otherwise 1.
 
     Args:
         title: the first line.
-        results: for each check what it requires, the problem (empty if it passed), and what was
-            measured (may be empty).
+        results: for each check what it requires, and the problem; empty if it passed.
     """
     print(title)
-    outcomes = []
-    for check, problem, measured in results:
-        outcomes.append("failed" if problem else "passed")
-        print(f"  {outcomes[-1]}: {': '.join(filter(None, (check, problem or measured)))}")
-    print(f"{outcomes.count('passed')} of {len(outcomes)} checks passed")
-    return EXIT_FAILED if "failed" in outcomes else EXIT_DONE
+    problems = []
+    for check, problem in results:
+        problems.append(problem)
+        print(f"  failed: {check}: {problem}" if problem else f"  passed: {check}")
+    print(f"{problems.count('')} of {len(problems)} checks passed")
+    return EXIT_FAILED if any(problems) else EXIT_DONE

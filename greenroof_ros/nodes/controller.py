@@ -10,21 +10,24 @@ from greenroof_ros.ros import begin_node
 
 begin_node(__name__)
 
+import copy
+from collections import deque
 from typing import Any
 
-from greenroof_ros.base.parameter import Parameter
-from greenroof_ros.controllers.decide import decide, may_decide, read_statistics
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter as RosParameter
+
+from greenroof_ros.base.parameter import Parameter, replace_infinity
+from greenroof_ros.controllers.decide import decide, locate_error, may_decide, read_statistics
 from greenroof_ros.controllers.outlet import OutletPolicy
 from greenroof_ros.controllers.protocol import set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.interface.topics import optional_topics
 from greenroof_ros.physics.storm_water import WITHOUT_RAIN
-from greenroof_ros.ros.controller_parameters import ControllerParameters
 from greenroof_ros.ros.executable import node_command
 from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.inputs import Input
-from greenroof_ros.ros.lockstep import CLOCK
-from greenroof_ros.ros.node import SimulationNode
+from greenroof_ros.ros.lockstep import CLOCK, LockstepNode
 from greenroof_ros.ros.parameters import declare, site_file
 
 LEVELS = "/cistern/level", "/roof/level"
@@ -32,6 +35,9 @@ FORECASTS = "/forecast/precipitation", "/forecast/evapotranspiration"
 FROST = "/weather/frost"
 Outputs = dict[str, Any]
 """values of a controller's optional outputs, by attribute; empty if it has not decided"""
+# How many of the newest parameter changes every report contains: a program may change a parameter
+# in every tick. All are counted.
+_CHANGES = 50
 
 
 def parameters(choice: ControllerChoice | None) -> list[Parameter]:
@@ -46,6 +52,7 @@ class ControllerNode(GraphNode):
     hours. A subclass, which adds the pace, opens the inputs.
 
     Attributes:
+        controller: the controller; None before it is made, or if making it failed.
         command: the latest command (share of the maximum flow).
     """
 
@@ -62,13 +69,65 @@ class ControllerNode(GraphNode):
             ConfigurationError: if a parameter is invalid.
         """
         self._choice, self._site = choice, self.declare_site()
-        self._settings = ControllerParameters(self, choice, self._site)
+        self._values = declare(self, choice.parameters_on(self._site))
+        self._may_change = {each.name for each in choice.kind.parameters if each.may_change}
+        self._changes: deque[dict[str, Any]] = deque(maxlen=_CHANGES)
+        self._change_count = 0
         self._optional = optional_topics(choice.outputs)
         self.open_outputs("/pump/command", *(topic.name for topic, _ in self._optional))
         self._outlet: OutletPolicy | None = None
         self._own_steps: int | None = None  # of a forecast; None for all
         self._quiet = False
+        self.controller: Any = None
         self.command = 0.0
+        self.add_on_set_parameters_callback(self._try_changes)
+        self.add_post_set_parameters_callback(self._apply_changes)
+
+    def make_controller(self) -> None:
+        """Create the controller with the current values of its parameters.
+
+        Raises:
+            ConfigurationError: if the controller's code fails.
+        """
+        self.controller = None
+        self.controller = self._choice.make(self._site, self._values)
+
+    # --- parameters that change during a run --------------------------------------------------
+
+    def _try_changes(self, changes: list[RosParameter]) -> SetParametersResult:
+        """Try the changes on a copy of the controller; other checks may still reject them."""
+        tried = copy.copy(self.controller)
+        for each in changes:
+            try:
+                if each.name in self._may_change and tried is not None:
+                    setattr(tried, each.name, each.value)
+            except (Exception, SystemExit) as error:  # whatever a user's class raises
+                reason = str(locate_error(self._choice.kind, error))
+                return SetParametersResult(successful=False, reason=reason)
+        return SetParametersResult(successful=True)
+
+    def _apply_changes(self, changes: list[RosParameter]) -> None:
+        """Apply changes that every check has accepted."""
+        for each in changes:
+            if each.name not in self._may_change:
+                continue
+            if self.controller is not None:
+                setattr(self.controller, each.name, each.value)
+            values = {"before": self._values[each.name], "value": each.value}
+            self._values[each.name] = each.value
+            self._change_count += 1
+            self._changes.append(
+                {"tick": self.tick, "parameter": each.name, **replace_infinity(values)}
+            )
+            self.get_logger().info(f"{each.name} is {each.value:g} from tick {self.tick} on")
+
+    def progress(self) -> dict[str, Any]:
+        """Return the latest changes to the controller's parameters, and their total number."""
+        return {
+            "parameter_changes": list(self._changes), "parameter_change_count": self._change_count,
+        }
+
+    # --- decisions ----------------------------------------------------------------------------
 
     def on_inputs(self) -> None:
         """Publish the command and, if the controller has decided, its optional outputs."""
@@ -92,7 +151,7 @@ class ControllerNode(GraphNode):
         Args:
             allowed: whether pumping is allowed.
         """
-        return self.decide(may_decide(self._settings.controller, allowed, self._quiet))
+        return self.decide(may_decide(self.controller, allowed, self._quiet))
 
     def decide(self, decides: bool) -> tuple[float, Outputs]:
         """Return the controller's command and optional outputs, or 0 if it must not decide.
@@ -100,19 +159,18 @@ class ControllerNode(GraphNode):
         Raises:
             ConfigurationError: if the controller's code fails, or cannot use the forecast.
         """
-        controller = self._settings.controller
         if self._site.quiet is not None:
-            set_optional(controller, time_ns=self.time_ns)
+            set_optional(self.controller, time_ns=self.time_ns)
         rain, evapotranspiration, forecast = self._rain, self._evapotranspiration, ((), ())
         if decides and rain.good and evapotranspiration.good:
             forecast = self._choice.own_forecast(
                 self._own_steps, rain.value, evapotranspiration.value, rain.name
             )
         levels = self._cistern.value, self._roof.value
-        command = decide(controller, decides, *levels, *forecast, self._quiet)
+        command = decide(self.controller, decides, *levels, *forecast, self._quiet)
         if not decides:
             return command, {}
-        return command, {name: getattr(controller, name) for _, name in self._optional}
+        return command, {name: getattr(self.controller, name) for _, name in self._optional}
 
     def _command_outlet(self, outlet: OutletPolicy) -> float:
         levels, share = (self._cistern.value, self._roof.value), 0.0
@@ -122,12 +180,8 @@ class ControllerNode(GraphNode):
             outlet(*levels, (), ())  # unknown rain counts as wet weather
         return 0.0 if self._site.valve_closed_in_frost and self._frost.value else share
 
-    def progress(self) -> dict[str, Any]:
-        """Return the changes to the controller's parameters."""
-        return self._settings.changes()
 
-
-class SimulatedController(ControllerNode, SimulationNode):
+class SimulatedController(ControllerNode, LockstepNode):
     """Controller node of a simulated graph."""
 
     def __init__(self, controller: str) -> None:
@@ -143,23 +197,20 @@ class SimulatedController(ControllerNode, SimulationNode):
         _ = choice.kind  # fail before a node is made
         super().__init__(choice.name, "controller")
         self.prepare(choice)
-        made, values = self._settings.make(), self._settings.values
+        self.make_controller()
         without_rain = declare(self, [WITHOUT_RAIN])[WITHOUT_RAIN.name]
-        self._outlet = choice.make_outlet(self._site, values, made, without_rain)
-        self._own_steps = choice.count_own_steps(self._site, values)
+        self._outlet = choice.make_outlet(self._site, self._values, self.controller, without_rain)
+        self._own_steps = choice.count_own_steps(self._site, self._values)
         if self._outlet is not None:
             self.open_outputs("/outlet/command")
+        self.subscribe(CLOCK)
         self._cistern, self._roof, self._rain, self._evapotranspiration, self._frost = (
             self.subscribe(name) for name in (*LEVELS, *FORECASTS, FROST)
         )
-        if self._site.quiet is None:
-            self.listen(CLOCK, self.set_time)
-        else:
-            self.follow_clock()
 
     def summary(self) -> dict[str, Any]:
         """Return the solver's statistics."""
-        return {"solver": read_statistics(self._settings.controller)}
+        return {"solver": read_statistics(self.controller)}
 
 
 main = node_command(

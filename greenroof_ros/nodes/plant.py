@@ -14,12 +14,13 @@ begin_node(__name__)
 import math
 import secrets
 import time
+from array import array
 from typing import Any
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
-from greenroof_ros.base.errors import OccupiedError, rename_keys
+from greenroof_ros.base.errors import OccupiedError
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.interface.states import PLANT
@@ -32,19 +33,20 @@ from greenroof_ros.physics.virtual_site import VirtualSite
 from greenroof_ros.results.metrics import Metrics
 from greenroof_ros.ros.errors import LockstepError
 from greenroof_ros.ros.executable import node_command
-from greenroof_ros.ros.lockstep import CLOCK, RUN, RunIdentity
-from greenroof_ros.ros.node import SimulationNode
+from greenroof_ros.ros.lockstep import CLOCK, RUN, LockstepNode, RunIdentity
+from greenroof_ros.ros.messages import decoder
 from greenroof_ros.ros.parameters import declare, site_file
 from greenroof_ros.site.site import Site
 
 # How far the plant may be ahead of the ticks that the recorder has flushed (ticks).
 _AHEAD = 32
+# The longest time to wait for the other nodes to appear, which takes seconds on a busy machine (s).
+_START_LIMIT_S = 30.0
 # If a tick is late by more than this (s), the delay is not made up.
 _LATE_S = 1.0
+_PUBLISHED = "tick", "cistern_level", "roof_level"
 # A clock that is not affected when the system's clock is set.
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
-# A run's identity has this many bits: a double holds it exactly.
-_IDENTITY_BITS = 53
 
 
 def parameters(site: Site) -> list[Parameter]:
@@ -82,14 +84,10 @@ def parameters(site: Site) -> list[Parameter]:
         Parameter(
             "peer_limit", 5.0, "", 2, 1e6, "longest time to wait for another node (s of wall time)",
         ),
-        Parameter(
-            "start_limit", 30.0, "", 0.1, 1e6, "longest time to wait for the other nodes to "
-            "appear (s of wall time)",
-        ),
     ]
 
 
-class PlantNode(SimulationNode):
+class PlantNode(LockstepNode):
     """Node that simulates the plant and paces the ticks."""
 
     def __init__(self) -> None:
@@ -97,31 +95,27 @@ class PlantNode(SimulationNode):
         super().__init__("plant", PLANT)
         site = self.declare_site()
         values = declare(self, parameters(site))
-        x1, x2 = values["initial_cistern_volume"], values["initial_roof_volume"]
-        with rename_keys({"cistern": "initial_cistern_volume", "roof": "initial_roof_volume"}):
-            check_volumes(site, x1, x2)
-        self._run_length = values["run_length"]
-        self._speed = values["speed"]
+        volumes = values["initial_cistern_volume"], values["initial_roof_volume"]
+        check_volumes(site, *volumes)
+        self._run_length, self._limit = values["run_length"], values["peer_limit"]
+        # The wall time of a tick (s); 0 for as fast as possible.
+        self._tick_s = site.tau / values["speed"] if values["speed"] else 0.0
         self._external = values["pump"] == "external"
         sensor_and_pump = SensorAndPump(**{name: values[name] for name in PARAMETERS})
         if self._external:
             sensor_and_pump.refuse_external_pump()
-        self._record = values["record"]
-        self._limit = values["peer_limit"]
-        self._start_limit = values["start_limit"]
-        self._tau = site.tau
         start_ns = epoch_ns(read_start(values["start"]))
         self._site = VirtualSite(
-            site, x1, x2, start_ns, sensor_and_pump, self._run_length + 1
+            site, *volumes, start_ns, sensor_and_pump, self._run_length + 1
         )
         self._metrics = Metrics(
             site, self._run_length, start_ns / 1e9, values[WITHOUT_RAIN.name]
         )
         # The tick that was published last, and its levels.
-        self._published = 0, *self._site.observe()
-        self._written = 0
-        self._running = False
-        self._paused = False  # whether the tick waits for the pace or the recorder
+        self._published = dict(zip(_PUBLISHED, (0, *self._site.observe()), strict=True))
+        # How many ticks the recorder has flushed; without a recorder, it does not matter.
+        self._written: float = 0 if values["record"] else math.inf
+        self._paused = True  # the tick waits for the start, for the pace or for the recorder
         self._pace = self.create_timer(_LATE_S, self._publish_if_due, clock=_STEADY)
         self._pace.cancel()
         self._wall_s = 0.0
@@ -144,52 +138,35 @@ class PlantNode(SimulationNode):
             self._flow = self.subscribe("/pump/flow")
         else:
             self.open_outputs("/pump/flow")
-        if self._record:
-            self.listen("/recorder/written", self._on_written)
-        identity = float(secrets.randbits(_IDENTITY_BITS))
-        self.publish(RUN, RunIdentity(identity, self._run_length, self._speed).values)
+        if values["record"]:
+            decode = decoder(self.interface["/recorder/written"].type)
+            self.open("/recorder/written", lambda message: self._on_written(decode(message)))
+        identity = float(secrets.randbits(53))  # a double holds it exactly
+        run = RunIdentity(identity, self._run_length, values["speed"])
+        self.publish(RUN, array("d", run))
 
-    def _on_written(self, ticks: float) -> None:
-        self._written = int(ticks)
-        self._publish_if_due()
-
-    def _behind(self) -> bool:
-        """Return True if the recorder's lag has reached its limit."""
-        return self._record and self._site.tick >= self._written + _AHEAD
-
-    def all_arrived(self) -> bool:
-        """Return True if all messages have reached their readers and are flushed to the bag."""
-        recorded = not self._record or self._written > self._run_length
-        return recorded and super().all_arrived()
-
-    def _pause(self) -> float:
-        if not self._speed:
-            return 0.0
-        wait = self._began + self._site.tick * self._tau / self._speed - time.monotonic()
-        if wait < -_LATE_S:
-            self._began -= wait  # a real pump's minimum times must not pass faster than in reality
-        return max(0.0, wait)
+    # --- the ticks ----------------------------------------------------------------------------
 
     def _publish_tick(self) -> None:
         site = self._site
         now = site.time_ns
         self.publish(CLOCK, now)
         cistern, roof = site.observe()
-        self._published = site.tick, cistern, roof
+        self._published = dict(zip(_PUBLISHED, (site.tick, cistern, roof), strict=True))
         self.publish("/cistern/level", cistern)
         self.publish("/roof/level", roof)
         self._paused = False
         self._waiting_since = time.monotonic()
-        self.set_time(now)
+        self.time_ns = now
 
     def on_inputs(self) -> None:
         """Compute the next tick of the plant from the inputs of this tick."""
-        if not self._running or self._paused:
-            raise OccupiedError(
-                f"answers to tick {self._site.tick} arrived before the tick was published: nodes "
-                "of an earlier run are still in this graph; stop them"
-            )
         site = self._site
+        if self._paused:
+            raise OccupiedError(
+                f"answers to tick {site.tick} arrived before the tick was published: nodes of an "
+                "earlier run are still in this graph; stop them"
+            )
         if site.tick == 0:
             self._began = time.monotonic()  # before this, the other nodes were still joining
         if self._frost is not None:
@@ -201,27 +178,19 @@ class PlantNode(SimulationNode):
             self._flow.value if self._external else OWN_PUMPS,
             1.0 if self._outlet is None else self._outlet.value,
         )
+        self._paused = True
+        self._waiting_since = time.monotonic()
         if site.tick == self._run_length:
             self._publish_flows(flows)
             self._wall_s = time.monotonic() - self._began
             self.finish()
-            deviation = self._metrics.results(site.state).metrics["total_deviation_m3"]
-            self.get_logger().info(
-                f"finished {self._run_length} ticks in {self._wall_s:.1f} s; total deviation "
-                f"{deviation:.2f} m3"
-            )
             return
         known_rain = rain if self._rain.good else math.nan  # unknown rain counts as wet weather
         self._metrics.add(site.state, command, known_rain, evapotranspiration, flows)
         site.step()
         # Publish the next tick first, if allowed: the other nodes begin it while this node still
         # publishes the flows of the last tick. The order within a topic does not change.
-        if not self._behind() and not self._pause():
-            self._publish_tick()
-        else:
-            self._paused = True
-            self._waiting_since = time.monotonic()
-            self._publish_if_due()
+        self._publish_if_due()
         self._publish_flows(flows)
 
     def _publish_flows(self, flows: Flows) -> None:
@@ -232,17 +201,36 @@ class PlantNode(SimulationNode):
         if not self._external:
             self.publish("/pump/flow", flows.pump)
 
+    # --- the pace -----------------------------------------------------------------------------
+
+    @property
+    def _is_behind(self) -> bool:
+        """Whether the recorder's lag has reached its limit."""
+        return self._site.tick >= self._written + _AHEAD
+
     def _publish_if_due(self) -> None:
         """Publish the waiting tick if it is due and the recorder is not too far behind."""
-        self._pace.cancel()
-        if not self._paused or self._behind():
+        if self._is_behind:
             return
-        pause = self._pause()
-        if pause:
-            self._pace.timer_period_ns = math.ceil(1e9 * pause)
-            self._pace.reset()
-        else:
-            self._publish_tick()
+        if self._tick_s:
+            self._pace.cancel()
+            wait = self._began + self._site.tick * self._tick_s - time.monotonic()
+            if wait > 0:
+                self._pace.timer_period_ns = math.ceil(1e9 * wait)
+                self._pace.reset()
+                return
+            if wait < -_LATE_S:  # a pump's minimum times must not pass faster than in reality
+                self._began -= wait
+        self._publish_tick()
+
+    def _on_written(self, ticks: float) -> None:
+        self._written = ticks
+        if self.acted and self._paused and not self.finished:
+            self._publish_if_due()
+
+    def all_arrived(self) -> bool:
+        """Return True if all messages have reached their readers and are flushed to the bag."""
+        return self._written > self._run_length and super().all_arrived()
 
     def on_timer(self, now: float) -> None:
         """Start the run once all nodes are present, and check timeouts.
@@ -250,36 +238,34 @@ class PlantNode(SimulationNode):
         Raises:
             LockstepError: if a node is missing or does not respond in time.
         """
-        if self.finished:
+        if self.finished and self._written > self._run_length:
             return
-        if not self._running:
+        limit = self.limit()
+        is_late = now - self._waiting_since > limit
+        if self._paused and not self.acted:
             if not (absent := self.peers.absent()):
-                self._running = True
-                self._began = now
                 self._publish_tick()
-            elif now - self._began > self._start_limit:
+            elif is_late:
                 raise LockstepError(
-                    f"the run did not start within {self._start_limit:g} s: "
-                    f"{self.peers.describe(absent)}"
+                    f"the run did not start within {limit:g} s: {self.peers.describe(absent)}"
                 )
             return
-        if self._paused and not self._behind():
-            return  # the tick waits for its time
-        limit = self.limit()
-        if now - self._waiting_since > limit:
-            missing = "/recorder/written from recorder"
-            if not self._paused:
-                awaited = [name for name in self.inputs if name in self.lockstep.awaited]
-                missing = self.peers.describe_silent(awaited)
-            tick = self._site.tick
-            raise LockstepError(f"tick {tick}: no message within {limit:g} s on {missing}")
+        waits_for_time = self._paused and not (self.finished or self._is_behind)
+        if waits_for_time or not is_late:
+            return
+        missing = "/recorder/written from recorder"
+        if not self._paused:
+            awaited = [name for name in self.inputs if name in self.awaited]
+            missing = self.peers.describe_silent(awaited)
+        raise LockstepError(f"tick {self._site.tick}: no message within {limit:g} s on {missing}")
 
     def limit(self) -> float:
         """Return the current maximum wait for another node (s of wall time)."""
-        # Nodes that have not answered yet may still be joining, which takes seconds on a busy
-        # machine.
+        # Nodes that have not answered yet may still be joining.
         answered = self._site.tick and (self._written or not self._paused)
-        return self._limit if answered else max(self._limit, self._start_limit)
+        return self._limit if answered else max(self._limit, _START_LIMIT_S)
+
+    # --- reports ------------------------------------------------------------------------------
 
     def progress(self) -> dict[str, Any]:
         """Return the tick, the levels (m) and the command.
@@ -287,20 +273,11 @@ class PlantNode(SimulationNode):
         The values are from the tick that was published last, whose time is the time stamp of the
         report. The next tick may already be computed and waiting to be due.
         """
-        tick, cistern, roof = self._published
-        return {
-            "tick": tick,
-            "cistern_level": cistern,
-            "roof_level": roof,
-            "command": self._command.value,
-        }
+        return {**self._published, "command": self._command.value}
 
     def summary(self) -> dict[str, Any]:
         """Return the metrics, events and duration (s of wall time) of the run."""
-        return {
-            **self._metrics.results(self._site.state)._asdict(),
-            "wall_s": self._wall_s,
-        }
+        return {**self._metrics.results(self._site.state)._asdict(), "wall_s": self._wall_s}
 
 
 main = node_command(PlantNode, "nodes.plant", __doc__, parameters)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from greenroof_ros.interface.alarm import WARN, advise
+from greenroof_ros.interface.alarm import advise
 from greenroof_ros.interface.states import PUMP, STARTING, DriveState, PumpState
 from greenroof_ros.ros.alarms import ROLE, Judge
 from greenroof_ros.ros.reports import Reports, StatusDiagnosis
@@ -48,7 +48,7 @@ class StartList:
         """
         wrong = {
             name: diagnosis for name, diagnosis in judge.diagnoses.items()
-            if diagnosis.level != WARN and diagnosis.role != ROLE
+            if diagnosis.is_serious and diagnosis.role != ROLE
         }
         missing = {
             (name, diagnosis.code): f"  {name}: {diagnosis.sentence}. "

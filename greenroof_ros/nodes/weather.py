@@ -9,18 +9,16 @@ begin_node(__name__)
 import math
 from array import array
 from dataclasses import replace
-from typing import Any
 
-from greenroof_ros.base.errors import rename_keys
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import DEFAULT_START, epoch_ns, read_start
-from greenroof_ros.forecast.choice import INPUTS, MODELS, OPTIONS, PERFECT, ForecastChoice, choose
+from greenroof_ros.forecast.choice import INPUTS, MODELS, PERFECT, choose
 from greenroof_ros.forecast.steps import Outlook, make_forecast
 from greenroof_ros.ros.errors import LockstepError
 from greenroof_ros.ros.executable import node_command
 from greenroof_ros.ros.graph_node import GraphNode
+from greenroof_ros.ros.lockstep import CLOCK, LockstepNode
 from greenroof_ros.ros.messages import WithFront
-from greenroof_ros.ros.node import SimulationNode
 from greenroof_ros.ros.parameters import declare, look_ahead_parameters, site_file
 from greenroof_ros.site.horizon import MAX_HORIZON, look_ahead_ends
 from greenroof_ros.site.site import Site
@@ -75,19 +73,6 @@ def parameters(site: Site) -> list[Parameter]:
     ]
 
 
-def _choose_forecast(values: dict[str, Any]) -> ForecastChoice:
-    """Return the choice of forecasts specified by the parameter values.
-
-    Raises:
-        ConfigurationError: if a parameter is invalid.
-    """
-    with rename_keys({name: f"parameter {name} of weather" for name in ("forecast", *INPUTS)}):
-        return choose(values["forecast"], {
-            name: values[f"forecast_{name}"] for name, parameter in OPTIONS.items()
-            if values[f"forecast_{name}"] not in (parameter.default, _USUAL_DELAY)
-        })
-
-
 class WeatherNode(GraphNode):
     """Node that publishes weather and forecasts; a subclass adds their source and the pace."""
 
@@ -129,7 +114,7 @@ class WeatherNode(GraphNode):
             self.publish(_EVAPOTRANSPIRATION, evapotranspiration)
 
 
-class RecordedWeather(WeatherNode, SimulationNode):
+class RecordedWeather(WeatherNode, LockstepNode):
     """Weather node of a simulated graph, with recorded weather."""
 
     def __init__(self) -> None:
@@ -150,26 +135,21 @@ class RecordedWeather(WeatherNode, SimulationNode):
         zone = weather.first.tzinfo if site.time_zone is None else site.zone
         start = read_start(values["start"], zone)
         self._series = WeatherSeries(weather, site, start, self._last_tick)
+        forecast = choose(values["forecast"], {
+            name.removeprefix("forecast_"): values[name] for name, parameter in INPUTS.items()
+            if values[name] not in (parameter.default, _USUAL_DELAY)
+        })
         self._forecast = make_forecast(
-            weather, self._series, site, start, values["horizon"], _choose_forecast(values),
+            weather, self._series, site, start, values["horizon"], forecast,
             values["all_members"], values["outlet_horizon"],
         )
         self._start_ns, self._tick_ns = epoch_ns(start), round(site.tau * 1e9)
-        self.follow_clock()
         self._hour: Hour | None = None
+        self.subscribe(CLOCK)
         self.open_weather(site, values["horizon"], values["outlet_horizon"])
 
     def on_inputs(self) -> None:
-        """Publish the weather of the tick, and the forecasts known at the time of the tick."""
-        tick, hour = self._find_tick(), self._hour
-        if hour is None or tick >= hour.until:
-            hour = self._hour = self._series.at(tick)
-        self.publish_weather(
-            hour.frost, self._forecast.at(tick), hour.precipitation, hour.evapotranspiration
-        )
-
-    def _find_tick(self) -> int:
-        """Return the number of the tick that begins now.
+        """Publish the weather of the tick, and the forecasts known at the time of the tick.
 
         Raises:
             LockstepError: if no tick of the run begins now.
@@ -180,7 +160,12 @@ class RecordedWeather(WeatherNode, SimulationNode):
                 f"/clock is at tick {tick}, but this run has ticks 0 to {self._last_tick}: the "
                 "plant node and the weather node were started for different runs"
             )
-        return tick
+        hour = self._hour
+        if hour is None or tick >= hour.until:
+            hour = self._hour = self._series.at(tick)
+        self.publish_weather(
+            hour.frost, self._forecast.at(tick), hour.precipitation, hour.evapotranspiration
+        )
 
 
 main = node_command(RecordedWeather, "nodes.weather", __doc__, parameters)

@@ -7,9 +7,6 @@ from pathlib import Path
 
 from greenroof_ros.interface.alarm import ALARMS, Alarm, read_record
 
-OLDER = f"{ALARMS}.1"
-"""the name that the file takes once it is full"""
-
 
 def read_alarms(directory: Path) -> list[Alarm]:
     """Return the latest recorded alarms of a live site, ordered by number.
@@ -21,16 +18,15 @@ def read_alarms(directory: Path) -> list[Alarm]:
         directory: the site's directory.
 
     Raises:
-        OSError: if a file cannot be read.
+        OSError: if the file cannot be read.
         ValueError: if a line is not an alarm. An incomplete last line after a crash is ignored.
     """
-    alarms: dict[int, Alarm] = {}
-    for path in filter(Path.is_file, (directory / OLDER, directory / ALARMS)):
-        *lines, _cut = path.read_bytes().split(b"\n")
-        for index, line in enumerate(lines, start=1):
-            try:
-                alarm = read_record(json.loads(line))
-            except (ValueError, TypeError, AttributeError, RecursionError) as error:
-                raise ValueError(f"{path}, line {index}: is not an alarm ({error})") from error
-            alarms[alarm.number] = alarm
+    path, alarms = directory / ALARMS, dict[int, Alarm]()
+    *lines, _cut = path.read_bytes().split(b"\n") if path.is_file() else [b""]
+    for index, line in enumerate(lines, start=1):
+        try:
+            alarm = read_record(json.loads(line))
+        except (ValueError, TypeError, AttributeError, RecursionError) as error:
+            raise ValueError(f"{path}, line {index}: is not an alarm ({error})") from error
+        alarms[alarm.number] = alarm
     return sorted(alarms.values(), key=lambda alarm: alarm.number)

@@ -18,8 +18,6 @@ def to_status(alarm: Alarm) -> tuple[int, dict[str, str]]:
     record = to_record(alarm)
     values = {key: str(record[key]) for key in _VALUES if record[key] not in (None, 0, "")}
     values |= {"about": " ".join(alarm.about), "serious": str(alarm.is_serious).lower()}
-    if not alarm.number:
-        values["starting"] = "true"
     level = OK if alarm.ended is not None else LEVELS.index(alarm.level)
     return level, {key: value for key, value in values.items() if value}
 

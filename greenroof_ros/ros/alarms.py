@@ -7,10 +7,10 @@ shows alarms shows those.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from operator import itemgetter
 
 from greenroof_ros.interface.alarm import ERROR, LEVELS, WARN, Alarm
 from greenroof_ros.interface.conditions import Diagnosis
@@ -22,40 +22,18 @@ ROLE = "alarms"
 """role and name of the alarms node"""
 RESTARTED = "GREENROOF_ROS_RESTARTED"
 """environment variable with the reason why the process of the alarms node was restarted"""
-# An alarm that comes back within this time (s) is the same one.
-_AGAIN_S = 10.0
 # Devices that fall silent within this time of one another (s) do so for one reason.
 _TOGETHER_S = 15.0
-# How far a node's time stamps may be ahead of the graph's time (s).
-_AHEAD_S = 60.0
+# Parts about what a node receives, which explain nothing elsewhere.
+_OF_INPUTS = "inputs", "refused"
 # How many alarms that are over are kept.
 _MAX_OVER = 20
-# Endings of the names of statuses about what a node receives: they explain nothing elsewhere.
-_OF_INPUTS = ": inputs", ": refused"
 
-
-class Change(NamedTuple):
-    """A change in an alarm.
-
-    Attributes:
-        what: type of the change: ``begins``, ``changes`` (of the level or the cause), ``ends`` or
-            ``returns``.
-        alarm: the alarm after the change.
-    """
-
-    what: str
-    alarm: Alarm
+Diagnoses = Mapping[str, StatusDiagnosis]
+"""What is wrong now, by status name."""
 
 
 # --- the judge ------------------------------------------------------------------------------------
-
-
-class _Lasting(NamedTuple):
-    """The identity of a current diagnosis, and its start in steady and in graph time (s)."""
-
-    identity: tuple[str, str]
-    began: float
-    since: float
 
 
 class Judge:
@@ -64,287 +42,200 @@ class Judge:
     Arguments named ``wall`` are times on the steady clock (s).
 
     Attributes:
-        alarms: the active alarms and the latest past alarms, keyed by status name.
-        diagnoses: the diagnoses at the last update, keyed by status name.
+        present: the active alarms, by status name.
+        over: the latest past alarms, latest first.
+        diagnoses: the diagnoses at the last update, by status name.
         causes: name of the causing diagnosis for every diagnosis that follows from another
             diagnosis.
         missing: diagnoses about nodes and values that may still arrive while the site is starting,
-            keyed by status name.
+            by status name.
     """
 
     def __init__(self, number: int = 0) -> None:
         """Start without alarms; the first alarm will have the number after the given number."""
-        self.alarms: dict[str, Alarm] = {}
-        self.diagnoses: Mapping[str, StatusDiagnosis] = {}
+        self.present: dict[str, StatusDiagnosis] = {}
+        self.over: deque[Alarm] = deque(maxlen=_MAX_OVER)
+        self.diagnoses: Diagnoses = {}
         self.causes: dict[str, str] = {}
-        self.missing: dict[str, StatusDiagnosis] = {}
+        self.missing: dict[str, Alarm] = {}
         self._number = number
-        self._lasting: dict[str, _Lasting] = {}
-        self._groups: dict[str, str] = {}
-        # When the present alarms began, and when the past ones ended (steady clock, s).
-        self._began: dict[str, float] = {}
-        self._ended: dict[str, float] = {}
 
     @property
     def shown(self) -> list[Alarm]:
         """Everything on /alarms: active and past alarms, and what is missing at the start."""
-        missing = (
-            Alarm(0, *_split(name), diagnosis.role, diagnosis.code, LEVELS[WARN],
-                  _headline(diagnosis), self._lasting[name].since, about=diagnosis.about,
-                  follows=self.causes.get(name, ""), fault=diagnosis.fault)
-            for name, diagnosis in self.missing.items()
-        )
-        return [*self.present.values(), *self.over, *missing]
-
-    @property
-    def present(self) -> dict[str, Alarm]:
-        """The active alarms, by name."""
-        return {name: alarm for name, alarm in self.alarms.items() if alarm.ended is None}
-
-    @property
-    def over(self) -> list[Alarm]:
-        """The past alarms, latest first."""
-        ended = sorted(self._ended, key=lambda name: -self._ended[name])
-        return [self.alarms[name] for name in ended]
+        return [*self.present.values(), *self.over, *self.missing.values()]
 
     def update(
-        self, wall: float, now: float, diagnoses: Mapping[str, StatusDiagnosis], *,
-        starting: bool = False,
-    ) -> list[Change]:
-        """Update the alarms and return their changes.
+        self, wall: float, now: float, diagnoses: Diagnoses, *, starting: bool = False
+    ) -> list[Alarm]:
+        """Update the alarms, and return those that begin, end, or change in level or cause.
 
         Args:
             wall: current time on the steady clock (s).
             now: current time of the graph (s since 1970).
-            diagnoses: all current diagnoses, keyed by status name.
+            diagnoses: all current diagnoses, by status name.
             starting: True while the site is starting; nodes and values that are merely late then
                 cause no alarm.
         """
-        before, self._lasting = self._lasting, {}
-        for name, diagnosis in diagnoses.items():
-            lasting = before.get(name)
-            if lasting is None or lasting.identity != diagnosis.identity:
-                since = diagnosis.since
-                if since is None or since > now + _AHEAD_S:
-                    since = now
-                lasting = _Lasting(diagnosis.identity, wall - diagnosis.age_s, since)
-            self._lasting[name] = lasting
-        self._groups = {}
-        self.diagnoses = diagnoses = {**diagnoses, **dict(self._group_devices(diagnoses))}
-        older_first = sorted(diagnoses, key=lambda name: self._lasting[name].began)
-        self.causes = find_causes(
-            {name: diagnoses[name] for name in older_first if diagnoses[name].role}, self._groups
-        )
-        self.missing = {
-            name: diagnosis for name, diagnosis in diagnoses.items()
-            if starting and self._is_awaited(name, diagnosis)
-        }
-        changes = [*self._end(wall, now, diagnoses)]
+        groups = dict(_group_devices(diagnoses))
+        self.diagnoses = {**diagnoses, **{group.name: group for group in groups.values()}}
+        self.causes = find_causes(self.diagnoses, groups)
+        changed, self.missing = [*self._end(wall, now)], {}
         # Causes first: what follows from something that is not yet an alarm is not one, either.
-        for name in sorted(diagnoses, key=lambda name: name in self.causes):
-            if name not in self.missing:
-                changes += self._judge(wall, name, diagnoses[name], self.causes.get(name, ""))
-        for alarm in self.over[_MAX_OVER:]:
-            del self.alarms[alarm.name], self._ended[alarm.name], self._began[alarm.name]
-        return changes
+        for name in sorted(self.diagnoses, key=lambda name: name in self.causes):
+            diagnosis, before = self.diagnoses[name], self.present.get(name)
+            cause = self.causes.get(name, "")
+            alarm = replace(
+                diagnosis, sentence=_headline(diagnosis), follows=cause,
+                since=diagnosis.since or now - (wall - diagnosis.began),
+            )
+            if before is not None:
+                follows = cause if cause in self.present else ""
+                same = {key: getattr(before, key) for key in ("number", "since", "began")}
+                alarm = replace(alarm, follows=follows, **same)
+            elif starting and diagnosis.condition.late and not diagnosis.was_good:
+                self.missing[name] = replace(alarm, level=LEVELS[WARN])
+                continue
+            elif not self.has_lasted(wall, name) or (cause and cause not in self.present):
+                continue
+            else:
+                self._number += 1
+                alarm = replace(alarm, number=self._number)
+            self.present[name] = alarm
+            if before is None or (alarm.level, alarm.follows) != (before.level, before.follows):
+                changed.append(alarm)
+        return changed
 
     def has_lasted(self, wall: float, name: str) -> bool:
         """Return whether a diagnosis has lasted long enough to be an alarm."""
-        condition = self.diagnoses[name].condition
-        lasts = condition.lasts if condition is not None else 0.0
-        return wall - self._lasting[name].began >= lasts
+        diagnosis = self.diagnoses[name]
+        return wall - diagnosis.began >= diagnosis.condition.lasts
 
-    def _group_devices(
-        self, diagnoses: Mapping[str, StatusDiagnosis]
-    ) -> Iterator[tuple[str, StatusDiagnosis]]:
-        """Yield a diagnosis for the devices on each line or broker that fell silent together."""
-        lines: dict[str, list[str]] = {}
-        for name in sorted(diagnoses, key=lambda name: self._lasting[name].began):
-            condition = diagnoses[name].condition
-            if condition is None or not condition.device or not diagnoses[name].line:
-                continue
-            together = lines.setdefault(diagnoses[name].line, [])
-            before = self._lasting[together[-1]].began if together else -math.inf
-            if len(together) < 2 and self._lasting[name].began - before > _TOGETHER_S:
-                together.clear()
-            together.append(name)
-        for line, names in lines.items():
-            devices = dict.fromkeys(map(name_source, names))
-            if len(devices) < 2:
-                continue
-            first = self._lasting[names[0]]
-            group = f"{names[0].partition(': ')[0].rpartition('/')[0]}/{ROLE}: {line}"
-            self._groups |= dict.fromkeys(names, group)
-            *others, last = (device.lower() for device in devices)
-            yield group, StatusDiagnosis(
-                max(diagnoses[name].level for name in names),
-                Diagnosis.of("devices_lost", devices=f"{', '.join(others)} and {last}").sentence,
-                "devices_lost", ROLE,
-                tuple({topic: None for name in names for topic in diagnoses[name].about}),
-                was_good=any(diagnoses[name].was_good for name in names),
-            )
-            self._lasting[group] = _Lasting(("devices_lost", ""), first.began, first.since)
-
-    def _is_awaited(self, name: str, diagnosis: StatusDiagnosis) -> bool:
-        condition = diagnosis.condition
-        late = condition is not None and condition.late and not diagnosis.was_good
-        return late and not self._is_present(name)
-
-    def _is_present(self, name: str) -> bool:
-        return name in self.alarms and name not in self._ended
-
-    def _end(
-        self, wall: float, now: float, diagnoses: Mapping[str, StatusDiagnosis]
-    ) -> Iterator[Change]:
+    def _end(self, wall: float, now: float) -> Iterator[Alarm]:
         """End the alarms whose diagnosis has ended or has been replaced by another diagnosis."""
-        for name, alarm in self.present.items():
-            diagnosis = diagnoses.get(name)
-            if diagnosis is None or diagnosis.identity != (alarm.code, alarm.fault):
-                seconds = round(wall - self._began[name], 1)
-                ahead = 0 < alarm.since - now <= _AHEAD_S  # otherwise the clock was set back
-                ended = alarm.since if ahead else now
-                self.alarms[name] = replace(alarm, ended=ended, seconds=seconds)
-                self._ended[name] = wall
-                yield Change("ends", self.alarms[name])
-
-    def _judge(
-        self, wall: float, name: str, diagnosis: StatusDiagnosis, cause: str
-    ) -> Iterator[Change]:
-        """Begin or continue the alarm for a diagnosis, if the diagnosis now counts as an alarm."""
-        lasting, before = self._lasting[name], self.alarms.get(name)
-        news: dict[str, Any] = {
-            "level": LEVELS[diagnosis.level], "sentence": _headline(diagnosis),
-            "about": diagnosis.about, "follows": cause if self._is_present(cause) else "",
-        }
-        if before is not None and (before.code, before.fault) == diagnosis.identity and (
-            wall - self._ended.get(name, wall) <= _AGAIN_S
-        ):
-            alarm = self.alarms[name] = replace(before, ended=None, seconds=None, **news)
-            if self._ended.pop(name, None) is not None:
-                yield Change("returns", alarm)
-            elif (alarm.level, alarm.follows) != (before.level, before.follows):
-                yield Change("changes", alarm)
-            return
-        # What follows from something that is not yet an alarm is not one, either.
-        waits = cause and not news["follows"] and self._lasting[cause].began <= lasting.began
-        if waits or not self.has_lasted(wall, name):
-            return
-        self._number += 1
-        self._ended.pop(name, None)
-        self._began[name] = lasting.began
-        self.alarms[name] = Alarm(
-            self._number, *_split(name), diagnosis.role, diagnosis.code, fault=diagnosis.fault,
-            since=lasting.since, **news,
-        )
-        yield Change("begins", self.alarms[name])
+        for name, alarm in [*self.present.items()]:
+            diagnosis = self.diagnoses.get(name)
+            if diagnosis is None or diagnosis.identity != alarm.identity:
+                del self.present[name]
+                # The stamp of its node may be ahead of this clock, which may also be set back.
+                ended, seconds = max(now, alarm.since), round(wall - alarm.began, 1)
+                self.over.appendleft(replace(alarm, ended=ended, seconds=seconds))
+                yield self.over[0]
 
 
 def name_source(name: str) -> str:
     """Return a plain name for the source of an alarm: ``Roof sensor`` for ``/roof_sensor: x``."""
-    return _split(name)[0].rpartition("/")[2].replace("_", " ").capitalize()
-
-
-def _split(name: str) -> tuple[str, str]:
-    """Return node and part in the name of a status."""
-    node, _, part = name.partition(": ")
-    return node, part
+    return name.partition(": ")[0].rpartition("/")[2].replace("_", " ").capitalize()
 
 
 def _headline(diagnosis: StatusDiagnosis) -> str:
     """Return the sentence of a diagnosis in an operator's words, if the table has one."""
-    condition = diagnosis.condition
-    if condition is None or not condition.headline:
-        return diagnosis.sentence
     topics = read_topics()
     labels = [
         display.label.lower() for name in diagnosis.about
         if name in topics and (display := topics[name].display) is not None
     ]
-    return condition.headline.format(inputs=" or ".join(labels) or "value")
+    headline = diagnosis.condition.headline.format(inputs=" or ".join(labels) or "value")
+    return headline or diagnosis.sentence
 
 
 # --- causes ---------------------------------------------------------------------------------------
 
 
+def _group_devices(diagnoses: Diagnoses) -> Iterator[tuple[str, StatusDiagnosis]]:
+    """Yield the names of devices on one line or broker that fell silent together.
+
+    Each comes with the diagnosis that the devices of its line have in common.
+    """
+    lines: dict[str, list[StatusDiagnosis]] = {}
+    for diagnosis in _older_first(diagnoses):
+        if diagnosis.line and diagnosis.condition.device:
+            group = lines.setdefault(diagnosis.line, [])
+            if len(group) == 1 and diagnosis.began - group[0].began > _TOGETHER_S:
+                group.clear()
+            group.append(diagnosis)
+    for line, group in lines.items():
+        devices = sorted({name_source(each.name).lower() for each in group})
+        if len(devices) > 1:
+            *others, last = devices
+            lost = Diagnosis.of("devices_lost", devices=f"{', '.join(others)} and {last}")
+            common = replace(
+                group[0], node=f"{group[0].node.rpartition('/')[0]}/{ROLE}", part=line, role=ROLE,
+                code=lost.code, sentence=lost.sentence, fault="", line="",
+                level=max((each.level for each in group), key=LEVELS.index),
+                about=tuple({topic: None for each in group for topic in each.about}),
+                was_good=any(each.was_good for each in group),
+            )
+            yield from ((each.name, common) for each in group)
+
+
 def find_causes(
-    diagnoses: Mapping[str, StatusDiagnosis], groups: Mapping[str, str] = {}
+    diagnoses: Diagnoses, groups: Mapping[str, StatusDiagnosis] = {}
 ) -> dict[str, str]:
     """Return the name of the root cause of every diagnosis that follows from another diagnosis.
 
-    The pump's state follows from the diagnosis of the part that reports the reason in more detail.
-    A node's missing input follows from the diagnosis of the publisher. An error does not follow
-    from a warning. A state of the pump that requires a visit to the pump does not follow from any
-    other diagnosis, because advice about a cause would conceal the need for this visit.
+    An error does not follow from a warning. A state of the pump that requires a visit to the pump
+    does not follow from any other diagnosis, because advice about a cause would conceal the need
+    for this visit.
 
     Args:
-        diagnoses: diagnoses of the graph's own nodes, keyed by status name, oldest first.
-        groups: name of the diagnosis of the group to which a device belongs, by status name.
+        diagnoses: diagnoses of the graph's nodes, by status name.
+        groups: the common diagnosis of the devices that fell silent together, by status name.
     """
     causes: dict[str, str] = {}
-    for name, diagnosis in diagnoses.items():
-        grouped = [groups[name]] if name in groups else []
-        for other in (*grouped, *_find_candidates(name, diagnosis, diagnoses)):
-            first = causes.get(other, other)
-            group = [name, *(follower for follower, cause in causes.items() if cause == name)]
-            worse = diagnoses[first].level == WARN and any(
-                diagnoses[follower].level == ERROR for follower in group
-            )
-            if first != name and not worse:
-                causes.update(dict.fromkeys(group, first))
+
+    def root_of(name: str) -> str:
+        return root_of(causes[name]) if name in causes else name
+
+    def may_follow(name: str, root: str) -> bool:
+        levels = diagnoses[name].level, diagnoses[root].level
+        return name != root and levels != (LEVELS[ERROR], LEVELS[WARN])
+
+    ordered = _older_first(diagnoses)
+    for diagnosis in ordered:
+        senders = _find_senders(diagnosis)
+        ranked = [
+            (1 if groups.get(diagnosis.name) is cause else _rank(diagnosis, cause, senders), cause)
+            for cause in ordered if cause is not diagnosis
+        ]
+        for _, cause in sorted(filter(itemgetter(0), ranked), key=itemgetter(0)):
+            if may_follow(diagnosis.name, root_of(cause.name)):
+                causes[diagnosis.name] = cause.name
                 break
-    return causes
+    return {name: root for name in causes if may_follow(name, root := root_of(name))}
 
 
-def _find_candidates(
-    name: str, diagnosis: StatusDiagnosis, diagnoses: Mapping[str, StatusDiagnosis]
-) -> Iterator[str]:
-    """Yield the names of diagnoses that may be the cause of a diagnosis, the most likely first."""
-    node, _, part = name.partition(": ")
-    condition = diagnosis.condition
-    if condition is not None and condition.needs_operator and part == PUMP:
-        return
-    if part and node in diagnoses:  # the node as a whole, for example if it is silent
-        yield node
-    if condition is None:
-        return
-    if not part:  # awaited nodes that are wrong as a whole
-        for name, other in diagnoses.items():
-            waited_for = {name.rpartition("/")[2], other.role} & {*diagnosis.about}
-            if name != node and ": " not in name and waited_for:
-                yield name
-    elif condition.no_data:
-        yield from _find_publishers(diagnosis, diagnoses)
-    interlock = condition.interlock
-    more: Sequence[str] = condition.explained_by if interlock is None else interlock.parts
-    if interlock is None or part == PUMP:
-        yield from (own for explains in more if (own := f"{node}: {explains}") in diagnoses)
-    if interlock is not None:  # another node may know more, such as the temperature in frost
-        yield from (
-            other for explains in more for other in diagnoses
-            if other.endswith(f": {explains}") and not other.startswith(f"{node}: ")
-        )
-    if part == "inputs":
-        # A part of the pump node that stops the pump because of that input reports more about it.
-        yield from (
-            name for name, other in diagnoses.items()
-            if other.role == PUMP and not name.endswith(_OF_INPUTS)
-            and {*other.about} & {*diagnosis.about}
-        )
+def _older_first(diagnoses: Diagnoses) -> list[StatusDiagnosis]:
+    return sorted(diagnoses.values(), key=lambda diagnosis: diagnosis.began)
 
 
-def _find_publishers(
-    diagnosis: StatusDiagnosis, diagnoses: Mapping[str, StatusDiagnosis]
-) -> Iterator[str]:
-    """Yield the names of the diagnoses of the nodes that publish what a diagnosis is about.
+def _find_senders(diagnosis: StatusDiagnosis) -> set[str]:
+    """Return the roles that publish the data that a part of a node lacks."""
+    if not diagnosis.part or not diagnosis.condition.no_data:
+        return set()
+    topics = [topic for name, topic in read_topics().items() if name in diagnosis.about]
+    return {
+        role for topic in topics for role in (*topic.publishers, *topic.live_publishers)
+        if role != diagnosis.role
+    }
 
-    Diagnoses of whole nodes come before diagnoses of parts of nodes.
-    """
-    interface, roles = read_topics(), set[str]()
-    for topic in interface.keys() & {*diagnosis.about}:
-        roles.update(interface[topic].publishers, interface[topic].live_publishers)
-    roles.discard(diagnosis.role)
-    names = [
-        name for name, other in diagnoses.items()
-        if other.role in roles and not name.endswith(_OF_INPUTS)
-    ]
-    yield from sorted(names, key=lambda name: ": " in name)
+
+def _rank(diagnosis: StatusDiagnosis, cause: StatusDiagnosis, senders: set[str]) -> int:
+    """Return how well one diagnosis explains another: 1 is best, and 0 is not at all."""
+    part, about, own = diagnosis.part, {*diagnosis.about}, diagnosis.node == cause.node
+    condition, interlock = diagnosis.condition, diagnosis.condition.interlock
+    if part == PUMP and condition.needs_operator:
+        return 0
+    reports_more = cause.part in (condition.explained_by if interlock is None else interlock.parts)
+    rules = (
+        own and not cause.part,  # the node as a whole, for example if it is silent
+        not part and not cause.part and {cause.node.rpartition("/")[2], cause.role} & about,
+        cause.role in senders and not cause.part,
+        cause.role in senders and cause.part not in _OF_INPUTS,
+        # Of an interlock, another node may know more, such as the temperature in frost.
+        reports_more and (own if interlock is None else part == PUMP or not own),
+        # A part of the pump node that stops the pump because of that input knows more about it.
+        part == "inputs" and cause.role == PUMP and cause.part not in _OF_INPUTS
+        and not about.isdisjoint(cause.about),
+    )
+    return next((rank for rank, rule in enumerate(rules, start=1) if rule), 0)

@@ -19,8 +19,6 @@ class MalformedMessageError(Exception):
 
 def describe(error: Exception) -> str:
     """Return an unexpected error as one line: its type, message and location in the code."""
-    if isinstance(error, HangError):
-        return str(error)
     place = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno})"
 
@@ -41,5 +39,5 @@ def explain(error: Exception) -> tuple[str, int]:
     """Return a sentence that states why a node or a run failed, and the exit code."""
     if isinstance(error, ConfigurationError):
         return str(error), exit_code(error)
-    known = isinstance(error, (LockstepError, OSError))
+    known = isinstance(error, (LockstepError, OSError, HangError))
     return str(error) if known else describe(error), EXIT_FAILED

@@ -22,7 +22,7 @@ from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.ros.errors import print_failure
 from greenroof_ros.ros.graph_node import GraphNode
-from greenroof_ros.ros.node import SimulationNode
+from greenroof_ros.ros.lockstep import LockstepNode
 from greenroof_ros.ros.parameters import default_site, refuse_unknown, type_name
 from greenroof_ros.ros.spin import destroy_nodes, end_nodes, ros, spin
 
@@ -156,7 +156,7 @@ def run_nodes(
     return code
 
 
-def spin_alone(nodes: Sequence[SimulationNode], check: Callable[[], None]) -> None:
+def spin_alone(nodes: Sequence[LockstepNode], check: Callable[[], None]) -> None:
     """Run a node of a simulated graph until its run is over; see :func:`node_command`.
 
     Before the node acts for the first time, log the nodes that it is waiting for whenever they

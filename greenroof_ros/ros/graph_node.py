@@ -19,7 +19,7 @@ from rclpy.qos import QoSProfile
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import as_started
-from greenroof_ros.interface.states import ENDED, STARTING
+from greenroof_ros.interface.states import ENDED, FINISHED, READY, STARTING
 from greenroof_ros.interface.topics import Topic
 from greenroof_ros.ros.diagnostics import NodeDiagnostics
 from greenroof_ros.ros.errors import LockstepError, MalformedMessageError, describe
@@ -34,6 +34,9 @@ from greenroof_ros.site.site import Site
 # The longest time for which an ending node waits for its readers (s): a killed reader stays
 # matched.
 _FLUSH_S = 1.0
+# How often a node looks for its peers and reports its state (s): counting publishers takes at least
+# a tenth of a millisecond, and bringup kills a silent pump node after 2 s.
+_REPORT_S = 0.25
 
 
 class GraphNode(Node):
@@ -44,24 +47,22 @@ class GraphNode(Node):
         failure: the error that prevents the node from continuing; None if there is none.
         on_failure: callback, without arguments, for an error that prevents the node from
             continuing.
-        malformed: number of malformed messages, which were dropped, by topic.
+        malformed: number of malformed messages that no input received, by topic.
         inputs: the topics that the node acts on, keyed by their names in the interface.
         interface: all topics of the graph, by name.
         peers: the nodes that publish the node's inputs.
         reports: object that reports the node's state.
-        warnings: sentences about faults of the node's inputs.
+        tick: number of the node's next tick.
+        warnings: sentences about incompatible publishers of the node's inputs.
     """
 
-    def __init__(
-        self, name: str, role: str, interface: Mapping[str, Topic], reports: type[NodeDiagnostics]
-    ) -> None:
+    def __init__(self, name: str, role: str, interface: Mapping[str, Topic]) -> None:
         """Join the graph.
 
         Args:
             name: the node's name.
             role: the node's role in the interface: its name, or ``controller``.
             interface: all topics of the graph, by name.
-            reports: class of the object that reports the node's state.
 
         Raises:
             ConfigurationError: if the ROS arguments or a parameter file is invalid.
@@ -74,17 +75,18 @@ class GraphNode(Node):
         self.failure: Exception | None = None
         self.on_failure: Callable[[], None] = lambda: None
         self.malformed = Counter[str]()
-        self._malformed: list[str] = []  # a sentence about the first of every topic
         self.interface = interface
         self.inputs: Mapping[str, Input] = {}
         self.peers = Peers(role)
-        self.warnings: list[str] = []
-        self.reports = reports(self, role)
+        self.tick = 0
+        self.warnings: Sequence[str] = ()
+        self.reports = NodeDiagnostics(self, role)
+        self._reported = 0.0
         # The publisher of every topic; its method to publish, and the encoder of its messages.
         self._outputs: dict[str, Publisher] = {}
         self._publish: dict[str, tuple[Callable[[bytes], None], Callable[[Any], bytes]]] = {}
-        self._final: dict[str, Any] = {}
-        self._site_file: dict[str, str] = {}
+        # What every report contains, and what is added at the end.
+        self._always: dict[str, Any] = {}
 
     # --- to override ------------------------------------------------------------------------
 
@@ -110,7 +112,7 @@ class GraphNode(Node):
             ConfigurationError: if the file cannot be read, or if a value in it is invalid.
         """
         file = Path(declare(self, [site_file()])["site_file"])
-        self._site_file = {"site": str(as_started(file).resolve())}
+        self._always["site"] = str(as_started(file).resolve())
         return read_site(file)
 
     def open_outputs(self, *names: str) -> None:
@@ -142,14 +144,8 @@ class GraphNode(Node):
             """Store an error until the run ends; the executor would print it with a traceback."""
             try:
                 callback(message)
-            except MalformedMessageError as error:
+            except MalformedMessageError:
                 self.malformed[topic.name] += 1
-                if self.malformed[topic.name] == 1:
-                    self._malformed.append(
-                        f"dropped a malformed message on {topic.name} ({error}); later malformed "
-                        "messages on this topic are counted but not logged"
-                    )
-                    self.get_logger().warning(self._malformed[-1])
             except Exception as error:
                 self.fail(error)
 
@@ -170,19 +166,14 @@ class GraphNode(Node):
         self.on_failure()
 
     @property
-    def tick(self) -> int:
-        """The number of the node's next tick."""
-        raise NotImplementedError
-
-    @property
     def acted(self) -> bool:
         """Whether the node has acted, or is acting for the first time."""
         return self.tick > 0
 
     @property
     def time_ns(self) -> int:
-        """The time of the graph (ns since 1970)."""
-        return int(self.get_clock().now().nanoseconds)
+        """The time (ns since 1970): in a live graph the system's, whatever ``use_sim_time`` is."""
+        return time.time_ns()
 
     @property
     def good(self) -> bool:
@@ -194,19 +185,38 @@ class GraphNode(Node):
         """Whether every input has had a publisher."""
         return self.reports.state != STARTING
 
-    def warn(self, sentences: Sequence[str]) -> None:
-        """Set the node's warnings, and log those that are new."""
-        before, self.warnings = self.warnings, list(dict.fromkeys(sentences))
-        for sentence in self.warnings:
-            if sentence not in before:
-                self.get_logger().warning(sentence)
+    @property
+    def finished(self) -> bool:
+        """Whether the run is over for this node; never so in a live graph."""
+        return self.reports.state == FINISHED
+
+    def check(self, now: float) -> None:
+        """Check the conditions that depend on the steady clock, and report the node's state.
+
+        Args:
+            now: time on the steady clock (s).
+        """
+        self.on_timer(now)
+        if now - self._reported < _REPORT_S and not self.reports.urgent:
+            return
+        self._reported = now
+        self.check_peers()
+        if not self.ready and self.acted and not self.peers.absent():
+            self.reports.state = READY
+        self.report_state()
+
+    def check_peers(self) -> None:
+        """Warn about incompatible publishers, until every input has a publisher."""
+        before, self.warnings = self.warnings, [] if self.ready else self.peers.warnings()
+        for sentence in set(self.warnings).difference(before):
+            self.get_logger().warning(sentence)
 
     # --- ending -----------------------------------------------------------------------------
 
     def note_failure(self, failure: str | None) -> None:
         """Add the error that stops the node, if there is one, to all later reports."""
         if failure is not None:
-            self._final["failure"] = failure
+            self._always["failure"] = failure
 
     def end(self, failure: str | None) -> None:
         """Report that the node is stopping, and wait up to 1 s for readers to receive all messages.
@@ -224,10 +234,9 @@ class GraphNode(Node):
 
     def report_state(self, **values: Any) -> None:
         """Report the node's state together with the given values."""
-        waiting = {} if self.ready else {"waiting": list(self.peers.absent())}
-        refused = {name: entry.refused for name, entry in self.inputs.items()}
+        refused = Counter({name: entry.refused for name, entry in self.inputs.items()})
         self.reports.publish({
-            **self._site_file, **values, **self.progress(), **waiting,
-            "refused": +(Counter(refused) + self.malformed),
-            "warnings": self.warnings + self._malformed, **self._final,
+            **values, **self.progress(),
+            **({} if self.ready else {"waiting": list(self.peers.absent())}),
+            "refused": +(refused + self.malformed), "warnings": self.warnings, **self._always,
         })

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from typing import Any
 
 import numpy as np
 
 from greenroof_ros.interface.topics import Topic
+from greenroof_ros.ros.errors import MalformedMessageError
 from greenroof_ros.ros.messages import decoder
 
 
@@ -15,7 +17,8 @@ class Input:
     """A topic that a node subscribes to, with the latest value received.
 
     A value that is not finite, or is outside the range in the interface, is rejected: the input
-    then has the value 0 until the next message arrives.
+    then has the value 0, or no numbers, until the next message arrives. A message that is malformed
+    is rejected as well, since any program may publish on the topic.
 
     Attributes:
         topic: the topic in the interface.
@@ -38,6 +41,7 @@ class Input:
         self.refusal = ""
         self.refused = 0
         self._decode = decoder(self.topic.type)
+        self._is_array = "Array" in topic.type
         self._low, self._high = self.topic.low, self.topic.high
 
     @property
@@ -46,27 +50,25 @@ class Input:
         return not self.refusal
 
     def receive(self, message: bytes) -> None:
-        """Store the value of a message, or 0 if the value has to be rejected."""
-        value = self._decode(message)
+        """Store the value of a message, or 0 or no numbers if the value has to be rejected."""
         low, high = self._low, self._high
-        if isinstance(value, (float, int)):
-            if low <= value <= high:  # False for NaN
-                self.value, self.refusal = value, ""
-            else:
-                self._refuse(value, 0.0)
+        try:
+            value = self._decode(message)
+        except MalformedMessageError as error:
+            self._refuse(math.inf, str(error))
             return
-        ensemble = isinstance(value, np.ndarray)
-        if ensemble:
-            wrong: Any = value[~((low <= value) & (value <= high))]
+        if not self._is_array:
+            wrong: Any = () if low <= value <= high else (value,)  # it is wrong if it is NaN
+        elif isinstance(value, np.ndarray):
+            wrong = value[~((low <= value) & (value <= high))]
         else:  # about ten numbers: numpy would take longer
             wrong = [number for number in value if not low <= number <= high]
         if len(wrong):
-            zeros = np.zeros(value.shape) if ensemble else array("d", [0.0] * len(value))
-            self._refuse(float(wrong[0]), zeros)
+            worst = float(wrong[0])
+            self._refuse(worst, f"{worst!r}; it {self.topic.range.expected()}")
         else:
             self.value, self.refusal = value, ""
 
-    def _refuse(self, value: float, instead: Any) -> None:
+    def _refuse(self, value: float, why: str) -> None:
         self.refused += 1
-        self.refusal = f"{value!r}; it {self.topic.range.expected()}"
-        self.value = instead
+        self.value, self.refusal = array("d") if self._is_array else 0.0, why

@@ -4,9 +4,9 @@ Every topic of a tick has exactly one message per tick, k = 0..N. Only ``/clock`
 tick; the other messages need no tick number, since no node publishes tick k + 1 before it has acted
 on tick k. Every node except the recorder, which only counts messages, follows these steps:
 
-1. *wait*: when a message arrives, its input is no longer awaited (:meth:`Lockstep.receiver`);
+1. *wait*: when a message arrives, its input is no longer awaited (:meth:`LockstepNode.subscribe`);
 2. *act*: when no input is awaited any more, the node acts, and all inputs are awaited again, for
-   the next tick (:meth:`Lockstep.act`);
+   the next tick;
 3. *publish*: the node publishes its own messages of the tick, one on each of its topics.
 
 Readers that are discovered late receive the earlier messages, since topics are transient local with
@@ -18,24 +18,32 @@ end a run:
 - a second publisher, or a second message before the node has acted;
 - a second message after the node has acted. This message counts for the next tick, and is detected
   when the actual message of the next tick arrives; after the last tick, any message ends the run.
-  A message that does not reach the recorder is detected by the recorder's message count.
+  A message that does not reach the recorder is detected by the plant, which waits for its bag.
 
-A malformed message is dropped, and the node still waits for a valid message of the tick.
+A value out of its range and a malformed message are messages of the tick; they act as 0.
 
-Before the first tick, the plant publishes ``/run`` with N, from which every node knows its last
-tick. No timer or sleep delays a tick. The steady clock is used only to end a run that hangs.
+Before the first tick, the plant publishes ``/run`` with N, which every node awaits before it acts
+on tick 0, and from which it knows its last tick. No timer or sleep delays a tick. The steady clock
+is used only to end a run that hangs.
 """
 
 from __future__ import annotations
 
 import math
-from array import array
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from rclpy.duration import Duration
 
 from greenroof_ros.base.errors import OccupiedError
+from greenroof_ros.interface.states import FINISHED, PLANT
+from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.ros.errors import LockstepError
+from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.inputs import Input
+from greenroof_ros.ros.messages import decoder, qos_profile
+from greenroof_ros.ros.publishers import Publishers
 
 CLOCK, RUN = "/clock", "/run"
 
@@ -53,42 +61,65 @@ class RunIdentity(NamedTuple):
     last_tick: float
     speed: float
 
-    @property
-    def values(self) -> array[float]:
-        """The numbers in the message on ``/run``."""
-        return array("d", self)
 
+class LockstepNode(GraphNode):
+    """A node of a simulated graph, which acts in lockstep and ends with the run.
 
-class Lockstep:
-    """Lockstep of a node, which lets the node act when no input is awaited, and ends with the run.
+    A subclass opens its topics with :meth:`open_outputs` and :meth:`subscribe`, using their names
+    in the interface. A subclass overrides :meth:`on_inputs` and, if necessary, the other ``on_``
+    methods, ``progress`` and ``summary``. If it subscribes to ``/clock``, the time of the tick is
+    its time.
 
     Attributes:
         run: the run that the node takes part in; None until the plant has published it.
-        tick: the next tick on which the node will act.
         awaited: names of the inputs that have not yet received their message of this tick.
+        result: values that the node adds to the summary of the run; empty until the run is over.
+        time_ns: the simulated time (ns since 1970); 0 before the first tick.
     """
 
-    def __init__(
-        self, act: Callable[[], None], finish: Callable[[], None],
-        publishers_of: Callable[[str], str],
-    ) -> None:
-        """Create the lockstep of a node before the run.
+    time_ns = 0
+
+    def __init__(self, name: str, role: str) -> None:
+        """Join the graph.
 
         Args:
-            act: function that makes the node act.
-            finish: callback that is called after the node has acted on the last tick.
-            publishers_of: function that returns the names of the nodes that publish an input, for
-                errors.
+            name: the node's name.
+            role: the node's role in the interface: its name, or ``controller``.
+
+        Raises:
+            ConfigurationError: if the ROS arguments or a parameter file is invalid.
         """
+        super().__init__(name, role, read_topics())
+        self.inputs: dict[str, Input] = {}
         self.run: RunIdentity | None = None
-        self.tick = 0
+        self._always["run_length"] = None
         self.awaited: set[str] = set()
         self._of_tick: set[str] = set()  # names of the inputs that the node acts on
-        self._act, self._finish, self._publishers_of = act, finish, publishers_of
+        self.result: dict[str, Any] = {}
+        if role != PLANT:
+            self.awaited.add(RUN)
+            decode = decoder(self.interface[RUN].type)
+            self.open(RUN, lambda message: self._join(RunIdentity(*decode(message))))
 
-    def receiver(self, entry: Input) -> Callable[[bytes], None]:
-        """Make the node wait for an input, and return the callback for its messages."""
-        name, awaited = entry.topic.name, self.awaited
+    # --- to override ------------------------------------------------------------------------
+
+    def on_inputs(self) -> None:
+        """Act on the inputs, all of which have received their messages of the tick."""
+
+    def summary(self) -> dict[str, Any]:
+        """Return the values that the node adds to its report at the end of the run."""
+        return {}
+
+    # --- setting up -------------------------------------------------------------------------
+
+    def subscribe(self, name: str) -> Input:
+        """Open an input that the node waits for in every tick, and return it.
+
+        Args:
+            name: name of the topic in the interface.
+        """
+        awaited, full_name = self.awaited, self.resolve_topic_name(self.interface[name].graph_name)
+        entry = self.inputs[name] = Input(self.interface[name], full_name)
         self._of_tick.add(name)
         awaited.add(name)
 
@@ -96,56 +127,90 @@ class Lockstep:
             """Store a message, and let the node act if no other message is awaited."""
             entry.receive(message)
             if name not in awaited:
-                kind = LockstepError if self.tick else OccupiedError
-                raise kind(
+                raise self.conflict(
                     f"{entry.name} has a second message in tick {self.tick} "
-                    f"({self._publishers_of(name)}); another publisher, or a node of an earlier "
-                    "run, is in this graph"
+                    f"({self.peers.publishers_of(name)}); another publisher, or a node of an "
+                    "earlier run, is in this graph"
                 )
             awaited.discard(name)
             if not awaited:
-                self.act()
+                self._act()
 
-        return receive
+        self.open(name, receive)
+        return entry
 
-    def act(self) -> None:
-        """Let the node act on its inputs, and mark all inputs as awaited for the next tick."""
-        self.awaited |= self._of_tick
-        self.tick += 1
-        self._act()
-        if self.done:
-            self.awaited.clear()  # any further message ends the run
-            self._finish()
+    def open(self, name: str, callback: Callable[[bytes], None]) -> None:
+        """Pass every serialised message of a topic to a callback, without waiting for it."""
+        topic = self.interface[name]
+        required = replace(topic.qos, lease_s=math.inf)  # no lease in a simulation
+        self.peers.publishers[name] = Publishers(self, topic, required)
+        self.open_subscription(topic, callback, qos_profile(required))
 
-    def join(self, values: array[float]) -> None:
-        """Join the run that the plant has published.
+    # --- running ----------------------------------------------------------------------------
 
-        Raises:
-            LockstepError: if the node has already joined another run, which has therefore ended; if
-                the plant is from another version of the package; or if a message arrived after the
-                last tick.
-        """
-        if len(values) != len(RunIdentity._fields) or not all(map(math.isfinite, values)):
-            raise LockstepError(
-                f"{RUN} has {len(values)} numbers instead of {len(RunIdentity._fields)} finite "
-                "numbers: the plant is from another version of this package"
-            )
-        before, self.run = self.run, RunIdentity(*values)
-        if before not in (None, self.run):
+    def _join(self, run: RunIdentity) -> None:
+        if self.run is None:
+            self.run = run
+            self._always["run_length"] = round(run.last_tick)
+            self.awaited.discard(RUN)
+            if self._of_tick and not self.awaited:
+                self._act()
+        elif run != self.run:
             raise LockstepError(
                 "the plant was restarted, or there are two plants; a run ends when its plant stops"
             )
-        if before is None and self.done:  # /run arrived after the messages of the last tick
-            end = round(self.run.last_tick) + 1
-            early = self._of_tick if self.tick > end else self._of_tick - self.awaited
-            if early:
-                raise LockstepError(
-                    f"{min(early)} has a second message in tick {end} (after the last tick)"
-                )
-            self.awaited.clear()
-            self._finish()
+
+    def _act(self) -> None:
+        """Act on the inputs, and await all inputs again, for the next tick."""
+        self.awaited |= self._of_tick
+        self.tick += 1
+        if (clock := self.inputs.get(CLOCK)) is not None:
+            self.time_ns = clock.value
+        self.on_inputs()
+        if self.run is not None and self.tick > self.run.last_tick:
+            self.awaited.clear()  # any further message ends the run
+            self.finish()
+
+    def conflict(self, what: str) -> Exception:
+        """Return the error for a conflict: before the run a wrong set-up, later a failure."""
+        return (LockstepError if self.acted else OccupiedError)(what)
+
+    def finish(self) -> None:
+        """Set the state to finished, and report the state and the node's summary."""
+        self.result = self.summary()
+        self._always |= self.result
+        self.reports.state = FINISHED
+        self.report_state()
+
+    def check_peers(self) -> None:
+        """Refuse a second publisher of an input.
+
+        Raises:
+            LockstepError: if an input has a second publisher; an OccupiedError before the run.
+        """
+        super().check_peers()
+        if not self.finished and (second := self.peers.describe_second()):
+            raise self.conflict(second)
+
+    # --- ending -----------------------------------------------------------------------------
 
     @property
-    def done(self) -> bool:
-        """Whether the node has acted on the last tick; always False in the plant."""
-        return self.run is not None and self.tick > self.run.last_tick
+    def may_end(self) -> bool:
+        """Whether the node may stop: its run is over, and its readers have all its messages.
+
+        The plant stops first; until then, other nodes may still need the messages of this node.
+
+        Raises:
+            LockstepError: if the plant stopped before the run was over.
+        """
+        plant_ended = CLOCK in self.peers.publishers and not self.peers.publishers[CLOCK].count
+        if not self.finished:
+            if self.run is not None and plant_ended:
+                raise LockstepError("the plant has stopped, which ends the run")
+            return False
+        return self.all_arrived() and (self.role == PLANT or plant_ended)
+
+    def all_arrived(self) -> bool:
+        """Return True if all subscribers have received all messages of the node."""
+        now = Duration()
+        return all(publisher.wait_for_all_acked(now) for publisher in self._outputs.values())

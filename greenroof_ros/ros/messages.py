@@ -24,8 +24,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.duration import Duration, Infinite
-from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.duration import Duration
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64, Float64MultiArray, String
@@ -38,8 +38,6 @@ _NUMBER = struct.Struct("<4sd")
 _CLOCK = struct.Struct("<4siI")
 # Number of dimensions, data offset, length of the data, and padding.
 _ROW = struct.Struct("<4sIII4x")
-_LENGTH = struct.Struct("<I")
-_SIZES = struct.Struct("<II")
 _NS = 1_000_000_000
 
 
@@ -66,37 +64,28 @@ def qos_profile(qos: Qos) -> QoSProfile:
         depth=qos.depth,
         reliability=ReliabilityPolicy[qos.reliability.upper()],
         durability=DurabilityPolicy[qos.durability.upper()],
-        liveliness=LivelinessPolicy.AUTOMATIC,
     )
     if math.isfinite(qos.lease_s):
         profile.liveliness_lease_duration = Duration(seconds=qos.lease_s)
     return profile
 
 
-def find_lacking(offered: QoSProfile, required: Qos) -> list[str]:
-    """Return predicates that describe the deficiencies in an endpoint's quality of service."""
-    lacking = []
-    if required.reliability == "reliable" and offered.reliability != ReliabilityPolicy.RELIABLE:
-        lacking.append("is best effort")
-    if (
-        required.durability == "transient_local"
-        and offered.durability != DurabilityPolicy.TRANSIENT_LOCAL
-    ):
-        lacking.append("is volatile")
-    lease = offered.liveliness_lease_duration
-    if math.isfinite(required.lease_s) and lease > Duration(seconds=required.lease_s):
-        lacking.append(
-            "has no liveliness lease" if lease == Infinite
-            else f"has a liveliness lease of {lease.nanoseconds / 1e9:g} s"
-        )
-    return lacking
+def find_lacking(offered: QoSProfile, required: Qos) -> str:
+    """Return what the quality of service of an endpoint must have, but lacks; empty if nothing.
 
-
-def describe_qos(qos: Qos) -> str:
-    """Return a description of a quality-of-service profile."""
-    words = f"{qos.reliability}, {qos.durability}, keep last {qos.depth}".replace("_", " ")
-    lease = f", with a liveliness lease of {qos.lease_s:g} s"
-    return words + lease if math.isfinite(qos.lease_s) else words
+    Args:
+        offered: quality of service of the endpoint.
+        required: the least that is required.
+    """
+    needs = qos_profile(required)
+    lacking = {
+        "reliable delivery": needs.reliability == ReliabilityPolicy.RELIABLE != offered.reliability,
+        "transient local durability":
+            needs.durability == DurabilityPolicy.TRANSIENT_LOCAL != offered.durability,
+        f"a liveliness lease of at most {required.lease_s:g} s": math.isfinite(required.lease_s)
+            and offered.liveliness_lease_duration > needs.liveliness_lease_duration,
+    }
+    return " and ".join(name for name, lacks in lacking.items() if lacks)
 
 
 def encoder(type_name: str, dimensions: tuple[str, ...] = ()) -> Callable[[Any], bytes]:
@@ -129,26 +118,6 @@ def decoder(type_name: str) -> Callable[[bytes], Any]:
         "std_msgs/msg/Float64MultiArray": lambda message: decode_numbers(message).values,
         "rosgraph_msgs/msg/Clock": decode_clock,
     }.get(type_name, partial(deserialize, message_class(type_name)))
-
-
-def pass_whole(type_name: str, callback: Callable[[bytes], None]) -> Callable[[bytes], None]:
-    """Return a function that passes on bytes if they form a message of the given type.
-
-    An array of numbers is not decoded if its length and layout are those of the previous message.
-    """
-    decode, is_array = decoder(type_name), type_name == "std_msgs/msg/Float64MultiArray"
-    length, layout = -1, b""
-
-    def receive(message: bytes) -> None:
-        nonlocal length, layout
-        if len(message) != length or not message.startswith(layout):
-            values = decode(message)
-            if is_array:
-                # What precedes the values, including the numbers in front of them.
-                length, layout = len(message), message[: len(message) - 8 * np.size(values)]
-        callback(message)
-
-    return receive
 
 
 def deserialize(kind: Any, message: bytes, size: int | None = None) -> Any:
@@ -193,25 +162,21 @@ def decode_clock(message: bytes) -> int:
 def _encode_numbers(
     dimensions: tuple[str, ...], values: array[float] | NDArray[np.float64] | WithFront
 ) -> bytes:
-    front: array[float] = array("d")
-    if isinstance(values, WithFront):
-        front, values = values
-    if isinstance(values, np.ndarray) and len(values) <= 1:
-        values = array("d", values.tobytes())  # a single forecast does not count as an ensemble
-    if isinstance(values, array):
-        size = len(front) + len(values)
-        return _ROW.pack(_HEADER, 0, len(front), size) + front.tobytes() + values.tobytes()
-    rows, columns = values.shape
-    head = bytearray(_HEADER + _LENGTH.pack(2))
-    strides = (values.size, columns)
-    for label, size, stride in zip(dimensions, (rows, columns), strides, strict=True):
+    front, rows = values if isinstance(values, WithFront) else (array("d"), values)
+    if isinstance(rows, np.ndarray) and len(rows) <= 1:
+        rows = array("d", rows.tobytes())  # a single forecast does not count as an ensemble
+    if isinstance(rows, array):
+        size = len(front) + len(rows)
+        return _ROW.pack(_HEADER, 0, len(front), size) + front.tobytes() + rows.tobytes()
+    head = _HEADER + struct.pack("<I", 2)
+    strides = rows.size, rows.shape[1]
+    for label, length, stride in zip(dimensions, rows.shape, strides, strict=True):
         text = label.encode() + b"\0"
-        head += _LENGTH.pack(len(text)) + text
-        head += bytes(-len(head) % 4)
-        head += _SIZES.pack(size, stride)
-    head += _SIZES.pack(len(front), len(front) + values.size)
+        head += struct.pack("<I", len(text)) + text + bytes(-len(text) % 4)
+        head += struct.pack("<II", length, stride)
+    head += struct.pack("<II", len(front), len(front) + rows.size)
     head += bytes((len(_HEADER) - len(head)) % 8)  # pad to a multiple of 8 after the header
-    return bytes(head) + front.tobytes() + values.astype("<f8").tobytes()
+    return head + front.tobytes() + rows.astype("<f8").tobytes()
 
 
 def decode_numbers(message: bytes) -> WithFront:

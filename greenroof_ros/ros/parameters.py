@@ -7,19 +7,13 @@ would have no effect. This module rejects undeclared parameters on a node's comm
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-)
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
-from rclpy.parameter import Parameter as RosParameter
 
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
 from greenroof_ros.base.files import default_site_file
@@ -30,7 +24,7 @@ from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import MAX_HORIZON
 from greenroof_ros.site.site import Site
 
-USE_SIM_TIME = "use_sim_time"  # rclpy's name
+_LONG = 2**62  # beyond any number that a node uses
 # The name of every Python type in ROS 2.
 _KINDS = {float: "double", int: "integer", bool: "bool", str: "string", list: "string array"}
 
@@ -74,82 +68,45 @@ def type_name(parameter: Parameter) -> str:
 def declare(node: Node, parameters: Iterable[Parameter]) -> dict[str, Any]:
     """Declare those parameters that are not declared yet, and return the values of all of them.
 
-    An integer such as ``weight: 5`` is accepted for a double in a file, on the command line and in
-    ``ros2 param set``, although rclpy itself would reject the integer.
+    An integer such as ``weight: 5`` is accepted for a double in a file and on the command line,
+    although rclpy itself would reject the integer.
 
     Raises:
         ConfigurationError: if a value has the wrong type, is outside its range, or is not one of
             its choices.
     """
-    declared = list(parameters)
-    doubles = {
-        parameter.name for parameter in declared
-        if isinstance(parameter.default, float) and parameter.may_change
-    }
-    if doubles:
-        node.add_pre_set_parameters_callback(lambda incoming: [
-            RosParameter(parameter.name, value=float(parameter.value))
-            if parameter.name in doubles and parameter.type_ is RosParameter.Type.INTEGER
-            else parameter
-            for parameter in incoming
-        ])
-    return {parameter.name: _declare(node, parameter) for parameter in declared}
-
-
-def find_given(node: Node, names: Iterable[str]) -> dict[str, Any]:
-    """Return the values that the user set for parameters that a node does not declare."""
-    given = {}
-    for name in names:
-        anything = ParameterDescriptor(dynamic_typing=True)
-        given[name] = node.declare_parameter(name, descriptor=anything).value
-        node.undeclare_parameter(name)
-    return {name: value for name, value in given.items() if value is not None}
+    return {parameter.name: _declare(node, parameter) for parameter in parameters}
 
 
 def _declare(node: Node, parameter: Parameter) -> Any:
-    if node.has_parameter(parameter.name):
-        return node.get_parameter(parameter.name).value
+    name = parameter.name
+    if node.has_parameter(name):
+        return node.get_parameter(name).value
     # At first of any type, so that a wrong value is rejected in our words, not in rclpy's.
     anything = ParameterDescriptor(dynamic_typing=True)
-    given = node.declare_parameter(parameter.name, parameter.default, anything).value
-    node.undeclare_parameter(parameter.name)
+    given = node.declare_parameter(name, parameter.default, anything).value
+    node.undeclare_parameter(name)
     try:
         value = check_value(parameter, given)
     except ValueError as error:
-        key = f"parameter {parameter.name} of {node.get_name()}"
+        key = f"parameter {name} of {node.get_name()}"
         raise ConfigurationError(str(error), key=key, value=given) from None
-    return node.declare_parameter(
-        parameter.name, value, _descriptor(parameter), ignore_override=True
-    ).value
+    descriptor = _describe(parameter)
+    return node.declare_parameter(name, value, descriptor, ignore_override=True).value
 
 
-_LONG = 2**62  # beyond any number that a node uses
-
-
-def _descriptor(parameter: Parameter) -> ParameterDescriptor:
+def _describe(parameter: Parameter) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(
         description=parameter.description, read_only=not parameter.may_change,
         additional_constraints=f"must be {parameter.limits}" if parameter.among else "",
     )
     low, high = parameter.low, parameter.high
-    if math.isinf(low) and math.isinf(high):
-        return descriptor
-    limits = {"from_value": low, "to_value": high}
-    if parameter.whole:
-        whole = {name: int(min(max(end, -_LONG), _LONG)) for name, end in limits.items()}
-        descriptor.integer_range = [IntegerRange(**whole)]
-    else:
-        descriptor.floating_point_range = [FloatingPointRange(**limits)]
+    if type(parameter.default) is int:
+        low, high = (int(min(max(end, -_LONG), _LONG)) for end in (low, high))
+        descriptor.integer_range = [IntegerRange(from_value=low, to_value=high)]
+    elif isinstance(parameter.default, float):
+        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
     return descriptor
-
-
-def fix(node: Node, name: str, value: Any, reason: str) -> None:
-    """Set a parameter of a node, and make it read-only for the given reason."""
-    parameter = RosParameter(name, value=value)
-    node.set_parameters([parameter])
-    node.set_descriptor(name, ParameterDescriptor(
-        type=parameter.type_.value, read_only=True, additional_constraints=reason,
-    ))
 
 
 # --- unknown parameters -----------------------------------------------------------------------
@@ -172,10 +129,9 @@ def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:
 
     def refuse(name: str, value: object, **place: Any) -> None:
         if name not in known and not name.startswith("qos_overrides."):
-            raise ConfigurationError(
-                f"there is no such parameter; {suggest_names(name, known)}",
-                key=f"parameter {name} of {own}", value=value, **place,
-            )
+            wrong = f"there is no such parameter; {suggest_names(name, known)}"
+            key = f"parameter {name} of {own}"
+            raise ConfigurationError(wrong, key=key, value=value, **place)
 
     for option, text in pairwise(arguments):
         if option in ("-p", "--param"):
@@ -185,8 +141,7 @@ def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:
                 refuse(name, value)
         elif option == "--params-file":
             for section in read_sections(Path(text)):
-                if section.applies_to(node.get_fully_qualified_name()) and (
-                    section.name.rpartition("/")[2] == own
-                ):
+                is_own = section.name.rpartition("/")[2] == own
+                if is_own and section.applies_to(node.get_fully_qualified_name()):
                     for name, value in section.values.items():
                         refuse(name, value, file=text, line=section.values.lines[name])

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 
 from greenroof_ros.interface.states import ROLES
-from greenroof_ros.ros.publishers import DISCOVERY_S, Publishers, list_nodes
+from greenroof_ros.ros.publishers import DISCOVERY_S, Publishers
 
 
 class Peers:
@@ -82,17 +82,13 @@ class Peers:
 
     def publishers_of(self, name: str) -> str:
         """Return the names of the nodes that publish an input, as a list for a sentence."""
-        return list_nodes(self.publishers[name].names(DISCOVERY_S))
+        return ", ".join(self.publishers[name].names(DISCOVERY_S))
 
-    def warnings(self, now: float) -> list[str]:
-        """Return a sentence for every input that still has incompatible publishers.
-
-        Args:
-            now: time on the steady clock (s).
-        """
+    def warnings(self) -> list[str]:
+        """Return a sentence for every input that has incompatible publishers."""
         return [
-            sentence for publishers in self.publishers.values()
-            if (sentence := publishers.warning(now))
+            f"{publishers.full_name} {problem}" for publishers in self.publishers.values()
+            if (problem := publishers.describe_incompatible())
         ]
 
     def describe_second(self) -> str:

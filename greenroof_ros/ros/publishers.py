@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 from rclpy.node import Node
 
 from greenroof_ros.interface.topics import Qos, Topic
-from greenroof_ros.ros.messages import describe_qos, find_lacking
+from greenroof_ros.ros.messages import find_lacking
 
 # A node's name and its other endpoints may be discovered this long after its publisher (s).
 DISCOVERY_S = 1.0
-# The name that ROS reports for a node whose name has not been discovered yet.
-_UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
-# Maximum number of nodes named in a sentence: a client may join again and again under new names.
-_NAMED = 5
+UNKNOWN = "a node whose name is unknown"
+"""stands for the name of a node"""
 
 
 class Publishers:
@@ -50,8 +45,6 @@ class Publishers:
         self.full_name: str = node.resolve_topic_name(topic.graph_name)
         self.required = required
         self._node = node
-        self._names: list[str] = []
-        self._incompatible_since = math.inf
 
     @property
     def count(self) -> int:
@@ -64,19 +57,18 @@ class Publishers:
         return len(self._endpoints()) - len(self._incompatible())
 
     def names(self, wait_s: float = 0.0) -> list[str]:
-        """Return the names of the publishers' nodes, or the last known names if all are gone.
+        """Return the names of the publishers' nodes.
 
         Args:
             wait_s: maximum wait for names that have not been discovered yet (s); after the first
                 messages, discovery may take :data:`DISCOVERY_S`.
         """
-        until = time.monotonic() + wait_s
-        known = {info.node_name for info in self._endpoints()}
-        while _UNKNOWN_NAME in known and time.monotonic() < until:
-            time.sleep(0.01)
-            known = {info.node_name for info in self._endpoints()}
-        self._names = sorted(map(display_name, known)) or self._names
-        return self._names
+        until, names = time.monotonic() + wait_s, {UNKNOWN}
+        while UNKNOWN in names:
+            names = {name_owner(info) for info in self._endpoints()}
+            if time.monotonic() >= until:
+                break
+        return sorted(names)
 
     def describe_second(self, wait_s: float = 0.0) -> str:
         """Return a predicate that reports a second publisher, or "" if there is none.
@@ -87,62 +79,38 @@ class Publishers:
         count = self.count
         if count < 2 or len(self._endpoints()) < 2:
             return ""
-        names = list_nodes(self.names(wait_s))
+        names = ", ".join(self.names(wait_s))
         return (
             f"has {count} publishers ({names}), but must have only one: stop the other publisher, "
             "or use another ROS_DOMAIN_ID or --namespace"
         )
 
     def describe_incompatible(self) -> str:
-        """Return a predicate that reports incompatible publishers, or "" if there are none.
-
-        DDS does not connect a publisher to a subscription that requests more than the publisher
-        offers, and reports only one of the mismatched policies. The profiles of both sides are
-        known, so this method lists all mismatched policies.
-        """
+        """Return a predicate that reports an incompatible publisher, or "" if there are none."""
         incompatible = self._incompatible()
         if not incompatible:
             return ""
-        names = sorted({display_name(info.node_name) for info in incompatible})
-        offered = [find_lacking(info.qos_profile, self.required) for info in incompatible]
-        why = dict.fromkeys(word for words in offered for word in words)
-        # Of every publisher, though a live node asks for no earlier messages.
-        needed = replace(self.required, durability=self.topic.qos.durability)
+        info, lacking = incompatible[0]
         return (
-            f"has a publisher with an incompatible QoS ({list_nodes(names)}): it "
-            f"{' and '.join(why)}, but must be {describe_qos(needed)}; change its QoS, or stop it"
+            f"has a publisher with an incompatible QoS ({name_owner(info)}): it must have "
+            f"{lacking}; change its QoS, or stop it"
         )
-
-    def warning(self, now: float) -> str:
-        """Return a sentence about publishers still incompatible after the discovery time, or "".
-
-        Args:
-            now: time on the steady clock (s).
-        """
-        problem = self.describe_incompatible()
-        self._incompatible_since = min(self._incompatible_since, now) if problem else math.inf
-        lasts = now - self._incompatible_since >= DISCOVERY_S
-        return f"{self.full_name} {problem}" if lasts else ""
 
     def _endpoints(self) -> list[Any]:
         return list(self._node.get_publishers_info_by_topic(self.topic.graph_name))
 
-    def _incompatible(self) -> list[Any]:
-        return [info for info in self._endpoints() if find_lacking(info.qos_profile, self.required)]
+    def _incompatible(self) -> list[tuple[Any, str]]:
+        """Return the publishers that ROS does not connect to the subscription, and why."""
+        return [
+            (info, lacking) for info in self._endpoints()
+            if (lacking := find_lacking(info.qos_profile, self.required))
+        ]
 
 
-def display_name(name: str) -> str:
-    """Return the name of a node for use in a message.
+def name_owner(info: Any) -> str:
+    """Return the name of an endpoint's node.
 
     A node that joins the graph just before another node is killed may discover the topics of the
     killed node, but never its name.
     """
-    if name == _UNKNOWN_NAME:
-        return "a node whose name is unknown, perhaps because it was killed"
-    return name
-
-
-def list_nodes(names: Sequence[str]) -> str:
-    """Return the names of the first five nodes, and the number of the others, for a sentence."""
-    more = [f"and {len(names) - _NAMED} more"] if len(names) > _NAMED else []
-    return ", ".join([*names[:_NAMED], *more])
+    return UNKNOWN if info.node_name == "_NODE_NAME_UNKNOWN_" else str(info.node_name)

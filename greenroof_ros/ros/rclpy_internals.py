@@ -9,25 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
-_CLOCK = "/clock"  # rclpy's name
-
-
-class NoClockSubscription:
-    """Mixin for ``Node`` that prevents rclpy from subscribing to the clock in simulated time.
-
-    rclpy's own subscription, which is to ``/clock`` even in a namespace, costs 35 us of processor
-    time per tick in every node. rclpy opens this subscription with ``create_subscription``, and
-    provides no public way to prevent it.
-    """
-
-    def create_subscription(self, msg_type: Any, topic: str, *args: Any, **options: Any) -> Any:
-        """Open a subscription, unless it is rclpy's own subscription to the clock."""
-        if topic == _CLOCK:
-            return None
-        return super().create_subscription(  # type: ignore[misc]
-            msg_type, topic, *args, **options
-        )
-
 
 def raw_publish(publisher: Any) -> Callable[[bytes], None]:
     """Return a function that publishes serialised messages on a publisher.

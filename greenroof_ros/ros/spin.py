@@ -21,7 +21,7 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.ros.domain import SHUTDOWN_S, prepare_ros
 from greenroof_ros.ros.errors import explain
 from greenroof_ros.ros.graph_node import GraphNode
-from greenroof_ros.ros.node import SimulationNode
+from greenroof_ros.ros.lockstep import LockstepNode
 from greenroof_ros.ros.rclpy_internals import take_messages
 
 # How often the steady clock, the signals and the ends of the nodes are checked (s).
@@ -61,7 +61,7 @@ def ros(arguments: Sequence[str]) -> Iterator[None]:
         rclpy.try_shutdown()
 
 
-def spin(nodes: Sequence[SimulationNode], may_end: Callable[[], bool]) -> None:
+def spin(nodes: Sequence[LockstepNode], may_end: Callable[[], bool]) -> None:
     """Run nodes until they may stop.
 
     The executor loops over the messages, since a loop in Python would take a seventh of the time of

@@ -60,8 +60,7 @@ def write_configuration(directory: Path, run: Run, nodes: dict[str, object]) -> 
     Args:
         directory: directory of the run.
         run: the run.
-        nodes: parameters of the plant that the run does not set; peer_limit also applies to the
-            recorder.
+        nodes: parameters of the plant that the run does not set.
 
     Returns:
         The ROS 2 parameter file that all nodes of the run read.
@@ -107,7 +106,6 @@ def write_configuration(directory: Path, run: Run, nodes: dict[str, object]) -> 
             run.controller.name: {**before, **run.parameters},
             "recorder": {
                 **common,
-                **({"peer_limit": nodes["peer_limit"]} if nodes else {}),
                 "directory": str(directory / "bag"),
                 "controller": run.controller.reference,
             },

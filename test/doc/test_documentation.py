@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import re
 import shlex
 import sys
@@ -101,12 +100,11 @@ def test_commands_can_be_given(page: Path) -> None:
         assert command in generate.COMMANDS, words
         arguments = words[1 + len(command.split()) :]
         if name(page) != "doc/reference/commands.md":  # there it is the usage, without values
-            own = itertools.takewhile(lambda word: word != "--ros-args", arguments)
             parser = generate.parser_of(command, arguments)
             if command == "simulators live":  # it passes other options on
-                own = parser.parse_known_args(list(own))[1]
-                parser = generate.parser_of("live", own)
-            parser.parse_args(list(own))
+                arguments = parser.parse_known_args(arguments)[1]
+                parser = generate.parser_of("live", arguments)
+            parser.parse_args(arguments)
 
 
 def test_drawings_show_the_interface() -> None:

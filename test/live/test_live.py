@@ -8,30 +8,23 @@ from __future__ import annotations
 
 import math
 import os
-import re
 import signal
 import subprocess
 import time
-from array import array
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from itertools import cycle, pairwise
-from pathlib import Path
 from statistics import median
 from typing import Any
 
 import pytest
-from disks import disk_that_hangs, fill, small_disk
+from disks import disk_that_hangs
 from forecast_service import started_service
 from modbus_wire import Wire
 from paper import PAPER_SITE
-from places import CONFIG
-from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from ros_rig import (
     ERROR,
     FORECAST_HEADER,
@@ -49,7 +42,6 @@ from ros_rig import (
     write_forecast,
 )
 from rosbags.highlevel import AnyReader
-from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
 from greenroof_ros.live.devices.sensor_file import QUANTITIES
 from greenroof_ros.live.live_topics import read_live_topics
@@ -66,7 +58,9 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
     commands = site.be_dry()
     for name in FORECASTS:
         del site.values[name]
-    good = {**site.values, **dict.fromkeys(FORECASTS, [math.nan] * 10)}
+    # The flow lowers the cistern as fast as be_dry does: by 0.3 mm in 1.9 s.
+    flow = 1.6e-4 * PAPER_SITE.a1
+    good = {**site.values, **dict.fromkeys(FORECASTS, [math.nan] * 10), "/pump/flow": flow}
     roof, cistern = good["/roof/level"], good["/cistern/level"]
     recovery = 1.0
 
@@ -80,14 +74,12 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
 
     with site.live(
         "controller --controller onoff", fraction=0.5, level_limit=1.5,
-        recovery_time=recovery, frozen_movement=3e-4, jump_tolerance=0.02,
+        recovery_time=recovery, frozen_movement=3e-4, jump_tolerance=0.01,
     ):
         site.until(lambda: newest(commands) == 0.5, LATE, "a command")
-        assert site.watcher.values("/onoff")["site"] == str(site.cwd / "site.yaml")
         for change, level, *words in (
             ({"/roof/level": math.nan}, ERROR, "/roof/level was rejected", "0 to 100 m"),
             ({"/cistern/level": None}, ERROR, "/cistern/level is older than 1.5 s"),
-            # 0.5 of the pumps' flow is 0.16 mm/s of the cistern: 0.3 mm in 1.8 s.
             ({"/cistern/level": cistern(time.monotonic())}, ERROR, "/cistern/level is frozen"),
         ):
             changed = {**good, **change}
@@ -98,33 +90,21 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
             mended = time.monotonic()
             recovers()
             assert commands[-1][0] - mended > recovery - 0.1  # from the first good value on
-        site.values["/roof/level"] = lambda now: roof(now) + 0.012  # within the tolerance
-        site.during(1)
         site.values["/roof/level"] = lambda now: roof(now) - 0.015
         stops(WARN, "/roof/level jumped")
         recovers()
         intruder = Node("intruder", context=site.watcher.context, start_parameter_services=False)
-        second = site.watcher.publisher("/roof/level", intruder)
+        site.watcher.publisher("/roof/level", intruder)
         stops(ERROR, "/roof/level has 2 publishers (intruder, observer)")
-        second.publish(Float64(data=0.03))
-        site.during(1)
-        assert newest(commands) == 0.0
         intruder.destroy_node()
         recovers()
-        # The received flow counts, not the command: a pump that is held freezes no level.
-        site.values["/pump/flow"] = 0.0
+        # A pump that is held freezes no level.
+        site.values |= {"/pump/flow": 0.0, "/cistern/level": cistern(time.monotonic())}
         site.during(2)
-        site.messages.clear()
-        site.values["/cistern/level"] = cistern(time.monotonic())
-        site.during(4)
-        # Nor does a pump that has been silent for longer than flow_limit: it may be stopped.
-        del site.values["/pump/flow"]
         reported = len(arrays)
-        site.during(9)
-        assert 3 < len(arrays) - reported < 12  # what does not change is reported once a second
-        # A command 0 for another reason, e.g. this process was paused, is only temporary.
-        assert not [text for text in site.messages if "frozen" in text]
-        site.until(lambda: newest(commands) == 0.5, LATE, "a command")
+        site.during(6)
+        assert 2 < len(arrays) - reported < 9  # what does not change is reported once a second
+        assert newest(commands) == 0.5
         # One command per tick: none twice, and none left out unless the machine is busy.
         times = [now for now, _ in commands]
         assert len(times) < 1.1 * (times[-1] - times[0]) / TAU + 10
@@ -163,8 +143,6 @@ def test_nothing_that_is_published_ends_a_node(site: Site) -> None:
             ("/recorder", [*topics]),
         ):
             site.until(partial(counted, node, *names), LATE, f"{node} counts")
-        warnings = watcher.values("/recorder")["warnings"]
-        assert any("dropped a malformed message on /diagnostics" in text for text in warnings)
         for process in others:
             process.send_signal(signal.SIGINT)
             assert process.wait(300) in (0, -signal.SIGALRM)
@@ -173,40 +151,31 @@ def test_nothing_that_is_published_ends_a_node(site: Site) -> None:
             bag.deserialize(message, connection.msgtype)
 
 
-# Bad rain forecasts, and what is reported: too long, an impossible value far ahead, none.
-BAD_FORECASTS: dict[str, tuple[list[float] | None, str]] = {
-    "long": ([0.0] * 2000, "was rejected"),
-    "not finite": ([*[0.0] * 9, math.nan], "was rejected: nan"),
-    "none": (None, "is older than 1 s"),
-}
-
-
 def test_onoff_commands_without_a_forecast(site: Site) -> None:
     """It reports this with reason and time; unknown level or frost stops the pump as always."""
     commands = site.be_dry()
-    good = dict(site.values)
-    rain = "/forecast/precipitation"
+    good, rain = dict(site.values), "/forecast/precipitation"
+    without = {name: value for name, value in good.items() if name != rain}
     with site.live(
         "controller --controller mpc", max_command=0.4, recovery_time=0.2,
         forecast_limit=1.0, level_limit=1.5, jump_tolerance=1.0,
     ):
-        for case, (bad, why) in BAD_FORECASTS.items():
+        for bad, why in (
+            ([*[0.0] * 9, math.nan], "was rejected: nan"),
+            ([0.0] * 2000, "was rejected"),  # too long for mpc
+            (None, "is older than 1 s"),
+        ):
             site.until(lambda: 0 < (newest(commands) or 0) <= 0.4, LATE, "a command of mpc")
             site.until(site.shows("/mpc: forecast", OK), LATE, "all well")
-            began = datetime.now(UTC).replace(microsecond=0)
-            without = {name: value for name, value in good.items() if name != rain}
             site.values = without if bad is None else {**without, rain: bad}
-            site.until(lambda: newest(commands) == 1.0, LATE, f"on/off, {case}")
+            site.until(lambda: newest(commands) == 1.0, LATE, f"on/off, {why}")
             words = "on/off control has been in command since ", f"{rain} {why}"
-            degraded = site.shows("/mpc: forecast", WARN, *words)
-            site.until(degraded, LATE, case)
-            since = re.search(r"since (\S+ \S+), ", site.diagnoses["/mpc: forecast"].message)
-            assert since and began <= datetime.fromisoformat(since[1]) <= datetime.now(UTC)
+            site.until(site.shows("/mpc: forecast", WARN, *words), LATE, why)
             # All commands are the on/off controller's, even if the controller is asked again and
             # refuses again.
-            commands_before = len(commands)
+            before = len(commands)
             site.during(1)
-            assert {value for _, value in commands[commands_before:]} == {1.0}
+            assert {value for _, value in commands[before:]} == {1.0}
             assert site.shows("/mpc: inputs", OK)()
             if bad is not None:
                 site.values = dict(good)
@@ -215,22 +184,6 @@ def test_onoff_commands_without_a_forecast(site: Site) -> None:
             site.until(lambda: newest(commands) == 0.0, LATE, f"stop by {change}")
             site.values = without
             site.until(lambda: newest(commands) == 1.0, LATE, f"on/off after {change}")
-        site.values = dict(good)
-        site.until(lambda: 0 < newest(commands) <= 0.4, LATE, "mpc again")
-        # A wrong layout ends a simulated run; a live node refuses it, like too many members.
-        del site.values[rain]
-        for sizes, count, why in (((3, 5), 4, "layout [3, 5]"), ((2, 10), 20, "has 2 members")):
-            dimensions = [MultiArrayDimension(size=size) for size in sizes]
-            message = Float64MultiArray(
-                layout=MultiArrayLayout(dim=dimensions), data=array("d", [0.0] * count)
-            )
-            refused = site.shows("/mpc: forecast", WARN, why)
-            # A single one could become too old before a busy node decides again.
-            site.until(
-                lambda: site.publishers[rain].publish(message) or refused(),  # noqa: B023
-                LATE, why,
-            )
-            site.until(lambda: newest(commands) == 1.0, LATE, "on/off")
 
 
 MINE = """
@@ -238,21 +191,17 @@ import math, time
 from greenroof_ros.base.parameter import Parameter
 
 class Waiting:
-    parameters = (Parameter("answer", 0.0, "1", 0.0, 2.0, "of its commands", may_change=True),)
+    parameters = (Parameter("answer", 0.0, "1", 0.0, 2.0, "its command"),)
     def __init__(self, site, answer): self.answer = answer
     def command(self, *inputs): return self.answer
     def skip(self): pass
     def statistics(self): return None
 
-class Counting(Waiting):
-    parameters = (Parameter("base", 0.1, "1", 0.0, 1.0, "of its commands", may_change=True),)
-    def __init__(self, site, base):
-        self.base, self.asked = base, 0
+class Learner(Waiting):
+    asked = 0
     def command(self, *inputs):
         self.asked += 1
-        return self.base + 0.001 * self.asked
-
-class Learner(Counting):
+        return 0.1 + 0.001 * self.asked
     @property
     def learned(self): return {"asked": float(self.asked)}
     @learned.setter
@@ -263,12 +212,9 @@ class Gauged(Waiting):
     def __init__(self, *site, **answer):
         super().__init__(*site, **answer)
         time.sleep(4)
-    def command(self, *inputs): return 0.1 + 1e4 * self.gauge_rain
-
-class Slow(Waiting):
     def command(self, *inputs):
         time.sleep(1.5)
-        return 0.3
+        return 0.1 + 1e4 * self.gauge_rain
 """
 
 
@@ -285,38 +231,24 @@ def test_quiet_hours_are_of_the_system_clock(site: Site) -> None:
         "extends: site.yaml\ntime_zone: UTC\nutc_offset: 0\n"
         f"quiet_hours: ['{begin:%H:%M}-{end:%H:%M}']\n"
     )
-    with site.live("controller --controller mine:Counting", site_file=file, recovery_time=0.2):
+    options = {"site_file": file, "recovery_time": 0.2, "answer": 0.4}
+    with site.live("controller --controller mine:Waiting", **options):
         for part, *words in (
             ("forecast", WARN, "on/off control has been in command since"), ("forecast", OK)
         ):
-            site.until(site.shows(f"/counting: {part}", *words), LATE, "good inputs")
-            site.until(site.shows("/counting: inputs", OK), LATE, "good inputs")
+            site.until(site.shows(f"/waiting: {part}", *words), LATE, "good inputs")
+            site.until(site.shows("/waiting: inputs", OK), LATE, "good inputs")
             before = len(commands)
             site.until(lambda before=before: len(commands) > before + 3, LATE, "commands")
             site.values = good
         assert {command for _, command in commands} == {0.0}
 
 
-def test_classes_of_a_users_own(site: Site) -> None:
-    """Without a forecast on/off takes over, then it starts again."""
+def test_a_forecast_that_is_missing_for_a_moment_starts_no_pump(site: Site) -> None:
+    """A roof that waits for rain goes on waiting; a controller without a need goes on, too."""
     commands = site.be_dry()
     good = dict(site.values)
-    without = {name: value for name, value in good.items() if name not in FORECASTS}
     (site.cwd / "mine.py").write_text(MINE)
-    limits = {"recovery_time": 0.2, "forecast_limit": 1.0}
-    with site.live("controller --controller mine:Counting", **limits):
-        site.until(lambda: (newest(commands) or 0) > 0.105, LATE, "its commands")
-        site.values = without
-        site.until(lambda: newest(commands) == 1.0, LATE, "on/off")
-        base = Parameter("base", value=0.5).to_parameter_msg()
-        site.call(SetParameters, "/counting/set_parameters", parameters=[base])
-        before = len(commands)
-        site.values = good
-        site.until(lambda: newest(commands) != 1.0, LATE, "its commands again")
-        first = next(value for _, value in commands[before:] if value != 1.0)
-        assert first == pytest.approx(0.501)
-    # A roof that waits for rain: if the forecast is missing for a moment, on/off starts no pump.
-    commands.clear()
     with site.live("controller --controller mine:Waiting", recovery_time=2.0):
         site.until(site.shows("/waiting: forecast", OK), LATE, "a forecast")
         site.values = {**good, "/forecast/precipitation": [math.nan] * 10}
@@ -324,23 +256,17 @@ def test_classes_of_a_users_own(site: Site) -> None:
         site.values = good
         site.until(site.shows("/waiting: forecast", OK), LATE, "a forecast again")
         assert {value for _, value in commands} == {0.0}
-    # A controller that needs no forecast continues, and reports that it has none.
+    site.values = {**good, "/forecast/precipitation": [math.nan] * 10}
     commands.clear()
     with site.live("controller --controller lookahead", recovery_time=0.2):
-        without = site.shows("/lookahead: forecast", WARN, "working without a forecast")
+        without = site.shows("/lookahead: forecast", WARN, "has no valid forecast")
         site.until(without, LATE, "that it has none")
         site.until(lambda: newest(commands), LATE, "its commands")
 
 
 BROKEN = """
-import math, time
+import math
 from pathlib import Path
-from greenroof_ros.base.errors import ConfigurationError
-
-asked = 0
-
-class Wordless(Exception):
-    def __str__(self): return None
 
 def fault():
     file = Path("fault")
@@ -353,17 +279,9 @@ class Broken:
     def __init__(self, site):
         if fault() == "made": raise ValueError("no")
     def command(self, *inputs):
-        global asked
-        asked += 1
         what = fault()
         if what == "raises": 1 / 0
-        if what == "every other time" and asked % 2: raise ArithmeticError
-        if what == "in a library": time.sleep("1")
         if what == "exits": raise SystemExit(3)
-        if what == "is interrupted": raise KeyboardInterrupt
-        if what == "ends a generator": raise GeneratorExit
-        if what == "refuses": raise ConfigurationError("I cannot")
-        if what == "has no words": raise Wordless
         while what == "never returns": pass
         return math.nan if what == "NaN" else 0.3
     def skip(self): pass
@@ -372,21 +290,14 @@ class Broken:
     def fill_to(self):
         if fault() == "no number": return None
         return math.sqrt(-1.0 if fault() == "output" else 1.0)
-    @property  # of learned
+    @property
     def learned(self): return {"x": "much"} if fault() == "learns words" else None
 """
 # A class as its user has left it since the site was started: what is said of it, and the line.
 LEFT = {
     "broken": ("class Mine(:", "SyntaxError", 1),
-    "without a library": ("import math\nimport no_such_library", "No module named", 2),
     "exits": ("raise SystemExit", "SystemExit", 1),
-    "never returns": ("import time\ntime.sleep(1000)", "did not return within 12 s", 2),
-    "of another range": (
-        "from greenroof_ros.controllers.onoff import OnOff\n"
-        "from greenroof_ros.base.parameter import Parameter\n"
-        "class Mine(OnOff):\n    parameters = (Parameter('fraction', 0.5, '1', 0.4, 0.6, 'x'),)",
-        "parameter fraction of mine = 0.3: must be a number from 0.4 to 0.6", None,
-    ),
+    "never_returns": ("import time\ntime.sleep(1000)", "did not return within 12 s", 2),
 }
 
 
@@ -394,30 +305,25 @@ def test_a_class_with_which_the_node_cannot_run(observer: Observer) -> None:
     """The node ends with a usage error, which names file and line; on/off then replaces it."""
     ended = {}
     for name, (content, *_) in LEFT.items():
-        module = name.replace(" ", "_")
-        (observer.cwd / f"{module}.py").write_text(content)
+        (observer.cwd / f"{name}.py").write_text(content)
         ended[name] = observer.start(
-            f"live.controller --controller {module}:Mine", fraction=0.3,
+            f"live.controller --controller {name}:Mine",
             popen={"stderr": subprocess.PIPE, "text": True},
         )
     for name, (_, why, line) in LEFT.items():
         _, error = ended[name].communicate(timeout=60)
         assert ended[name].returncode == 2 and why in error, (name, error)
-        file = observer.cwd / f"{name.replace(' ', '_')}.py"
-        assert line is None or error.startswith(f"error: {file}, line {line}: "), (name, error)
+        file = observer.cwd / f"{name}.py"
+        assert error.startswith(f"error: {file}, line {line}: "), (name, error)
 
 
-# What is reported of each fault, and the text of the line that is named. For other commands that
-# are none see controllers/test_decide.py.
+# What is reported of each fault, and the text of the line that is named, if a line is. For other
+# commands that are none see controllers/test_decide.py.
 FAULTS = {
     "made": ("ValueError: no", "raise ValueError"), "raises": ("ZeroDivisionError", "1 / 0"),
-    "every other time": ("ArithmeticError", "raise Arith"), "in a library": ("TypeError", "sleep"),
-    "exits": ("SystemExit: 3", "SystemExit"), "is interrupted": ("Keyboard", "raise Keyb"),
-    "ends a generator": ("GeneratorExit", "raise Gen"), "refuses": ("I cannot", "raise Conf"),
-    "has no words": ("Wordless", "raise Wordless"),
-    "never returns": ("did not return", "while what"),
+    "exits": ("SystemExit: 3", "SystemExit"), "never returns": ("did not return", "while what"),
     "NaN": ("must be a finite number", "def command"), "output": ("ValueError", "math.sqrt"),
-    "learns words": ("learned = {'x': 'much'}: must be a mapping of names", "of learned"),
+    "learns words": ("could not convert string to float: 'much'", ""),
 }
 
 
@@ -435,12 +341,12 @@ def test_on_off_replaces_a_class_that_fails(site: Site) -> None:
     ) as process:
         for what, (why, text) in FAULTS.items():
             fault.write_text(what)
-            (line,) = (
+            (line, *_) = (
                 number for number, words in enumerate(BROKEN.splitlines(), 1) if text in words
             )
             place = site.shows(
                 "/broken: command", WARN, "on/off control has been in command",
-                f"{file}, line {line}", why,
+                f"{file}, line {line}" if text else "", why,
             )
             site.until(place, LATE, f"{what}: {why}")
             site.until(lambda: newest(commands) == 1.0, LATE, f"{what}: on/off")
@@ -453,13 +359,17 @@ def test_on_off_replaces_a_class_that_fails(site: Site) -> None:
         assert process.poll() is None
 
 
-def test_a_class_that_asks_for_it_knows_the_rain_of_the_gauge(site: Site) -> None:
-    """Also without a forecast; 0 while nothing is measured. It may take 4 s to be made."""
+def test_a_slow_class_commands_and_knows_the_rain_of_the_gauge(site: Site) -> None:
+    """Also without a forecast; 0 while nothing is measured.
+
+    It may take 4 s to be made, and 3 s to decide: that is no pause of the node, which would make
+    its inputs too old.
+    """
     commands = site.be_dry()
     for name in FORECASTS:
         del site.values[name]
     (site.cwd / "mine.py").write_text(MINE)
-    with site.live("controller --controller mine:Gauged", recovery_time=0.2, gauge_limit=1.0):
+    with site.live("controller --controller mine:Gauged", recovery_time=0.2, gauge_limit=3.0):
         site.until(lambda: newest(commands) == 0.1, LATE, "a command without a gauge")
         site.values["/gauge/precipitation"] = 5e-6
         site.until(lambda: newest(commands) == pytest.approx(0.15), LATE, "the rain")
@@ -468,19 +378,8 @@ def test_a_class_that_asks_for_it_knows_the_rain_of_the_gauge(site: Site) -> Non
     assert "/gauged: command" not in site.diagnoses
 
 
-def test_a_controller_that_decides_for_seconds_commands(site: Site) -> None:
-    """It may take 3 s: that is no pause of the node, which would make its inputs too old."""
-    commands = site.be_dry()
-    (site.cwd / "mine.py").write_text(MINE)
-    with site.live("controller --controller mine:Slow", recovery_time=0.2):
-        site.until(lambda: newest(commands) == 0.3, LATE, "its command")
-
-
 def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(site: Site) -> None:
-    """Its commands grow by a thousandth each time, across the turn of on/off and a restart.
-
-    With a file that does not have its values, it starts from the beginning.
-    """
+    """Its commands grow by a thousandth each time, across the turn of on/off and a restart."""
     commands = site.be_dry()
     good = dict(site.values)
     (site.cwd / "mine.py").write_text(MINE)
@@ -506,12 +405,6 @@ def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(site: 
     with site.live("controller --controller mine:Learner", **limits):
         site.until(lambda: len(its_own()) > 0, LATE, "its commands in the next life")
         assert its_own()[0] > last  # includes the commands that came while it ended
-    file.write_text('{"another": 3.0}')
-    site.during(0.5)  # the last messages of the previous node are received
-    commands.clear()
-    with site.live("controller --controller mine:Learner", **limits):
-        site.until(lambda: len(its_own()) > 0, LATE, "its first command")
-        assert its_own()[0] == pytest.approx(0.101, abs=0.002)  # the first may be missed
 
 
 def test_no_command_of_what_was_before_a_suspend(
@@ -534,16 +427,6 @@ def test_no_command_of_what_was_before_a_suspend(
                 LATE, "why",
             )
         site.until(lambda: newest(commands), LATE, "a command of what is new")
-
-
-def test_nothing_takes_a_live_node_off_the_system_clock(observer: Observer) -> None:
-    """Also not later, as by ``ros2 param set``."""
-    observer.start(f"live.sensors --sensors {CONFIG}/sensors.yaml")
-    parameter = Parameter("use_sim_time", value=True).to_parameter_msg()
-    (result,) = observer.call(
-        SetParameters, "/roof_sensor/set_parameters", parameters=[parameter]
-    ).results
-    assert not result.successful and "use_sim_time" in result.reason
 
 
 def test_no_command_of_what_was_before_a_stop(site: Site) -> None:
@@ -632,9 +515,9 @@ def test_live_weather(site: Site) -> None:
     """A file that is replaced and broken, gauges that come and go, an issue that is too old."""
     file = site.cwd / "forecast.csv"
     write_forecast(file, timedelta(minutes=1), 3.6, 15.0)
-    rain = site.listen("/weather/precipitation")
-    evapotranspiration = site.listen("/weather/evapotranspiration")
-    frost = site.listen("/weather/frost")
+    rain, frost, evapotranspiration = (
+        site.listen(f"/weather/{name}") for name in ("precipitation", "frost", "evapotranspiration")
+    )
     forecast = site.listen("/forecast/precipitation")
 
     def expect(rain_now: float, frost_now: float, *expected: tuple[Any, ...]) -> None:
@@ -647,11 +530,9 @@ def test_live_weather(site: Site) -> None:
         for part, *words in expected:
             site.until(site.shows(f"/weather: {part}", *words), LATE, f"{part}: {words}")
 
-    with site.live(
-        "weather", forecast=file, gauge_limit=1.0, recovery_time=0.3,
-    ):
-        site.until(lambda: rain and forecast and evapotranspiration, LATE, "the weather")
+    with site.live("weather", forecast=file, gauge_limit=1.0, recovery_time=0.3):
         expect(1e-6, 0.0, ("forecast", OK, "issued"))  # 3.6 mm/h
+        site.until(lambda: forecast and evapotranspiration, LATE, "the weather")
         assert list(newest(forecast)) == pytest.approx([1e-6] * 10)
         # 2 mm/day from 68.8 m2.
         assert newest(evapotranspiration) == pytest.approx(0.002 * 68.8 / 86400)
@@ -670,7 +551,6 @@ def test_live_weather(site: Site) -> None:
         expect(2e-6, 1.0, ("rain gauge", *refused), ("thermometer", *refused))
         site.values = {}
         expect(2e-6, 1.0, ("thermometer", WARN, "older than 1 s"))
-
         write_forecast(file, timedelta(hours=2, minutes=1), 3.6, 15.0)
         expect(2e-6, math.nan, ("forecast", ERROR, "is older than 2 h"),
                ("frost", ERROR, "the pumps are kept off"))
@@ -679,8 +559,6 @@ def test_live_weather(site: Site) -> None:
         site.until(lambda: len(frost) > unknown + 4, LATE, "unknown frost again")
         assert (len(forecast), len(rain)) == rates
         assert newest(evapotranspiration) in USUAL_EVAPOTRANSPIRATION
-        write_forecast(file, timedelta(0), 3.6, 15.0)
-        expect(1e-6, 0.0, ("forecast", OK))
 
 
 def test_a_node_keeps_answering_while_it_reads_a_large_file(site: Site) -> None:
@@ -702,55 +580,6 @@ def test_a_node_keeps_answering_while_it_reads_a_large_file(site: Site) -> None:
     assert max(after - before for before, after in pairwise(times)) < 3.0
 
 
-def test_a_short_forecast_keeps_no_pump_off(site: Site) -> None:
-    """What is short is named first, and the controller commands by what is there."""
-    horizon, file = 120.0, site.cwd / "forecast.csv"
-    write_forecast(file, timedelta(minutes=1), 0.0, 12.0)
-    commands, frost = site.be_dry(), site.listen("/weather/frost")
-    for name in (*FORECASTS, "/weather/frost"):
-        del site.values[name]
-    weather_node = site.live("weather", forecast=file, horizon=horizon, recovery_time=0.3)
-    with weather_node, site.live(
-        "controller --controller lookahead", horizon=horizon, recovery_time=0.3
-    ):
-        site.until(
-            site.shows("/weather: forecast", WARN, "the forecast issued at ",
-                      f"before the look-ahead of {horizon:g} h does"),
-            LATE, "what is short",
-        )
-        site.until(lambda: newest(frost) == 0.0, LATE, "the temperature")
-        site.until(lambda: (newest(commands) or 0.0) > 0.0, LATE, "a command")
-        site.until(site.shows("/lookahead: forecast", OK), LATE, "a forecast for the controller")
-
-
-# What a site has besides no forecast: whether a service, whether a thermometer that is lost later;
-# and the codes of forecast and frost.
-LACKING = {
-    "a file": (False, False, "forecast_missing", "temperature_unknown"),
-    "a service": (True, False, "forecast_service_silent", "temperature_not_fetched"),
-    "a file and a thermometer": (False, True, "forecast_missing", "thermometer_lost"),
-}
-
-
-@pytest.mark.parametrize("name", LACKING)
-def test_advice_is_by_what_the_site_has(site: Site, name: str) -> None:
-    """An owner without a file is not asked to renew it; one with a thermometer, to check that."""
-    fetched, measured, forecast, frost = LACKING[name]
-    options: dict[str, Any] = {"forecast": site.cwd / "forecast.csv"}
-    if fetched:  # no one answers there
-        options |= {"fetch": "forecast", "fetch_url": "http://127.0.0.1:1/v1/forecast"}
-    with site.live("weather", gauge_limit=1.0, recovery_time=0.3, **options):
-        if measured:
-            site.values = {"/gauge/temperature": 4.0}
-            site.until(site.shows("/weather: frost", OK), LATE, "a temperature")
-            site.values = {}
-        for part, code in (("forecast", forecast), ("frost", frost)):
-            site.until(
-                lambda part=part, code=code:
-                site.watcher.values(f"/weather: {part}").get("code") == code, LATE, code,
-            )
-
-
 def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> None:
     """The forecast comes from a service, and is kept; the reason for a missing one is reported.
 
@@ -759,22 +588,19 @@ def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> No
     service = started_service("error")
     file = site.cwd / "kept" / "forecast.csv"
     frost, forecast = site.listen("/weather/frost"), site.listen("/forecast/precipitation")
-    arrays = site.watcher.collect("/diagnostics", lambda message: message)
     part = "/weather: forecast service"
     options = {
         "forecast": file, "fetch": "ensemble", "fetch_url": f"{service.address}/v1/ensemble",
         "horizon": 24.0, "all_members": "true",
     }
     with site.live("weather", **options, unknown_frost_may_pump="true"):
-        site.until(site.shows(part, WARN, "503 Service Unavailable"), LATE, "why there is none")
-        site.until(site.shows("/weather: forecast", ERROR, "there is no forecast"), LATE, "none")
-        site.until(lambda: newest(frost) == 0.0, LATE, "no frost")
-        site.until(site.shows("/weather: frost", WARN, "may run anyway"), LATE, "a warning")
-        # It is ready after it has reported what it lacks, not before it has looked.
-        for array in arrays:
-            messages = {status.name: status.message for status in array.status}
-            assert messages.get("/weather") != "ready" or "/weather: frost" in messages
-        assert not forecast
+        for shown, *words in (
+            (part, WARN, "503 Service Unavailable"),
+            ("/weather: forecast", ERROR, "there is no forecast"),
+            ("/weather: frost", WARN, "may run anyway"),
+        ):
+            site.until(site.shows(shown, *words), LATE, f"{words}")
+        assert newest(frost) == 0.0 and not forecast
     frost.clear()
     service.fault = "none"
     with site.live("weather", **options):
@@ -785,22 +611,7 @@ def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> No
     assert [path.parent.name for path in file.parent.rglob("*.csv")].count("forecast") == 1
 
 
-@contextmanager
-def disk_that_takes_nothing(place: Path, how: str) -> Iterator[None]:
-    """Mount a disk that is full, or that hangs."""
-    if how == "full":
-        with small_disk(place, "64k"):
-            fill(place / "file")
-            yield
-    else:
-        with disk_that_hangs(place) as hang:
-            hang(True)
-            yield
-            hang(False)
-
-
-@pytest.mark.parametrize("how", ["full", "hangs"])
-def test_a_fetched_forecast_needs_no_disk(site: Site, how: str) -> None:
+def test_a_fetched_forecast_needs_no_disk(site: Site) -> None:
     """The file is an archive: the controller gets the forecast by memory."""
     service = started_service()
     frost, forecast = site.listen("/weather/frost"), site.listen("/forecast/precipitation")
@@ -809,8 +620,9 @@ def test_a_fetched_forecast_needs_no_disk(site: Site, how: str) -> None:
         "forecast": disk / "forecast.csv", "fetch": "forecast",
         "fetch_url": f"{service.address}/v1/forecast",
     }
-    with site.live("weather", **options), disk_that_takes_nothing(disk, how):
+    with site.live("weather", **options), disk_that_hangs(disk) as hang:
+        hang(True)
         site.until(lambda: len(forecast) > 3 and newest(frost) == 0.0, LATE, "the forecast")
         assert site.shows("/weather: forecast", OK)()
-        assert not (disk / "forecast.csv").exists()
+        hang(False)
     service.close()

@@ -197,8 +197,8 @@ def test_commands_that_must_not_pump(rig: PumpRig) -> None:
     volatile.create_publisher(Float64, "/pump/command", 10)
     rig.until_at_rest()
     rig.until_reported(
-        "command", ERROR, "incompatible QoS (volatile): it has no liveliness lease, but must be "
-        "reliable, transient local",
+        "command", ERROR, "incompatible QoS (volatile): it must have a liveliness lease of at "
+        "most 1 s",
     )
     volatile.destroy_node()
     rig.run()

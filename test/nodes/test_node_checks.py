@@ -40,7 +40,6 @@ class Case(NamedTuple):
 
 
 CONTROLLERS = {
-    "example": Case({}, {}),
     "valve": Case({}, {}, ("-p", "valve:=true"), VALVE),
     # This package's lookahead has a memory and limits the starts.
     "lookahead": Case({}, {}, check=("--horizon", "120")),
@@ -50,10 +49,10 @@ CONTROLLERS = {
         "SUCTION <= cistern < math.inf": "SUCTION <= cistern",
         COMMAND: f'{COMMAND} + 0.0 * sum(tick["forecast/precipitation"][-10:])',
     }, {
-        "0 in frost": r"0\.9\d+ on /pump/command after 0 s with 1 on /weather/frost",
-        "while the cistern's level": r"0\.9\d+ on /pump/command .* inf on /cistern/level",
-        "while the roof's level": "nan on /pump/command with nan on /roof/level; it must be",
-        "while a forecast is not": "nan on /pump/command with nan on /forecast/precipitation",
+        "0 in frost": r"0\.4\d+ on /pump/command after 0 s with 1 on /weather/frost",
+        "while /cistern/level": r"0\.4\d+ on /pump/command .* inf on /cistern/level",
+        "while /roof/level": "nan on /pump/command with nan on /roof/level; it must be",
+        "while /forecast/prec": "nan on /pump/command with nan on /forecast/precipitation",
     }),
     "careless": Case({
         'tick["weather/frost"] != 0': 'tick["weather/frost"] == 1',
@@ -61,36 +60,37 @@ CONTROLLERS = {
         "    if topic in tick:\n": "    if False:\n",
         "len(tick) == len(INPUTS)": 'topic == "forecast/evapotranspiration"',
         "tick.clear()": "pass",
-        "node.create_timer": "publisher.publish(Float64())\nnode.create_timer",
         "        raise SystemExit\n": "        pass\n",
     }, {
-        "before the first tick": "1 messages arrived before any input",
         "valid at all levels": r"-0\.\d+ on /pump/command with .* on /roof/level",
-        "while frost is not finite": r"0\.9\d+ on /pump/command .* nan on /weather/frost",
+        "while /weather/frost": r"0\.4\d+ on /pump/command .* nan on /weather/frost",
         "in any order": "before the last input in /cistern/level, .*/forecast/precipitation$",
-        "ends when": "still runs 10 s after /clock",
+        "ends with": "still runs 10 s after /clock",
     }),
+    "early": Case(
+        {"node.create_timer": "publisher.publish(Float64())\nnode.create_timer"},
+        {"waters": "1 messages on /pump/command before any input; nothing else"},
+    ),
     "by_arrival": Case({  # takes the first level of a tick for that of the cistern
         ANSWER: "        levels = [tick[topic] for topic in tick if 'level' in topic]\n"
         f"        tick.update(zip(INPUTS, levels))\n{ANSWER}",
-    }, {"in any order": r"0 on /pump/command if the inputs come in the order /.*, but 0\.9"}),
+    }, {"in any order": r"0 on /pump/command if the inputs come in the order /.*, but 0\.4"}),
     "opens": Case({"    finite = all": "    finite = True or all"}, {
-        "while frost is not finite": "1 on /outlet/command .* nan on /weather/frost",
-        "while the roof's level": "1 on /outlet/command .* nan on /roof/level",
+        "while /weather/frost": "1 on /outlet/command .* nan on /weather/frost",
+        "while /roof/level": "1 on /outlet/command .* nan on /roof/level",
     }, ("-p", "valve:=true"), VALVE),
-    "silent": Case(
-        {"        publisher.": '        tick["weather/frost"] == 1 or publisher.'},
-        {"0 in frost": "on /pump/command within 5 s in tick 2, with 1 on /weather/frost;"},
-    ),
     "doubled": Case({ANSWER: 2 * ANSWER}, {"frost": "2 messages on /pump/command in tick 0"}),
-    "never_waters": Case({"GAIN = 20.0": "GAIN = 0.0"}, {"waters": "0 at all levels"}),
+    "never_waters": Case(
+        {"GAIN = 20.0": "GAIN = 0.0"},
+        {"waters": "0 on /pump/command after 3600 s with usual inputs; nothing"},
+    ),
     "volatile": Case({
         ", durability=DurabilityPolicy.TRANSIENT_LOCAL": "",
         '"weather/frost": Float64,': "", 'tick["weather/frost"] != 0 or ': "",
     }, {
-        "topics match": "its publisher of /pump/command is volatile; it must be reliable, transient"
-        " local, keep last 64, with a liveliness lease of 1 s; its subscription to /cistern/level "
-        "is volatile.*node has no subscription to /weather/frost",
+        "topics match": "its publisher of /pump/command must have transient local durability; its "
+        "subscription to /cistern/level must have transient local durability.*node has no "
+        "subscription to /weather/frost",
     }),
 }
 # The rules for topics and messages are those of controllers, in the same code.
@@ -104,24 +104,18 @@ DRIVERS = {
         "not cistern > SUCTION": "math.isnan(cistern)",
     }, {
         "command nan": r"0\.00\d+ on /pump/flow after 3 s with nan on /pump/command",
-        "of the last command": r"0\.00\d+ m3/s after the silence, .* had not stopped",
+        "of the last command": r"0\.00\d+ m3/s after the silence, 0\.00",
         "second publisher": r"0\.00\d+ on /pump/flow after 3 s with usual inputs",
         "at the suction level": "after 3 s with 0.749 on /cistern/level",
     }),
     "hears_too_little": Case({
         "min(command, 1.0)": "command",
-        "watchdog = node.create_timer(SILENCE, on_silence,":
-            "from std_msgs.msg import String\n"
-            "states = node.create_publisher(String, 'pump/state', qos)\n"
-            "said = lambda: states.publish(String(data='{\"state\": \"running\"}'))\n"
-            "watchdog = node.create_timer(SILENCE, lambda: (on_silence(), said()),",
         "frost != 0": "math.isnan(frost)",
         "SUCTION  # an unknown level": "SUCTION + last[0]; last[0] += cistern <= SUCTION  #",
     }, {
-        "above 1 as 1": r"0\.02\d+ on /pump/flow .*; 0\.00\d+ at command 1",
-        "of the last command": "/pump/state reports 'running' at the end of the silence",
+        "above 1 as 1": r"0\.02\d+ m3/s at command 3, 0\.00\d+ m3/s at command 1",
         "stops in frost": "after 3 s with 1 on /weather/frost",
-        "runs steadily again": "on /pump/flow after 12 s with usual inputs .*running",
+        "the suction level, and runs again": "on /pump/flow after 12 s with usual inputs; nothing",
     }),
     "acts_at_the_command": Case({
         "    tick[topic] = message.data\n    if len(tick) < len(INPUTS):\n        return\n":
@@ -172,7 +166,7 @@ def wrong_verdicts(
         wrong = [wrong_verdict(checks[name], cases[name]) for name in cases]
         if kind == "pump":
             said = checks["example"].stdout()
-            assert re.match(r"THE PUMP WILL RUN\. .* takes 1 to 3 minutes", said)
+            assert re.match(r"THE PUMP WILL RUN\. .* takes up to \d minutes", said)
             assert "are the only evidence" in said
             assert nodes["example"].wait(300) == 0  # as the controller, the check, has gone
     finally:
@@ -204,7 +198,7 @@ def test_without_a_node_or_with_a_second_graph_it_explains(domain: int, tmp_path
     try:
         again = check(domain, tmp_path, "taken", "pump")
         assert absent.wait(300) == 2
-        assert "no node pumpe that publishes /pump/flow" in absent.stderr()
+        assert "no node pumpe that publishes /pump/flow was found" in absent.stderr()
         assert again.wait(300) == 3
         assert "/pump/command already has a publisher (pump)" in again.stderr()
     finally:
@@ -213,7 +207,7 @@ def test_without_a_node_or_with_a_second_graph_it_explains(domain: int, tmp_path
 
 
 def test_publisher_that_does_not_fit_is_named_at_once(domain: int, tmp_path: Path) -> None:
-    """In one line: the node, its settings, and all that are required."""
+    """In one line: the node, and what its settings must be."""
     with in_domain(domain), closing(Peer(domain, "pump")) as driver:
         driver.node.create_publisher(Float64, "/pump/flow", 10)  # with rclpy's default settings
         process = Process(domain, "bringup", "--pump", "external", "--output", "run", cwd=tmp_path)
@@ -222,6 +216,6 @@ def test_publisher_that_does_not_fit_is_named_at_once(domain: int, tmp_path: Pat
         assert process.wait(300) == 130
     warnings = [line for line in process.stderr().splitlines() if "warning" in line]
     assert warnings == [
-        "warning: /pump/flow has a publisher with an incompatible QoS (pump): it is volatile, but "
-        "must be reliable, transient local, keep last 64; change its QoS, or stop it"
+        "warning: /pump/flow has a publisher with an incompatible QoS (pump): it must have "
+        "transient local durability; change its QoS, or stop it"
     ]

@@ -70,7 +70,6 @@ def test_started_by_hand_gives_the_bag_of_bringup(
     plant.until_printed("waiting for the controller\n")
     weather.until_printed("all inputs have publishers\n")
     nodes.node("mpc")
-    plant.until_printed("finished 360 ticks")
     for name in nodes.started:
         assert nodes.code(name) == 0
         log = nodes.log(name)
@@ -78,17 +77,6 @@ def test_started_by_hand_gives_the_bag_of_bringup(
         assert log.count("waiting for") < 15
     mine = tmp_path / "bag" / "bag_0.mcap"
     assert mine.read_bytes() == bag_file(recorded).read_bytes()
-
-
-def test_a_plant_without_a_controller_names_it(nodes: Nodes) -> None:
-    """It ends; the status that it reports last is in the sample of the campaign, test_faults.py."""
-    nodes.node("weather")
-    nodes.node("plant", start_limit=6.0)
-    assert nodes.code("plant") == 1
-    (fatal,) = [line for line in nodes.log("plant").splitlines() if line.startswith("error: ")]
-    assert "the run did not start within 6 s" in fatal
-    assert "/pump/command from the controller" in fatal
-    assert "weather" not in fatal.partition("did not start")[2]
 
 
 def test_plant_that_is_killed_ends_the_others(
@@ -152,35 +140,30 @@ def test_a_plant_that_stood_still_makes_up_for_nothing(nodes: Nodes, observer: O
 Messages = list[tuple[str, Any]]
 LEVEL = ("/cistern/level", 2.5)
 INPUTS: Messages = [
-    LEVEL, ("/roof/level", 0.03), ("/weather/frost", 0.0), *((name, [0.0]) for name in FORECASTS)
+    ("/clock", Time(sec=1_625_641_200)), LEVEL, ("/roof/level", 0.03), ("/weather/frost", 0.0),
+    *((name, [0.0]) for name in FORECASTS),
 ]
 RUN = ("/run", [7.0, 0.0, 0.0])
+LONGER = ("/run", [7.0, 5.0, 0.0])
 # One message of each topic recorded with mpc, the recorder's default.
 RECORDED: Messages = [
-    (name, [0.0] if "Array" in topic.type else dict(INPUTS).get(name, 0.0))
+    (name, dict(INPUTS).get(name, [0.0] if "Array" in topic.type else 0.0))
     for name, topic in read_topics().items() if name in MPC_TOPICS
 ]
-COUNT = "expected 1 messages of each topic; some were lost or arrived twice: /cistern/"
 # The node, its messages, those after its first command, its exit code, and its message.
 WRONG: dict[str, tuple[str, Messages, Messages, int, str]] = {
     "a level twice before the run": (
         "onoff", [LEVEL, LEVEL], [], 3, "/cistern/level has a second message in tick 0 ("),
     "a level twice in the run": (
-        "onoff", INPUTS, [LEVEL, LEVEL], 1, "/cistern/level has a second message in tick 1 ("),
+        "onoff", [LONGER, *INPUTS], [LEVEL, LEVEL], 1,
+        "/cistern/level has a second message in tick 1 ("),
     "a level after the last tick": (
         "onoff", [RUN, *INPUTS], [LEVEL], 1, "/cistern/level has a second message in tick 1 ("),
-    "a level after the last tick, before the run": (
-        "onoff", INPUTS, [LEVEL, RUN], 1, "/cistern/level has a second message in tick 1 ("),
     "another run": (
-        "onoff", [("/run", [7.0, 5.0, 0.0]), *INPUTS], [("/run", [8.0, 5.0, 0.0])], 1,
+        "onoff", [LONGER, *INPUTS], [("/run", [8.0, 5.0, 0.0])], 1,
         "the plant was restarted, or there are two plants"),
-    "a plant of another version": (
-        "onoff", [("/run", [7.0, 5.0])], [], 1, "the plant is from another version"),
     # Whether the tick is complete before the second message depends on the order of the topics.
-    "one more of a topic": ("recorder", [RUN, *RECORDED, LEVEL], [], 1, "/cistern/level"),
-    "one less of a topic": (
-        "recorder", [RUN, *(message for message in RECORDED if message != LEVEL)], [], 1,
-        f"{COUNT}level: 0\n"),
+    "one more of a topic": ("recorder", [RUN, LEVEL, *RECORDED], [], 1, "/cistern/level has"),
 }
 
 
@@ -188,17 +171,18 @@ WRONG: dict[str, tuple[str, Messages, Messages, int, str]] = {
 def test_what_lockstep_cannot_be_ends_the_node(nodes: Nodes, observer: Observer, case: str) -> None:
     """The error names the cause; the exit code is 3 before the run, 1 during it."""
     node, before, then, code, words = WRONG[case]
-    names = {"/clock", *(topic for topic, _ in before + then)}
+    names = {topic for topic, _ in [*INPUTS, *before]}
     publishers = {topic: observer.publisher(topic) for topic in names}
     commands = observer.collect("/pump/command")
 
     def publish(messages: Messages) -> None:
         for topic, value in messages:
             kind = message_class(read_topics()[topic].type)
-            publishers[topic].publish(kind() if kind is Clock else kind(data=value))
+            field = "clock" if kind is Clock else "data"
+            publishers[topic].publish(kind(**{field: value}))
 
     publish(before)
-    nodes.node(node, **({"peer_limit": 0.5} if node == "recorder" else {}))
+    nodes.node(node)
     if then:
         observer.until(lambda: commands, 60, "a command")
         for publisher in publishers.values():  # a later reader would get only the newest
@@ -208,37 +192,3 @@ def test_what_lockstep_cannot_be_ends_the_node(nodes: Nodes, observer: Observer,
         publish(then)
     assert nodes.code(node) in (code, -signal.SIGALRM)
     assert words in nodes.log(node)
-
-
-ANSWERED: dict[str, tuple[Messages, str]] = {
-    "onoff": (INPUTS, "/pump/command"),
-    "weather": ([("/clock", Time(sec=1_625_641_200))], "/weather/frost"),
-    "plant": ([("/weather/precipitation", 0.0), ("/weather/evapotranspiration", 0.0),
-               ("/pump/command", 0.0)], "/pump/flow"),
-    "recorder": ([RUN, *RECORDED], "/recorder/written"),
-}
-
-
-@pytest.mark.parametrize("node", ANSWERED)
-def test_malformed_messages_are_dropped(nodes: Nodes, observer: Observer, node: str) -> None:
-    """Some on each topic, before the tick's own, which the node still awaits, and acts on."""
-    messages, output = ANSWERED[node]
-    publishers = {topic: observer.publisher(topic) for topic, _ in messages}
-    answers = observer.collect(output)
-    process = nodes.node(node, **({"run_length": 1} if node == "plant" else {}))
-    for publisher in publishers.values():
-        publisher.publish(b"\x00\x01\x00\x00")
-        publisher.publish(b"\x00\x01\x00\x00abc")
-    for topic, _ in messages:
-        process.until_printed(f"dropped a malformed message on {topic} (")
-    for topic, value in messages:
-        kind = message_class(read_topics()[topic].type)
-        if isinstance(value, Time):
-            publishers[topic].publish(Clock(clock=value))
-        else:
-            publishers[topic].publish(kind() if kind is Clock else kind(data=value))
-    observer.until(lambda: answers, 60, "an answer")
-    observer.until(
-        lambda: observer.values(f"/{node}").get("refused", {}).keys() == publishers.keys(), 60,
-        "their counts",
-    )

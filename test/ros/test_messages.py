@@ -18,7 +18,13 @@ rclpy = pytest.importorskip("rclpy", reason="the message types come with ROS 2")
 
 from builtin_interfaces.msg import Time  # noqa: E402
 from rclpy.duration import Duration, Infinite  # noqa: E402
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
+from rclpy.qos import (  # noqa: E402
+    DurabilityPolicy,
+    QoSCompatibility,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_check_compatible,
+)
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from std_msgs.msg import (  # noqa: E402
@@ -36,6 +42,7 @@ from greenroof_ros.ros.messages import (  # noqa: E402
     decoder,
     encoder,
     find_lacking,
+    qos_profile,
 )
 
 NUMBER, NUMBERS, CLOCK = (
@@ -44,7 +51,7 @@ NUMBER, NUMBERS, CLOCK = (
 REPORTS = "diagnostic_msgs/msg/DiagnosticArray"
 KINDS = (NUMBER, NUMBERS, CLOCK, REPORTS)
 ENSEMBLE = ("member", "step")
-VALUES = [0.0, -0.0, 1.0, -1 / 3, 5e-324, 1.7976931348623157e308, math.inf, -math.inf, math.nan]
+VALUES = [-0.0, -1 / 3, 5e-324, 1.7976931348623157e308, -math.inf, math.nan]
 
 
 @pytest.mark.parametrize(
@@ -77,20 +84,6 @@ def test_bytes_of_the_generated_code(kind: str, value: Any, message: Any) -> Non
         assert np.asarray(again).tobytes() == np.asarray(value).tobytes()
 
 
-@pytest.mark.parametrize("values", [array("d", [1e-7, 2e-7, 3e-7]), np.arange(6.0).reshape(2, 3)])
-def test_what_stands_in_front_is_skipped_by_the_layout(values: Any) -> None:
-    """A forecast's issue and the ends of its steps: ROS reads them, a node only the rest."""
-    front = array("d", [1_625_641_200.0, 10.0, 20.0, 60.0])
-    written = encoder(NUMBERS, ENSEMBLE)(WithFront(front, values))
-    message = deserialize_message(written, Float64MultiArray)
-    assert message.layout.data_offset == 4
-    assert message.data[:4] == front
-    assert list(message.data[4:]) == np.ravel(values).tolist()
-    again = decoder(NUMBERS)(written)
-    assert type(again) is type(values)
-    np.testing.assert_array_equal(again, values)
-
-
 def test_the_tutorials_function_reads_an_ensemble() -> None:
     """Steps of 10, 10 and 40 s: 0 + 10 + 80 m and 30 + 40 + 200 m."""
     (block,) = (
@@ -105,30 +98,34 @@ def test_the_tutorials_function_reads_an_ensemble() -> None:
     assert depth.tolist() == [90.0, 270.0]
 
 
-def test_members_travel_in_the_layout() -> None:
+@pytest.mark.parametrize("front", [[], [1_625_641_200.0, 10.0, 20.0, 60.0]])
+def test_members_travel_in_the_layout(front: list[float]) -> None:
     """Rows of an ensemble: dimensions, sizes and strides as defined by Float64MultiArray.
 
-    Each byte is the generated code's, except where that leaves arbitrary memory: after the
-    header of four bytes the labels' ends, at 19 and 37, are padded to multiples of four, and the
-    numbers begin at a multiple of eight. A single row has no layout.
+    The layout skips a forecast's issue and the ends of its steps. Each byte is the generated
+    code's, except where that leaves arbitrary memory: after the header of four bytes the labels'
+    ends, at 19 and 37, are padded to multiples of four, and the numbers begin at a multiple of
+    eight. A single row has no layout.
     """
-    values = np.arange(6.0).reshape(2, 3)
-    written = encoder(NUMBERS, ENSEMBLE)(values)
+    values, before = np.arange(6.0).reshape(2, 3), array("d", front)
+    written = encoder(NUMBERS, ENSEMBLE)(WithFront(before, values))
     message = deserialize_message(written, Float64MultiArray)
+    assert message.layout.data_offset == len(front)
     labels = [
         (dimension.label, dimension.size, dimension.stride) for dimension in message.layout.dim
     ]
     assert labels == [("member", 2, 6), ("step", 3, 3)]
-    assert list(message.data) == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    assert list(message.data) == [*front, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
     again = decoder(NUMBERS)(written)
-    assert again.shape == (2, 3)
-    assert again.tobytes() == values.tobytes()
+    assert again.shape == (2, 3) and again.tobytes() == values.tobytes()
     generated = bytearray(serialize_message(message))
     for first, end in ((19, 20), (37, 40), (56, 60)):
         assert written[first:end] == bytes(end - first)
         generated[first:end] = bytes(end - first)
     assert written == bytes(generated)
-    assert encoder(NUMBERS, ENSEMBLE)(values[:1]) == encoder(NUMBERS)(array("d", values[0]))
+    row = encoder(NUMBERS, ENSEMBLE)(WithFront(before, values[:1]))
+    assert row == encoder(NUMBERS)(WithFront(before, array("d", values[0])))
+    assert decoder(NUMBERS)(row) == array("d", values[0])
 
 
 def layout(*sizes: int) -> bytes:
@@ -172,18 +169,12 @@ def test_changed_bytes_are_read_or_malformed(kind: str) -> None:
             decoder(kind)(bytes(changed))
 
 
-@pytest.mark.parametrize(
-    ("kind", "message", "value"),
-    [
-        (NUMBER, struct.pack(">4xd", 2.5), 2.5),
-        (NUMBERS, struct.pack(">4xIII4xdd", 0, 0, 2, 2.5, -1.0), [2.5, -1.0]),
-        (CLOCK, struct.pack(">4xiI", 7, 8), 7_000_000_008),
-    ],
-)
-def test_big_endian(kind: str, message: bytes, value: Any) -> None:
+def test_big_endian() -> None:
     """A publisher on a big-endian machine is understood, too."""
-    decoded = decoder(kind)(message)
-    assert list(decoded) == value if kind == NUMBERS else decoded == value
+    assert decoder(NUMBER)(struct.pack(">4xd", 2.5)) == 2.5
+    rows = struct.pack(">4xIII4xdd", 0, 0, 2, 2.5, -1.0)
+    assert list(decoder(NUMBERS)(rows)) == [2.5, -1.0]
+    assert decoder(CLOCK)(struct.pack(">4xiI", 7, 8)) == 7_000_000_008
 
 
 # --- what a node accepts as input -----------------------------------------------------------------
@@ -198,54 +189,46 @@ RELIABLE, BEST, LATCHED, VOLATILE = (
 @pytest.mark.parametrize(
     ("required", "offered", "lacking"),
     [
-        (Qos("reliable", "transient_local", 64, 2.0), (RELIABLE, LATCHED, 2.0), []),
-        (Qos("reliable", "transient_local", 64, 2.0), (BEST, VOLATILE, 3.0),
-         ["is best effort", "is volatile", "has a liveliness lease of 3 s"]),
-        (Qos("reliable", "transient_local", 64, 2.0), (RELIABLE, LATCHED, None),
-         ["has no liveliness lease"]),
-        (Qos("reliable", "volatile", 1, math.inf), (RELIABLE, LATCHED, None), []),
-        (Qos("best_effort", "volatile", 1, math.inf), (BEST, VOLATILE, None), []),
+        (Qos("reliable", "transient_local", 64, 2.0), (RELIABLE, LATCHED, 2.0), ""),
+        (Qos("reliable", "transient_local", 64, 2.0), (BEST, VOLATILE, None),
+         "reliable delivery and transient local durability and a liveliness lease of at most 2 s"),
+        (Qos("reliable", "transient_local", 64, 2.0), (RELIABLE, LATCHED, 3.0),
+         "a liveliness lease of at most 2 s"),
+        (Qos("best_effort", "volatile", 1, math.inf), (RELIABLE, LATCHED, None), ""),
+        (Qos("best_effort", "volatile", 1, math.inf), (BEST, VOLATILE, None), ""),
     ],
 )
 def test_what_a_publisher_offers_less_than_is_required(
     required: Qos, offered: tuple[ReliabilityPolicy, DurabilityPolicy, float | None],
-    lacking: list[str],
+    lacking: str,
 ) -> None:
-    """DDS connects a publisher that offers at least what is required; a shorter lease is more."""
+    """As DDS does, which connects what offers at least what is required."""
     reliability, durability, lease_s = offered
     profile = QoSProfile(depth=1, reliability=reliability, durability=durability)
     profile.liveliness_lease_duration = Infinite if lease_s is None else Duration(seconds=lease_s)
     assert find_lacking(profile, required) == lacking
+    compatibility, _ = qos_check_compatible(profile, qos_profile(required))
+    assert (compatibility == QoSCompatibility.ERROR) == bool(lacking)
 
 
 @pytest.mark.parametrize("rows", [1, 2])
 @pytest.mark.parametrize(
     ("value", "good"),
-    [(0.0, True), (1.5, True), (3.0, True), (-1e-300, False), (3.0000001, False),
-     (math.nan, False), (math.inf, False)],
+    [(0.0, True), (3.0, True), (-1e-300, False), (3.0000001, False), (math.nan, False),
+     (math.inf, False)],
 )
 def test_the_ends_of_a_range_belong_to_it(value: float, good: bool, rows: int) -> None:
     """For a number, a row, and each member of an ensemble; a refused value acts as 0."""
     topics = read_topics()
-    for name, message in (
-        ("/pump/command", value), ("/forecast/precipitation", np.full((rows, 4), value)),
+    for name, message, nothing in (
+        ("/pump/command", value, 0.0), ("/forecast/precipitation", np.full((rows, 4), value), []),
     ):
         topic = replace(topics[name], low=0.0, high=3.0)
         entry = Input(topic, name)
         entry.receive(encoder(topic.type, topic.dimensions)(message))
         assert (entry.good, entry.refused) == (good, int(not good))
-        assert not np.any(np.subtract(entry.value, value if good else 0.0))
-        # Refused or not, a row stays a row: an array of numpy's is an ensemble.
-        assert isinstance(entry.value, np.ndarray) == (name != "/pump/command" and rows > 1)
-
-
-def test_what_a_subscriber_takes_of_a_plan() -> None:
-    """Rows and an empty plan are good; an undecided plan is refused like any NaN, and acts as 0."""
-    topic = read_topics()["/controller/plan"]
-    encode = encoder(topic.type, topic.dimensions)
-    entry = Input(topic, topic.name)
-    for value in (np.array([[10.0, 0.008, 0.036, 0.04], [20.0] + 3 * [0.0]]), np.empty((0, 4))):
-        entry.receive(encode(value))
-        assert entry.good and np.asarray(entry.value).size == value.size
-    entry.receive(encode(topic.undecided))
-    assert not entry.good and list(entry.value) == [0.0] * 4
+        assert np.all(np.equal(entry.value, value)) if good else (
+            np.asarray(entry.value).tolist() == nothing
+        )
+        entry.receive(HEAD)
+        assert not entry.good and entry.refused == 1 + int(not good)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 
 import pytest
@@ -12,16 +11,13 @@ rclpy = pytest.importorskip("rclpy", reason="it is about ROS 2")
 pytestmark = pytest.mark.graph  # also run with the next ROS 2
 
 from rclpy.duration import Duration  # noqa: E402
-from rclpy.experimental import EventsExecutor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
 from greenroof_ros.interface.topics import read_topics  # noqa: E402
 from greenroof_ros.ros.messages import qos_profile  # noqa: E402
 from greenroof_ros.ros.rclpy_internals import (  # noqa: E402
-    NoClockSubscription,
     raw_publish,
     take_messages,
 )
@@ -36,21 +32,6 @@ def small(domain: int) -> Iterator[Node]:
     yield node
     node.destroy_node()
     context.try_shutdown()
-
-
-class Unclocked(NoClockSubscription, Node):
-    """A node that sets its clock itself."""
-
-
-@pytest.mark.parametrize(("kind", "subscriptions"), [(Node, 1), (Unclocked, 0)])
-def test_a_node_in_simulated_time_need_not_subscribe_to_the_clock(
-    small: Node, kind: type[Node], subscriptions: int
-) -> None:
-    simulated = Parameter("use_sim_time", Parameter.Type.BOOL, True)
-    node = kind("timed", context=small.context, parameter_overrides=[simulated])
-    topics = [subscription.topic_name for subscription in node.subscriptions]
-    assert topics.count("/clock") == subscriptions
-    node.destroy_node()
 
 
 class ExecutorThatMisses:
@@ -75,11 +56,12 @@ def test_messages_that_came_before_an_executor_listens(small: Node) -> None:
         profile, raw=True,
     )
     publisher = small.create_publisher(Float64, "level", profile)
+    publish = raw_publish(publisher)
     wait_for(publisher.get_subscription_count, 60, "the subscription")
 
     def publish_all(*values: float) -> None:
         for value in values:
-            publisher.publish(Float64(data=value))
+            publish(serialize_message(Float64(data=value)))
         assert publisher.wait_for_all_acked(Duration(seconds=60))
 
     publish_all(1.0, 2.0, 3.0)
@@ -89,19 +71,3 @@ def test_messages_that_came_before_an_executor_listens(small: Node) -> None:
     (subscription,) = (entry for entry in small.subscriptions if entry.raw)
     numbers = [info["publication_sequence_number"] for _, info in take_messages(subscription)]
     assert numbers == [4, 5]
-
-
-def test_the_short_ways_of_a_message(small: Node) -> None:
-    """What is published without rclpy's checks arrives through the fast executor."""
-    profile = qos_profile(read_topics()["/roof/level"].qos)
-    received: list[bytes] = []
-    small.create_subscription(Float64, "level", received.append, profile, raw=True)
-    publish = raw_publish(small.create_publisher(Float64, "level", profile))
-    executor = EventsExecutor(context=small.context)
-    start_receiving(executor, small)
-    message = serialize_message(Float64(data=0.05))
-    publish(message)
-    until = time.monotonic() + 60
-    while not received and time.monotonic() < until:
-        executor.spin_once(timeout_sec=0.1)
-    assert received == [message]
