@@ -95,16 +95,6 @@ def declare(node: Node, parameters: Iterable[Parameter]) -> dict[str, Any]:
     return {parameter.name: _declare(node, parameter) for parameter in declared}
 
 
-def find_given(node: Node, names: Iterable[str]) -> dict[str, Any]:
-    """Return the values that the user set for parameters that a node does not declare."""
-    given = {}
-    for name in names:
-        anything = ParameterDescriptor(dynamic_typing=True)
-        given[name] = node.declare_parameter(name, descriptor=anything).value
-        node.undeclare_parameter(name)
-    return {name: value for name, value in given.items() if value is not None}
-
-
 def _declare(node: Node, parameter: Parameter) -> Any:
     if node.has_parameter(parameter.name):
         return node.get_parameter(parameter.name).value
