@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from greenroof_ros import __version__
 from greenroof_ros.interface.states import PUMP_STATES
 from greenroof_ros.watch.words import find_display
 
@@ -25,18 +24,13 @@ EXPIRES_S = 30
 """Age above which Home Assistant no longer shows a value (s)."""
 
 NUMBERS = {
-    "roof_level": ("/roof/level", "distance"),
-    "cistern_level": ("/cistern/level", "distance"),
-    "rain": ("/weather/precipitation", "precipitation_intensity"),
-    "flow": ("/pump/flow", "volume_flow_rate"),
-    "command": ("/pump/command", None),
+    "roof_level": ("roof", "/roof/level", {"device_class": "distance"}),
+    "cistern_level": ("cistern", "/cistern/level", {"device_class": "distance"}),
+    "rain": ("rain", "/weather/precipitation", {"device_class": "precipitation_intensity"}),
+    "flow": ("pump", "/pump/flow", {"device_class": "volume_flow_rate"}),
+    "command": ("watering", "/pump/command", {}),
 }
-"""Numeric fields: the topic that provides label and unit, and Home Assistant's device class."""
-
-
-def make_prefix(site: str) -> str:
-    """Return the prefix of a site's topics."""
-    return f"greenroof/{site}"
+"""Numeric fields: the tile with the value, and the topic that provides label and unit."""
 
 
 def make_discovery(site: str) -> dict[str, str]:
@@ -45,62 +39,38 @@ def make_discovery(site: str) -> dict[str, str]:
     Args:
         site: name of the site in topics and IDs, consisting of letters, digits and _.
     """
-    base, node = make_prefix(site), f"greenroof_{site}"
-    bridge = {"topic": f"{base}/availability"}
+    base, node = f"greenroof/{site}", f"greenroof_{site}"
+    entities: dict[str, tuple[str, dict[str, Any]]] = {
+        "pump": ("sensor", {"name": "Pump", "device_class": "enum", "options": [*PUMP_STATES]}),
+        "plan": ("sensor", {"name": "Watering"}),
+        "condition": ("sensor", {"name": "Condition"}),
+        "frost": ("binary_sensor", {"name": "Frost", "device_class": "cold"}),
+        "problem": ("binary_sensor", {
+            "name": "Alarm", "device_class": "problem", "json_attributes_topic": f"{base}/alarms",
+        }),
+        "stop": ("button", {
+            "name": "Stop the pump", "command_topic": f"{base}/stop", "payload_press": STOP,
+        }),
+    }
+    for key, (_, topic, kind) in NUMBERS.items():
+        display = find_display(topic)
+        entities[key] = "sensor", {
+            "name": display.label, "unit_of_measurement": display.unit,
+            "state_class": "measurement", **kind,
+        }
     messages = {}
-    for (component, key), own in _list_entities(base).items():
-        config = {
+    for key, (component, own) in entities.items():
+        shown = {} if component == "button" else {
+            "state_topic": f"{base}/state", "value_template": f"{{{{ value_json.{key} }}}}",
+            "expire_after": EXPIRES_S,
+        }
+        messages[f"{PREFIX}/{component}/{node}/{key}/config"] = json.dumps({
             "unique_id": f"{node}_{key}",
-            "availability": [bridge],
+            "availability": [{"topic": f"{base}/availability"}],
             "device": {
                 "identifiers": [node], "name": f"Green roof {site}",
-                "manufacturer": "greenroof_ros", "sw_version": __version__,
+                "manufacturer": "greenroof_ros",
             },
-            "origin": {"name": "greenroof_ros", "sw_version": __version__},
-            **own,
-        }
-        if component == "button":
-            # Without a pump node, the button cannot be pressed.
-            template = "{{ 'online' if value_json.can_stop else 'offline' }}"
-            config["availability"] = [
-                bridge, {"topic": f"{base}/state", "value_template": template}
-            ]
-            config["availability_mode"] = "all"
-        else:
-            config |= {
-                "state_topic": f"{base}/state", "value_template": f"{{{{ value_json.{key} }}}}",
-                "expire_after": EXPIRES_S,
-            }
-        messages[f"{PREFIX}/{component}/{node}/{key}/config"] = json.dumps(config)
+            **shown, **own,
+        })
     return messages
-
-
-def _list_entities(base: str) -> dict[tuple[str, str], dict[str, Any]]:
-    """Return the settings that differ between entities, by component and field."""
-    entities: dict[tuple[str, str], dict[str, Any]] = {}
-    for key, (topic, kind) in NUMBERS.items():
-        display = find_display(topic)
-        entities["sensor", key] = {
-            "name": display.label, "unit_of_measurement": display.unit,
-            "state_class": "measurement", **({"device_class": kind} if kind else {}),
-        }
-    entities |= {
-        ("sensor", "pump"): {
-            "name": "Pump", "device_class": "enum", "options": list(PUMP_STATES),
-        },
-        ("sensor", "plan"): {"name": "Watering"},
-        ("sensor", "planned_volume"): {
-            "name": "Planned volume", "unit_of_measurement": "L", "state_class": "measurement",
-        },
-        ("sensor", "planned_start"): {"name": "Next planned start", "device_class": "timestamp"},
-        ("sensor", "condition"): {"name": "Condition"},
-        ("binary_sensor", "frost"): {"name": find_display("/weather/frost").label,
-                                     "device_class": "cold"},
-        ("binary_sensor", "problem"): {
-            "name": "Alarm", "device_class": "problem", "json_attributes_topic": f"{base}/alarms",
-        },
-        ("button", "stop"): {
-            "name": "Stop the pump", "command_topic": f"{base}/stop", "payload_press": STOP,
-        },
-    }
-    return entities
