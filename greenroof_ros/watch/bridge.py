@@ -14,22 +14,26 @@ from typing import Any
 from greenroof_ros.base.mqtt import Broker, make_client
 from greenroof_ros.base.processes import Signals
 from greenroof_ros.base.standard_error import print_seldom
+from greenroof_ros.interface.states import PUMP_STATES
 from greenroof_ros.watch.document import join_summary, make_document
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.home_assistant import (
-    NUMBERS,
-    OFF,
-    OFFLINE,
-    ON,
-    ONLINE,
-    STOP,
-    make_discovery,
-)
 from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.words import UNKNOWN, find_display
 
-# Interval at which the state is sent (s).
-_POLL_S = 1.0
+ONLINE, OFFLINE, ON, OFF = "online", "offline", "ON", "OFF"
+STOP = "STOP"
+"""The whole payload of a message that stops the pump."""
+NUMBERS = {
+    "roof_level": ("roof", "/roof/level", {"device_class": "distance"}),
+    "cistern_level": ("cistern", "/cistern/level", {"device_class": "distance"}),
+    "rain": ("rain", "/weather/precipitation", {"device_class": "precipitation_intensity"}),
+    "flow": ("pump", "/pump/flow", {"device_class": "volume_flow_rate"}),
+    "command": ("watering", "/pump/command", {}),
+}
+"""Numeric fields: the tile with the value, and the topic that provides label and unit."""
+
+# Interval at which the state is sent, and age above which Home Assistant shows no value (s).
+_POLL_S, _EXPIRES_S = 1.0, 30
 # Home Assistant accepts 255 characters as a state, and records 16 kB of attributes.
 _MAX_TEXT, _MAX_ALARMS = 255, 10
 # Longest time that the last message may take (s).
@@ -165,10 +169,56 @@ def make_state(shown: Mapping[str, Any]) -> dict[str, Any]:
 
 def make_alarms(shown: Mapping[str, Any]) -> dict[str, Any]:
     """Return the summary, the advice and the current alarms, as in the document."""
-    keys = "code", "level", "id", "what", "do", "since"
     return {
         "summary": join_summary(shown),
         "advice": shown["advice"],
-        "alarms": [{key: row[key] for key in keys} for row in shown["alarms"][:_MAX_ALARMS]],
+        "alarms": shown["alarms"][:_MAX_ALARMS],
         "notes": shown["notes"],
     }
+
+
+def make_discovery(site: str) -> dict[str, str]:
+    """Return the messages that let Home Assistant discover a site, one for each entity, by topic.
+
+    Every entity takes its value from a field of the same message, ``greenroof/SITE/state``. Each
+    entity has its own message, since Home Assistant releases before 2024.11 do not support device
+    discovery.
+
+    Args:
+        site: name of the site in topics and IDs, consisting of letters, digits and _.
+    """
+    base, node = f"greenroof/{site}", f"greenroof_{site}"
+    entities: dict[str, tuple[str, dict[str, Any]]] = {
+        "pump": ("sensor", {"name": "Pump", "device_class": "enum", "options": [*PUMP_STATES]}),
+        "plan": ("sensor", {"name": "Watering"}),
+        "condition": ("sensor", {"name": "Condition"}),
+        "frost": ("binary_sensor", {"name": "Frost", "device_class": "cold"}),
+        "problem": ("binary_sensor", {
+            "name": "Alarm", "device_class": "problem", "json_attributes_topic": f"{base}/alarms",
+        }),
+        "stop": ("button", {
+            "name": "Stop the pump", "command_topic": f"{base}/stop", "payload_press": STOP,
+        }),
+    }
+    for key, (_, topic, kind) in NUMBERS.items():
+        display = find_display(topic)
+        entities[key] = "sensor", {
+            "name": display.label, "unit_of_measurement": display.unit,
+            "state_class": "measurement", **kind,
+        }
+    messages = {}
+    for key, (component, own) in entities.items():
+        shown = {} if component == "button" else {
+            "state_topic": f"{base}/state", "value_template": f"{{{{ value_json.{key} }}}}",
+            "expire_after": _EXPIRES_S,
+        }
+        messages[f"homeassistant/{component}/{node}/{key}/config"] = json.dumps({
+            "unique_id": f"{node}_{key}",
+            "availability": [{"topic": f"{base}/availability"}],
+            "device": {
+                "identifiers": [node], "name": f"Green roof {site}",
+                "manufacturer": "greenroof_ros",
+            },
+            **shown, **own,
+        })
+    return messages

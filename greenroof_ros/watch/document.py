@@ -57,17 +57,18 @@ def make_document(store: GraphStore, wall: float) -> dict[str, Any]:
         store.wall = wall
         tiles, rows, stop = make_tiles(store), list_alarms(store), describe_stop(store)
         summary, step = _summarize(store, tiles, rows, stop)
-        now, factor, simulated = store.now, store.factor, store.mode == "simulated"
-        local = None if now is None else store.local(now)
+        factor, simulated = store.factor, store.mode == "simulated"
+        local = store.local(store.now)
         return {
             "heading": _HEADINGS[store.mode] + (
                 f", {factor:.3g} times real time" if simulated and factor > 0 else ""
             ),
             "mode": store.mode, "namespace": store.namespace, "contact": store.site.contact or "",
             "known": store.alarms_known,
-            "time": {"now": None, "text": words.UNKNOWN, "zone": "UTC"} if local is None else {
-                "now": int(local.timestamp()), "text": f"{local:%Y-%m-%d %H:%M:%S %Z}",
+            "time": {
+                "now": int(store.now) or None,
                 "zone": store.site.time_zone or local.isoformat()[-6:],
+                "text": f"{local:%Y-%m-%d %H:%M:%S %Z}" if store.now else words.UNKNOWN,
             },
             "frost": store.present_value("/weather/frost"),
             "tiles": {**tiles, "summary": summary},
@@ -184,7 +185,7 @@ def _summarize(
     now = f"Roof: {roof['sentence'] or roof['value']}; pump: {pump['value']}."
     cases: tuple[tuple[object, str, str], ...] = (
         (store.mode == "none", "No run or site has been found.", _NOTHING),
-        (store.ended, "The run has ended, and its last state is shown.", step),
+        (store.mode == "ended", "The run has ended, and its last state is shown.", step),
         (gone is not None, "The site's program has not run since "
          f"{store.time_text(gone or 0.0)}; nobody waters the roof.", step),
         (runs_on(store), _WELDED, step),
@@ -230,7 +231,7 @@ def make_series(store: GraphStore, hours: float) -> dict[str, Any]:
     """
     with store.lock:
         now, site, plan, forecast = store.now, store.site, store.plan, store.forecast
-        if now is None:
+        if not now:
             return {"now": None, "lines": {}}
         last = round(now * 1e9)
         past = {name: store.past[name] for name in LINES}

@@ -54,6 +54,7 @@ TICKS, _STALE_S, HOLDS_S = 3, 5.0, 600.0
 ALARMS_OLD_S = 10.0
 # A plan is valid for this time (s): a controller makes a new one when it starts and every hour.
 _PLAN_S = 2 * 3600.0
+_PAPERS = "Levels are judged by the parameters of the paper's site, config/site.yaml."
 # Times that a calendar contains (s since 1970).
 _FIRST, _LAST = 0.0, 4e9
 _TWO = "two_pump_nodes", "two_processes"
@@ -106,7 +107,7 @@ class GraphStore:
         self.lock = threading.RLock()
         self.namespace = namespace
         self.allow_release = False
-        self._read_site(default_site_file())
+        self._read_site(None)
         self.wall = self.system = 0.0
         self.mode, self.factor = "none", math.nan
         self.graph = Graph(namespace)
@@ -137,35 +138,22 @@ class GraphStore:
             self.mode = self.graph.mode(wall)
             if self.graph.is_of_another_run(wall):
                 self.reset()
-            file = self.graph.site(wall) or default_site_file()
-            if file != self._site_file:
+            if (file := self.graph.site(wall)) != self._site_file:
                 self._read_site(file)
             self.factor = self.graph.factor(wall, self.site.tau)
 
-    def _read_site(self, file: Path) -> None:
-        """Read a site file; if that fails, use the paper's site."""
+    def _read_site(self, file: Path | None) -> None:
+        """Read the site file of the graph; the paper's if there is none, or it cannot be read."""
         self._site_file = file
-        try:
-            self.site = read_site(file)
-        except ConfigurationError:
-            file = default_site_file()
-            self.site = read_site(file)
-        self.site_note = f"Levels are judged by the parameters in {clean_text(str(file))}."
-
-    @property
-    def ended(self) -> bool:
-        """Whether the run is over, so that no more messages will arrive."""
-        return self.mode == "ended"
+        self.site, self.site_note = read_site(default_site_file()), _PAPERS
+        with suppress(ConfigurationError):
+            if file is not None:
+                self.site, self.site_note = read_site(file), ""
 
     @property
     def pump(self) -> NodeReport | None:
         """The pump node with its last report; None if no pump node has reported."""
         return self.graph.node(PUMP, self.wall)
-
-    @property
-    def pump_is_lost(self) -> bool:
-        """Whether the pump node was present and is now silent; False if the run is over."""
-        return self.pump is not None and not self.ended and not self.pump.is_online(self.wall)
 
     @property
     def two_pumps(self) -> str:
@@ -208,7 +196,7 @@ class GraphStore:
     @property
     def alarms_known(self) -> bool:
         """Whether the alarms are of now, or of an ended run."""
-        return self.ended or self.wall - self._alarms_at <= ALARMS_OLD_S
+        return self.mode == "ended" or self.wall - self._alarms_at <= ALARMS_OLD_S
 
     @property
     def gone_since(self) -> float | None:
@@ -236,7 +224,7 @@ class GraphStore:
         """
         with self.lock:
             self.wall = wall
-            self.graph.receive(wall, self.now or 0.0, statuses, stamp_ns)
+            self.graph.receive(wall, self.now, statuses, stamp_ns)
 
     def add(self, topic: str, time_ns: int, value: Any) -> None:
         """Add a value of any topic but those of reports and alarms.
@@ -282,7 +270,7 @@ class GraphStore:
 
     def is_stale(self, topic: str) -> bool:
         """Return whether the next value on a topic is overdue; None is once the run has ended."""
-        if (newest := self.newest.get(topic)) is None or self.ended:
+        if (newest := self.newest.get(topic)) is None or self.mode == "ended":
             return False
         limit, age = TICKS * self.site.tau, read_topics()[topic].max_age
         if self.mode == "live":
@@ -300,15 +288,16 @@ class GraphStore:
     @property
     def plan(self) -> Steps | None:
         """The controller's plan; None if there is none, or if it is too old."""
-        plan, now = self._plan, self.now
-        old = plan is None or now is None or now > min(float(plan.ends[-1]), plan.at + _PLAN_S)
-        return None if old or self.gone_since is not None else plan
+        plan = self._plan
+        if plan is None or self.now > min(float(plan.ends[-1]), plan.at + _PLAN_S):
+            return None
+        return None if self.gone_since is not None else plan
 
     # --- time -----------------------------------------------------------------------------------
 
     @property
-    def now(self) -> float | None:
-        """The graph's time (s since 1970); None if no time is known yet.
+    def now(self) -> float:
+        """The graph's time (s since 1970); 0 if no time is known yet.
 
         On a live site, the graph's time is the system time; otherwise, it is the time of the latest
         value or of the plant's last report, whichever is later.
@@ -316,7 +305,7 @@ class GraphStore:
         if self.mode == "live":
             return self.system
         newest = max((value.time for value in self.newest.values()), default=0.0)
-        return max(newest, self.graph.time_ns / 1e9) or None
+        return max(newest, self.graph.time_ns / 1e9)
 
     @property
     def flow_since(self) -> float | None:

@@ -114,7 +114,7 @@ def _judge_cistern(store: GraphStore, level: float) -> tuple[str, str]:
     if level > site.z_o:
         return "high", "above its overflow, so water is running to the sewer"
     text = f"{words.write_number(usable, 'm³', 1)} above the suction level can be pumped"
-    now, first = store.now or 0.0, store.flow_since
+    now, first = store.now, store.flow_since
     days = 0 if first is None else min(_DAYS, int((now - first) // _DAY_S))
     if days > 0 and (given := store.given_since(now - days * _DAY_S)):
         left = number_of(round(usable * days / given), "day")
@@ -140,7 +140,7 @@ def _make_temperature_tile(store: GraphStore) -> Tile:
 
 def _write_coming_rain(store: GraphStore) -> str:
     """Write forecast rain: ``32.0 mm expected in the next 12 h``."""
-    forecast, now = store.forecast, store.now or 0.0
+    forecast, now = store.forecast, store.now
     if forecast is None:
         return "no forecast received"
     if (reach := forecast.reach(now)) <= 0:
@@ -157,9 +157,10 @@ def _make_pump_tile(store: GraphStore) -> Tile:
 
     The state is ``alarm`` if the pump might be turning unnoticed.
     """
-    values = {} if store.pump is None else store.pump.values
+    node, values = store.pump, {} if store.pump is None else store.pump.values
     state, why = _read_pump_state(store)
-    lost, at_rest = store.pump_is_lost, values.get("at_rest")
+    lost = node is not None and store.mode != "ended" and not node.is_online(store.wall)
+    at_rest = values.get("at_rest")
     no_speed = values.get("speed", 0.0) is None  # some nodes never report a speed
     may_turn = runs_on(store) or (lost and at_rest is False) or (no_speed and at_rest is not True)
     number = None if no_speed and not may_turn else store.present_value(FLOW)
@@ -209,7 +210,7 @@ def _make_watering_tile(store: GraphStore, pump: Tile) -> Tile:
         store: state of the graph.
         pump: tile of the pump, which may be kept off although the controller commands a flow.
     """
-    share, plan, now = store.present_value(_COMMAND), store.plan, store.now or 0.0
+    share, plan, now = store.present_value(_COMMAND), store.plan, store.now
     pumped = None if plan is None else plan.pumped(now)
     value, state, sentence = "not now", "good", ""
     if share is None:
@@ -235,7 +236,7 @@ def _make_watering_tile(store: GraphStore, pump: Tile) -> Tile:
 def _write_given(store: GraphStore) -> str:
     """Write how much water the roof was given today and in a week, as far as it is known."""
     now, first = store.now, store.flow_since
-    if now is None or first is None or now - first < _SEEN_S:
+    if first is None or now - first < _SEEN_S:
         return ""
     midnight = store.local(now).replace(hour=0, minute=0, second=0, microsecond=0).timestamp()
     today, week = (

@@ -201,28 +201,25 @@ DEAD = alarm("/roof_sensor: sensor", "roof_sensor", "sensor_lost", "no answer")
 UNREAD = alarm("/pump: levels", "pump", "input_silent", "the level is old", about="/roof/level")
 
 
-@pytest.mark.parametrize(("alarms", "sentence"), [
-    ([], "no value received yet"),
-    ([DEAD, UNREAD], "Roof sensor: no answer; no values arrive"),
+FROZEN = alarm("/pump: levels", "pump", "input_frozen", "it is frozen", about="/roof/level")
+
+
+@pytest.mark.parametrize(("values", "alarms", "tile"), [
+    (False, [], ("unknown", "unknown", "no value received yet")),
+    (False, [DEAD, UNREAD], ("unknown", "unknown", "Roof sensor: no answer; no values arrive")),
     # Another program publishes the level, and has died: only its readers report that.
-    ([UNREAD], "Pump: the level is old; no values arrive"),
-], ids=["no alarm", "dead", "dead by its reader"])
-def test_a_dead_sensor_is_not_one_from_which_nothing_came_yet(
-    alarms: list[Status], sentence: str
+    (False, [UNREAD], ("unknown", "unknown", "Pump: the level is old; no values arrive")),
+    (True, [FROZEN], ("45.7 mm", "doubtful", "Pump: it is frozen; at its target")),
+], ids=["no alarm", "dead", "dead by its reader", "frozen"])
+def test_a_tile_shows_what_is_wrong_with_its_sensor(
+    values: bool, alarms: list[Status], tile: tuple[str, str, str]
 ) -> None:
-    assert tile_of(store("live", SITE, *alarms), "roof") == ("unknown", "unknown", sentence)
-
-
-def test_a_tile_whose_sensor_is_doubted_shows_the_doubt() -> None:
-    """With its value, or, if it died, with its last one."""
-    frozen = alarm("/pump: levels", "pump", "input_frozen", "it is frozen", about="/roof/level")
-    graph = watched("live", frozen)
-    for wall, tile in (
-        (100.0, ("45.7 mm", "doubtful", "Pump: it is frozen; at its target")),
-        (106.0, ("unknown", "unknown", "Pump: it is frozen; 45.7 mm at last contact, 00:01")),
-    ):
-        assert tile_of(graph, "roof", wall) == tile
-    assert tile_of(graph, "cistern")[1] == "good"
+    graph = watched("live", *alarms) if values else store("live", SITE, *alarms)
+    assert tile_of(graph, "roof") == tile
+    if values:
+        sentence = "Pump: it is frozen; 45.7 mm at last contact, 00:01"
+        assert tile_of(graph, "roof", 106.0) == ("unknown", "unknown", sentence)
+        assert tile_of(graph, "cistern")[1] == "good"
 
 
 def test_a_clock_that_is_set_back_does_not_stop_the_page() -> None:
@@ -388,6 +385,7 @@ def test_a_welded_contactor_is_told_first_and_offers_no_release() -> None:
     ({"flow": 1e-3}, "running"),  # your own driver
 ])
 def test_what_is_known_of_the_pump(said: dict[str, Any], value: str) -> None:
+    """In quiet hours, it is held as intended, which is no warning."""
     graph = watched("live", pump_flow=1e-3)
     graph.system += 1
     pump_says(graph, 100.0, f"{value if value != 'may be running' else 'off'}: why", **said)
@@ -395,11 +393,6 @@ def test_what_is_known_of_the_pump(said: dict[str, Any], value: str) -> None:
     tile = shown(graph)["tiles"]["pump"]
     assert (tile["value"], tile["number"]) == (value, said["flow"])
     assert (line_of(graph, "flow")[-1][1] is None) == (said["flow"] is None)
-
-
-def test_quiet_hours_are_no_warning() -> None:
-    """Every night: the pump is off as intended, which is no alarm."""
-    graph = watched("live")
     pump_says(graph, 100.0, "held: quiet hours are in force until 07:00", at_rest=True)
     assert tile_of(graph, "pump")[:2] == ("off", "off")
     assert shown(graph)["tiles"]["summary"]["level"] == "ok"
@@ -491,7 +484,7 @@ def test_before_and_after_a_run() -> None:
     graph = GraphStore("/site1")
     document = shown(graph, 5.0)
     assert (document["namespace"], document["heading"]) == ("/site1", "Nothing received yet")
-    assert document["time"] == {"now": None, "text": "unknown", "zone": "UTC"}
+    assert (document["time"]["now"], document["time"]["text"]) == (None, "unknown")
     assert document["tiles"].pop("summary")["sentence"] == "No run or site has been found."
     assert {tile["state"] for tile in document["tiles"].values()} == {"unknown"}
     assert not any(make_series(graph, 12)["lines"].values())

@@ -75,7 +75,7 @@ def saying(watched: GraphStore, statuses: list[Status]) -> Iterator[None]:
         now = time.monotonic()
         if statuses:
             alarms = [status for status in statuses if "since" in status.values]
-            watched.add_alarms(now, round((watched.now or 0.0) * 1e9), alarms)
+            watched.add_alarms(now, round(watched.now * 1e9), alarms)
         watched.add_statuses(now, [each for each in statuses if "process" in each.values])
         pumps = {each.name: 1 for each in statuses if each.values.get("role") == '"pump"'}
         watched.graph.offered = watched.graph.offered or pumps
@@ -250,39 +250,8 @@ def test_alarms_are_listed_and_seen_by_word_sign_and_colour(open_page: Open) -> 
     until_shown(page, "#events li", f"Controller: {CANNOT}, until 00:00")
 
 
-def test_of_a_killed_site_nothing_reads_as_running(open_page: Open) -> None:
-    """That is the first thing told, with how to start it; the stop still has its button."""
-    watched = site_watched("live")
-    said = pump("running: as commanded", at_rest=False, flow=2e-4)
-    page = open_page(watched, said)
-    until_shown(page, "[data-key=pump] .value", "running")
-    said.clear()
-    until_shown(page, "#summary[data-level=error]", "The site's program has not run since 0")
-    until_shown(page, "#box", "Start it with: sudo systemctl start greenroof")
-    until_shown(page, "[data-key=pump][data-tone=error] .value", "may be running")
-    values = page.locator("#values .value").all_inner_texts()
-    assert [value for value in values if value != "unknown"] == ["may be running"]
-    assert page.locator("[data-tone=ok], [data-level=ok]").count() == 0
-    assert page.locator("#alarms li").count() == 1
-    assert page.locator("#stop-button").is_enabled()
-
-
 # --------------------------------------------------------------------------------------- charts
 
-# Of a place of a chart (a time and two values): the maximum opacity of its ink, apart from grey.
-OPACITY = """([number, from, to, low, high]) => {
-  const plot = plots[number];
-  const [x0, x1] = [from, to].map((t) => Math.round(plot.valToPos(t, "x", true)));
-  const [y0, y1] = [high, low].map((v) => Math.round(plot.valToPos(v, plot.series[1].scale, true)));
-  const [width, height] = [x1 - x0 + 1, y1 - y0 + 1];
-  const copy = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
-  copy.drawImage(plot.ctx.canvas, -x0, -y0);
-  const pixels = copy.getImageData(0, 0, width, height).data;
-  return Math.max(...[...Array(width * height).keys()].map((i) => {
-    const [red, green, blue, opacity] = [0, 1, 2, 3].map((c) => pixels[4 * i + c]);
-    return Math.max(red, green, blue) - Math.min(red, green, blue) > 60 ? opacity / 255 : 0;
-  }));
-}"""
 SEEN = "plots.map(({ scales: { x } }) => [x.min, x.max])"
 
 
@@ -307,25 +276,6 @@ def test_two_charts_have_one_time_axis_by_the_sites_clock(open_page: Open) -> No
     assert page.evaluate(write, times) == ["01:00", "01:30", "01:00", "02:30"]
     page.locator("#hours button").first.click()
     wait_for(lambda: page.evaluate(SEEN)[0][0] > series["from"], 60, "three hours")
-
-
-def test_a_gap_is_a_gap_and_a_short_run_is_seen(open_page: Open) -> None:
-    """A run of 10 s in twelve hours, where a pixel has minutes; two hours without values."""
-    watched, run = store("ended", SITE), 3610
-    for begin, end in ((0, 5), (7, 12)):
-        seconds = np.arange(begin * 3600, end * 3600, 10)
-        flow = np.where(seconds == run, 8e-3, 2e-4)
-        add_values(watched, begin * 3600, end * 3600, {"/pump/flow": flow}, every=10)
-    page = open_page(watched)
-    page.set_viewport_size({"width": 400, "height": 900})
-    until_drawn(page)
-    wait_for(lambda: page.evaluate("plots[1].width") < 400, 60, "charts of this width")
-
-    def ink(at: int, low: float, high: float) -> float:
-        return page.evaluate(OPACITY, [1, BEGIN + at - 60, BEGIN + at + 60, low, high])
-
-    assert ink(run, 200, 400) > 0.5 and ink(run + 3600, 200, 400) == 0
-    assert ink(4 * 3600, 0, 30) > 0.5 and ink(6 * 3600, 0, 30) == 0 and ink(8 * 3600, 0, 30) > 0.5
 
 
 # --------------------------------------------------------------------------- what can be done there

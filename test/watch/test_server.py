@@ -242,41 +242,6 @@ def test_broken_requests_stop_nothing(
     assert "Traceback" not in capfd.readouterr().err
 
 
-HOSTILE = {
-    "silent": b"", "half a request": b"GET / HT",
-    "endless body": POST + b"Content-Length: 9\r\n\r\n{",
-    "unread answers": 300 * b"GET /uPlot.js HTTP/1.1\r\nHost: localhost\r\n\r\n",
-    "unread states": 300 * (GET + b"\r\n"), "broken": b"GET\r\n\r\n",
-}
-
-
-@pytest.mark.parametrize("data", HOSTILE.values(), ids=HOSTILE)
-def test_hostile_connections_keep_no_stop_away(
-    data: bytes, port: int, watched: GraphStore
-) -> None:
-    """Three times the permitted number, none of which reads; an open page continues."""
-    before, memory = _open_files(), _memory()
-    with ExitStack() as stack:
-        hostile = []
-        for number in range(3 * server._MAX_CONNECTIONS):
-            connection = socket.create_connection((LOOPBACK, port), timeout=300)
-            hostile.append(stack.enter_context(connection))
-            connection.settimeout(0.0)
-            with suppress(OSError):  # no room for all of it, or it was ended
-                connection.sendall(data)
-            if number % 100 == 0:
-                began = time.monotonic()
-                assert request(port, "POST", "/stop", **ACT).status == 200
-                assert time.monotonic() - began < 5
-        assert _open_files() - before - len(hostile) <= server._MAX_CONNECTIONS + 10
-        assert _memory() - memory < 50e6
-        watched.wall = time.monotonic()
-        watched.add("/roof/level", SECOND, 0.03)
-        wait_for(
-            lambda: read_state(port)["tiles"]["roof"]["number"] == 0.03, 60, "the newest level"
-        )
-
-
 def test_too_many_open_files_are_one_line(port: int, capfd: pytest.CaptureFixture[str]) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     with socket.socket() as connection:
@@ -335,10 +300,6 @@ def test_a_document_that_cannot_be_made_is_reported(
     assert request(port, "POST", "/stop", **ACT).status == 200
     for hours in ("-1", "nan", "5", "1_2", "x", ""):
         assert request(port, "GET", f"/charts?hours={hours}").status == 400, hours
-
-
-def _open_files() -> int:
-    return len([*Path("/proc/self/fd").iterdir()])
 
 
 def _memory() -> int:

@@ -13,7 +13,6 @@ from commands import run_command
 from graphs import Process, environment, wait_for
 from page_inputs import alarm, node, pump_report, store
 from paper import PAPER_SITE
-from test_watch_command import WITHOUT
 
 from greenroof_ros.commands.status import _judge, _write_lines
 from greenroof_ros.watch.document import make_document
@@ -44,17 +43,28 @@ def test_nothing_runs(domain: int, tmp_path: Path) -> None:
     assert status(domain, tmp_path, "--namespace", "site1")[0] == 3
 
 
-def test_without_ros_or_a_known_option_it_is_unknown(unused_domain: int, tmp_path: Path) -> None:
-    environ = environment(unused_domain)
+WITHOUT = """
+import sys, runpy
+sys.modules[sys.argv.pop(1)] = None
+runpy.run_module("greenroof_ros", run_name="__main__", alter_sys=True)
+"""
+
+
+@pytest.mark.parametrize(("arguments", "code", "message"), [
+    (("rclpy", "status"), 3, "ROS 2 is not available: source your ROS 2, or"),
+    (("aiohttp", "watch"), 2, "needs aiohttp: install greenroof_ros with its extra [watch]"),
+    # For monitoring plug-ins 2 is an alarm.
+    (("none", "status", "--namespcae"), 3, "unrecognized arguments: --namespcae; did you mean"),
+])
+def test_what_is_missing_or_wrong_is_reported(
+    arguments: tuple[str, ...], code: int, message: str, unused_domain: int, tmp_path: Path
+) -> None:
     done = subprocess.run(
-        [sys.executable, "-c", WITHOUT.replace("watch", "status"), "rclpy"],
-        cwd=tmp_path, env=environ, capture_output=True, text=True, check=False,
+        [sys.executable, "-c", WITHOUT, *arguments], cwd=tmp_path, check=False,
+        env=environment(unused_domain), capture_output=True, text=True, timeout=300,
     )
-    assert done.returncode == 3
-    assert "ROS 2 is not available: source your ROS 2, or" in done.stderr
-    assert "Traceback" not in done.stderr
-    done = run_command("status", "--namespcae", cwd=tmp_path, env=environ)
-    assert (done.returncode, done.stdout) == (3, "")  # for monitoring plug-ins 2 is an alarm
+    assert (done.returncode, done.stdout) == (code, "")
+    assert message in done.stderr and "Traceback" not in done.stderr
 
 
 def test_a_run_that_is_well_and_then_has_warnings(domain: int, tmp_path: Path) -> None:
