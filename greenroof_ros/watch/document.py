@@ -9,7 +9,7 @@ A state has the entries ``heading``, ``mode``, ``namespace``, ``contact``, ``tim
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -240,28 +240,22 @@ def make_series(store: GraphStore, hours: float) -> dict[str, Any]:
         stretch = STRETCH_NS * max(1, -(-(last - first) // (STRETCH_NS * _POINTS)))
         gap = max(HOLDS_S, TICKS * site.tau, 2 * stretch / 1e9)
         lines = {name: each.line(first, last, stretch, gap) for name, each in past.items()}
-        flow, levels = ([], []) if plan is None else (
-            plan.rows(values, now) for values in plan.values
-        )
-        rain = [] if forecast is None else forecast.rows(forecast.values.mean(axis=0), now)
-        begin, end = first / 1e9, max((rows[-1][1] for rows in (flow, rain) if rows), default=now)
-        end = max(now, min(end, now + AHEAD_S, 2 * now - begin))
-        lines["roof_planned"] = [[at, level] for _, at, level in levels if at <= end]
-        lines["flow_planned"] = _step(flow, end)
-        lines["rain_forecast"] = _step(rain, end)
+        ahead = [float(steps.ends[-1]) for steps in (plan, forecast) if steps is not None]
+        begin = first / 1e9
+        end = max(now, min(max(ahead, default=now), now + AHEAD_S, 2 * now - begin))
+        if plan is not None:
+            flow, level = plan.values
+            lines["flow_planned"] = plan.line(flow, now, end)
+            levels = zip(plan.ends.tolist(), level.tolist(), strict=True)
+            lines["roof_planned"] = [[at, level] for at, level in levels if now < at <= end]
+        if forecast is not None:
+            lines["rain_forecast"] = forecast.line(forecast.values.mean(axis=0), now, end)
         lines["target"] = [[begin, site.z_veg], [end, site.z_veg]]
         return {
             "now": now, "from": begin, "to": end,
             "lines": {name: _convert(name, line) for name, line in lines.items()},
             "display": {name: asdict(words.find_display(topic)) for name, topic in LINES.items()},
         }
-
-
-def _step(rows: Sequence[tuple[float, float, float]], last: float) -> list[list[Any]]:
-    """Return the line of values that each hold from one time until another, up to the last."""
-    seen = [(begin, min(end, last), value) for begin, end, value in rows if begin < last]
-    return [*([begin, value] for begin, _, value in seen),
-            *([end, value] for _, end, value in seen[-1:])]
 
 
 def _convert(name: str, line: list[list[Any]]) -> list[list[Any]]:

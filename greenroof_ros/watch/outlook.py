@@ -49,13 +49,13 @@ class Steps:
         """Return how much of the next 12 h is covered (s)."""
         return min(float(self.ends[-1]) - now, AHEAD_S)
 
-    def rows(self, values: Values, now: float) -> list[tuple[float, float, float]]:
-        """Return the start, end (s since 1970) and value of each step that has not ended."""
-        begins = np.maximum(self.begins, now)
-        return [
-            row for row in zip(begins.tolist(), self.ends.tolist(), values.tolist(), strict=True)
-            if row[1] > now
-        ]
+    def line(self, values: Values, now: float, until: float) -> list[list[float]]:
+        """Return the line of values that each hold for a step, from now until a time."""
+        begins, ends = (np.clip(times, now, until) for times in (self.begins, self.ends))
+        seen = ends > begins
+        points = [*zip(begins[seen], values[seen], strict=True),
+                  *zip(ends[seen][-1:], values[seen][-1:], strict=True)]
+        return [[float(at), float(value)] for at, value in points]
 
     def pumped(self, now: float) -> tuple[float, float, float] | None:
         """Return what a plan pumps in the next 12 h; None if it pumps nothing.
