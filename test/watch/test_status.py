@@ -107,4 +107,6 @@ def test_it_gives_the_pages_words() -> None:
     first = "Alarm, Roof sensor: \\x1b[31mno answer since 05:00. "
     assert lines[9] == first + page["alarms"][0]["do"]
     assert lines[10].startswith("Warning, Camera0: no picture since ")
+    unknown = make_document(store("live", PAPER_SITE), 100.0)
+    assert not unknown["alarms"] and _judge(unknown) == 2  # a level is unknown
     assert lines[-1] == "and 26 more lines; see 'greenroof watch'"
