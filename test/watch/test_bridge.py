@@ -221,9 +221,11 @@ def bridging(broker: Mosquitto) -> Iterator[threading.Thread]:
     bridge = Bridge(graph, Feed(graph), parse_broker(broker.address, "broker"))
     thread = threading.Thread(target=run)
     thread.start()
-    yield thread
-    ended.set()
-    thread.join(30)
+    try:
+        yield thread
+    finally:
+        ended.set()
+        thread.join(30)
     assert not thread.is_alive()
 
 

@@ -472,6 +472,9 @@ def test_old_alarms_mean_that_the_sites_program_no_longer_runs() -> None:
         assert summary["level"] == "error"
     states = {tile.get("state") for tile in document["tiles"].values()}
     assert states == {None, "unknown", "alarm"}
+    pump_says(graph, 109.0, "off: why", at_rest=True)  # only the alarms node is gone
+    summary = shown(graph, 110.1)["tiles"]["summary"]
+    assert summary["word"] == "Whether there are alarms is unknown."
     # A run has no such conclusion, and without alarms nothing is called well.
     graph = watched()
     add_values(graph, 61, 62, QUIET)

@@ -242,6 +242,27 @@ def test_broken_requests_stop_nothing(
     assert "Traceback" not in capfd.readouterr().err
 
 
+@pytest.mark.parametrize("data", [b"", b"GET / HT", 300 * (GET + b"\r\n")],
+                         ids=["silent", "half a request", "unread states"])
+def test_hostile_connections_keep_no_stop_away(data: bytes, port: int, pump: Pump) -> None:
+    """Three times the permitted number; nor is a stop dropped that waits for its answer."""
+    before = len([*Path("/proc/self/fd").iterdir()])
+    pump.answers.clear()
+    with ExitStack() as stack, ThreadPoolExecutor() as asker:
+        stop = asker.submit(request, port, "POST", "/stop", **ACT)
+        wait_for(lambda: pump.done, 60, "the stop")
+        for _ in range(3 * server._MAX_CONNECTIONS):
+            connection = socket.create_connection((LOOPBACK, port), timeout=300)
+            stack.enter_context(connection).settimeout(0.0)
+            with suppress(OSError):  # no room for all of it, or it was ended
+                connection.sendall(data)
+        assert_goes_on(port)
+        others = 4 * server._MAX_CONNECTIONS  # of this test, and those that are permitted
+        assert len([*Path("/proc/self/fd").iterdir()]) - before <= others + 10
+        pump.answers.set()
+        assert stop.result().json()["ok"]
+
+
 def test_too_many_open_files_are_one_line(port: int, capfd: pytest.CaptureFixture[str]) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     with socket.socket() as connection:
