@@ -8,9 +8,9 @@ person at the pump and, if the site file allows doses, request a dose.
 Every path is a fixed route; no path is looked up in the file system. Other pages in the same
 browser cannot make requests: a request must name this host (and not another name that resolves to
 its address), and an action needs a header that only this page can send. No connection can block the
-others: the number of connections is limited, and each has a time limit. Each of the two documents,
-the state and the charts, is made once for all browsers, and has an ETag, so that what has not
-changed is not sent again.
+others: their number is limited, and a new one closes the oldest one. Each of the two documents, the
+state and the charts, is made once for all browsers, and has an ETag, so that what has not changed
+is not sent again.
 """
 
 from __future__ import annotations
@@ -248,14 +248,10 @@ class _PageApplication:
     async def _request_action(self, action: str, given: dict[str, Any]) -> tuple[bool, str]:
         """Request an action from the pump node; return the result, even if the client is gone."""
         try:
-            sentence = await asyncio.to_thread(self._feed.request_action, action, **given)
-            ok = True
-        except Exception as error:
-            ok, sentence = False, str(error)
-            if not isinstance(error, PumpRequestError):
-                print_seldom(action, traceback.format_exc())
-                sentence = f"It is unknown whether the request was carried out: {error!r}."
-        return ok, words.clean_sentence(sentence)
+            answer = await asyncio.to_thread(self._feed.request_action, action, **given)
+        except PumpRequestError as failure:
+            return False, words.clean_sentence(str(failure))
+        return True, words.clean_sentence(answer)
 
 
 def _make_file_handler(file: Path) -> _Handler:

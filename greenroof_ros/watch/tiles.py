@@ -95,14 +95,12 @@ def _find_doubt(store: GraphStore, topic: str) -> str:
 
 
 def _judge_roof(store: GraphStore, level: float) -> tuple[str, str]:
-    target = store.site.z_veg
-    state = "good" if abs(level - target) <= NEAR_TARGET * target else (
-        "low" if level < target else "high"
-    )
-    text = write_level(abs(level - target))
-    if text == write_level(0.0):
-        return state, "at its target"
-    return state, f"{text} {'below' if level < target else 'above'} its target"
+    difference = level - store.site.z_veg
+    side, state = ("below", "low") if difference < 0 else ("above", "high")
+    if abs(difference) <= NEAR_TARGET * store.site.z_veg:
+        state = "good"
+    text = write_level(abs(difference))
+    return state, "at its target" if text == write_level(0.0) else f"{text} {side} its target"
 
 
 def _judge_cistern(store: GraphStore, level: float) -> tuple[str, str]:
