@@ -24,8 +24,8 @@ import math
 import socket
 import time
 import traceback
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import asynccontextmanager, contextmanager, suppress
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -68,23 +68,36 @@ _STATE, _CHARTS = _DOCUMENTS = "/state", "/charts"
 _Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
-# --- connections ---------------------------------------------------------------------------------
-
-
-class _Connections:
-    """The connections of a server that always accepts new ones, dropping the oldest if needed.
+class _PageApplication:
+    """The page's server, which always accepts new connections, dropping the oldest if needed.
 
     A new connection therefore has time for its request until a hundred others have connected. A
     stop request gets through, no matter how many clients connect and whether or not they send or
     read data.
     """
 
-    def __init__(self, server: web.Server) -> None:
-        self._server = server
-        # The open ones, the oldest first; True while the pump node's answer is awaited.
+    def __init__(
+        self, store: GraphStore, feed: Feed, names: frozenset[str] | None, token: str | None
+    ) -> None:
+        self._store, self._feed = store, feed
+        self._names, self._token = names, token
+        self._acting: dict[str, asyncio.Task[tuple[bool, str]]] = {}  # by action
+        # The state (at 0) and the charts for each length of their history (h), made once for all
+        # browsers, each with the time at which it was begun.
+        self._documents: dict[int, tuple[float, asyncio.Task[tuple[bytes, ETag]]]] = {}
+        # The open connections, the oldest first; True while the pump node's answer is awaited.
         self._open: dict[web.RequestHandler, bool] = {}
+        self.app = web.Application(middlewares=[self._answer_all])
+        for file in _PAGE.iterdir():
+            if file.suffix in _TYPES:
+                path = "/" if file.name == "index.html" else f"/{file.name}"
+                self.app.router.add_get(path, _make_file_handler(file), allow_head=False)
+        for document in _DOCUMENTS:
+            self.app.router.add_get(document, self._read_document, allow_head=False)
+        for action in ("stop", "release", "clear", "dose"):
+            self.app.router.add_post(f"/{action}", self._act)
 
-    async def accept(self, listening: socket.socket) -> None:
+    async def accept(self, listening: socket.socket, server: web.Server) -> None:
         """Accept connections one after another, until cancelled."""
         loop = asyncio.get_running_loop()
         while True:
@@ -102,41 +115,8 @@ class _Connections:
                     oldest.transport.abort()
             # Until it is made, earlier requests are answered.
             with suppress(OSError):
-                _, handler = await loop.connect_accepted_socket(self._server, connection)
+                _, handler = await loop.connect_accepted_socket(server, connection)
                 self._open[handler] = False
-
-    @contextmanager
-    def keep(self, request: web.Request) -> Iterator[None]:
-        """Keep a connection during the response, and read nothing more from it."""
-        if request.transport is not None:
-            request.transport.pause_reading()
-        self._open[request.protocol] = True
-        try:
-            yield
-        finally:
-            self._open[request.protocol] = False
-
-
-class _PageApplication:
-    def __init__(
-        self, store: GraphStore, feed: Feed, names: frozenset[str] | None, token: str | None
-    ) -> None:
-        self._store, self._feed = store, feed
-        self._names, self._token = names, token
-        self._acting: dict[str, asyncio.Task[tuple[bool, str]]] = {}  # by action
-        # The state (at 0) and the charts for each length of their history (h), made once for all
-        # browsers, each with the time at which it was begun.
-        self._documents: dict[int, tuple[float, asyncio.Task[tuple[bytes, ETag]]]] = {}
-        self.connections: _Connections  # once it is served
-        self.app = web.Application(middlewares=[self._answer_all, self._check_origin])
-        for file in _PAGE.iterdir():
-            if file.suffix in _TYPES:
-                path = "/" if file.name == "index.html" else f"/{file.name}"
-                self.app.router.add_get(path, _make_file_handler(file), allow_head=False)
-        for document in _DOCUMENTS:
-            self.app.router.add_get(document, self._read_document, allow_head=False)
-        for action in ("stop", "release", "clear", "dose"):
-            self.app.router.add_post(f"/{action}", self._act)
 
     # --- access ---------------------------------------------------------------------------------
 
@@ -147,6 +127,7 @@ class _PageApplication:
         The page then keeps its stop button, and does not present old values as current.
         """
         try:
+            self._check(request)
             answer = await handler(request)
         except web.HTTPException as error:
             answer = _make_response(False, error.reason, error.status)
@@ -156,10 +137,7 @@ class _PageApplication:
         answer.force_close()
         return answer
 
-    @web.middleware
-    async def _check_origin(
-        self, request: web.Request, handler: _Handler
-    ) -> web.StreamResponse:
+    def _check(self, request: web.Request) -> None:
         """Reject a request that names a host other than this one, or that comes from another page.
 
         If the name of another host resolved to this address, a browser would treat a page from that
@@ -179,7 +157,6 @@ class _PageApplication:
                 )
             if request.method == "POST" and request.headers.get("X-Greenroof") != "1":
                 raise web.HTTPForbidden(reason="only the page itself may make this request")
-        return await handler(request)
 
     # --- answers --------------------------------------------------------------------------------
 
@@ -237,8 +214,10 @@ class _PageApplication:
             return _make_response(False, "Nothing was done: another request is under way.")
         if action not in under_way:
             self._acting[action] = asyncio.create_task(self._request_action(action, given))
-        with self.connections.keep(request):
-            return _make_response(*await asyncio.shield(self._acting[action]))
+        if request.transport is not None:
+            request.transport.pause_reading()  # nothing else is answered on this connection
+        self._open[request.protocol] = True
+        return _make_response(*await asyncio.shield(self._acting[action]))
 
     def _is_offered(self, action: str) -> bool:
         """Return whether the page offers an action now; behind a proxy, it needs a token."""
@@ -291,8 +270,7 @@ async def run_server(
     )
     await runner.setup()
     assert runner.server is not None
-    site.connections = _Connections(runner.server)
-    accepting = asyncio.create_task(site.connections.accept(listener.socket))
+    accepting = asyncio.create_task(site.accept(listener.socket, runner.server))
     try:
         yield
     finally:

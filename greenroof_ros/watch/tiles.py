@@ -126,14 +126,16 @@ def _make_temperature_tile(store: GraphStore) -> Tile:
     """Return the tile of the temperature, or of frost if there is no thermometer."""
     frost = store.present_value(_FROST)
     state, stops = ("cold", "the pump stays off until it is above 0 °C") if frost else ("good", "")
-    if _THERMOMETER in store.newest:
-        return _make_tile(store, "Temperature", _THERMOMETER, lambda *_: (
-            state, _join("measured", stops)
-        ))
+    measured = _THERMOMETER in store.newest
+    source = "measured" if measured else "according to the forecast"
     return _make_tile(
-        store, "Temperature", _FROST, lambda *_: (state, _join("according to the forecast", stops)),
-        lambda frost: "0 °C or below" if frost else "above 0 °C",
+        store, "Temperature", _THERMOMETER if measured else _FROST,
+        lambda *_: (state, _join(source, stops)), None if measured else _write_frost,
     )
+
+
+def _write_frost(frost: float) -> str:
+    return "0 °C or below" if frost else "above 0 °C"
 
 
 def _write_coming_rain(store: GraphStore) -> str:
