@@ -251,9 +251,9 @@ class GraphStore:
     def _add_number(self, topic: str, time_ns: int, value: float) -> None:
         entry, before, at = read_topics()[topic], self.newest.get(topic), time_ns / 1e9
         known = math.isfinite(value) and entry.low <= value <= entry.high
+        if topic == FLOW and self.pump is not None:  # it publishes 0 for an unknown flow
+            known = known and self.pump.values.get("flow", value) is not None
         self.newest[topic] = Newest(at, value + 0.0 if known else None, self.wall)  # no minus zero
-        if topic == FLOW and not self.flow_known:
-            known = False
         for name, line in LINES.items():
             if line == topic:
                 self.past[name].add(time_ns, value if known else math.nan)
@@ -262,11 +262,6 @@ class GraphStore:
             total = self.past[GIVEN].value_at(time_ns) + before.value * passed
             if 0 < passed <= HOLDS_S:
                 self.past[GIVEN].add(time_ns, total)
-
-    @property
-    def flow_known(self) -> bool:
-        """Whether the pump node knows the flow; if not, its flow topic reports 0."""
-        return self.pump is None or self.pump.values.get("flow", 0.0) is not None
 
     def is_stale(self, topic: str) -> bool:
         """Return whether the next value on a topic is overdue; None is once the run has ended."""

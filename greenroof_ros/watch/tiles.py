@@ -172,10 +172,9 @@ def _make_pump_tile(store: GraphStore) -> Tile:
         value, state, why = "may be running", "alarm", "it is unknown whether the pump is stopped"
     elif lost:
         value, state, why = words.UNKNOWN, words.UNKNOWN, _join(f"{state} at last contact", why)
-    flow = "" if number is None or not store.flow_known else write_flow(number)
     return {
-        "label": "Pump", "value": value, "number": number if flow else None, "state": state,
-        "sentence": _join(flow, why),
+        "label": "Pump", "value": value, "number": number, "state": state,
+        "sentence": _join("" if number is None else write_flow(number), why),
     }
 
 

@@ -351,6 +351,7 @@ def test_a_pump_that_may_turn_is_an_alarm() -> None:
     lost = alarm("/pump: pump", "pump", "stands_unknown", "off: no connection to the drive")
     graph = watched("live", alarm("/pump: limits", "pump", "limited", "3 m3", WARN), lost)
     pump_says(graph, 100.0, "off: no connection", at_rest=False, speed=None, flow=None)
+    add_values(graph, 61, 62, {"/pump/flow": 0.0})
     document = shown(graph)
     assert tile_of(graph, "pump") == (
         "may be running", "alarm", "it is unknown whether the pump is stopped"
