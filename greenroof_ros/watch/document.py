@@ -181,7 +181,9 @@ def _summarize(
         if row["code"] != "hold" and (row in serious or not stop["hold"])
     ), "")
     unknown = any(tiles[name]["state"] == "unknown" for name in ("roof", "cistern", "pump"))
-    worst = f"{serious[0]['name']}: {serious[0]['what']}; pump: {pump['value']}." if serious else ""
+    worst = f"{serious[0]['name']}: {serious[0]['what']}" if serious else ""
+    if worst and serious[0]["name"] != "Pump":
+        worst += f"; pump: {pump['value']}"
     now = f"Roof: {roof['sentence'] or roof['value']}; pump: {pump['value']}."
     cases: tuple[tuple[object, str, str], ...] = (
         (store.mode == "none", "No run or site has been found.", _NOTHING),
@@ -190,7 +192,7 @@ def _summarize(
          f"{store.time_text(gone or 0.0)}; nobody waters the roof.", step),
         (runs_on(store), _WELDED, step),
         (pump["state"] == "alarm", "The pump may be running.", step if serious else _GO_AND_SEE),
-        (worst, worst, step),
+        (worst, f"{worst}.", step),
         (stop["warning"], now, step),
         (unknown and not starting, now, step or _UNKNOWN),
         (True, now, step or "Nothing to do."),

@@ -448,6 +448,8 @@ def test_alarms_have_an_order_and_what_follows_is_not_listed() -> None:
 def test_a_command_in_an_advice_is_complete(monkeypatch: pytest.MonkeyPatch) -> None:
     """With the domain, if it is not 0, and with the path, if the shell does not find it."""
     fault = alarm("/site1/pump: pump", "pump", "drive_fault", "overheat")
+    summary = shown(watched("live", fault))["tiles"]["summary"]
+    assert summary["sentence"] == "Pump: overheat."
     for domain, path, before in (
         ("0", "/bin/greenroof", "greenroof"), ("7", "/bin/greenroof", "ROS_DOMAIN_ID=7 greenroof"),
         ("7", None, f"ROS_DOMAIN_ID=7 {Path(sys.executable).parent}/greenroof"),
