@@ -2,8 +2,8 @@
 
 The server subscribes to a topic only while a viewer shows the topic, using the same kind of
 subscription as the page. Even a slow viewer therefore does not delay any node (see
-:mod:`greenroof_ros.watch.graph_client`). Each message has the same time as in a bag: in a
-simulation, the simulated time of its tick; otherwise, its time of arrival.
+:mod:`greenroof_ros.watch.graph_client`). In a simulation, the time of a message is the latest
+simulated time; otherwise, it is its time of arrival.
 """
 
 from __future__ import annotations
@@ -16,10 +16,7 @@ from greenroof_ros.base.errors import ConfigurationError, require_extra
 from greenroof_ros.base.processes import Signals
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.results.bag_write import read_definition
-from greenroof_ros.watch import wire
-from greenroof_ros.watch.feed import CLOCK, CLOCK_TYPE
-from greenroof_ros.watch.graph import Graph
-from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient
+from greenroof_ros.watch.graph_client import CLOCK, GraphClient
 from greenroof_ros.watch.listening import LOOPBACK
 
 # Interval at which new messages are passed on (s).
@@ -64,10 +61,8 @@ class FoxgloveServer:
         import foxglove
         from foxglove.websocket import Capability
 
-        self._topics = read_topics()
         self._client = GraphClient(namespace, self._on_message)
-        self._graph, self._runs, self._time_ns = Graph(namespace), 0, 0
-        self._waiting: list[tuple[int, str, bytes]] = []
+        self._time_ns = 0
         self._channels = {
             name: foxglove.Channel(
                 name if topic.absolute else namespace + name, message_encoding="cdr",
@@ -76,7 +71,7 @@ class FoxgloveServer:
                     data=read_definition(topic.type).encode(),
                 ),
             )
-            for name, topic in self._topics.items()
+            for name, topic in read_topics().items()
         }
         self._server = foxglove.start_server(
             name=f"greenroof {namespace}".rstrip(), host=LOOPBACK, port=port,
@@ -97,36 +92,15 @@ class FoxgloveServer:
                 self._client.subscribe([CLOCK, *shown] if shown else ())
                 time.sleep(_POLL_S)
                 self._client.receive()
-                self._pass_on()
         finally:
             self._client.close()
             self._server.stop()
 
-    def _on_message(self, name: str, message: bytes, number: int | None, arrived_ns: int) -> None:
-        """Receive a message and determine its time; on a new run, clear the viewers' old data."""
-        if name == DIAGNOSTICS and (received := wire.read_reports(message)) is not None:
-            now = time.monotonic()
-            self._graph.receive(now, 0.0, received[1], received[0])
-            self._graph.update(now)
-            if self._graph.runs != self._runs:
-                self._runs, self._time_ns = self._graph.runs, 0
-                self._graph.forget_clock()
-                self._server.clear_session()
-        if name == CLOCK and (time_ns := wire.read_value(CLOCK_TYPE, message)) is not None:
-            self._graph.receive_clock(number, time_ns)
-        if time_ns := self._graph.time_of(self._topics[name], number, arrived_ns):
-            self._waiting.append((time_ns, name, message))
-
-    def _pass_on(self) -> None:
-        """Pass on the waiting messages in order of time.
-
-        The time is sent before the messages, since Lichtblick assigns each message the last time
-        that it has received.
-        """
-        self._waiting.sort(key=lambda each: each[0])
-        for time_ns, name, message in self._waiting:
-            if time_ns > self._time_ns:
-                self._time_ns = time_ns
-                self._server.broadcast_time(time_ns)
-            self._channels[name].log(message, log_time=time_ns)
-        self._waiting.clear()
+    def _on_message(self, name: str, message: bytes, time_ns: int) -> None:
+        """Pass a message on, after its time, by which Lichtblick sorts the message."""
+        if time_ns < self._time_ns:  # of another run
+            self._server.clear_session()
+        if time_ns != self._time_ns:
+            self._time_ns = time_ns
+            self._server.broadcast_time(time_ns)
+        self._channels[name].log(message, log_time=time_ns)

@@ -5,8 +5,7 @@ The client can also release the pump, clear some faults and, if the site allows 
 The client must not delay any node. It therefore subscribes with best-effort reliability and
 volatile durability, so no publisher stores or resends messages for the client, or waits for it. The
 client uses only UDP, since a stopped process that uses shared memory can hold a lock that other
-processes need. It polls instead of being woken by messages, and takes each message together with
-the publisher's sequence number, which rclpy's fast executor does not provide.
+processes need. It polls instead of being woken by messages.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from typing import Any
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.ros.domain import SHUTDOWN_S, join
 from greenroof_ros.ros.rclpy_internals import take_messages
-from greenroof_ros.watch.words import list_names
+from greenroof_ros.watch import wire
 
 # How many messages on a topic can wait for the next poll: 1 s at 60 times real time.
 _DEPTH = 64
@@ -30,23 +29,14 @@ _DEPTH = 64
 # interval at which it looks for an answer (s).
 _DISCOVERY_S, _SPIN_S = 2.0, 0.02
 
-DIAGNOSTICS, ALARMS = "/diagnostics", "/alarms"
-# The service of the pump node for each action.
-_SERVICES = {
-    "stop": "hold", "release": "stop", "clear": "clear", "reset": "reset", "dose": "dose",
-}
+# Without /clock for this time (s), a graph is not simulated.
+_NO_CLOCK_S = 10.0
+
+DIAGNOSTICS, ALARMS, CLOCK = "/diagnostics", "/alarms", "/clock"
 
 
 class PumpRequestError(Exception):
-    """Error for a request that the pump node did not confirm; the message states the reason.
-
-    Attributes:
-        answered: whether the pump node replied at all.
-    """
-
-    def __init__(self, why: str, *, answered: bool = False) -> None:
-        super().__init__(why)
-        self.answered = answered
+    """Error for a request that the pump node did not confirm; the message states the reason."""
 
 
 class GraphClient:
@@ -55,17 +45,14 @@ class GraphClient:
     One thread receives the messages. Any thread may make requests, but only one at a time.
     """
 
-    def __init__(
-        self, namespace: str, on_message: Callable[[str, bytes, int | None, int], None]
-    ) -> None:
+    def __init__(self, namespace: str, on_message: Callable[[str, bytes, int], None]) -> None:
         """Join the graph's domain, and subscribe to /diagnostics and /alarms.
 
         Args:
             namespace: namespace of the graph, such as ``/site1``; empty for none.
             on_message: callback for each message. It receives the name of the topic in the
-                interface, the serialized message, the number of the message (1 for the first of its
-                publisher; None if the middleware does not number messages) and the time of arrival
-                (ns of the system clock).
+                interface, the serialized message, and its time (ns since 1970): the simulated time
+                if ``/clock`` is subscribed to and published, otherwise the time of arrival.
 
         Raises:
             ConfigurationError: if ROS 2 is not installed.
@@ -74,7 +61,7 @@ class GraphClient:
         from rcl_interfaces.srv import SetParametersAtomically
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node
-        from std_srvs.srv import SetBool, Trigger
+        from std_srvs.srv import Trigger
 
         def node(name: str) -> Node:
             return Node(
@@ -88,12 +75,14 @@ class GraphClient:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._caller)
         self._types: dict[str, Any] = {
-            "stop": SetBool, "clear": Trigger, "reset": Trigger, "hold": SetParametersAtomically,
-            "dose": SetParametersAtomically,
+            "hold": SetParametersAtomically, "release": Trigger, "clear": Trigger,
+            "reset": Trigger, "dose": SetParametersAtomically,
         }
-        self._namespace, self._joined_at = namespace, time.monotonic()
+        self._offers_hold = re.compile(re.escape(namespace) + "/[^/]+(?=/hold$)")
+        self._joined_at = time.monotonic()
         self._clients: dict[tuple[str, str], Any] = {}  # by node and service
         self._on_message = on_message
+        self._clock_ns, self._clock_at = 0, 0.0  # the simulated time, and when it came (s)
         self._subscriptions: dict[str, Any] = {}
         self.subscribe(())
 
@@ -118,12 +107,21 @@ class GraphClient:
             )
 
     def receive(self) -> None:
-        """Pass on the messages that have arrived, starting with the reports."""
-        for name in sorted(self._subscriptions, key=lambda name: name != DIAGNOSTICS):
-            subscription = self._subscriptions[name]
-            for message, info in islice(take_messages(subscription), _DEPTH):
-                number = info["publication_sequence_number"]
-                self._on_message(name, message, number, info["received_timestamp"])
+        """Pass on the messages that have arrived, in the order of their arrival."""
+        now = time.monotonic()
+        self._clock_ns = self._clock_ns if now - self._clock_at < _NO_CLOCK_S else 0
+        is_clocked = self._clock_ns or self._node.count_publishers(CLOCK[1:])
+        simulated = CLOCK in self._subscriptions and is_clocked
+        for arrived_ns, name, message in sorted(
+            (info["received_timestamp"], name, message)
+            for name, subscription in self._subscriptions.items()
+            for message, info in islice(take_messages(subscription), _DEPTH)
+        ):
+            if name == CLOCK:
+                time_ns = wire.read_value(read_topics()[CLOCK].type, message)
+                self._clock_ns, self._clock_at = time_ns or self._clock_ns, now
+            if time_ns := self._clock_ns if simulated else arrived_ns:
+                self._on_message(name, message, time_ns)
 
     def find_pumps(self) -> dict[str, int]:
         """Return the names of the nodes that offer a hold service, with how many have this name.
@@ -131,12 +129,11 @@ class GraphClient:
         The names do not depend on any reports. A client is opened for each service, so that it is
         ready for a later stop.
         """
-        pattern = re.compile(re.escape(self._namespace) + "(/[^/]+)/hold")
         pumps = {
-            self._namespace + offered[1]: count
+            offered[0]: count
             for service, types in self._caller.get_service_names_and_types()
             if "rcl_interfaces/srv/SetParametersAtomically" in types
-            and (offered := pattern.fullmatch(service))
+            and (offered := self._offers_hold.match(service))
             and (count := self._caller.count_services(service))  # listed for this client alone: 0
         }
         for key in [key for key in self._clients if key[0] not in pumps]:
@@ -156,9 +153,7 @@ class GraphClient:
         """Make a request to the pump node, and return its answer.
 
         A stop is sent to every node that may control the pump. If more than one node may control
-        the pump, no other request is sent to any of them. If two nodes have the same name, an
-        answer from one node reveals nothing about the other, so the request is repeated once only
-        one of the two nodes is left.
+        the pump, no other request is sent to any of them.
 
         Args:
             action: name of the action. ``stop`` holds the pump until someone releases it, or until
@@ -174,38 +169,39 @@ class GraphClient:
         Raises:
             PumpRequestError: if the pump node does not confirm the request.
         """
-        service = _SERVICES[action]
-        request = self._types[service].Request(**(
-            {"data": False} if action == "release" else _make_parameters(parameters)
-        ))
-        until = time.monotonic() + timeout_s
+        from rclpy.parameter import Parameter
+
+        service = "hold" if action == "stop" else action
+        request = self._types[service].Request()
+        if parameters:
+            request.parameters = [
+                Parameter(name, value=value).to_parameter_msg()
+                for name, value in parameters.items()
+            ]
+        now = time.monotonic()
+        until = now + timeout_s
         settled = min(until, self._joined_at + _DISCOVERY_S)
         sent: dict[str, Any] = {}
-        twins, waiting = set[str](), True
-        while waiting:
+        pumps: dict[str, int] = {}
+
+        def are_answered() -> bool:
+            return bool(pumps) and all(name in sent and sent[name].done() for name in pumps)
+
+        while now < until and (now < settled or not are_answered()):
             pumps = self.find_pumps()
-            before, twins = twins, {name for name, count in pumps.items() if count > 1}
-            for name in before - twins:
-                sent.pop(name, None)
-            if sum(pumps.values()) > 1 and action != "stop":
+            if action != "stop" and sum(pumps.values()) > 1:
                 raise PumpRequestError(
                     "Nothing was done, because it is unclear which of these nodes controls the "
-                    f"pump: {list_names(pumps)}. Shut down the nodes that should not be running."
+                    f"pump: {', '.join(sorted(pumps))}. Shut down the nodes that should not be "
+                    "running."
                 )
             for name in pumps.keys() - sent.keys():
                 client = self._open_client(name, service)
-                if client.service_is_ready():
+                if client.service_is_ready() and (action == "stop" or now >= settled):
                     sent[name] = client.call_async(request)
             self._executor.spin_once(timeout_sec=_SPIN_S)
             now = time.monotonic()
-            answered = pumps.keys() <= sent.keys() and all(map(_is_done, sent.values()))
-            waiting = now < until and (now < settled or bool(twins) or not sent or not answered)
-        for name, future in sent.items():
-            if not future.done() and name in pumps:
-                self._clients[name, service].remove_pending_request(future)
-        return _read_answers(service, timeout_s, {
-            name: (sent.get(name), name in twins) for name in sorted(pumps)
-        })
+        return _read_answers(service, timeout_s, pumps, sent)
 
     def close(self) -> None:
         """Leave the domain."""
@@ -217,66 +213,43 @@ class GraphClient:
         signal.alarm(before)
 
 
-def _is_done(future: Any) -> bool:
-    return bool(future.done())
-
-
-def _make_parameters(values: Mapping[str, float | str]) -> dict[str, Any]:
-    """Return the fields of a request with the given parameters; empty if there are none."""
-    from rclpy.parameter import Parameter
-
-    return {"parameters": [
-        Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
-    ]} if values else {}
-
-
 def _read_answers(
-    service: str, timeout_s: float, asked: Mapping[str, tuple[Any, bool]]
+    service: str, timeout_s: float, pumps: Mapping[str, int], sent: Mapping[str, Any]
 ) -> str:
     """Return the answers of all nodes as a sentence.
 
     Args:
         service: name of the service.
         timeout_s: time spent waiting for the answers (s).
-        asked: by the name of each node, the future for its answer (None if it could not be
-            reached), and whether another node has the same name.
+        pumps: names of the nodes, each with the number of nodes that have this name.
+        sent: future of each request that was sent, by the name of the node.
 
     Raises:
         PumpRequestError: if a node does not confirm the request.
     """
-    if not asked:
+    if not pumps:
         raise PumpRequestError(
             "There is no pump node to send the request to: no node provides the service "
             f"{service}. Start the pump node's graph first, with the same ROS_DOMAIN_ID, "
             "ROS_AUTOMATIC_DISCOVERY_RANGE and --namespace."
         )
     sentences, confirmed = [], True
-    for name, (future, has_twin) in asked.items():
-        ok, text = _read_answer(name, future, timeout_s)
-        if has_twin:
-            ok, text = False, (
-                f"two nodes are named {name}, and one of them may not have carried out the request "
-                f"({text}): shut down the node that should not be running, and try again"
-            )
+    for name, count in sorted(pumps.items()):
+        ok, text = False, (
+            f"{name} did not answer within {timeout_s:g} s: it may or may not have carried out the "
+            "request."
+        )
+        if name in sent and sent[name].done():
+            answer = sent[name].result()
+            if hasattr(answer, "result"):  # of a request that sets parameters
+                ok, text = answer.result.successful, answer.result.reason
+            else:
+                ok, text = answer.success, answer.message
+        if count > 1:
+            ok, text = False, f"{text}; two nodes have this name: shut down one, and try again"
         confirmed = confirmed and ok
-        sentences.append(f"{name}: {text}" if len(asked) > 1 else text)
+        sentences.append(f"{name}: {text}" if len(pumps) > 1 or count > 1 else text)
     if not confirmed:
         # A hold with this answer may be in force, but it would not survive a restart.
-        answered = any(future is not None and future.done() for future, _ in asked.values())
-        raise PumpRequestError("; ".join(sentences), answered=answered)
+        raise PumpRequestError("; ".join(sentences))
     return "; ".join(sentences)
-
-
-def _read_answer(name: str, future: Any, timeout_s: float) -> tuple[bool, str]:
-    """Return whether a node carried out the request, and its answer; see :func:`_read_answers`."""
-    if future is None:
-        return False, f"{name} could not be reached within {timeout_s:g} s."
-    if not future.done():
-        return False, (
-            f"{name} did not answer within {timeout_s:g} s: it may or may not have carried out "
-            "the request."
-        )
-    result = future.result()
-    if hasattr(result, "result"):  # of a request that sets parameters
-        return bool(result.result.successful), str(result.result.reason)
-    return bool(result.success), str(result.message)

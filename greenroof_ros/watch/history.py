@@ -6,9 +6,10 @@ An unknown value is NaN; the line has a gap from this value to the next known va
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.base.files import replace_file
 from greenroof_ros.base.processes import LockedError, lock_file
+from greenroof_ros.base.standard_error import print_line
 
 Values = NDArray[np.float64]
 
@@ -29,9 +31,6 @@ MAX_STRETCHES = 7 * 24 * 3600 * 1_000_000_000 // STRETCH_NS + 2  # with those th
 ROW = np.dtype([("ended", "<i8"), ("low", "<f8"), ("high", "<f8"), ("last", "<f8")])
 END_S = 1e-3
 """Time (s) between two points of a line at the same time, or from a point to the line's end."""
-
-_FORMAT = "format"
-_VERSION = 2
 
 
 class History:
@@ -53,50 +52,41 @@ class History:
         """The stretches, oldest first, as a view that the next :meth:`add` changes."""
         return self._rows[max(0, self._count - MAX_STRETCHES):self._count]
 
-    @property
-    def first_ns(self) -> int | None:
-        """Time of the end of the first stretch (ns since 1970); None if there are no values."""
-        return int(self.rows["ended"][0]) if self._count else None
-
-    @property
-    def last(self) -> float:
-        """The last value; 0 if there are no values."""
-        return float(self.rows["last"][-1]) if self._count else 0.0
-
     def value_at(self, time_ns: int) -> float:
         """Return the last value at a time (ns since 1970); 0 if there was none yet."""
-        rows = self.rows
-        number = int(np.searchsorted(rows["ended"], time_ns, "right"))
-        return float(rows["last"][number - 1]) if number else 0.0
+        number = int(np.searchsorted(self.rows["ended"], time_ns, "right"))
+        return float(self.rows["last"][number - 1]) if number else 0.0
 
     def add(self, time_ns: int, value: float) -> None:
-        """Add a value that is newer than all previous values.
+        """Add a value; if the clock was set back, later values are removed.
 
         Args:
             time_ns: time of the value (ns since 1970).
             value: the value; NaN if the value is unknown from this time on.
         """
+        while self._count and self._rows["ended"][self._count - 1] > time_ns:
+            self._count -= 1
         row = self._rows[self._count - 1] if self._count else None
-        if row is None or row["ended"] // STRETCH_NS != time_ns // STRETCH_NS:
-            if self._count == len(self._rows):
-                self._rows[:MAX_STRETCHES] = self._rows[MAX_STRETCHES:]
-                self._count = MAX_STRETCHES
-            self._rows[self._count] = (time_ns, value, value, value)
-            self._count += 1
+        if row is not None and row["ended"] // STRETCH_NS == time_ns // STRETCH_NS:
+            row["low"], row["high"] = np.fmin(row["low"], value), np.fmax(row["high"], value)
+            row["ended"], row["last"] = time_ns, value
             return
-        row["low"], row["high"] = np.fmin(row["low"], value), np.fmax(row["high"], value)
-        row["ended"], row["last"] = time_ns, value
+        if self._count == len(self._rows):
+            self._rows[:MAX_STRETCHES] = self._rows[MAX_STRETCHES:]
+            self._count = MAX_STRETCHES
+        self._rows[self._count] = (time_ns, value, value, value)
+        self._count += 1
 
     def line(self, first: int, last: int, stretch_ns: int, gap_s: float) -> list[list[Any]]:
         """Return the line of the values from ``first`` to ``last``, inclusive.
 
-        Every stretch has a point for its last value and, if it has several values, points for its
-        lowest and highest; so no short run of a pump is lost.
+        Every stretch has a point for its lowest, highest and last value, if they differ; so no
+        short run of a pump is lost.
 
         Args:
             first: beginning (ns).
             last: end (ns).
-            stretch_ns: length of a stretch (ns), from :func:`choose_stretch`.
+            stretch_ns: time that each stretch of the line covers (ns), a multiple of 20 s.
             gap_s: longest time between two points that belong together (s).
 
         Returns:
@@ -107,94 +97,52 @@ class History:
         points: list[list[Any]] = []
         # Whole stretches, which begin at the same times in every call, so a redrawn line does not
         # jitter.
-        for ended, low, high, value in (
-            _condense(rows, stretch_ns).tolist() if len(rows) else ()
-        ):
-            at, (until, before) = ended / 1e9, points[-1] if points else (math.inf, None)
-            if at - until > gap_s and before is not None:
-                points.append([until + END_S, None])
-            if low < high and not math.isnan(value):
-                extremes = (low, high) if high - value < value - low else (high, low)
-                points += [[at - 2 * END_S, extremes[0]], [at - END_S, extremes[1]]]
-            points.append([at, None if math.isnan(value) else value])
+        begins = np.flatnonzero(np.diff(rows["ended"] // stretch_ns, prepend=-1))
+        for begin, end in pairwise([*begins, len(rows)]):
+            stretch = rows[begin:end]
+            at, value = float(stretch["ended"][-1]) / 1e9, float(stretch["last"][-1])
+            if points and points[-1][1] is not None and at - points[-1][0] > gap_s:
+                points.append([points[-1][0] + END_S, None])
+            low = float(np.fmin.reduce(stretch["low"]))
+            high = float(np.fmax.reduce(stretch["high"]))
+            if low < high:
+                near_high = high - value < value - low
+                points.append([at - 2 * END_S, low if near_high else high])
+                points.append([at - END_S, high if near_high else low])
+            points.append([at, value if math.isfinite(value) else None])
         return points
-
-
-def _condense(rows: NDArray[np.void], stretch_ns: int) -> NDArray[np.void]:
-    """Combine the rows into longer stretches."""
-    begins = np.flatnonzero(np.diff(rows["ended"] // stretch_ns, prepend=-1))
-    ends = np.append(begins[1:], len(rows)) - 1
-    condensed: NDArray[np.void] = rows[ends].copy()
-    condensed["low"] = np.fmin.reduceat(rows["low"], begins)
-    condensed["high"] = np.fmax.reduceat(rows["high"], begins)
-    return condensed
-
-
-def choose_stretch(first: int, last: int, points: int) -> int:
-    """Return the time that each row of a window covers (ns).
-
-    Args:
-        first: beginning (ns).
-        last: end (ns).
-        points: approximate maximum number of rows.
-    """
-    return STRETCH_NS * max(1, -(-(last - first) // (STRETCH_NS * points)))
 
 
 # --- the file -------------------------------------------------------------------------------------
 
 
 def write_histories(file: Path, rows: Mapping[str, NDArray[np.void]]) -> None:
-    """Write the rows of histories to a file, replacing the file as a whole.
+    """Write the rows of histories to a file, replacing the file as a whole; print a failure.
 
     Args:
         file: NumPy file (``.npz``); its directory is created if necessary.
         rows: rows of each history, by the name of the history.
-
-    Raises:
-        OSError: if the file cannot be written.
     """
-    content: dict[str, Any] = {_FORMAT: np.array(_VERSION), **rows}
-    file.parent.mkdir(parents=True, exist_ok=True)
-    # If another watcher is just writing the file, its rows are as good.
-    with suppress(LockedError), lock_file(file.with_suffix(".lock")):
-        replace_file(file, lambda stream: np.savez(stream, **content))
-
-
-def read_histories(file: Path, names: Iterable[str], until_ns: int) -> dict[str, History]:
-    """Return the histories in a file; empty if the file does not exist.
-
-    Args:
-        file: file that :func:`write_histories` wrote.
-        names: names of the histories to read; any other histories in the file are ignored.
-        until_ns: current time (ns since 1970). Later values are ignored, since they were recorded
-            before the clock was set back.
-
-    Raises:
-        OSError: if the file cannot be read.
-        ValueError: if the file is damaged or was written by another program.
-    """
-    histories = {}
     try:
-        data = file.read_bytes()
+        file.parent.mkdir(parents=True, exist_ok=True)
+        # If another watcher is just writing the file, its rows are as good.
+        with suppress(LockedError), lock_file(file.with_suffix(".lock")):
+            replace_file(file, lambda stream: np.savez(stream, **rows))  # type: ignore[arg-type]
+    except OSError as error:
+        print_line(f"the history cannot be saved: {file}: {error.strerror or error}")
+
+
+def read_histories(file: Path) -> dict[str, History]:
+    """Return the histories in a file; print why if the file cannot be read or is damaged."""
+    rows: dict[str, NDArray[np.void]] = {}
+    try:
+        with np.load(BytesIO(file.read_bytes()), allow_pickle=False) as content:
+            rows = {name: content[name] for name in content if content[name].dtype == ROW}
+        if not all(each.ndim == 1 and np.all(np.diff(each["ended"]) > 0) for each in rows.values()):
+            raise ValueError("its values are not plausible")
     except FileNotFoundError:
-        return {}
-    try:
-        with np.load(BytesIO(data), allow_pickle=False) as content:
-            if _FORMAT not in content or content[_FORMAT].tolist() != _VERSION:
-                raise ValueError("its format is unknown")
-            for name in content.keys() & set(names):
-                rows = _check_rows(content[name])
-                histories[name] = History(rows[rows["ended"] <= until_ns])
-    except Exception as error:  # NumPy's errors depend on what the file contains instead
-        raise ValueError(str(error) or "it is damaged") from error
-    return histories
-
-
-def _check_rows(rows: NDArray[Any]) -> NDArray[np.void]:
-    if rows.dtype != ROW or rows.ndim != 1:
-        raise ValueError("it does not contain rows of a history")
-    times, values = rows["ended"], np.array([rows[name] for name in ("low", "high", "last")])
-    if np.any(np.diff(times, prepend=0) <= 0) or np.isinf(values).any():
-        raise ValueError("its values are not plausible")
-    return rows
+        pass
+    except Exception as error:  # NumPy's errors depend on what the file contains
+        print_line(f"the charts start empty: {file} cannot be read ({error})")
+        rows = {}
+    return {name: History(each) for name, each in rows.items()}

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import errno
 import ipaddress
 import os
 import re
 import secrets
 import socket
-from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import check_private
@@ -24,14 +22,11 @@ PORTS = range(8080, 8100)
 _SENDING, _RECEIVING, _UNREAD_MS = 65_536, 16_384, 30_000
 # How many connections may wait to be accepted.
 _WAITING = 4096
-# An address for documentation (RFC 5737), the route to which reveals this machine's own address.
-_ELSEWHERE = ("192.0.2.1", 9)
 # Characters of a token that need no escape in an address, and the minimum number of them.
 _TOKEN = re.compile(r"[A-Za-z0-9_-]{32,}")
 
 
-@dataclass(frozen=True)
-class Listener:
+class Listener(NamedTuple):
     """A listening socket, and the address at which a browser reaches it.
 
     Attributes:
@@ -46,29 +41,29 @@ class Listener:
     names: frozenset[str] | None
 
 
-def _resolve(host: str) -> list[tuple[socket.AddressFamily, str]]:
-    """Return the addresses of a host in the order in which they should be tried.
+def _resolve(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
+    """Return the first address of a host.
 
     Raises:
         ConfigurationError: if the host has no address.
     """
     try:
-        known = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+        first = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
     except (OSError, UnicodeError) as error:
         raise ConfigurationError(
             "is not an address or name of this machine; 0.0.0.0 means all addresses",
             key="--host", value=host,
         ) from error
-    return [(family, str(address[0])) for family, _, _, _, address in known]
+    return ipaddress.ip_address(str(first[4][0]).partition("%")[0])
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether a host's addresses can be reached only from this machine.
+    """Return whether a host's address can be reached only from this machine.
 
     Raises:
         ConfigurationError: if the host has no address.
     """
-    return all(ipaddress.ip_address(text.split("%")[0]).is_loopback for _, text in _resolve(host))
+    return _resolve(host).is_loopback
 
 
 def listen(host: str, port: int | None) -> Listener:
@@ -81,22 +76,21 @@ def listen(host: str, port: int | None) -> Listener:
     Raises:
         ConfigurationError: if the host is not this machine, or the port cannot be used.
     """
-    family, address = _resolve(host)[0]
-    ports = PORTS if port is None else [port]
-    for number in ports:
+    address = _resolve(host)
+    family = socket.AF_INET if address.version == 4 else socket.AF_INET6
+    for number in PORTS if port is None else [port]:
         try:
-            listening = socket.create_server((address, number), family=family, backlog=_WAITING)
-        except OSError as error:
-            if error.errno == errno.EADDRINUSE and number != ports[-1]:
-                continue
-            key, value = ("--host", host) if error.errno == errno.EADDRNOTAVAIL else (
-                "--port", f"{ports[0]} to {ports[-1]}" if port is None else str(port)
+            listening = socket.create_server(
+                (str(address), number), family=family, backlog=_WAITING
             )
-            raise ConfigurationError(
-                f"cannot be used: {os.strerror(error.errno or 0)}; choose another",
-                key=key, value=value,
-            ) from error
-        break
+            break
+        except OSError as error:
+            why = error
+    else:
+        raise ConfigurationError(
+            f"cannot be used: {os.strerror(why.errno or 0)}; choose another address or port",
+            key="--host, --port", value=f"{host}, {number}",
+        ) from why
     listening.setblocking(False)
     for level, option, setting in (  # which connections inherit
         (socket.SOL_SOCKET, socket.SO_SNDBUF, _SENDING),
@@ -104,10 +98,11 @@ def listen(host: str, port: int | None) -> Listener:
         (socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNREAD_MS),
     ):
         listening.setsockopt(level, option, setting)
-    anywhere = ipaddress.ip_address(address.split("%")[0]).is_unspecified
-    shown = _find_own_address(address) if anywhere else host
+    shown = socket.gethostname() if address.is_unspecified else host
     url = f"http://{f'[{shown}]' if ':' in shown else shown}:{listening.getsockname()[1]}/"
-    names = None if anywhere else frozenset({host.lower(), address, LOOPBACK, "::1", "localhost"})
+    names = None if address.is_unspecified else frozenset(
+        {host.lower(), str(address), LOOPBACK, "::1", "localhost"}
+    )
     return Listener(listening, url, names)
 
 
@@ -123,36 +118,16 @@ def read_token(file: Path) -> str:
         ConfigurationError: if the file cannot be used, or if other users are able to read or change
             the file.
     """
-    def refuse(why: str) -> ConfigurationError:
-        return ConfigurationError(why, key="--token-file", value=str(file))
-
     try:
-        with (
-            suppress(FileExistsError),
-            open(file, "x", opener=lambda path, flags: os.open(path, flags, 0o600)) as made,
-        ):
-            made.write(f"{new_token()}\n")
-            made.flush()
-            os.fsync(made.fileno())
+        if not file.exists():
+            with open(file, "x", opener=lambda path, flags: os.open(path, flags, 0o600)) as made:
+                made.write(f"{new_token()}\n")
         check_private(file)
         token = file.read_text(encoding="ascii", errors="replace").strip()
     except OSError as error:
-        raise refuse(f"cannot be used: {error.strerror}") from error
-    if not _TOKEN.fullmatch(token):
-        raise refuse(
-            "must contain a token of at least 32 letters, digits, - or _; if you remove the file, "
-            "a new token is created at the next start"
-        )
-    return token
-
-
-def _find_own_address(wildcard: str) -> str:
-    """Return this machine's network address, or else its name, without sending data."""
-    if ":" in wildcard:
-        return socket.gethostname()
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(_ELSEWHERE)
-        except OSError:  # no network at all
-            return socket.gethostname()
-        return str(probe.getsockname()[0])
+        why = f"cannot be used: {error.strerror}"
+    else:
+        if _TOKEN.fullmatch(token):
+            return token
+        why = "must contain a token of at least 32 letters, digits, - or _"
+    raise ConfigurationError(why, key="--token-file", value=str(file))

@@ -1,42 +1,30 @@
-"""Messages from a graph, decoded from bytes; incomplete or far too large messages become None."""
+"""Messages from a graph, decoded from bytes; an incomplete or far too large message is None."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from greenroof_ros.ros.reports import MAX_BYTES, Status, read_statuses
 
-if TYPE_CHECKING:
-    from greenroof_ros.ros.messages import WithFront
-
-
-def _read(message: bytes, decode: Callable[[bytes], Any]) -> Any:
-    """Return the content of a message; None if the message is incomplete or too large."""
-    if len(message) > MAX_BYTES:
-        return None
-    with suppress(Exception):  # from the middleware, or because a text is not UTF-8
-        return decode(message)
-    return None
-
 
 def read_value(type_name: str, message: bytes) -> Any:
-    """Return the value of a message (see :func:`greenroof_ros.ros.messages.decoder`)."""
-    from greenroof_ros.ros.messages import decoder  # only processes that join a graph need ROS
+    """Return the value of a message; for rows of numbers, also the numbers before the offset.
 
-    return _read(message, decoder(type_name))
+    See :func:`greenroof_ros.ros.messages.decoder` and
+    :func:`greenroof_ros.ros.messages.decode_numbers`.
+    """
+    from greenroof_ros.ros.messages import decode_numbers, decoder  # only a graph needs ROS
 
-
-def read_rows(message: bytes) -> WithFront | None:
-    """Return the numbers of a ``std_msgs/msg/Float64MultiArray``, and those before the offset."""
-    from greenroof_ros.ros.messages import decode_numbers
-
-    rows: WithFront | None = _read(message, decode_numbers)
-    return rows
+    with suppress(Exception):  # from the middleware, or because a text is not UTF-8
+        if len(message) <= MAX_BYTES:
+            is_array = type_name == "std_msgs/msg/Float64MultiArray"
+            return decode_numbers(message) if is_array else decoder(type_name)(message)
+    return None
 
 
 def read_reports(message: bytes) -> tuple[int, list[Status]] | None:
     """Return the time (ns) and the statuses of a message on /diagnostics or /alarms."""
-    read: tuple[int, list[Status]] | None = _read(message, read_statuses)
-    return read
+    with suppress(Exception):
+        return read_statuses(message)
+    return None

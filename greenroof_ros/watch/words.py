@@ -1,4 +1,4 @@
-"""Formats of the numbers, times and sentences on the page and in the status output."""
+"""Formats of the numbers and sentences on the page and in the status output."""
 
 from __future__ import annotations
 
@@ -6,9 +6,7 @@ import math
 import os
 import re
 import sys
-from collections.abc import Iterable, Mapping
-from datetime import datetime, tzinfo
-from functools import cache
+from collections.abc import Mapping
 from pathlib import Path
 from shutil import which
 from typing import Any
@@ -17,7 +15,6 @@ from greenroof_ros.base.text import clean_text
 from greenroof_ros.base.times import duration
 from greenroof_ros.interface.topics import Display, read_topics
 
-NOT_PLAUSIBLE = "not a plausible value"
 UNKNOWN = "unknown"
 # The unit as it is written in logs.
 _CUBIC = re.compile(r"\bm3\b")
@@ -25,93 +22,50 @@ _CUBIC = re.compile(r"\bm3\b")
 _COMMAND = re.compile(r"\bgreenroof(?= (?:live|release|reset|watch)\b)")
 SPACE = "\N{NO-BREAK SPACE}"
 """Space between a number and its unit, where no line may end."""
-# Maximum number of names of nodes that are listed.
-_MAX_NAMES = 3
 
 
-def write_number(value: float, decimals: int) -> str:
-    """Write a number with the given decimals, zero without a sign, and *unknown* from 1e12."""
-    if not math.isfinite(value) or abs(value) >= 1e12:
-        return UNKNOWN
-    text = f"{value:.{decimals}f}"
-    return text.removeprefix("-") if float(text) == 0 else text
-
-
-def write_quantity(value: float, unit: str, decimals: int, factor: float = 1.0) -> str:
-    """Write a number with its unit, such as ``45.3 mm``.
+def write_number(value: float, unit: str, decimals: int, factor: float = 1.0) -> str:
+    """Write a number with its unit, such as ``45.3 mm``; *unknown* from 1e12.
 
     Args:
         value: value in its SI unit.
-        unit: unit to show.
+        unit: unit to show; empty for none.
         decimals: number of decimals to show.
         factor: factor that converts the SI unit to the unit to show.
     """
-    text = write_number(value * factor, decimals)
-    return text if text == UNKNOWN or not unit else f"{text}{SPACE}{unit}"
+    if not math.isfinite(value) or abs(value * factor) >= 1e12:
+        return UNKNOWN
+    text = f"{value * factor:.{decimals}f}"
+    text = text.removeprefix("-") if float(text) == 0 else text
+    return f"{text}{SPACE}{unit}" if unit else text
 
 
-def write_value(topic: str, value: float) -> str:
-    """Write a topic's value, or a difference of values, in the interface's format: ``45.3 mm``.
-
-    Args:
-        topic: name of the topic in the interface.
-        value: value in the topic's unit.
-    """
-    display = find_display(topic)
-    return write_quantity(value, display.unit, display.decimals, display.factor)
-
-
-@cache
 def find_display(topic: str) -> Display:
     """Return the format in which the interface shows the values of a topic."""
     display = read_topics()[topic].display
-    if display is None:
-        raise KeyError(topic)
+    assert display is not None, topic
     return display
 
 
+def write_value(topic: str, value: float) -> str:
+    """Write a topic's value, or a difference of values, in the interface's format: ``45.3 mm``."""
+    display = find_display(topic)
+    return write_number(value, display.unit, display.decimals, display.factor)
+
+
 def write_rain(metres: float) -> str:
-    """Write an amount of rain, as in ``12 mm``; with one decimal below 10 mm, as in ``1.2 mm``."""
-    return write_quantity(metres, "mm", 0 if abs(metres) >= 0.00995 else 1, 1e3)
+    """Write an amount of rain, as in ``1.2 mm``."""
+    return write_number(metres, "mm", 1, 1e3)
 
 
 def write_litres(volume: float) -> str:
     """Write a volume (m3) in litres."""
-    return write_quantity(volume, "L", 0, 1e3)
+    return write_number(volume, "L", 0, 1e3)
 
 
-def write_horizon(seconds: float) -> str:
-    """Format the time covered by a forecast or plan, in whole hours from 90 min on: ``12 h``."""
-    if seconds >= 5400:
-        return write_quantity(seconds / 3600, "h", 0)
+def write_duration(seconds: float) -> str:
+    """Write a duration, such as ``12 h``."""
     return duration(round(seconds)).replace(" ", SPACE)
-
-
-def convert_time(seconds: float, zone: tzinfo) -> datetime | None:
-    """Return a time since 1970 (s) in a time zone; None if it is outside the calendar's range."""
-    try:
-        return datetime.fromtimestamp(seconds, zone)
-    except (ValueError, OverflowError, OSError):
-        return None
-
-
-def write_clock_time(seconds: float, zone: tzinfo, now: float) -> str:
-    """Write a time since 1970 (s), as in ``05:00:00``, with the date unless it is today."""
-    at, today = convert_time(seconds, zone), convert_time(now, zone)
-    if at is None:
-        return UNKNOWN
-    same = today is not None and at.date() == today.date()
-    return at.strftime("%H:%M:%S" if same else "%d %b %H:%M:%S")
-
-
-def write_coming_time(seconds: float, zone: tzinfo, now: float) -> str:
-    """Write a future time (s since 1970): ``06:20``, ``tomorrow 06:20``, or a date and time."""
-    at, today = convert_time(seconds, zone), convert_time(now, zone)
-    if at is None or today is None:
-        return UNKNOWN
-    days = (at.date() - today.date()).days
-    clock = at.strftime("%H:%M")
-    return clock if days == 0 else f"tomorrow {clock}" if days == 1 else at.strftime("%d %b %H:%M")
 
 
 def clean_sentence(text: str) -> str:
@@ -125,6 +79,17 @@ def text_of(values: Mapping[str, Any], key: str) -> str:
     return clean_sentence(value) if isinstance(value, str) else ""
 
 
+def number_in(values: Mapping[str, Any], key: str) -> float | None:
+    """Return a number among the values that a node reports; None if it reports none."""
+    value = values.get(key)
+    return value if isinstance(value, (int, float)) else None
+
+
+def capitalize(text: str) -> str:
+    """Return a text that begins with a capital letter."""
+    return f"{text[:1].upper()}{text[1:]}"
+
+
 def name_source(status: str, role: str = "") -> str:
     """Return a plain name for the source of a status: ``Roof sensor`` for ``/roof_sensor: x``.
 
@@ -133,15 +98,7 @@ def name_source(status: str, role: str = "") -> str:
         role: role of the node, which is the name of a controller; empty if it has none.
     """
     name = "controller" if role == "controller" else status.partition(": ")[0].rpartition("/")[2]
-    name = name.replace("_", " ")
-    return f"{name[:1].upper()}{name[1:]}"
-
-
-def list_names(names: Iterable[str]) -> str:
-    """List only the first few node names, since the number of reported nodes is unlimited."""
-    listed = sorted({*names})
-    more = len(listed) - _MAX_NAMES
-    return " and ".join(listed[:_MAX_NAMES] + ([f"{more} more"] if more > 0 else []))
+    return capitalize(name.replace("_", " "))
 
 
 def complete_commands(text: str) -> str:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from paper import PAPER_SITE
 
 from greenroof_ros.ros.reports import Status
+from greenroof_ros.site.horizon import growing_steps
 from greenroof_ros.site.site import Site
-from greenroof_ros.watch.store import GraphStore
+from greenroof_ros.watch.store import PLAN, RAIN_FORECAST, GraphStore
 
 OK, WARN, ERROR, STALE = range(4)
 SECOND = 10**9
@@ -51,27 +54,36 @@ def store(
 ) -> GraphStore:
     """Return a store that knows only the site of its graph, and its alarms at a time."""
     graph = GraphStore()
-    graph.set_site(site)
-    graph.set_present(mode=mode, factor=30.0, note="")
-    graph.update(wall)
+    graph.mode, graph.site, graph.site_note, graph.factor = mode, site, "", 30.0
+    graph.wall, graph.system = wall, START / SECOND + 60
     graph.add_alarms(wall, START + 60 * SECOND, alarms)
     return graph
 
 
-def add_series(graph: GraphStore, topic: str, times_ns: Any, values: Any) -> None:
-    """Add values of a topic, each with its time; one value may be for all times."""
-    times = np.asarray(times_ns, np.int64)
-    for time_ns, value in zip(times.tolist(), np.broadcast_to(values, times.shape).tolist(),
-                              strict=True):
-        graph.add(topic, time_ns, value)
-
-
 def add_values(
-    graph: GraphStore, first: int, last: int, values: Mapping[str, float], every: int = 1
+    graph: GraphStore, first: int, last: int, values: Mapping[str, Any], every: int = 1
 ) -> None:
-    """Add each topic's value from one second to another, the last one not included."""
+    """Add each topic's value, or its values, from one second to another (not included)."""
+    seconds = range(first, last, every)
     for topic, value in values.items():
-        add_series(graph, topic, START + SECOND * np.arange(first, last, every), value)
+        for second, each in zip(seconds, np.broadcast_to(value, len(seconds)), strict=True):
+            graph.add(topic, START + second * SECOND, float(each))
+
+
+def rows(values: Any, front: Any = ()) -> Any:
+    """Return rows of numbers as they are received, with the numbers before them."""
+    return SimpleNamespace(values=np.asarray(values), front=np.asarray(front, float))
+
+
+def add_plan(graph: GraphStore, second: int, *steps: tuple[float, float, float]) -> None:
+    """Add a plan: of each step its end (s), flow (m3/s) and level (m); none fills the roof."""
+    graph.add(PLAN, START + second * SECOND, rows([(*step, 0.0) for step in steps]))
+
+
+def add_forecast(graph: GraphStore, second: int, rain: Any, hours: float = 12) -> None:
+    """Add a forecast with growing steps, up to this many hours ahead."""
+    front = [math.nan, *growing_steps(hours)[1:]]
+    graph.add(RAIN_FORECAST, START + second * SECOND, rows(rain, front))
 
 
 def fail(*_: Any, **__: Any) -> Any:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import gzip
 import resource
 import socket
+import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -14,11 +14,13 @@ from typing import Any
 
 import pytest
 from graphs import wait_for
-from page_inputs import SECOND, fail
-from page_server import Answer, read_state, request, send, served
+from page_inputs import SECOND, fail, node, pump_report
+from page_server import read_state, request, served
 
-from greenroof_ros.watch import feed, server
-from greenroof_ros.watch.document import make_document, make_series
+from greenroof_ros.watch import server
+from greenroof_ros.watch.document import make_document
+from greenroof_ros.watch.feed import Feed
+from greenroof_ros.watch.graph_client import PumpRequestError
 from greenroof_ros.watch.listening import LOOPBACK
 from greenroof_ros.watch.store import GraphStore
 
@@ -30,25 +32,54 @@ GET, POST = (
 )
 
 
-@pytest.fixture(autouse=True)
-def soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No node answers here: a stop request must report that soon."""
-    monkeypatch.setattr(feed, "_STOP_S", 0.5)
+class Pump:
+    """The pump node's answers, in place of a graph.
+
+    Attributes:
+        done: the requests that it was sent.
+        answers: set to answer.
+    """
+
+    def __init__(self) -> None:
+        self.done: list[tuple[str, dict[str, Any]]] = []
+        self.answers = threading.Event()
+        self.answers.set()
+        self._one = threading.Lock()
+
+    def request_action(self, _: Feed, action: str, **request: Any) -> str:
+        with self._one:
+            self.done.append((action, request))
+            self.answers.wait(60)
+            if action == "clear":
+                raise PumpRequestError("not this one")
+            return f"{action} done"
+
+
+@pytest.fixture
+def pump(monkeypatch: pytest.MonkeyPatch) -> Pump:
+    pump = Pump()
+    monkeypatch.setattr(Feed, "request_action", lambda *given, **more: pump.request_action(
+        *given, **more
+    ))
+    return pump
 
 
 @pytest.fixture
 def watched() -> GraphStore:
-    return GraphStore()
+    """A store in which everything may be requested of a pump that is held and at rest."""
+    store = GraphStore()
+    store.wall = time.monotonic()
+    store.add_statuses(time.monotonic() + 1e6, node(
+        "/pump", "pump", **pump_report("held: x"), at_rest=True, hold={"owner": "x"},
+        fault="slow", no_clear="", max_dose=1.0, no_dose="",
+    ))
+    return store
 
 
 @pytest.fixture
-def port(watched: GraphStore) -> Iterator[int]:
+def port(watched: GraphStore, pump: Pump) -> Iterator[int]:
     with served(watched) as number:
         yield number
-
-
-def shown(watched: GraphStore) -> dict[str, Any]:
-    return make_document(watched, time.monotonic())
 
 
 def assert_goes_on(port: int) -> None:
@@ -61,18 +92,14 @@ def assert_goes_on(port: int) -> None:
 
 def test_the_page_and_its_files_come_as_they_are_and_may_do_nothing_else(port: int) -> None:
     for file in (Path(server.__file__).parent / "page").iterdir():
-        if file.name == "uPlot.LICENSE":
-            assert request(port, "GET", f"/{file.name}").status == 404
+        answer = request(port, "GET", "/" if file.name == "index.html" else f"/{file.name}")
+        if file.suffix == ".LICENSE":
+            assert answer.status == 404
             continue
-        target = "/" if file.name == "index.html" else f"/{file.name}"
-        answer = request(port, "GET", target)
         assert (answer.status, answer.body) == (200, file.read_bytes())
         policy = answer.headers["content-security-policy"]
         assert policy.startswith("default-src 'none'; script-src 'self';")
         assert "unsafe" not in policy and "http" not in policy
-        assert answer.headers["x-content-type-options"] == "nosniff"
-        assert answer.headers["referrer-policy"] == "no-referrer"
-        assert answer.headers["cache-control"] == "no-store"
         assert not {"set-cookie", "access-control-allow-origin"} & answer.headers.keys()
 
 
@@ -81,13 +108,10 @@ def test_the_page_and_its_files_come_as_they_are_and_may_do_nothing_else(port: i
 
 def test_no_path_leads_anywhere_else(port: int) -> None:
     for target in (
-        "/../server.py", "/%2e%2e/server.py", "/..%2fserver.py", "/..\\server.py", "//etc/passwd",
-        "/%2fetc%2fpasswd", "/page.js/../../server.py", "/page.js%00.html", "/server.py",
-        "/index.html", "*", "/stop", "/" + "a" * 5000,
+        "/../server.py", "/%2e%2e/server.py", "/..\\server.py", "//etc/passwd", "/%2fetc%2fpasswd",
+        "/page.js/../../server.py", "/page.js%00.html", "/index.html", "*", "/stop",
     ):
-        answer = request(port, "GET", target)
-        assert answer.status in (400, 404, 405), target
-        assert b"import" not in answer.body and b"root:" not in answer.body
+        assert request(port, "GET", target).status in (400, 404, 405), target
     assert_goes_on(port)
 
 
@@ -103,144 +127,87 @@ def test_a_request_names_this_host(port: int) -> None:
 
 
 @pytest.mark.parametrize(("token", "status", "refused", "right"), [
-    (None, 403, (
-        {}, {"X_Greenroof": "0"}, {**ACT, "Origin": "http://evil.example"},
-        {**ACT, "Origin": "null"}, {**ACT, "Origin": "http://localhost:1"},
-        {**ACT, "Sec_Fetch_Site": "same-site", "Origin": "http://localhost"},
-    ), {**ACT, "Origin": "http://localhost", "Sec_Fetch_Site": "same-origin"}),
+    (None, 403, ({}, {"X_Greenroof": "0"}), ACT),
     ("secret", 401, (ACT, *({**ACT, "Authorization": given} for given in (
         "Bearer ", "Bearer secrex", "secret", "Bearer secr\xe9t", "Bearer " + "a" * 5000,
     ))), RIGHT),
 ], ids=["without-token", "with-token"])
 def test_only_the_page_itself_acts(
     token: str | None, status: int, refused: tuple[dict[str, str], ...], right: dict[str, str],
-    watched: GraphStore,
+    watched: GraphStore, pump: Pump,
 ) -> None:
-    """With a token nothing is shown without it; the page itself contains no secret."""
+    """Another page cannot set the header, as nothing allows it to. A token is needed for all."""
     with served(watched, token) as port:
         for headers in refused:
-            answer = request(port, "POST", "/stop", b"{}", **headers)
+            answer = request(port, "POST", "/stop", **headers)
             assert (answer.status, answer.json()["ok"]) == (status, False), headers
             if token:
                 assert request(port, "GET", "/state", **headers).status == status
-        assert shown(watched)["events"] == []
+        for method in ("PUT", "OPTIONS", "HEAD", "BREW"):
+            answer = request(port, method, "/stop", **ACT, Origin="http://evil.example")
+            assert answer.status in (400, 401, 404, 405)
+            assert not any(name.startswith("access-control") for name in answer.headers)
+        assert pump.done == []
         assert request(port, "GET", "/").status == 200
         assert request(port, "GET", "/state", **right).status == 200
-        assert request(port, "POST", "/stop", b"{}", **right).status == 200
-    (event,) = shown(watched)["events"]
-    assert event["what"].startswith("Stop, from ")
+        answer = request(port, "POST", "/stop", **right)
+    assert answer.json() == {"ok": True, "sentence": "stop done"}
+    assert pump.done == [("stop", {"owner": "the page"})]
 
 
-def test_a_stop_that_did_not_take_hold_reports_it_and_many_are_one(
-    port: int, watched: GraphStore
+def test_nothing_else_is_done_unless_that_was_allowed_with_a_token(
+    watched: GraphStore, pump: Pump
 ) -> None:
-    """No request waits for the others."""
-    begun = time.monotonic()
-    with ExitStack() as stack:
-        for _ in range(20):
-            asker = stack.enter_context(socket.create_connection((LOOPBACK, port)))
-            asker.sendall(POST + b"Content-Length: 2\r\n\r\n{}")
-        answer = request(port, "POST", "/stop", b"{}", **ACT)
-        assert time.monotonic() - begun < 20
-    assert answer.status == 200
-    assert answer.json() == {
-        "ok": False,
-        "sentence":
-            "The watcher is busy, so no request was sent to the pump node and nothing was done.",
-    }
-    (event,) = shown(watched)["events"]
-    assert "Stop, from 127.0.0.1" in event["what"]
+    """Behind a proxy every request seems to come from this machine. Nor is a dose without numbers.
 
-
-def test_nothing_is_released_unless_that_was_allowed_with_a_token(watched: GraphStore) -> None:
-    """Behind a proxy every request seems to come from this machine."""
-    body, actions = f'{{"volume": 0.2, "asked_at": {time.time()}}}'.encode(), ("release", "clear",
-                                                                              "dose")
+    Nor is anything that the pump node's report does not allow now.
+    """
+    dose = b'{"volume": 0.2, "asked_at": 7}'
     for allowed, token, status in (
         (False, "secret", 403), (True, None, 403), (True, "secret", 200),
     ):
         watched.allow_release = allowed
         with served(watched, token) as port:
-            for action in actions:
-                assert request(port, "POST", f"/{action}", body, **RIGHT).status == status
+            for action in ("release", "clear", "dose"):
+                assert request(port, "POST", f"/{action}", dose, **RIGHT).status == status
                 if token:
-                    assert request(port, "POST", f"/{action}", body, **ACT).status == 401
-                another = {**RIGHT, "Sec_Fetch_Site": "cross-site"}
-                assert request(port, "POST", f"/{action}", body, **another).status == 403
-    said = [event["what"].partition(",")[0] for event in reversed(shown(watched)["events"])]
-    assert said == [action.capitalize() for action in actions]
-
-
-def test_who_asks_for_a_stop_after_a_release_does_not_join_the_stop_before_it(
-    watched: GraphStore
-) -> None:
-    """Otherwise the earlier stop would answer it, and the release would be the last action."""
-    watched.allow_release = True
-    with served(watched, "secret") as port, ThreadPoolExecutor() as askers:
-        for action in ("stop", "stop", "release", "stop"):
-            askers.submit(request, port, "POST", f"/{action}", b"{}", **RIGHT)
-            time.sleep(0.3)
-        askers.shutdown()
-    said = [event["what"].partition(",")[0] for event in shown(watched)["events"]]
-    assert sorted(said) == ["Release", "Stop", "Stop"]
-
-
-def test_a_dose_without_volume_or_time_is_refused(watched: GraphStore) -> None:
-    watched.allow_release = True
+                    assert request(port, "POST", f"/{action}", dose, **ACT).status == 401
+    assert pump.done == [("release", {}), ("clear", {}), ("dose", {"volume": 0.2, "asked_at": 7.0})]
     with served(watched, "secret") as port:
-        for name, unit in (("volume", "m3"), ("asked_at", "s")):
-            for wrong in ('"0.2"', "true", "1" + 400 * "0"):
-                body = {"volume": "0.2", "asked_at": "1.0"} | {name: wrong}
-                text = ", ".join(f'"{key}": {value}' for key, value in body.items())
-                answer = request(port, "POST", "/dose", f"{{{text}}}".encode(), **RIGHT)
-                assert (answer.status, answer.json()["sentence"]) == (
-                    400, f"{name} must be a number ({unit})"
-                ), wrong
-    assert shown(watched)["events"] == []
+        for wrong in (b"{", b"[]", b"[" * 9000, b'{"volume": 1}', b'{"volume": "x", "asked_at": 1}',
+                      b'{"volume": 1' + 400 * b"0" + b', "asked_at": 1}'):
+            assert request(port, "POST", "/dose", wrong, **RIGHT).status == 400, wrong
+        watched.graph.nodes.clear()
+        assert request(port, "POST", "/release", **RIGHT).status == 403
+    assert len(pump.done) == 3
 
 
-def test_what_reports_nothing_is_refused(port: int) -> None:
-    """A body that is not an object with a text, impossible hours, and any other method."""
-    for method in ("PUT", "OPTIONS", "HEAD", "BREW"):
-        answer = request(port, method, "/stop", **ACT, Origin="http://evil.example")
-        assert answer.status in (400, 404, 405)
-        assert not any(name.startswith("access-control") for name in answer.headers)
-    for body in (b"", b"{", b"[]", b"\xff\xfe", b"[" * 9000, b"1" * 9000):
-        assert request(port, "POST", "/stop", body, **ACT).status == 400, body[:20]
-    for hours in ("-1", "nan", "5", "1_2", "x", ""):
-        assert request(port, "GET", f"/charts?hours={hours}").status == 400, hours
-    assert_goes_on(port)
+def test_a_stop_goes_before_all_else(watched: GraphStore, pump: Pump) -> None:
+    """What is requested while it waits is not done after it, which would undo it.
+
+    It waits for one other action at most; many stops at a time are one.
+    """
+    watched.allow_release = True
+    pump.answers.clear()
+    with served(watched, "secret") as port, ThreadPoolExecutor(30) as askers:
+        asked = []
+        for action in ("clear", "release", "stop", "dose", "release", *["stop"] * 20):
+            body = b'{"volume": 0.2, "asked_at": 7}'
+            asked.append((action, askers.submit(
+                request, port, "POST", f"/{action}", body, **RIGHT
+            )))
+            time.sleep(0.1)
+        pump.answers.set()
+        answers = [(action, done.result().json()["sentence"]) for action, done in asked]
+    assert [action for action, _ in pump.done] == ["clear", "stop"]
+    refused = "Nothing was done: another request is under way."
+    assert answers == [
+        ("clear", "not this one"), ("release", refused), ("stop", "stop done"), ("dose", refused),
+        ("release", refused), *[("stop", "stop done")] * 20,
+    ]
 
 
 # -------------------------------------------------------------------------------- too much load
-
-
-def test_a_body_of_100_megabytes_is_refused_unread(port: int) -> None:
-    length = b"Content-Length: 100000000\r\n\r\n"
-    # It is refused at once, without a byte of the body.
-    assert Answer(send(port, POST + b"Connection: close\r\n" + length)).status == 413
-    chunk = b"f4240\r\n" + bytes(1_000_000) + b"\r\n"
-    packed = gzip.compress(bytes(9_500_000))  # this is not unpacked
-    assert len(packed) < 10_000
-    before = _memory()
-    with socket.create_connection((LOOPBACK, port), timeout=300) as connection:
-        connection.sendall(POST + b"Transfer-Encoding: chunked\r\n\r\n")
-        with suppress(ConnectionError, TimeoutError):
-            for _ in range(100):
-                connection.sendall(chunk)
-    answer = request(port, "POST", "/stop", packed, **ACT, Content_Encoding="gzip")
-    assert answer.status == 400
-    assert _memory() - before < 9e6
-    assert_goes_on(port)
-
-
-def test_a_body_that_does_not_come_is_waited_for_only_some_time(
-    port: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(server, "_BODY_S", 0.5)
-    begun = time.monotonic()
-    assert Answer(send(port, POST + b"Content-Length: 10\r\n\r\n{")).status == 408
-    assert time.monotonic() - begun < 5
 
 
 BROKEN = [
@@ -251,67 +218,49 @@ BROKEN = [
     b"GET /" + b"a" * 1_000_000 + b" HTTP/1.1\r\n\r\n",
     POST + b"Content-Length: -1\r\n\r\n",
     POST + b"Content-Length: 2\r\nTransfer-Encoding: chunked\r\n\r\n{}",
-    POST + b"Transfer-Encoding: chunked\r\n\r\nzzzz\r\n",
     GET + b"Upgrade: websocket\r\nConnection: Upgrade\r\n\r\n\x81\xfe\xff\xff\xff\xff",
+    POST.replace(b"stop", b"dose") + b"Transfer-Encoding: chunked\r\n\r\n"
+    + 20 * (b"f4240\r\n" + bytes(1_000_000) + b"\r\n"),  # its body is not kept
 ]
 
 
 def test_broken_requests_stop_nothing(
-    port: int, watched: GraphStore, capfd: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    port: int, pump: Pump, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """Nor do they keep other clients away, all at the same time."""
-    monkeypatch.setattr(server, "_ANSWER_S", 1.0)
+    before = _memory()
     with ExitStack() as stack:
-        connections = []
         for data in BROKEN:
             connection = socket.create_connection((LOOPBACK, port), timeout=300)
-            connections.append(stack.enter_context(connection))
-            with suppress(ConnectionError):
+            stack.enter_context(connection)
+            connection.settimeout(5.0)
+            with suppress(OSError):
                 connection.sendall(data)
         assert_goes_on(port)
-        for connection in connections:
-            with suppress(ConnectionError):
-                connection.recv(1 << 16)
-    assert shown(watched)["events"] == []  # nothing was stopped
+    assert pump.done == []
+    assert _memory() - before < 9e6
     assert "Traceback" not in capfd.readouterr().err
 
 
-HOSTILE = {
-    "silent": b"", "half a request": b"GET / HT",
-    "endless body": POST + b"Content-Length: 9\r\n\r\n{",
-    "unread answers": 300 * b"GET /uPlot.js HTTP/1.1\r\nHost: localhost\r\n\r\n",
-    "unread states": 300 * (GET + b"\r\n"), "broken": b"GET\r\n\r\n",
-}
-
-
-@pytest.mark.parametrize("data", HOSTILE.values(), ids=HOSTILE)
-def test_hostile_connections_keep_no_stop_away(
-    data: bytes, port: int, watched: GraphStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Three times the permitted number, none of which reads; an open page continues."""
-    monkeypatch.setattr(server, "_ANSWER_S", 1.0)
-    before, memory = _open_files(), _memory()
-    with ExitStack() as stack:
-        hostile = []
-        for number in range(3 * server._MAX_CONNECTIONS):
+@pytest.mark.parametrize("data", [b"", b"GET / HT", 300 * (GET + b"\r\n")],
+                         ids=["silent", "half a request", "unread states"])
+def test_hostile_connections_keep_no_stop_away(data: bytes, port: int, pump: Pump) -> None:
+    """Three times the permitted number; nor is a stop dropped that waits for its answer."""
+    before = len([*Path("/proc/self/fd").iterdir()])
+    pump.answers.clear()
+    with ExitStack() as stack, ThreadPoolExecutor() as asker:
+        stop = asker.submit(request, port, "POST", "/stop", **ACT)
+        wait_for(lambda: pump.done, 60, "the stop")
+        for _ in range(3 * server._MAX_CONNECTIONS):
             connection = socket.create_connection((LOOPBACK, port), timeout=300)
-            hostile.append(stack.enter_context(connection))
-            connection.settimeout(0.0)
+            stack.enter_context(connection).settimeout(0.0)
             with suppress(OSError):  # no room for all of it, or it was ended
                 connection.sendall(data)
-            if number % 100 == 0:
-                began = time.monotonic()
-                assert request(port, "POST", "/stop", b"{}", **ACT).status == 200
-                assert time.monotonic() - began < 5  # 1.5 s of them without a pump node
-        assert _open_files() - before - len(hostile) <= server._MAX_CONNECTIONS + 10
-        assert _memory() - memory < 50e6
-        watched.update(time.monotonic())
-        watched.add("/roof/level", SECOND, 0.03)
-        wait_for(
-            lambda: read_state(port)["tiles"]["roof"]["number"] == 0.03, 60, "the newest level"
-        )
-        wait_for(lambda: not _count_open(port, hostile), 60, "the end of all")
+        assert_goes_on(port)
+        others = 4 * server._MAX_CONNECTIONS  # of this test, and those that are permitted
+        assert len([*Path("/proc/self/fd").iterdir()]) - before <= others + 10
+        pump.answers.set()
+        assert stop.result().json()["ok"]
 
 
 def test_too_many_open_files_are_one_line(port: int, capfd: pytest.CaptureFixture[str]) -> None:
@@ -334,43 +283,29 @@ def test_too_many_open_files_are_one_line(port: int, capfd: pytest.CaptureFixtur
 def test_documents_are_made_once_for_all_and_sent_only_if_they_have_changed(
     watched: GraphStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The state at most twice a second, and the charts every 2 s, whoever asks."""
-    made: list[Any] = []
+    """At most twice a second, whoever asks."""
+    made: list[float] = []
 
     def document(store: GraphStore, wall: float) -> dict[str, Any]:
-        made.append("state")
+        made.append(wall)
         return make_document(store, wall)
 
-    def series(store: GraphStore, hours: float) -> dict[str, Any]:
-        made.append("charts")
-        return make_series(store, hours)
-
     monkeypatch.setattr(server, "make_document", document)
-    monkeypatch.setattr(server, "make_series", series)
     with served(watched) as port, ThreadPoolExecutor(8) as pages:
         begun = time.monotonic()
-        asked = ["/state", "/charts?hours=3"] * 40
-        first, *others = pages.map(lambda path: request(port, "GET", path), asked)
-        lasted = time.monotonic() - begun
+        first, *others = pages.map(lambda _: request(port, "GET", "/state"), range(80))
         assert {answer.status for answer in (first, *others)} == {200}
-        assert made.count("state") <= lasted / 0.5 + 1
-        assert made.count("charts") <= lasted / 2 + 1
-        for _ in range(20):  # until the state stays the same between two requests
-            tag = request(port, "GET", "/state").headers["etag"]
-            known = request(port, "GET", "/state", If_None_Match=f'"other", {tag}')
-            if known.status == 304:
-                break
+        assert len(made) <= (time.monotonic() - begun) / 0.5 + 1
+        tag = request(port, "GET", "/state").headers["etag"]
+        known = request(port, "GET", "/state", If_None_Match=f'"other", {tag}')
         assert (known.status, known.body, known.headers["etag"]) == (304, b"", tag)
-        watched.update(time.monotonic())
         watched.add("/roof/level", SECOND, 0.03)
         changed = wait_for(
             lambda: (answer := request(port, "GET", "/state", If_None_Match=tag)).status == 200
             and answer, 60, "a new state",
         )
         assert changed.json()["tiles"]["roof"]["number"] == 0.03
-        assert (changed.headers["cache-control"], changed.headers["etag"] == tag) == (
-            "no-cache", False
-        )
+        assert changed.headers["cache-control"] == "no-cache"
 
 
 def test_a_document_that_cannot_be_made_is_reported(
@@ -383,21 +318,9 @@ def test_a_document_that_cannot_be_made_is_reported(
     # Another thread writes it.
     wait_for(lambda: "a bug" in capfd.readouterr().err, 60, "the report")
     assert read_state(port)["mode"] == "none"
-    assert request(port, "POST", "/stop", b"{}", **ACT).status == 200
-
-
-def _count_open(port: int, connections: Iterable[socket.socket]) -> int:
-    """Return how many the server has not closed; data may still be on its way."""
-    lines = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
-    here = {
-        remote.partition(":")[2] for _, local, remote, state, *_ in lines
-        if local.endswith(f":{port:04X}") and state == "01"
-    }
-    return len(here & {f"{connection.getsockname()[1]:04X}" for connection in connections})
-
-
-def _open_files() -> int:
-    return len([*Path("/proc/self/fd").iterdir()])
+    assert request(port, "POST", "/stop", **ACT).status == 200
+    for hours in ("-1", "nan", "5", "1_2", "x", ""):
+        assert request(port, "GET", f"/charts?hours={hours}").status == 400, hours
 
 
 def _memory() -> int:

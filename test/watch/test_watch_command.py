@@ -30,7 +30,6 @@ from peers import in_domain
 from simulators import Simulator
 
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.commands.watch import _find_past_file
 from greenroof_ros.watch.listening import listen, read_token
 
 URL = re.compile(r"http://127\.0\.0\.1:(\d+)/\n")
@@ -91,11 +90,6 @@ def test_it_waits_for_a_graph_on_loopback_and_ends_soon(domain: int, tmp_path: P
     watchers = [watcher(domain, tmp_path) for _ in range(2)]
     ports = [port for _, port in watchers]
     assert ports[0] != ports[1] and min(ports) >= 8080
-    taken = run_command(
-        "watch", "--port", str(ports[0]), cwd=tmp_path, env=environment(domain)
-    )
-    assert taken.returncode == 2
-    assert f"error: --port = '{ports[0]}': cannot be used: Address already in" in taken.stderr
     for (process, port), number in zip(watchers, (signal.SIGINT, signal.SIGHUP), strict=True):
         assert ("port 8080 is in use" in process.stderr()) == (port != 8080)
         assert read_state(port)["mode"] == "none"
@@ -106,38 +100,18 @@ def test_it_waits_for_a_graph_on_loopback_and_ends_soon(domain: int, tmp_path: P
             end(process, number)
 
 
-def test_each_graph_has_a_past_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
-    names = [_find_past_file(name).name for name in ("", "/a/b", "/a_b")]
-    assert names == ["watch_7.npz", "watch_7.a.b.npz", "watch_7.a_b.npz"]
-
-
 @pytest.mark.parametrize(("host", "message"), [
-    ("192.0.2.1", "--host = '192.0.2.1': cannot be used"),
+    ("192.0.2.1", "192.0.2.1, 0': cannot be used"),
     ("no.such.host.invalid", "is not an address or name"),
 ])
 def test_only_an_address_of_this_machine_is_used(host: str, message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         listen(host, 0)
-
-
-WITHOUT = """
-import sys, runpy
-sys.modules[sys.argv[1]] = None
-sys.argv[1] = "watch"
-runpy.run_module("greenroof_ros", run_name="__main__", alter_sys=True)
-"""
-
-
-def test_what_is_missing_is_reported(unused_domain: int, tmp_path: Path) -> None:
-    """For a missing ROS see test_status.py."""
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT, "aiohttp"], cwd=tmp_path, env=environment(unused_domain),
-        capture_output=True, text=True, timeout=300, check=False,
-    )
-    assert done.returncode == 2
-    assert "needs aiohttp: install greenroof_ros with its extra [watch]" in done.stderr
-    assert "Traceback" not in done.stderr
+    with (
+        listen("127.0.0.1", 0).socket as taken,
+        pytest.raises(ConfigurationError, match="cannot be used: Address already in use"),
+    ):
+        listen("127.0.0.1", taken.getsockname()[1])
 
 
 def test_beyond_loopback_and_to_release_it_needs_its_token(domain: int, tmp_path: Path) -> None:
@@ -177,7 +151,6 @@ def test_beyond_loopback_and_to_release_it_needs_its_token(domain: int, tmp_path
 
 @pytest.mark.parametrize(("content", "mode", "message"), [
     ("a" * 32, 0o640, "can be read or changed by other users"),
-    ("a" * 31, 0o600, "must contain a token of at least 32 letters"),
     ("é" * 40, 0o600, "must contain a token of at least 32 letters"),
 ])
 def test_a_token_that_others_may_know_is_refused(
@@ -189,11 +162,7 @@ def test_a_token_that_others_may_know_is_refused(
     file.chmod(mode)
     with pytest.raises(ConfigurationError, match=message) as refused:
         read_token(file)
-    assert str(file) in str(refused.value)
-    assert content not in str(refused.value)
-    assert file.read_text(encoding="utf-8") == f"{content}\n"
-    with pytest.raises(ConfigurationError, match=r"--token-file = .*: cannot be used: Is a dir"):
-        read_token(tmp_path)
+    assert str(file) in str(refused.value) and content not in str(refused.value)
 
 
 def child_of(process: Process, command: bytes = b"greenroof_ros\0watch") -> int:
@@ -206,86 +175,51 @@ def child_of(process: Process, command: bytes = b"greenroof_ros\0watch") -> int:
     return 0
 
 
-def test_a_page_next_to_a_run_that_is_killed_ends(domain: int, tmp_path: Path) -> None:
-    """For a run that ends see below; for a page that is killed, test_beside_a_run.py."""
-    process = Process(domain, "bringup", "--speed", "20", "--watch", cwd=tmp_path)
-    wait_for(lambda: port_of(process.stderr()), 60, "an address")
-    page = child_of(process)
-    process.process.kill()
-    process.wait(120)
-    assert page
-    wait_for(lambda: not alive(page), 60, "the page's end")
-
-
-def status_of(domain: int, cwd: Path) -> tuple[int, str]:
-    """Return the exit code of greenroof status, and what it prints."""
-    done = run_command("status", "--namespace", "site1", cwd=cwd, env=environment(domain))
-    return done.returncode, done.stdout
-
-
 def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
     domain: int, tmp_path: Path
 ) -> None:
     """In a namespace. It ran, so whether it stands is unknown, and nothing reports that it is off.
 
-    The page's stop holds although the controller is killed, and is released by the command that is
-    shown, exactly as printed. A hold is a warning for greenroof status, and a fault an alarm.
+    The page's stop is released by the command that is shown, exactly as printed. A hold is a
+    warning for greenroof status.
     """
     with running_pump(domain, tmp_path, "--watch") as (process, drive):
         port = wait_for(lambda: port_of(process.stderr()), 60, "an address")
 
-        def tile() -> dict:
-            return read_state(port)["tiles"]["pump"]
+        def pump() -> str:
+            state: str = read_state(port)["tiles"]["pump"]["state"]
+            return state
 
-        wait_for(lambda: tile()["state"] == "running", 60, "a running pump")
+        wait_for(lambda: pump() == "running", 60, "a running pump")
         drive.inject("refused")
         # At first the pump only falls silent; /alarms tells why within a second.
-        wait_for(lambda: tile()["alarm"], 60, "a pump that may be running")
+        wait_for(lambda: pump() == "alarm", 60, "a pump that may be running")
         wait_for(
             lambda: read_state(port)["alarms"][0]["id"] == "/site1/pump: pump", 60, "its alarm"
         )
         drive.inject("none")
-        wait_for(lambda: not tile()["alarm"], 60, "the drive again")
-        wait_for(lambda: read_state(port)["stop"]["possible"], 60, "a pump that can be stopped")
-        assert read_state(port)["stop"]["hold"] == ""
-        answer = request(port, "POST", "/stop", b"{}", X_Greenroof="1")
-        assert answer.status == 200 and answer.json()["ok"], answer.json()
+        wait_for(lambda: pump() != "alarm", 60, "the drive again")
+        assert request(port, "POST", "/stop", X_Greenroof="1").json()["ok"]
         wait_for(lambda: read_state(port)["stop"]["stopped"], 60, "the stop")
-        assert tile()["state"] == "held"
+        assert pump() == "held" and drive.speed() < 0.005
         advice = read_state(port)["advice"]
-        command = advice.partition("release it with: ")[2]
         assert advice.startswith("The pump is held off by the page since ")
-        held = wait_for(
-            lambda: (seen := status_of(domain, tmp_path))[0] == 1
-            and "\nPump           held  " in seen[1] and seen[1], 90, "a warning",
+
+        def held() -> str:
+            done = run_command("status", "--namespace", "site1", cwd=tmp_path,
+                               env=environment(domain))
+            return done.stdout if done.returncode == 1 else ""
+
+        said = wait_for(held, 90, "a warning")
+        assert "\nPump           held  " in said and "\nAlarm, " not in said
+        done = subprocess.run(  # in any terminal of this machine
+            advice.partition("release it with: ")[2], shell=True, cwd=tmp_path,
+            env=environment(0), timeout=300, check=False,
         )
-        assert "\nLive site; /site1; 20" in held
-        assert "\nWarning, Pump: someone has put the pump on hold since " in held
-        assert "\nAlarm, " not in held
-        os.kill(child_of(process, b"greenroof_ros.live.controller"), signal.SIGKILL)
-        wait_for(
-            lambda: "Controller: " in str(read_state(port)["events"]), 60,
-            "another controller",
-        )
-        wait_for(
-            lambda: read_state(port)["tiles"]["watering"]["value"] == "wanted", 60, "a command"
-        )
-        assert tile()["state"] == "held" and drive.speed() < 0.005
-        done = subprocess.run(
-            command, shell=True, cwd=tmp_path, env=environment(0), timeout=300, check=False,
-        )
-        assert done.returncode == 0  # in any terminal of this machine
+        assert done.returncode == 0
         wait_for(lambda: not read_state(port)["stop"]["hold"], 60, "the pump released")
-        assert "stopped" not in tile()["why"]
-        drive.inject("drive_fault")
-        fault = wait_for(
-            lambda: (seen := status_of(domain, tmp_path))[0] == 2
-            and "\nPump           fault " in seen[1] and seen[1], 90, "an alarm",
-        )
-        assert "\nAlarm, Pump: " in fault
         page = child_of(process)
     assert page and not alive(page)
-    assert "the watcher has exited" not in process.stderr()
 
 
 # Clients that pipeline requests, read no answer, and connect again soon after they were dropped.
@@ -362,7 +296,7 @@ def test_a_killed_site_is_told_first(domain: int, tmp_path: Path) -> None:
         )
         assert told["tiles"]["summary"]["level"] == "error"
         assert "greenroof live --namespace site1" in told["advice"]
-        assert [row["id"] for row in told["alarms"]] == ["site"]
+        assert [row["id"] for row in told["alarms"]] == ["/site"]
         states = {name: told["tiles"][name]["state"] for name in ("roof", "pump", "watering")}
         assert {*states.values()} <= {"unknown", "alarm"}, states
         end(page)

@@ -91,7 +91,7 @@ const options = (chart, width) => {
 // The lines of a chart at all times of any of them. A line without a value at a time continues (undefined),
 // and has a gap from an unknown value (null) to its next value.
 const table = ({ lines }) => {
-  const all = lines.map(([name]) => shown.lines[name]);
+  const all = lines.map(([name]) => shown.lines[name] ?? []);
   return uPlot.join(all.map((line) => [line.map(([at]) => at), line.map(([, value]) => value)]), all.map((line) => line.map(() => 2)));
 };
 

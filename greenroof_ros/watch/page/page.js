@@ -61,8 +61,8 @@ const showHead = ({ namespace, heading, time, contact }) => {
 
 const showTiles = ({ tiles }) => {
   const rows = Object.entries(tiles).filter(([key]) => key !== "summary");
-  fill("values", rows, ([key, { label, value, sentence, state: rated, stale }]) => {
-    const row = element("div", stale ? "stale" : "", element("dt", "", label), element("dd", "value", value), element("dd", "sentence", sentence));
+  fill("values", rows, ([key, { label, value, sentence, state: rated }]) => {
+    const row = element("div", rated === "unknown" ? "stale" : "", element("dt", "", label), element("dd", "value", value), element("dd", "sentence", sentence));
     row.dataset.key = key;
     row.dataset.tone = TONES[rated] ?? "none";
     return row;
@@ -86,10 +86,10 @@ const showStop = ({ mode, stop }) => {
   setText("stop-button", stop.label);
   for (const name of ["release", "clear"]) byId(`${name}-button`).hidden = !(name in stop.actions);
   byId("dose").hidden = !("dose" in stop.actions);
-  const { min, max, limits, refusal } = stop.dose;
+  const { min, max, refusal } = stop.dose;
   byId("litres").min = 1000 * (min || 1e-6);
   byId("litres").max = 1000 * max;
-  setText("dose-limits", limits);
+  setText("dose-limits", `${Math.ceil(1000 * min)} to ${1000 * max} L`);
   setText("no-dose", refusal && !stop.hold ? `No dose is possible now: ${refusal}.` : ""); // of a hold the box states more
   // A question becomes outdated, except the one about a stop.
   if (byId("ask").open && asked.name !== "stop" && asked.situation !== situation()) {
@@ -98,7 +98,7 @@ const showStop = ({ mode, stop }) => {
   }
 };
 
-const situation = () => JSON.stringify([state?.stop.situation, state?.tiles.pump.state]);
+const situation = () => JSON.stringify([Object.keys(state?.stop.actions ?? {}), state?.tiles.pump.state]);
 
 // The one box: the answer to the last action until the state contains its effect, otherwise what to do.
 const showBox = () => {
@@ -173,7 +173,7 @@ const act = async ({ name, body }) => {
 for (const name of ["stop", "release", "clear"]) byId(`${name}-button`).addEventListener("click", () => ask(name));
 byId("dose").addEventListener("submit", (event) => {
   event.preventDefault();
-  ask("dose", { volume: byId("litres").valueAsNumber / 1000, asked_at: state.stop.asked_at });
+  ask("dose", { volume: byId("litres").valueAsNumber / 1000, asked_at: state.time.now });
 });
 byId("no").addEventListener("click", () => byId("ask").close());
 byId("yes").addEventListener("click", () => {
