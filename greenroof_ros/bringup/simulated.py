@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import shlex
 import sys
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from greenroof_ros.base.command_line import (
     EXIT_DONE,
@@ -22,7 +19,6 @@ from greenroof_ros.bringup.progress import RunProgress
 from greenroof_ros.bringup.start import bring_up
 from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL, ControllerChoice, find_controller
 from greenroof_ros.interface.states import RECORDER
-from greenroof_ros.results.bag_read import count_ticks
 from greenroof_ros.ros.arguments import add_graph_arguments
 from greenroof_ros.ros.domain import (
     lock_namespace,
@@ -41,9 +37,6 @@ from greenroof_ros.simulation.options import (
     build_run,
 )
 from greenroof_ros.simulation.run import Run
-
-if TYPE_CHECKING:
-    from greenroof_ros.bringup.composition import Composition
 
 _NODES = "greenroof_ros.nodes"
 
@@ -102,9 +95,10 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
     """
     with require_ros():
         from greenroof_ros.bringup.composition import Composition
-    is_external = run.controller.reference == EXTERNAL
+        from greenroof_ros.ros.spin import destroy_nodes, end_nodes, ros
     modules = _modules(run.controller, arguments)
     user_files = node_parameter_files(arguments, modules, run.controller, run.parameters)
+    is_external = run.controller.reference == EXTERNAL
     with lock_namespace(arguments.namespace):
         refuse_other_nodes(
             arguments.namespace,
@@ -119,26 +113,35 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         })
         summary.write(summary.make_unfinished_summary(run, summary.RUNNING), directory)
         progress = RunProgress(run.steps, run.site.tau, LINES)
-        graph = Composition(
-            run, ros_arguments([parameters, *user_files], arguments.namespace, sys.argv[1:]),
-            record=not arguments.no_record, external=is_external or arguments.pump == EXTERNAL,
-            progress=progress,
-        )
+        graph = Composition(run, external_pump=arguments.pump == EXTERNAL, progress=progress)
+        words = ros_arguments([parameters, *user_files], arguments.namespace, sys.argv[1:])
         status, reason, code = summary.DONE, "", EXIT_DONE
-        with graph:
+        with ros(["greenroof", *words, "--disable-stdout-logs"]):
             try:
                 with progress:
-                    graph.spin(signals.check)
+                    graph.spin(signals.check, record=not arguments.no_record)
             except InterruptedRun as error:
                 status, reason, code = summary.INTERRUPTED, str(error), EXIT_INTERRUPTED
                 print_line(reason)
             except Exception as error:
                 status, reason, code = summary.FAILED, *explain(error)
                 print_line(f"error: {reason}")
-            failure = reason or None
-            if graph.end(failure) != failure:  # the bag cannot be closed
-                code = EXIT_FAILED
-            _end(run, directory, graph, status, reason, arguments)
+            nodes = [*graph.nodes.values()]
+            try:
+                if end_nodes(nodes, reason or None) != (reason or None):  # the bag is not closed
+                    code = EXIT_FAILED
+                if status == summary.DONE:
+                    result = summary.make_summary(run, **graph.results(), **graph.happened())
+                else:
+                    result = summary.make_unfinished_summary(
+                        run, status, reason=reason, **graph.happened()
+                    )
+                    print_line(f"the unfinished run is in {directory}")
+                summary.write(result, directory)
+                if status == summary.DONE:
+                    screen.show_summary(result, directory, as_json=arguments.json)
+            finally:
+                destroy_nodes(nodes)
         return code
 
 
@@ -151,47 +154,6 @@ def _modules(controller: ControllerChoice, arguments: argparse.Namespace) -> dic
         **({} if is_external else {controller.name: f"{_NODES}.controller"}),
         **({} if arguments.no_record else {RECORDER: f"{_NODES}.recorder"}),
     }
-
-
-def _end(
-    run: Run, directory: Path, graph: Composition, status: str, reason: str,
-    arguments: argparse.Namespace,
-) -> None:
-    """Write the summary; print it if the run is complete, or else commands to open the bag."""
-    notes: dict[str, Any] = {"refused": graph.refused, **graph.parameter_changes}
-    if status == summary.DONE:
-        result = summary.make_summary(run, **graph.results, **notes)
-        summary.write(result, directory)
-        screen.show_summary(result, directory, as_json=arguments.json)
-        return
-    if not arguments.no_record:
-        _print_bag_contents(directory, count_ticks(directory / "bag"))
-    tick = graph.tick
-    result = summary.make_unfinished_summary(
-        run, status, reason=reason, last_tick=tick if tick >= 0 else None, **notes
-    )
-    summary.write(result, directory)
-
-
-def _print_bag_contents(directory: Path, ticks: int | None) -> None:
-    """Print the contents of the bag of an unfinished run, and the commands to open it.
-
-    Args:
-        directory: the run's directory.
-        ticks: number of ticks in the bag; None if there is no bag or it was not closed.
-    """
-    bag, run = directory / "bag", shlex.quote(str(directory))
-    report = f"  greenroof report {run}"
-    lines = ["no tick was recorded"]
-    if ticks:
-        info = f"  ros2 bag info {shlex.quote(str(bag))}"
-        lines = [f"ticks in {bag}: {ticks}; to view them:", report, info]
-    elif ticks is None and bag.is_dir():
-        lines = [
-            f"{bag} was not closed; to restore its ticks and view them:",
-            f"  greenroof recover {run}", report,
-        ]
-    print_line("\n".join(lines))
 
 
 @command

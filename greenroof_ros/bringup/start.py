@@ -6,12 +6,11 @@ A watcher is a separate process; a run neither waits for a watcher nor fails bec
 from __future__ import annotations
 
 import argparse
-import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 
 from greenroof_ros.base.command_line import EXIT_DONE, EXIT_INTERRUPTED
 from greenroof_ros.base.processes import InterruptedRun, Signals, child_environment
@@ -37,17 +36,17 @@ def bring_up(
     Raises:
         ConfigurationError: if the Foxglove server cannot use the port.
     """
-    watchers: dict[str, tuple[str, ...]] = {"watch": ()} if arguments.watch else {}
+    watchers: dict[str, list[str]] = {"watch": []} if arguments.watch else {}
     if arguments.foxglove is not None:
         from greenroof_ros.watch.foxglove_server import refuse_unusable
 
         refuse_unusable(arguments.foxglove)
-        watchers["foxglove"] = "--foxglove", str(arguments.foxglove)
+        watchers["foxglove"] = ["--foxglove", str(arguments.foxglove)]
     signals = Signals()
     try:
-        with ExitStack() as stack:
+        with ExitStack() as ends:
             for name, options in watchers.items():
-                stack.enter_context(_watcher(name, arguments.namespace, *options))
+                ends.callback(_Watcher(name, [*options, f"--namespace={arguments.namespace}"]).end)
             code = start(signals)
     except InterruptedRun as error:  # before any node was started
         print(error, file=sys.stderr)
@@ -57,67 +56,49 @@ def bring_up(
     return code or (stopped if signals.received else EXIT_DONE)
 
 
-@contextmanager
-def _watcher(name: str, namespace: str, *options: str) -> Iterator[None]:
-    """Run ``greenroof watch`` during a run, and print its output, which includes its address.
+class _Watcher:
+    """``greenroof watch`` during a run, with its output, which includes its address.
 
-    The watcher stops at the end of the run, regardless of how the run ends. If the watcher exits
-    early, it is started again, at most ten times, and a line says so; the run continues.
-
-    Args:
-        name: name of the watcher, printed at the beginning of its lines.
-        namespace: namespace of the graph.
-        options: options of ``greenroof watch``.
+    If the watcher exits early, it is started again, at most ten times, and a line says so; the run
+    continues.
     """
-    words = [
-        sys.executable, "-m", "greenroof_ros", "watch", *options,
-        *(["--namespace", namespace] if namespace else []),
-    ]
-    ending = threading.Event()
-    process = _start(words)
 
-    def keep() -> None:
-        nonlocal process
-        for restarts in range(_MAX_RESTARTS + 1):
-            how = _print_output(name, process, ending)
-            again = restarts < _MAX_RESTARTS
-            if not ending.is_set():
-                then = f"starts again in {_WAIT_S:g} s" if again else "is given up"
-                print_line(f"{name}: the watcher has exited ({how}), and {then}; the run continues")
-            if not again or ending.wait(_WAIT_S):
-                return
-            process = _start(words)
+    def __init__(self, name: str, options: list[str]) -> None:
+        """Start the watcher; the name is printed at the beginning of its lines."""
+        self._name, self._options = name, options
+        self._ending = threading.Event()
+        self._process = self._start()
+        self._keeper = threading.Thread(target=self._keep, daemon=True)
+        self._keeper.start()
 
-    keeper = threading.Thread(target=keep, daemon=True)
-    keeper.start()
-    try:
-        yield
-    finally:
-        ending.set()
-        process.terminate()
+    def end(self) -> None:
+        """End the watcher."""
+        self._ending.set()
+        self._process.terminate()
         try:
-            process.wait(_ENDING_S)
+            self._process.wait(_ENDING_S)
         except subprocess.TimeoutExpired:
-            process.kill()
-        keeper.join(_ENDING_S)
+            self._process.kill()
+        self._keeper.join(_ENDING_S)
 
+    def _start(self) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            [sys.executable, "-m", "greenroof_ros", "watch", *self._options],
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            text=True, errors="replace",
+            start_new_session=True,  # Ctrl-C is for the run, which ends the watcher
+            env=child_environment(),
+        )
 
-def _start(words: Sequence[str]) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        text=True, errors="replace",
-        start_new_session=True,  # Ctrl-C is for the run, which ends the watcher
-        env=child_environment(),
-    )
-
-
-def _print_output(
-    name: str, process: subprocess.Popen[str], ending: threading.Event
-) -> str:
-    """Print a watcher's output until the run ends, and return how the watcher exited."""
-    assert process.stdout is not None
-    for line in process.stdout:
-        if not ending.is_set():
-            print_line(f"{name}: {line.rstrip()}")
-    code = process.wait()
-    return f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+    def _keep(self) -> None:
+        for left in reversed(range(_MAX_RESTARTS + 1)):
+            for line in self._process.stdout or ():
+                print_line(f"{self._name}: {line.rstrip()}")
+            self._process.wait()
+            if self._ending.is_set():
+                return
+            then = f"starts again in {_WAIT_S:g} s" if left else "is given up"
+            print_line(f"{self._name}: the watcher has exited, and {then}; the run continues")
+            if not left or self._ending.wait(_WAIT_S):
+                return
+            self._process = self._start()

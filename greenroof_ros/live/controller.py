@@ -39,11 +39,12 @@ from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.live_input import LiveInput, bad_inputs
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.live.number_file import NumberFile
-from greenroof_ros.live.time_limit import deciding_limit, time_limit
+from greenroof_ros.live.time_limit import deciding_limit
 from greenroof_ros.nodes.controller import FORECASTS, FROST, LEVELS, ControllerNode, Outputs
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import pump_flow
 from greenroof_ros.ros.parameters import declare, site_file
+from greenroof_ros.ros.watchdog import time_limit
 from greenroof_ros.site.site import Site
 
 _FLOW, _GAUGE, _HOLD = "/pump/flow", "/gauge/precipitation", "/pump/hold"

@@ -12,9 +12,8 @@ from rclpy.node import Node
 
 from greenroof_ros.base.times import iso
 from greenroof_ros.interface.conditions import Diagnosis, Value, identity_of
-from greenroof_ros.interface.states import READY, DriveState
-from greenroof_ros.live import heartbeat
-from greenroof_ros.live.heartbeat import NOT_REQUIRED, Beat
+from greenroof_ros.interface.states import DriveState
+from greenroof_ros.live.heartbeat import send_beat
 from greenroof_ros.ros.diagnostics import NodeDiagnostics
 
 # The levels of a diagnosis, as ROS tools know them.
@@ -83,7 +82,6 @@ class LiveDiagnostics(NodeDiagnostics):
         self.urgent = False
         self._published: tuple[object, ...] = ()
         self._published_at = 0.0
-        heartbeat.states[node.get_name()] = Beat(0)
 
     def diagnose(
         self, part: str, diagnosis: Diagnosis | None, well: str = "", level: bytes = ERROR,
@@ -130,7 +128,7 @@ class LiveDiagnostics(NodeDiagnostics):
         """
         self.urgent = False
         status, values = self.status(values)
-        self._send_beat(values)
+        send_beat(values.get("drive_state") not in (None, DriveState.CONNECTING.value))
         programs = {
             part: diagnosis.for_programs() for part, diagnosis in self.diagnoses.items()
         }
@@ -150,13 +148,3 @@ class LiveDiagnostics(NodeDiagnostics):
             )
             for part, diagnosis in self.diagnoses.items()
         )])
-
-    def _send_beat(self, values: dict[str, Any]) -> None:
-        beat = Beat(0)
-        if self.state == READY or values["role"] in NOT_REQUIRED:
-            beat |= Beat.READY
-        if values.get("at_rest") is True:
-            beat |= Beat.AT_REST
-        if values.get("drive_state") not in (None, DriveState.CONNECTING.value):
-            beat |= Beat.REACHED
-        heartbeat.send_beat(self._node.get_name(), beat)
