@@ -17,12 +17,11 @@ from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.base.standard_error import LINES, print_line
 from greenroof_ros.bringup.progress import RunProgress
 from greenroof_ros.bringup.start import bring_up
-from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL, ControllerChoice, find_controller
+from greenroof_ros.controllers.registry import EXTERNAL, ControllerChoice, find_controller
 from greenroof_ros.interface.states import RECORDER
 from greenroof_ros.ros.arguments import add_graph_arguments
 from greenroof_ros.ros.domain import (
     lock_namespace,
-    refuse_other_nodes,
     require_ros,
     ros_arguments,
 )
@@ -98,12 +97,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         from greenroof_ros.ros.spin import destroy_nodes, end_nodes, ros
     modules = _modules(run.controller, arguments)
     user_files = node_parameter_files(arguments, modules, run.controller, run.parameters)
-    is_external = run.controller.reference == EXTERNAL
     with lock_namespace(arguments.namespace):
-        refuse_other_nodes(
-            arguments.namespace,
-            {*modules, RECORDER, *([] if is_external else BUILT_IN)}, signals.check,
-        )
         directory = make_run_directory(arguments.output, run.controller.name)
         parameters = write_configuration(directory, run, {
             "speed": arguments.speed,

@@ -358,10 +358,7 @@ def _given_up(why: str) -> type[OnOff]:
     return GivenUp
 
 
-main = live_command(
-    LiveControllerNode, "live.controller", __doc__,
-    lambda name: parameters(name and find_controller(name)), "--controller",
-)
+main = live_command(LiveControllerNode, __doc__, "--controller")
 
 
 if __name__ == "__main__":

@@ -214,7 +214,7 @@ class ExternalPumpNode(ActuatorNode):
         }
 
 
-main = live_command(ExternalPumpNode, "live.external_pump", __doc__, parameters)
+main = live_command(ExternalPumpNode, __doc__)
 
 
 if __name__ == "__main__":

@@ -69,31 +69,23 @@ class LiveSite:
             sensors = {**read_sensors(Path(arguments.sensors)).by_section}
         if arguments.forecast not in (None, OPEN_METEO):
             arguments.forecast = str(Path(arguments.forecast).resolve())
-        depth = sensors["roof"].substrate_depth if sensors else None
+        measures_frost = arguments.thermometer is not None or "thermometer" in sensors
         has_forecast, has_weather = arguments.forecast is not None, arguments.weather is None
-        has_thermometer = arguments.thermometer is not None
+        for option, is_missing in {
+            "--sensors": arguments.sensors is None,
+            "--drive, or --pump external": endpoint is None and not arguments.pump,
+            "--forecast, or a controller without a forecast, such as onoff":
+                has_weather and not has_forecast and self.controller.needs_forecast,
+            "--forecast, or a thermometer, which shows frost":
+                has_weather and not has_forecast and not measures_frost,
+        }.items():
+            refuse((is_missing, option, None, "is missing; what nodes of your own publish is "
+                    "external, see greenroof live --help"))
+        depth = sensors["roof"].substrate_depth if sensors else None
         refuse(
-            (arguments.sensors is None, "--sensors FILE", None,
-             "is missing: it describes the level sensors; --sensors external is for nodes of your "
-             "own that publish /cistern/level and /roof/level"),
-            (endpoint is None and not arguments.pump, "--drive NAME", None,
-             "is missing: it is the make of the pump's drive, and --drive-at is its address; "
-             "--pump external is for a pump driver of your own"),
-            (has_forecast and not has_weather, "--forecast", arguments.forecast,
-             "is for the weather node, which --weather external replaces"),
-            (has_weather and not has_forecast and self.controller.needs_forecast,
-             "--forecast FILE.csv", None,
-             f"is missing: {self.controller.name} needs a forecast; --weather external is for a "
-             "node of your own, and the controllers onoff and lookahead need none"),
             (has_forecast and arguments.forecast != OPEN_METEO
              and not arguments.forecast.lower().endswith(".csv"), "--forecast",
              arguments.forecast, "must be a FILE.csv, which is read again whenever it is replaced"),
-            (has_weather and not (has_forecast or has_thermometer or "thermometer" in sensors),
-             "--thermometer external", None,
-             "is missing: without --forecast FILE.csv, only a thermometer shows frost; this option "
-             "is for a node of your own that publishes /gauge/temperature (degC)"),
-            (has_thermometer and "thermometer" in sensors, "--thermometer", EXTERNAL,
-             "contradicts the sensor file, which contains a thermometer"),
             (depth not in (None, site.z_soil), f"{arguments.sensors}: roof.substrate_depth", depth,
              f"must equal z_soil of the site file, {site.z_soil:g} m"),
             (isinstance(endpoint, DriveEndpoint) and any(
@@ -128,7 +120,15 @@ class LiveSite:
             }),
         }
         if has_weather:
-            self.nodes["weather"] = f"{_LIVE}.weather", {**common, **self._forecast_for(state)}
+            kind, fetched = self.controller, arguments.forecast == OPEN_METEO
+            # On/off control ignores the forecast, which then is for people alone.
+            shown = _SHOWN_H if kind.reference == "onoff" else 0.0
+            self.nodes["weather"] = f"{_LIVE}.weather", {
+                **common,
+                "forecast": str(state / "forecast.csv") if fetched else arguments.forecast or "",
+                **({"fetch": ENSEMBLE if kind.ensemble else FORECAST} if fetched else {}),
+                "horizon": self.parameters.get("horizon", shown), "all_members": kind.ensemble,
+            }
         optional = {
             RECORDER, *(each.node for section, each in QUANTITIES.items() if section not in TANKS),
         }
@@ -138,37 +138,19 @@ class LiveSite:
         station = [f"{_LIVE}.{STATION}", *(["--weather"] if has_weather else [])]
         if sensors:
             station += "--sensors", arguments.sensors
+        words = [f"{_LIVE}.controller", "--controller", self.controller.reference]
+        give_up, logs = partial(_give_up, self.controller), state / "log"
         self.processes = [
-            SiteProcess(process, words, state / "log" / f"{process}.log", instead)
-            for process, words, instead in (
-                (pump, [f"{_LIVE}.{module}"], None),
-                (name, [f"{_LIVE}.controller", "--controller", self.controller.reference],
-                 partial(_give_up, self.controller)),
-                (STATION, station, None),
-            )
+            SiteProcess(pump, [f"{_LIVE}.{module}"], logs),
+            SiteProcess(name, words, logs, give_up),
+            SiteProcess(STATION, station, logs),
         ]
-
-    def _forecast_for(self, state: Path) -> dict[str, Any]:
-        """Return the weather node's parameters; ``state`` is the site's directory."""
-        source = {"forecast": self.forecast or ""}
-        if self.forecast == OPEN_METEO:
-            source = {
-                "forecast": str(state / "forecast.csv"),
-                "fetch": ENSEMBLE if self.controller.ensemble else FORECAST,
-            }
-        # On/off control ignores the forecast, which then is for people alone.
-        shown = _SHOWN_H if self.controller.reference == "onoff" else 0.0
-        return {
-            **source, "horizon": self.parameters.get("horizon", shown),
-            "all_members": self.controller.ensemble,
-        }
 
 
 def make_parser() -> Parser:
     """Return the parser for the command line of a live site."""
     parser = Parser(
         prog="greenroof live",
-        usage="%(prog)s [options]",
         description="Operate a real site with sensors and a pump in real time; nothing is "
         "simulated. The command runs until it receives Ctrl-C or SIGTERM; it then stops the pump, "
         "and then the nodes.",
@@ -183,35 +165,34 @@ def make_parser() -> Parser:
     add_site(group)
     group.add_argument(
         "--sensors", metavar="{FILE,external}",
-        help="read the Modbus or MQTT sensors that this file describes (see "
-        "config/sensors.yaml); external: your own nodes publish the levels",
+        help="read the sensors that this file describes (see config/sensors.yaml); external: your "
+        "own nodes publish /cistern/level and /roof/level",
     )
-    group.add_argument(
+    weather = group.add_mutually_exclusive_group()
+    weather.add_argument(
         "--forecast", metavar="{FILE.csv,open-meteo}",
-        help="read forecasts from FILE.csv, and read the file again whenever it is replaced; "
-            "open-meteo: fetch forecasts from Open-Meteo for the location of the site, according "
-            "to the weather node's parameters fetch_... (--node-parameters), and keep them in "
-            "the state directory. With a thermometer, onoff and lookahead need no forecast",
+        help="read forecasts from FILE.csv, again whenever it is replaced; open-meteo: fetch them "
+        "from Open-Meteo for the location of the site, according to the weather node's parameters "
+        "fetch_... (--node-parameters). With a thermometer, onoff and lookahead need no forecast",
     )
-    group.add_argument(
-        "--thermometer", choices=[EXTERNAL],
-        help="external: your own node publishes /gauge/temperature (degC), because the sensor file "
-            "contains no thermometer; without --forecast, nothing else can indicate frost",
-    )
-    group.add_argument(
+    weather.add_argument(
         "--weather", choices=[EXTERNAL],
         help="external: your own node publishes the weather and the forecast",
     )
     group.add_argument(
+        "--thermometer", choices=[EXTERNAL],
+        help="external: your own node publishes /gauge/temperature (degC), because the sensor file "
+        "contains no thermometer; without --forecast, nothing else can indicate frost",
+    )
+    group.add_argument(
         "--state", type=Path, default=Path("live"), metavar="DIR",
         help="directory for the state that must survive a restart (holds, faults, pump usage in "
-            "the last 24 h), the bag, the logs and the summary (default: live)",
+        "the last 24 h), the bag, the logs and the summary (default: live)",
     )
     group.add_argument(
         "--bag-limit", type=make_number_type(2, 1e9), default=10_000.0, metavar="MB",
-        help="remove the bag's oldest files when the bag exceeds this size (default: %(default)g "
-            "MB); the size is also limited to nine tenths of the disk space that is free at the "
-            "start",
+        help="remove the bag's oldest files when the bag exceeds this size, or nine tenths of the "
+        "disk space for it at the start (default: %(default)g MB)",
     )
     add_graph_arguments(parser)
     add_drive_arguments(parser)

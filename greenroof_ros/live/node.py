@@ -199,7 +199,7 @@ class LiveNode(GraphNode):
         self.on_timer(now)
         if now - self._warned >= DISCOVERY_S:
             self._warned = now
-            self.warn(self.peers.warnings(now))
+            self.warn(self.peers.warnings())
         begins = not self.ready and self.acted and not self.peers.absent()
         if begins:
             self.reports.state = READY

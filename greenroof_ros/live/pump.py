@@ -440,7 +440,7 @@ def _read_endpoint(values: Mapping[str, Any], node_name: str) -> Endpoint:
     )
 
 
-main = live_command(PumpNode, "live.pump", __doc__, parameters)
+main = live_command(PumpNode, __doc__)
 
 
 if __name__ == "__main__":

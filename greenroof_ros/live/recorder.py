@@ -147,7 +147,7 @@ class LiveRecorderNode(LiveNode):
             self.get_logger().error(problem or self._bag.problem)
 
 
-main = live_command(LiveRecorderNode, "live.recorder", __doc__, parameters)
+main = live_command(LiveRecorderNode, __doc__)
 
 
 if __name__ == "__main__":

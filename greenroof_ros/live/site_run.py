@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
@@ -25,9 +25,7 @@ from greenroof_ros.base.processes import (
     scratch_directory,
 )
 from greenroof_ros.base.standard_error import print_line
-from greenroof_ros.base.text import number_of
 from greenroof_ros.base.times import iso
-from greenroof_ros.controllers.registry import BUILT_IN
 from greenroof_ros.interface.alarm import Alarm, to_record
 from greenroof_ros.interface.states import PUMP
 from greenroof_ros.live.live_site import LiveSite
@@ -38,12 +36,7 @@ from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed
 from greenroof_ros.live.time_limit import silence_limit
 from greenroof_ros.results.alarm_file import read_alarms
 from greenroof_ros.results.versions import versions
-from greenroof_ros.ros.domain import (
-    lock_namespace,
-    refuse_other_nodes,
-    require_ros,
-    ros_arguments,
-)
+from greenroof_ros.ros.domain import lock_namespace, require_ros, ros_arguments
 from greenroof_ros.ros.errors import describe
 from greenroof_ros.ros.parameter_file import find_value, node_parameter_files
 from greenroof_ros.simulation import summary
@@ -53,7 +46,7 @@ from greenroof_ros.site.file import format_site, read_site
 # Interval at which systemd is notified (s); and how long to wait at the end until the logs and the
 # summary are written (s).
 _NOTIFY_S, _WRITTEN_S = 1.0, 5.0
-# Number of alarms in the summary; all of them are counted.
+# Number of alarms in the summary.
 _NEWEST = 200
 
 
@@ -88,9 +81,9 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         parameters = write_parameters(memory, {name: own for name, (_, own) in nodes.items()})
         files = _StartedFiles(memory, arguments.site, [parameters, *user_files, *site.files])
         files.write()
-        refuse_other_nodes(namespace, {*nodes, "plant", *BUILT_IN}, signals.check)
-        DISK.do(partial(_keep_site, files.site, state / "configuration"))
-        record = _Summary(site, state)
+        kept = state / "configuration" / summary.SITE_FILE  # for those who read the bag later
+        DISK.do(partial(_try, partial(replace_text, kept, files.site, parents=True)))
+        write = _summarize(site, state)
         pump, controller, station = site.processes
         supervisor = LiveSupervisor(
             pump, controller, station,
@@ -99,12 +92,12 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
             silence_s=silence_limit(site.tau), prepare=files.write,
         )
         try:
-            record.write(summary.RUNNING)
+            write(summary.RUNNING, None)
             with supervisor:
                 _supervise(supervisor, signals)
         except Exception as error:  # whatever the error, the summary must not state "running"
             signals.ignore()
-            return _end(record, supervisor.may_run, error)
+            return _end(write, supervisor.may_run, error)
 
 
 def _tell(text: str) -> None:
@@ -136,64 +129,64 @@ def _supervise(supervisor: LiveSupervisor, signals: Signals) -> NoReturn:
         _tell("stopping the pump, and then the nodes")
 
 
-def _end(record: _Summary, may_run: str, error: Exception) -> int:
+def _end(write: Callable[[str, str], None], may_run: str, error: Exception) -> int:
     """Record and print the reason why the site ended; return the exit code."""
     is_done = isinstance(error, InterruptedRun) and not may_run
     reason = str(error) if isinstance(error, (InterruptedRun, NodeFailed)) else describe(error)
     reason = "; ".join(filter(None, (reason, may_run)))
-    record.write(summary.DONE if is_done else summary.FAILED, reason)
+    write(summary.DONE if is_done else summary.FAILED, reason)
     if not DISK.wait(_WRITTEN_S):
-        print_line(f"warning: {record.directory}: the disk does not respond")
+        print_line("warning: the disk does not respond")
+    _tell(f"done: {reason}" if is_done else f"error: {reason}")
     if is_done:
-        print_line(f"{reason}: done, with {number_of(record.count, 'alarm')}")
         return EXIT_DONE
-    _tell(f"error: {reason}")
     return error.code if isinstance(error, NodeFailed) and not may_run else EXIT_FAILED
 
 
-class _Summary:
-    """The site's ``summary.json``, which the disk thread writes, so that no disk stops the site.
+def _summarize(site: LiveSite, directory: Path) -> Callable[[str, str | None], None]:
+    """Return a function that writes the site's summary with a status and a reason, and its alarms.
 
-    Attributes:
-        directory: the site's directory.
-        count: number of alarms since the start, as last read, excluding warnings and alarms that
-            follow from other alarms.
+    The disk thread writes it, so that no disk stops the site.
     """
+    setting: dict[str, Any] = {
+        "began": iso(time.time()),
+        "controller": site.controller.name,
+        "parameters": replace_infinity(site.parameters),
+        "forecast": site.forecast,
+        "drive_at": site.drive and site.drive.address,
+        "versions": versions(),
+    }
 
-    def __init__(self, site: LiveSite, directory: Path) -> None:
-        """Begin without a summary."""
-        self.directory, self.count = directory, 0
-        self._before = max((alarm.number for alarm in self._read_alarms()), default=0)
-        self._setting: dict[str, Any] = {
-            "began": iso(time.time()),
-            "controller": site.controller.name,
-            "parameters": replace_infinity(site.parameters),
-            "forecast": site.forecast,
-            "drive_at": site.drive and site.drive.address,
-            "versions": versions(),
-        }
+    before = max((alarm.number for alarm in _list_alarms(directory)), default=0)
 
-    def write(self, status: str, reason: str | None = None) -> None:
-        """Write the summary with a status of :mod:`greenroof_ros.simulation.summary`."""
+    def write(values: dict[str, Any]) -> None:
+        new = [alarm for alarm in _list_alarms(directory) if alarm.number > before]
+        summary.write(
+            {**values, **setting, "alarms": [to_record(alarm) for alarm in new[-_NEWEST:]]},
+            directory,
+        )
+
+    def queue(status: str, reason: str | None) -> None:
         ended = None if status == summary.RUNNING else iso(time.time())
-        DISK.do(partial(self._write, {"status": status, "reason": reason, "ended": ended}))
+        values = {"status": status, "reason": reason, "ended": ended}
+        DISK.do(partial(_try, partial(write, values)))
 
-    def _write(self, values: dict[str, Any]) -> None:
-        alarms = [alarm for alarm in self._read_alarms() if alarm.number > self._before]
-        self.count = sum(alarm.is_serious and not alarm.follows for alarm in alarms)
-        try:
-            summary.write({
-                **values, **self._setting, "alarm_count": self.count,
-                "alarms": [to_record(alarm) for alarm in alarms[-_NEWEST:]],
-            }, self.directory)
-        except OSError as error:
-            print_line(f"warning: {self.directory / summary.SUMMARY}: {error.strerror}")
+    return queue
 
-    def _read_alarms(self) -> list[Alarm]:
-        try:
-            return read_alarms(self.directory)
-        except (OSError, ValueError):  # the alarms node reports it
-            return []
+
+def _list_alarms(directory: Path) -> list[Alarm]:
+    try:
+        return read_alarms(directory)
+    except (OSError, ValueError):  # the alarms node reports it
+        return []
+
+
+def _try(write: Callable[[], object]) -> None:
+    """Write a file for those who look at the site later; warn if this fails."""
+    try:
+        write()
+    except OSError as error:
+        print_line(f"warning: {error.filename}: {error.strerror}; the file is not written")
 
 
 @contextmanager
@@ -264,11 +257,3 @@ class _StartedFiles:
                         stream.write(content)
         self._directory.chmod(0o755)  # the page may run as another user
         return {COPIES: str(self._directory)}
-
-
-def _keep_site(text: str, directory: Path) -> None:
-    """Write the site file for those who read the bag later; warn if this fails."""
-    try:
-        replace_text(directory / summary.SITE_FILE, text, parents=True)
-    except OSError as error:
-        print_line(f"warning: {directory}: {error.strerror}; the site file is not saved")

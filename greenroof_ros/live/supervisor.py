@@ -27,7 +27,6 @@ from greenroof_ros.live.heartbeat import PIPE
 from greenroof_ros.live.restarts import Restarts
 from greenroof_ros.ros.alarms import RESTARTED
 from greenroof_ros.ros.domain import LEASE
-from greenroof_ros.ros.reports import PAUSE_S
 
 # How long to wait for a process to end before it is killed (s). The actuators are given longer:
 # they wait until the pump is stopped, while the speed falls.
@@ -82,7 +81,7 @@ class SiteProcess:
     """
 
     def __init__(
-        self, name: str, words: Sequence[str], log: Path,
+        self, name: str, words: Sequence[str], logs: Path,
         instead: Callable[[str], Sequence[str]] | None = None,
     ) -> None:
         """Describe the process, without starting it.
@@ -90,7 +89,7 @@ class SiteProcess:
         Args:
             name: see the class.
             words: see the class.
-            log: file for its standard error, in an existing directory.
+            logs: existing directory for its standard error.
             instead: see the class.
         """
         self.name, self.words, self.instead = name, words, instead
@@ -100,8 +99,8 @@ class SiteProcess:
         self.failure = ""
         self.last_lines: deque[str] = deque(maxlen=_LAST_LINES)
         self._log = RotatingFileHandler(
-            log, maxBytes=_LOG_BYTES, backupCount=1, encoding="utf-8", errors="surrogateescape",
-            delay=True,  # the file is opened with the first line
+            logs / f"{name}.log", maxBytes=_LOG_BYTES, backupCount=1, encoding="utf-8",
+            errors="surrogateescape", delay=True,  # the file is opened with the first line
         )
         self._log.terminator = ""
 
@@ -165,7 +164,6 @@ class LiveSupervisor:
         self._stopping: Future[tuple[bool, str]] | None = None
         self._stop_message, self._stop_again_at = "", math.inf
         self._selector = selectors.DefaultSelector()
-        self._read_at = time.monotonic()
 
     def __enter__(self) -> LiveSupervisor:
         """Return the supervisor without starting a process."""
@@ -252,16 +250,14 @@ class LiveSupervisor:
             else:
                 self._selector.unregister(key.fileobj)
                 cast("IO[bytes]", key.fileobj).close()
-        now = time.monotonic()
-        if now - self._read_at > PAUSE_S:  # this process was paused, so no other was silent
-            for process in self._processes:
-                process.beat_at = now
-        self._read_at = now
 
     # --- keeping them running -------------------------------------------------------------------
 
     def update(self) -> None:
-        """Start what is due, and restart what failed; called repeatedly.
+        """Start what is due, and restart what failed; called repeatedly, each time after a read.
+
+        Heartbeats wait in their pipes while this process is stopped, so that no other then counts
+        as silent.
 
         Raises:
             NodeFailed: if the station was restarted too often, or if a process ended because of

@@ -185,9 +185,7 @@ def spin_alone(nodes: list[AlarmsNode], check: Callable[[], None]) -> NoReturn:
         node.check(time.monotonic())
 
 
-main = node_command(
-    partial(AlarmsNode, Lines(1)), "nodes.alarms", __doc__, parameters, spin=spin_alone
-)
+main = node_command(partial(AlarmsNode, Lines(1)), __doc__, spin=spin_alone)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from dataclasses import replace
 from itertools import permutations
 from typing import Any
 
+from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
@@ -25,7 +26,7 @@ from greenroof_ros.ros import messages
 from greenroof_ros.ros.errors import MalformedMessageError
 from greenroof_ros.ros.lockstep import CLOCK, RUN, RunIdentity
 from greenroof_ros.ros.publishers import display_name
-from greenroof_ros.ros.spin import make_executor, ros
+from greenroof_ros.ros.spin import ros
 from greenroof_ros.site.site import Site
 
 # More ticks than a check ever takes.
@@ -107,7 +108,7 @@ class NodeCheck(ABC):
         self.remark = ""
         self._publishers: dict[str, Publisher] = {}
         self._ticks = 0
-        self._executor = make_executor()
+        self._executor = EventsExecutor()
         self._executor.add_node(self.node)
 
     @abstractmethod

@@ -303,7 +303,7 @@ class PlantNode(SimulationNode):
         }
 
 
-main = node_command(PlantNode, "nodes.plant", __doc__, parameters)
+main = node_command(PlantNode, __doc__)
 
 
 if __name__ == "__main__":

@@ -187,7 +187,7 @@ class RecorderNode(SimulationNode):
             self._close()
 
 
-main = node_command(RecorderNode, "nodes.recorder", __doc__, parameters)
+main = node_command(RecorderNode, __doc__)
 
 
 if __name__ == "__main__":

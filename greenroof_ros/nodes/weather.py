@@ -183,7 +183,7 @@ class RecordedWeather(WeatherNode, SimulationNode):
         return tick
 
 
-main = node_command(RecordedWeather, "nodes.weather", __doc__, parameters)
+main = node_command(RecordedWeather, __doc__)
 
 
 if __name__ == "__main__":

@@ -186,7 +186,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
 
     def _update_warnings(self, now: float) -> None:
         """Warn about rejected values and, before the run, about incompatible publishers."""
-        found = [] if self.acted else self.peers.warnings(now)
+        found = [] if self.acted else self.peers.warnings()
         for entry in self.inputs.values():
             if entry.refused:
                 found.append(

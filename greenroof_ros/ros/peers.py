@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 
 from greenroof_ros.interface.states import ROLES
-from greenroof_ros.ros.publishers import DISCOVERY_S, Publishers, list_nodes
+from greenroof_ros.ros.publishers import Publishers
 
 
 class Peers:
@@ -67,38 +67,31 @@ class Peers:
             names: the awaited topics in the order of the node's inputs (weather, controller, pump),
                 in which each node waits for the nodes before it.
         """
-        role, topics = next(iter(self._by_role(names).items()))
-        return self.describe({role: topics})
+        return self.describe(dict([*self._by_role(names).items()][:1]))
 
     def name_of(self, role: str) -> str:
         """Return the name of the node in a role, or the role's usual name if no node has it."""
-        nodes = [
-            node for publishers in self.publishers.values() if role in publishers.topic.publishers
-            for node in publishers.names()
-        ]
-        return nodes[0] if nodes else ROLES.get(role, role)
+        return next((
+            name for publishers in self.publishers.values() if role in publishers.topic.publishers
+            for name in publishers.names()
+        ), ROLES.get(role, role))
 
     # --- what is wrong ----------------------------------------------------------------------
 
     def publishers_of(self, name: str) -> str:
         """Return the names of the nodes that publish an input, as a list for a sentence."""
-        return list_nodes(self.publishers[name].names(DISCOVERY_S))
+        return ", ".join(self.publishers[name].names())
 
-    def warnings(self, now: float) -> list[str]:
-        """Return a sentence for every input that still has incompatible publishers.
-
-        Args:
-            now: time on the steady clock (s).
-        """
+    def warnings(self) -> list[str]:
+        """Return a sentence for every input that has incompatible publishers."""
         return [
-            sentence for publishers in self.publishers.values()
-            if (sentence := publishers.warning(now))
+            f"{publishers.full_name} {problem}" for publishers in self.publishers.values()
+            if (problem := publishers.describe_incompatible())
         ]
 
     def describe_second(self) -> str:
         """Return a sentence about the first input with a second publisher; empty for none."""
         for publishers in self.publishers.values():
             if publishers.count > 1 and publishers.compatible > 1:
-                return f"{publishers.full_name} {publishers.describe_second(DISCOVERY_S)}"
+                return f"{publishers.full_name} {publishers.describe_second()}"
         return ""
-

@@ -747,17 +747,17 @@ def test_the_waits_fit_into_the_longer_ones_of_pump_control_bringup_and_service(
 
     Then the pump node's end; the supervisor's stop, perhaps after another one; the other nodes.
     """
-    from greenroof_ros.live.supervisor import ENDING_S, KILLING_S, PUMP_ENDING_S
+    from greenroof_ros.live.supervisor import ACTUATORS_ENDING_S, ENDING_S, KILLING_S
 
     runs_on_s = exchange.RUNS_ON_S
     assert exchange.UNREAD_S == runs_on_s + exchange.MAX_WAIT_S == 15
     assert exchange.STEADY_S < runs_on_s < runs_on_s + exchange.VISIBLE_S < 15
     assert runs_on_s < exchange.RUNS_ON_AGAIN_S
     leave = exchange.REST_LIMIT_S
-    assert MAX_RAMP_S < leave < leave + exchange.MAX_WAIT_S < PUMP_ENDING_S
+    assert MAX_RAMP_S < leave < leave + exchange.MAX_WAIT_S < ACTUATORS_ENDING_S
     service = (CHECKOUT / "examples/greenroof.service").read_text()
     (line,) = (line for line in service.splitlines() if line.startswith("TimeoutStopSec="))
     others_end = 2 * (ENDING_S + KILLING_S)  # the other nodes, and the recorder
     assert float(line.partition("=")[2]) > max(
-        PUMP_ENDING_S + KILLING_S + leave, 2 * leave
+        ACTUATORS_ENDING_S + KILLING_S + leave, 2 * leave
     ) + others_end
