@@ -13,6 +13,7 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from random import Random
+from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -357,13 +358,19 @@ def test_every_file_of_a_split_bag_is_checked(tmp_path: Path, loop: bool) -> Non
     assert losses[-1] == f"bag_1.mcap: {len(had)} of its {len(had)} messages are lost"
 
 
-def test_oldest_files_go_beyond_the_limit(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("total", "free"), [(100_000, 10**9), (10**9, 111_000)])
+def test_oldest_files_go_beyond_the_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, total: int, free: int
+) -> None:
     """The bag stays within the limit, and has its newest messages; its metadata list no other file.
+
+    The limit is its own, or nine tenths of what was free at the start.
 
     Not even if there is room for messages, but none for the metadata without the oldest file.
     """
     directory, random, largest = tmp_path / "bag", Random(1), 0
-    bag, about = live_bag(directory, 5000, 100_000), directory / "metadata.yaml"
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=free))
+    bag, about = live_bag(directory, 5000, total), directory / "metadata.yaml"
 
     def write(seconds: range) -> None:
         nonlocal largest
