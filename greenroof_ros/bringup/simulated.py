@@ -21,7 +21,7 @@ from greenroof_ros.controllers.registry import EXTERNAL, ControllerChoice, find_
 from greenroof_ros.interface.states import RECORDER
 from greenroof_ros.ros.arguments import add_graph_arguments
 from greenroof_ros.ros.domain import (
-    lock_namespace,
+    lock_bringup,
     require_ros,
     ros_arguments,
 )
@@ -97,7 +97,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         from greenroof_ros.ros.spin import destroy_nodes, end_nodes, ros
     modules = _modules(run.controller, arguments)
     user_files = node_parameter_files(arguments, modules, run.controller, run.parameters)
-    with lock_namespace(arguments.namespace):
+    with lock_bringup(arguments.namespace):
         directory = make_run_directory(arguments.output, run.controller.name)
         parameters = write_configuration(directory, run, {
             "speed": arguments.speed,

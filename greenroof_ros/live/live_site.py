@@ -18,7 +18,8 @@ from greenroof_ros.live.devices.modbus_line import parse_address
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS, ModbusSensor, read_sensors
 from greenroof_ros.live.drive_choice import add_drive_arguments, read_drive_choice
 from greenroof_ros.live.pumping.state_file import GUARD, STATE_FILE
-from greenroof_ros.live.supervisor import SiteProcess
+from greenroof_ros.live.supervisor import ACTUATORS_SILENT_S, SiteProcess
+from greenroof_ros.live.time_limit import silence_limit
 from greenroof_ros.live.valve import refuse_valve
 from greenroof_ros.ros.alarms import ROLE
 from greenroof_ros.ros.arguments import add_graph_arguments
@@ -140,11 +141,12 @@ class LiveSite:
             station += "--sensors", arguments.sensors
         words = [f"{_LIVE}.controller", "--controller", self.controller.reference]
         give_up, logs = partial(_give_up, self.controller), state / "log"
-        self.processes = [
-            SiteProcess(pump, [f"{_LIVE}.{module}"], logs),
-            SiteProcess(name, words, logs, give_up),
-            SiteProcess(STATION, station, logs),
-        ]
+        limit = silence_limit(site.tau)
+        self.processes = (
+            SiteProcess(pump, [f"{_LIVE}.{module}"], logs, ACTUATORS_SILENT_S),
+            SiteProcess(name, words, logs, limit, give_up),
+            SiteProcess(STATION, station, logs, limit),
+        )
 
 
 def make_parser() -> Parser:

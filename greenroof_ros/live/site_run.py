@@ -5,25 +5,16 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
 from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED
 from greenroof_ros.base.disk import DISK
-from greenroof_ros.base.errors import OccupiedError
 from greenroof_ros.base.files import COPIES, add_path_to_errors, replace_text
 from greenroof_ros.base.parameter import replace_infinity
-from greenroof_ros.base.processes import (
-    IN_MEMORY,
-    InterruptedRun,
-    LockedError,
-    Signals,
-    lock_file,
-    scratch_directory,
-)
+from greenroof_ros.base.processes import IN_MEMORY, InterruptedRun, Signals, scratch_directory
 from greenroof_ros.base.standard_error import print_line
 from greenroof_ros.base.times import iso
 from greenroof_ros.interface.alarm import Alarm, to_record
@@ -33,10 +24,9 @@ from greenroof_ros.live.pumping.limits import check_command_limit
 from greenroof_ros.live.pumping.state_file import STATE_FILE, create_state_file
 from greenroof_ros.live.service_manager import notify
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed
-from greenroof_ros.live.time_limit import silence_limit
 from greenroof_ros.results.alarm_file import read_alarms
 from greenroof_ros.results.versions import versions
-from greenroof_ros.ros.domain import lock_namespace, require_ros, ros_arguments
+from greenroof_ros.ros.domain import lock_bringup, require_ros, ros_arguments
 from greenroof_ros.ros.errors import describe
 from greenroof_ros.ros.parameter_file import find_value, node_parameter_files
 from greenroof_ros.simulation import summary
@@ -72,11 +62,9 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
 
             limit = find_value(user_files, f"{namespace}/{PUMP}", COMMAND_LIMIT)
             check_command_limit(limit, site.tau, f"parameter {COMMAND_LIMIT.name} of {PUMP}")
-    with (
-        lock_namespace(namespace),
-        _state_directory(arguments.state) as state,
-        scratch_directory(IN_MEMORY) as memory,
-    ):
+    state = arguments.state.resolve()
+    with lock_bringup(namespace, state), scratch_directory(IN_MEMORY) as memory:
+        (state / "log").mkdir(parents=True, exist_ok=True)
         create_state_file(state / STATE_FILE)
         parameters = write_parameters(memory, {name: own for name, (_, own) in nodes.items()})
         files = _StartedFiles(memory, arguments.site, [parameters, *user_files, *site.files])
@@ -84,12 +72,10 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         kept = state / "configuration" / summary.SITE_FILE  # for those who read the bag later
         DISK.do(partial(_try, partial(replace_text, kept, files.site, parents=True)))
         write = _summarize(site, state)
-        pump, controller, station = site.processes
         supervisor = LiveSupervisor(
-            pump, controller, station,
+            *site.processes,
             ros_arguments(map(files.copy_of, [parameters, *user_files]), namespace),
-            site.drive.stopper() if site.drive is not None else None, _tell,
-            silence_s=silence_limit(site.tau), prepare=files.write,
+            site.drive.stopper() if site.drive is not None else None, _tell, files.write,
         )
         try:
             write(summary.RUNNING, None)
@@ -187,26 +173,6 @@ def _try(write: Callable[[], object]) -> None:
         write()
     except OSError as error:
         print_line(f"warning: {error.filename}: {error.strerror}; the file is not written")
-
-
-@contextmanager
-def _state_directory(path: Path) -> Iterator[Path]:
-    """Create the directory of a site, and lock it.
-
-    Raises:
-        OccupiedError: if another bringup has locked it.
-        OSError: if it cannot be created or written to.
-    """
-    (path / "log").mkdir(parents=True, exist_ok=True)
-    with ExitStack() as held:
-        try:
-            held.enter_context(lock_file(path / "bringup.lock"))
-        except LockedError:
-            raise OccupiedError(
-                "belongs to a running bringup; end it, or use another directory",
-                key="--state", value=str(path),
-            ) from None
-        yield path.resolve()
 
 
 class _StartedFiles:

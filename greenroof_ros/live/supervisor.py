@@ -73,15 +73,15 @@ class SiteProcess:
         popen: the running process as far as known; None if it is not running.
         pid: its last process id.
         due: time of its next start (steady clock, s); infinite if it stays off.
-        beat_at: time of its last heartbeat or start (steady clock, s).
-        beats: whether it has sent a heartbeat since its start.
+        silent_at: time at which it will count as hung without another heartbeat (steady clock, s).
+        beats: whether it has ever sent a heartbeat.
         reached: whether it has ever reached the pump's drive.
         failure: why it last failed; empty if it has not.
         last_lines: the last lines that it printed.
     """
 
     def __init__(
-        self, name: str, words: Sequence[str], logs: Path,
+        self, name: str, words: Sequence[str], logs: Path, silence_s: float,
         instead: Callable[[str], Sequence[str]] | None = None,
     ) -> None:
         """Describe the process, without starting it.
@@ -90,11 +90,12 @@ class SiteProcess:
             name: see the class.
             words: see the class.
             logs: existing directory for its standard error.
+            silence_s: how long it may be silent (s).
             instead: see the class.
         """
-        self.name, self.words, self.instead = name, words, instead
+        self.name, self.words, self.silence_s, self.instead = name, words, silence_s, instead
         self.popen: subprocess.Popen[bytes] | None = None
-        self.pid, self.due, self.beat_at, self.restarts = 0, 0.0, 0.0, Restarts()
+        self.pid, self.due, self.silent_at, self.restarts = 0, 0.0, 0.0, Restarts()
         self.beats = self.reached = False
         self.failure = ""
         self.last_lines: deque[str] = deque(maxlen=_LAST_LINES)
@@ -106,7 +107,7 @@ class SiteProcess:
 
     def receive(self, data: bytes) -> None:
         """Receive heartbeats."""
-        self.beat_at, self.beats = time.monotonic(), True
+        self.silent_at, self.beats = time.monotonic() + self.silence_s, True
         self.reached |= any(data)
 
     def log(self, data: bytes) -> None:
@@ -136,7 +137,7 @@ class LiveSupervisor:
     def __init__(
         self, actuators: SiteProcess, controller: SiteProcess, station: SiteProcess,
         ros_arguments: Collection[str], stop_drive: StopDrive | None, tell: Callable[[str], None],
-        *, silence_s: float, prepare: Callable[[], Mapping[str, str]],
+        prepare: Callable[[], Mapping[str, str]],
     ) -> None:
         """Start nothing yet.
 
@@ -149,15 +150,13 @@ class LiveSupervisor:
                 the pump.
             tell: function that receives what the processes print on standard output, which is for
                 human readers, and what happens to a process.
-            silence_s: time for which a process other than the actuators may be silent before it is
-                killed (s).
             prepare: function called before every start of a process; it returns additions to its
                 environment, or raises an :class:`OSError`.
         """
         self.ready, self.may_run = False, ""
         self._actuators, self._station = actuators, station
         self._processes = actuators, controller, station  # in the order in which they end
-        self._ros_arguments, self._prepare, self._silence_s = ros_arguments, prepare, silence_s
+        self._ros_arguments, self._prepare = ros_arguments, prepare
         self._stop_drive, self._tell = stop_drive, tell
         self._stopper = ThreadPoolExecutor(1)
         self._stopper.submit(int)  # start its thread now: the system may be out of threads later
@@ -234,8 +233,8 @@ class LiveSupervisor:
             raise
         finally:
             os.close(writing)
-        process.popen, process.pid, process.beats = popen, popen.pid, False
-        process.beat_at = time.monotonic()
+        process.popen, process.pid = popen, popen.pid
+        process.silent_at = time.monotonic() + max(process.silence_s, START_LIMIT_S)
         for source, reader in (
             (os.fdopen(reading, "rb", 0), process.receive), (popen.stderr, process.log),
             (popen.stdout, lambda data: self._tell(data.decode(errors="replace").rstrip("\n"))),
@@ -266,7 +265,7 @@ class LiveSupervisor:
         now = time.monotonic()
         for process in self._processes:
             if process.popen is not None:
-                if failure := self._find_failure(process, process.popen, now):
+                if failure := _find_failure(process.popen, now >= process.silent_at):
                     self._handle_failure(process, failure, now)
             elif now >= process.due and not (
                 process is self._actuators and self._stopping is not None
@@ -284,22 +283,6 @@ class LiveSupervisor:
             self._stop_again_at = now + restarts.MAX_WAIT_S if may_run else math.inf
         if now >= self._stop_again_at and self._actuators.popen is None:
             self._begin_stop()  # nobody else stops it
-
-    def _find_failure(
-        self, process: SiteProcess, popen: subprocess.Popen[bytes], now: float
-    ) -> str:
-        """Return why a process has failed; empty if it has not. A process that hangs is killed."""
-        if popen.poll() is not None:
-            return _describe_end(popen)
-        limit = ACTUATORS_SILENT_S if process is self._actuators else self._silence_s
-        if not process.beats:
-            limit = START_LIMIT_S
-        if now - process.beat_at <= limit:
-            return ""
-        popen.kill()
-        with suppress(subprocess.TimeoutExpired):  # the kernel may take longer
-            popen.wait(1.0)
-        return f"had not answered for {limit:g} s: killed"
 
     def _handle_failure(self, process: SiteProcess, failure: str, now: float) -> None:
         """Report that a process failed, and schedule its restart; for the pump, stop the drive.
@@ -340,6 +323,18 @@ class LiveSupervisor:
             self._stopping = self._stopper.submit(
                 self._stop_drive, self._actuators.pid, self._actuators.reached
             )
+
+
+def _find_failure(popen: subprocess.Popen[bytes], is_silent: bool) -> str:
+    """Return why a process has failed; empty if it has not. A silent process is killed."""
+    if popen.poll() is not None:
+        return _describe_end(popen)
+    if is_silent:
+        popen.kill()
+        with suppress(subprocess.TimeoutExpired):  # the kernel may take longer
+            popen.wait(1.0)
+        return "did not respond: killed"
+    return ""
 
 
 def _describe_end(popen: subprocess.Popen[bytes]) -> str:

@@ -15,7 +15,7 @@ import argparse
 import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -186,24 +186,31 @@ def ros_arguments(
 
 
 @contextmanager
-def lock_namespace(namespace: str) -> Iterator[None]:
-    """Lock a namespace of the ROS domain, so that only one bringup of this user runs in it.
+def lock_bringup(namespace: str, directory: Path | None = None) -> Iterator[None]:
+    """Lock a namespace of the ROS domain and a directory for a bringup of this user.
 
     Args:
         namespace: namespace such as ``/site1``; empty for none.
+        directory: directory of a live site; None for none.
 
     Raises:
-        OccupiedError: if a bringup is already running in the namespace.
+        OccupiedError: if another bringup is running in the namespace or with the directory.
         ConfigurationError: if the number of the domain is invalid.
         OSError: if the system does not support this kind of lock.
     """
     domain = read_domain()
-    try:
-        lock = acquire_name_lock(f"{os.getuid()}-domain-{domain}{namespace}")
-    except LockedError:
-        raise OccupiedError(
-            f"a bringup is already running in ROS domain {domain}, namespace {namespace or '/'}; "
-            "stop it, or use another --namespace or another ROS_DOMAIN_ID"
-        ) from None
-    with lock:
+    places = {f"domain-{domain}{namespace}": (
+        f"in ROS domain {domain}, namespace {namespace or '/'}; stop it, or use another "
+        "--namespace or another ROS_DOMAIN_ID"
+    )}
+    if directory is not None:
+        places[f"directory-{directory.resolve()}"] = (
+            f"with --state {directory}; stop it, or use another directory"
+        )
+    with ExitStack() as locks:
+        for name, place in places.items():
+            try:
+                locks.enter_context(acquire_name_lock(f"{os.getuid()}-{name}"))
+            except LockedError:
+                raise OccupiedError(f"a bringup is already running {place}") from None
         yield

@@ -16,7 +16,6 @@ from paper import VALVE, site_file
 from places import CHECKOUT
 
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.processes import lock_file
 from greenroof_ros.bringup.simulated import make_parser, simulated_run
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.live.devices.drive_file import find_drive_file
@@ -24,6 +23,7 @@ from greenroof_ros.live.devices.exchange import acquire_drive_lock
 from greenroof_ros.live.drive_choice import DriveChoice
 from greenroof_ros.live.live_site import LiveSite
 from greenroof_ros.live.live_site import make_parser as live_site_parser
+from greenroof_ros.ros.domain import lock_bringup
 from greenroof_ros.ros.parameter_file import node_parameter_files
 
 EXTERNAL = ("--sensors", "external", "--pump", "external", "--weather", "external")
@@ -263,10 +263,11 @@ def test_a_command_each_tick_is_never_too_old(
 
 def test_a_directory_in_use(tmp_path: Path) -> None:
     """Two bringups must not write into one directory; with another domain they would not notice."""
-    (tmp_path / "live").mkdir()
-    with lock_file(tmp_path / "live" / "bringup.lock"):
+    directory = tmp_path / "live"
+    with lock_bringup("/elsewhere", directory):
         done = run_command("bringup.live", *EXTERNAL, cwd=tmp_path, env=environment(0))
-    assert done.returncode == 3
+    assert (done.returncode, directory.exists()) == (3, False)
     assert done.stderr == (
-        "error: --state = 'live': belongs to a running bringup; end it, or use another directory\n"
+        f"error: a bringup is already running with --state {directory}; stop it, or use another "
+        "directory\n"
     )

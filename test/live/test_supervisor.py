@@ -48,10 +48,11 @@ class Site:
             *(
                 SiteProcess(
                     name, ["small_node", kind, str(self.marks)], directory,
+                    2.0 if name == "pump" else silence_s,
                     give_up if kind in ("refuses", "crashes") else None,
                 ) for name, kind in zip(NAMES, kinds, strict=True)
             ),
-            [], stop_drive, self._tell, silence_s=silence_s, prepare=dict,
+            [], stop_drive, self._tell, dict,
         )
         self._ending = ExitStack()
         self._ending.enter_context(self.supervisor)
@@ -133,7 +134,7 @@ def test_a_process_that_died_or_hangs_is_started_again(make_site: Make, tmp_path
     assert time.monotonic() - stopped > 3.5 and not alive(hung)
     assert site.told == [
         "controller: ended (SIGKILL); starts again in 1 s",
-        "station: had not answered for 4 s: killed; starts again in 1 s",
+        "station: did not respond: killed; starts again in 1 s",
     ]
     assert not site.stops
     site.end()
@@ -168,7 +169,7 @@ def test_the_drive_is_stopped_for_a_pump_node_that_cannot(make_site: Make) -> No
     assert site.told == [
         "pump: ended (SIGKILL); starts again in 1 s",
         "pump: did not stop the drive; the drive stands",
-        "pump: had not answered for 2 s: killed; starts again in 2 s",
+        "pump: did not respond: killed; starts again in 2 s",
         "pump: did not stop the drive; the drive stands",
         "pump: ended (SIGKILL); the drive stands",
     ]

@@ -13,7 +13,7 @@ from places import CHECKOUT, CONFIG
 from refusals import refusal
 
 from greenroof_ros.base.errors import ConfigurationError, OccupiedError
-from greenroof_ros.ros.domain import lock_namespace, prepare_ros, require_ros
+from greenroof_ros.ros.domain import lock_bringup, prepare_ros, require_ros
 
 
 def test_one_bringup_in_a_namespace(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -21,16 +21,16 @@ def test_one_bringup_in_a_namespace(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "84")
     places = [Path("/dev/shm"), Path("/tmp"), Path("/run/lock")]
     before = {file for place in places for file in place.glob("greenroof_ros*")}
-    with lock_namespace("/site1"):
+    with lock_bringup("/site1"):
         assert {file for place in places for file in place.glob("greenroof_ros*")} <= before
-        with pytest.raises(OccupiedError) as occupied, lock_namespace("/site1"):
+        with pytest.raises(OccupiedError) as occupied, lock_bringup("/site1"):
             pass
         # Of a run or a live site: another place is chosen in the same way for both.
         assert "use another --namespace or another ROS_DOMAIN_ID" in str(occupied.value)
         assert "greenroof" not in str(occupied.value)
-        with lock_namespace("/site2"):
+        with lock_bringup("/site2"):
             pass
-    with lock_namespace("/site1"):
+    with lock_bringup("/site1"):
         pass
 
 
