@@ -36,7 +36,6 @@ class LiveBag:
         directory: directory of the bag.
         problem: reason why recording failed; empty if it has not failed, or once later messages are
             flushed.
-        lost: number of messages that were lost because recording failed.
     """
 
     def __init__(
@@ -54,7 +53,6 @@ class LiveBag:
         """
         self.directory = directory
         self.problem = ""
-        self.lost = 0
         self._topics = list(topics)
         self._index = {topic.name: index for index, topic in enumerate(self._topics)}
         self._file_bytes = file_bytes
@@ -62,14 +60,8 @@ class LiveBag:
         self._fits = 0  # how large the bag may be on its disk (bytes); 0 until it is known
         self._file: BagWriter | None = None  # the file being written
         self._day = 0  # day on which it was begun (days since 1970)
-        self._before = 0  # messages recorded before it
-        self._flushed = -math.inf
-        self._again = -math.inf  # time of the next try (steady clock, s)
-
-    @property
-    def recorded(self) -> int:
-        """Number of messages flushed to the bag since the start of the recorder."""
-        return self._before + (self._file.safe if self._file is not None else 0)
+        # Times of the last flush and of the next try (steady clock, s).
+        self._flushed = self._again = -math.inf
 
     def write(self, topic: str, time_ns: int, message: bytes, now: float) -> None:
         """Record a message.
@@ -81,7 +73,6 @@ class LiveBag:
             now: current time on the steady clock (s).
         """
         if now < self._again:
-            self.lost += 1
             return
         day = time_ns // _DAY_NS
         try:
@@ -91,7 +82,6 @@ class LiveBag:
                 self._flushed, self._day = now, day
             self._file.write(time_ns, [(self._index[topic], message)])
         except OSError as error:
-            self.lost += 1
             self._fail(error, now)
 
     def flush_if_due(self, now: float) -> None:
@@ -120,17 +110,16 @@ class LiveBag:
     def _close(self) -> None:
         if self._file is not None:
             self._file.close()
-            self._before, self._file, self.problem = self.recorded, None, ""
+            self._file, self.problem = None, ""
             self._remove_oldest()
 
     def _fail(self, error: OSError, now: float) -> None:
-        """Stop recording until the next retry, and count the messages not yet flushed as lost."""
+        """Stop recording until the next retry; the messages not yet flushed are lost."""
         self.problem = f"{self.directory}: {error.strerror or error}"
         self._again = now + RETRY_S
         if self._file is not None:
-            self.lost += self._file.written - self._file.safe
             self._file.cut()
-            self._before, self._file = self.recorded, None
+            self._file = None
 
     def _remove_oldest(self) -> None:
         """Remove the oldest files while the bag exceeds its limit, but never the newest file."""

@@ -101,22 +101,10 @@ def test_a_live_site_has_no_valve(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
         assert NO_LIVE_VALVE in done.stderr and "Traceback" not in done.stderr
 
 
-def test_a_users_node_has_no_policy_for_a_valve(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    site = str(site_file(tmp_path, **VALVE))
-    words = "--controller", "external", "--outlet", "drain", "--site", site
+def test_wrong_namespace(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
-        refused(monkeypatch, "run", *words)
-    assert "--outlet drain" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("name", ["site 1", "a//b"])
-def test_wrong_namespace(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        make_parser().parse_args(["--namespace", name])
-    message = capsys.readouterr().err
-    assert name in message and "such as site1" in message
+        make_parser().parse_args(["--namespace", "site 1"])
+    assert "such as site1" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("old", "new", "drive", "wrong"), [
@@ -159,10 +147,6 @@ NO_EFFECT = {
     # Only bringup sets the drive: otherwise the node could run one drive, and bringup stop another.
     "/**/pump:\n  ros__parameters:\n    min_off: 1.0\n    drive: danfoss_fc202\n":
         f"line 4: /**/pump: drive = 'danfoss_fc202': {_ONLY_BRINGUP}",
-    # A real drive would run on levels at another speed than --speed, which is refused.
-    "site1/plant:\n  ros__parameters:\n    speed: 60.0\n":
-        "line 3: site1/plant: speed = 60.0: must not be set for the node plant in this file: "
-        "under bringup, --speed sets it",
     # The summary has what the options say.
     "/**:\n  ros__parameters:\n    level: 1\n    fraction: 0.5\n":
         "line 4: /**: fraction = 0.5: must not be set for the node onoff in this file: "
@@ -174,8 +158,6 @@ NO_EFFECT = {
         "mean max_volume_per_day?",
     "/**/pump:\n  ros__parameters:\n    follow_time: 0\n":
         "line 3: /**/pump: follow_time = 0: must be a number from 0.1 to 600 s",
-    "pump:\n  max_volume_per_day: 0.5\n":
-        "line 2: pump: max_volume_per_day = 0.5: has no effect at this level: write /**",
 }
 
 
@@ -196,14 +178,9 @@ def test_a_parameter_that_would_have_no_effect(tmp_path: Path, text: str) -> Non
 @pytest.mark.parametrize(
     ("rule", "words"),
     [
-        ("-r __node:=a", "must not rename or move a node of a run"),
-        ("-r plant:__ns:=/a", "must not rename or move a node of a run"),
-        ("--remap a", "Couldn't parse remap rule"),
-        ("-p plant:speed:=4", "is not a parameter of the controller's node, onoff"),
         ("-p weight:=4", "is not a parameter of the controller's node, onoff"),
+        ("-r plant:__ns:=/a", "must not rename or move a node of a run"),
         ("--params-file a.yaml", "Couldn't parse params file"),
-        ("--log-level loud", "Couldn't parse log level"),
-        ("--nonsense", "--ros-args: ['--nonsense']"),
     ],
 )
 def test_ros_arguments_that_do_not_fit_a_run(rule: str, words: str, tmp_path: Path) -> None:

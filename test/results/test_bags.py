@@ -290,7 +290,7 @@ def test_what_came_is_read_back_with_its_times(tmp_path: Path) -> None:
     for topic, stamp, value in sent:
         bag.write(topic, stamp, number(value), stamp / 1e9)
     bag.close()
-    assert (bag.problem, bag.recorded, bag.lost) == ("", 1000, 0)
+    assert bag.problem == ""
     assert read(tmp_path / "bag") == sent
     about = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())
     about = about["rosbag2_bagfile_information"]
@@ -407,7 +407,7 @@ def test_a_simulations_bag_without_room_for_its_metadata_is_whole(tmp_path: Path
 
 @pytest.mark.parametrize("room", [6000, 9000, 12_000])
 def test_recording_that_fails_tries_again(tmp_path: Path, room: int) -> None:
-    """Wherever the room ends: the rest is lost, counted, and reported until something is safe."""
+    """Wherever the room ends: the rest is lost, and reported until something is safe."""
     bag, random = live_bag(tmp_path / "bag"), Random(1)
     values, second = [random.random() for _ in range(3000)], 0
     with no_file_beyond(room):
@@ -415,20 +415,17 @@ def test_recording_that_fails_tries_again(tmp_path: Path, room: int) -> None:
             write_second(bag, second, values[second])
             second += 1
         assert bag.problem == f"{tmp_path / 'bag'}: File too large"
-        assert 0 < bag.lost < second
     with no_file_beyond(50):  # it tries again in vain, and leaves nothing
         for later in range(second, second + 100):
             write_second(bag, later, values[later])
-        assert bag.problem and bag.lost > 100 and len(list(bag.directory.iterdir())) == 1
-        second, lost_before = second + 100, bag.lost
+        assert bag.problem and len(list(bag.directory.iterdir())) == 1
+        second += 100
     for later in range(second, 3000):
         write_second(bag, later, values[later])
     assert bag.problem == ""
-    assert bag.lost <= lost_before + 60  # one wait
     bag.close()
-    assert bag.recorded + bag.lost == 3000
     restored = read(recover(tmp_path).bag)
-    assert len(restored) == bag.recorded
+    assert len(restored) >= 3000 - second - 60  # one wait
     assert set(restored) <= {
         (TOPICS[0], LATE_NS + second * 10**9, value) for second, value in enumerate(values)
     }

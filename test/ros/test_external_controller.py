@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-import struct
 import subprocess
 import sysconfig
 from collections.abc import Iterator
@@ -13,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from checked_nodes import changed, start_node
-from graphs import Process, bag_file, bring_up, environment, messages_of, summary_of
+from graphs import Process, bag_file, bring_up, environment, summary_of
 from paper import VALVE, site_file
 from places import CHECKOUT
 
@@ -87,8 +86,7 @@ def bags_outside_and_inside(
     return [bag_file(directory / run).read_bytes() for run in ("outside", "inside")]
 
 
-@pytest.mark.parametrize("valve", [False, True])
-@pytest.mark.parametrize("pump", ["internal", "external"])
+@pytest.mark.parametrize(("pump", "valve"), [("internal", True), ("external", False)])
 def test_it_gives_the_bag_of_the_same_controller_inside(
     domain: int, tmp_path: Path, pump: str, valve: bool
 ) -> None:
@@ -118,49 +116,14 @@ def test_a_node_that_breaks_a_rule_ends_the_run(domain: int, tmp_path: Path) -> 
     assert summary["status"] == "failed" and (tmp_path / "run/bag/metadata.yaml").exists()
 
 
-@pytest.mark.parametrize(("value", "refusals"), [
-    ("math.nan", 3), ("-0.1", 3), ("1.2", 3), ("math.inf", 3), ("0.5", 0),
-])
-def test_a_bad_command_to_the_valve_closes_it(
-    domain: int, tmp_path: Path, value: str, refusals: int
-) -> None:
-    """As on /pump/command: it acts as 0 and is counted, and the run goes on."""
-    publish = "valve.publish(Float64(data=opening()))"
-    wrong = f"valve.publish(Float64(data={value} if 4 <= len(ticks) < 7 else 1.0))"
-    source = changed(EXAMPLE, publish, f"{wrong}; ticks.append(0)")
-    source = changed(source, "tick = {}", "ticks, tick = [], {}")
-    with ending(start_node(domain, tmp_path, "controller_node", source, *VALVE_ARGUMENTS)):
-        process = Process(
-            domain, "bringup", "--controller", "external", *valve_site(tmp_path), "--hours", "0.01",
-            "--output", "run", cwd=tmp_path,
-        )
-        assert process.wait(120) == 0, process.stderr()
-    warning = "rejected a value on /outlet/command: it must be a number from 0 to 1; the node used"
-    refused = {"/outlet/command": refusals} if refusals else {}
-    assert summary_of(tmp_path / "run")["refused"] == refused
-    assert (warning in process.stderr()) == bool(refusals)
-    flows = [struct.unpack("<d", message[4:12])[0]
-             for message in messages_of(tmp_path / "run")["/outlet/flow"]]
-    assert all(flow == 0 for flow in flows[4:7]) == bool(refusals)
-    assert min(flows[:4] + flows[7:]) > 0
-
-
 def test_a_node_without_a_command_to_the_valve_is_named(domain: int, tmp_path: Path) -> None:
-    """It has no such publisher, stops to publish, publishes twice; or another node does."""
+    """It has no such publisher, or publishes twice."""
     publish = "valve.publish(Float64(data=opening()))"
-    stops = changed(EXAMPLE, publish, f"{publish} if len(ticks) < 9 else 0; ticks.append(0)")
-    stops = changed(stops, "tick = {}", "ticks, tick = [], {}")
     twice = changed(EXAMPLE, "if topic in tick:", "if False:")
     twice = changed(twice, publish, f"{publish}, {publish}")
-    second = changed(EXAMPLE, "\npublisher = ", """
-node.create_publisher(Float64, "outlet/command", qos)
-publisher = """)
     for number, (source, arguments, codes, words) in enumerate((
         (EXAMPLE, (), {1}, r"the run did not start within 30 s: /outlet/command from controller$"),
-        (stops, VALVE_ARGUMENTS, {1}, r"no message within 5 s on /outlet/command from controller$"),
         (twice, VALVE_ARGUMENTS, {1}, r"/outlet/command has a second message in tick \d+ \(contr"),
-        # Whether it is found before the first tick depends on the discovery.
-        (second, VALVE_ARGUMENTS, {1, 3}, r"/outlet/command has .* publishers.*controller"),
     )):
         run = tmp_path / f"run{number}"
         with ending(start_node(domain, tmp_path, "controller_node", source, *arguments)):
@@ -172,17 +135,14 @@ publisher = """)
         assert re.search(words, summary_of(run)["reason"]), summary_of(run)["reason"]
 
 
-@pytest.mark.parametrize("valve", [False, True])
-def test_a_node_in_c_gives_the_same_bag_and_passes_the_check(
-    domain: int, tmp_path: Path, valve: bool
-) -> None:
+def test_a_node_in_c_gives_the_same_bag_and_passes_the_check(domain: int, tmp_path: Path) -> None:
     program = build_with_rcl(Path(__file__).with_name("controller_node.c"), tmp_path)
-    environ, options = environment(domain), ["--valve"] * valve
-    controller = subprocess.Popen([program, *options], cwd=tmp_path, env=environ)
-    outside, inside = bags_outside_and_inside(domain, tmp_path, controller, valve=valve)
+    environ = environment(domain)
+    controller = subprocess.Popen([program, "--valve"], cwd=tmp_path, env=environ)
+    outside, inside = bags_outside_and_inside(domain, tmp_path, controller, valve=True)
     assert outside == inside
-    arguments = *options, "--ros-args", "-r", "__ns:=/site1"
-    site = valve_site(tmp_path)[:2] if valve else ()
+    arguments = "--valve", "--ros-args", "-r", "__ns:=/site1"
+    site = valve_site(tmp_path)[:2]
     with ending(subprocess.Popen([program, *arguments], cwd=tmp_path, env=environ)) as controller:
         check = Process(
             domain, "check_controller", "--node", "/site1/controller", *site, cwd=tmp_path

@@ -101,25 +101,6 @@ def test_same_bits_at_a_wet_site(domain: int, tmp_path: Path) -> None:
     assert summary["pumped_m3"] > 0
 
 
-def test_same_bits_with_rain_by_the_minute(domain: int, tmp_path: Path) -> None:
-    """Rows of five minutes, and ticks of seven seconds, which are no parts of them."""
-    gauge = tmp_path / "gauge.csv"
-    gauge.write_text("time,rain [mm],my evapotranspiration [mm/day]\n" + "".join(
-        f"2021-07-07T{2 + row // 12:02}:{row % 12 * 5:02}-05:00,{row % 3 * row % 7 / 5},3.0\n"
-        for row in range(60)
-    ))
-    site = tmp_path / "site.yaml"
-    site.write_text("extends: site_neubrandenburg.yaml\ntau: 7.0\n")
-    options = (
-        "--controller", "lookahead", "--horizon", "24", "--site", str(site), "--weather",
-        str(gauge), "--start", "2021-07-07T02:03:20-05:00", "--hours", "0.63",
-    )
-    bring_up(domain, tmp_path, *options)
-    simulate(domain, tmp_path, *options)
-    rain = {row["precipitation_m_per_s"] for row in assert_same(tmp_path)}
-    assert len(rain) > 6
-
-
 def with_frost(directory: Path, hour: str) -> str:
     """Write the paper's weather with frost in an hour, and return the file's name."""
     packaged = shared_directory() / "config" / "weather" / "toronto_2021-07.csv"
@@ -210,9 +191,6 @@ class Opens:
 
 @pytest.mark.parametrize(("controller", "options", "opened"), [
     ("onoff", ("--outlet-reserve", "50"), 60),
-    ("mpc", ("--outlet", "open"), 0),
-    ("anticipating_onoff", ("--outlet", "plan", "--forecast", "errors", "--outlet-price", "0.1"),
-     60),
     ("lookahead", ("--horizon", "24", "--forecast", "ensemble", "--outlet-reach", "5"), 60),
     ("opens:Opens", (), 0),
 ])
