@@ -389,6 +389,31 @@ def test_a_site_that_is_stopped_while_it_starts_ends_with_0(domain: int, tmp_pat
         shutil.rmtree(tmp_path / "run")
 
 
+@pytest.mark.parametrize("ends", [
+    [("bringup", signal.SIGINT), ("bringup", signal.SIGINT)],
+    [("pump", signal.SIGKILL), ("bringup", signal.SIGTERM)],
+    [("bringup", signal.SIGTERM), ("pump", signal.SIGKILL)],
+    [("bringup", signal.SIGKILL)],
+    [("pump", signal.SIGKILL), ("bringup", signal.SIGKILL)],  # the drive's own timeout is left
+], ids=lambda ends: ", ".join(f"{name} {number.name}" for name, number in ends))
+def test_the_pump_is_off_and_no_process_is_left_at_any_end(
+    domain: int, tmp_path: Path, hardware: Hardware, ends: list[tuple[str, signal.Signals]]
+) -> None:
+    options = hardware.be_a_site()
+    hardware.begin()
+    bringup = Process(domain, "bringup.live", "--state", "run", *options, cwd=tmp_path)
+    hardware.until_it_pumps()
+    pids = {**bringup.nodes(), "bringup": bringup.process.pid}
+    assert len(pids) == 4
+    for name, number in ends:
+        os.kill(pids[name], number)
+    wait_for(lambda: hardware.speed() == 0, 30, "a pump that stands")
+    bringup.wait(60)
+    wait_for(lambda: not any(map(alive, pids.values())), 60, "the end of the nodes")
+    time.sleep(2.0)
+    assert hardware.speed() == 0
+
+
 def test_a_killed_bringup_leaves_no_node(domain: int, tmp_path: Path) -> None:
     """The next bringup continues in the same directory, with a new file in the bag."""
     with live(domain, tmp_path, *EXTERNAL) as process:
