@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from greenroof_ros.base.command_line import Parser, add_site, make_number_type, refuse
-from greenroof_ros.controllers.decide import find_place
-from greenroof_ros.controllers.registry import EXTERNAL, FOR_A_SITE, ControllerChoice
+from greenroof_ros.controllers.registry import EXTERNAL, FOR_A_SITE
 from greenroof_ros.forecast.service import ENSEMBLE, FORECAST, OPEN_METEO
 from greenroof_ros.interface.states import PUMP, RECORDER
 from greenroof_ros.live.devices.drive import DriveEndpoint
@@ -140,11 +137,10 @@ class LiveSite:
         if sensors:
             station += "--sensors", arguments.sensors
         words = [f"{_LIVE}.controller", "--controller", self.controller.reference]
-        give_up, logs = partial(_give_up, self.controller), state / "log"
-        limit = silence_limit(site.tau)
+        logs, limit = state / "log", silence_limit(site.tau)
         self.processes = (
             SiteProcess(pump, [f"{_LIVE}.{module}"], logs, ACTUATORS_SILENT_S),
-            SiteProcess(name, words, logs, limit, give_up),
+            SiteProcess(name, words, logs, limit),
             SiteProcess(STATION, station, logs, limit),
         )
 
@@ -199,18 +195,3 @@ def make_parser() -> Parser:
     add_graph_arguments(parser)
     add_drive_arguments(parser)
     return parser
-
-
-def _give_up(controller: ControllerChoice, why: str) -> list[str]:
-    """Return the words for the process of a controller that can no longer be run.
-
-    The location of the controller's code is added to the reason, since a process may end without a
-    message.
-    """
-    file, line = find_place(controller.kind, "command")
-    why = f"{why} ({controller.reference} is in {file}, line {line})"
-    text = json.dumps(why.encode(errors="replace").decode(), ensure_ascii=False)  # as YAML
-    return [
-        f"{_LIVE}.controller", "--controller", "onoff",
-        "--ros-args", "-r", f"__node:={controller.name}", "-p", f"given_up:={text}", "--",
-    ]

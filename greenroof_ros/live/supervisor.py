@@ -68,8 +68,7 @@ class SiteProcess:
     Attributes:
         name: name of the process.
         words: its Python module and its command-line arguments, without ROS arguments.
-        instead: function that receives the reason why the process can no longer be used, and
-            returns the words with which it is started from then on; None if it then stays off.
+        silence_s: how long it may be silent (s).
         popen: the running process as far as known; None if it is not running.
         pid: its last process id.
         due: time of its next start (steady clock, s); infinite if it stays off.
@@ -80,20 +79,16 @@ class SiteProcess:
         last_lines: the last lines that it printed.
     """
 
-    def __init__(
-        self, name: str, words: Sequence[str], logs: Path, silence_s: float,
-        instead: Callable[[str], Sequence[str]] | None = None,
-    ) -> None:
+    def __init__(self, name: str, words: Sequence[str], logs: Path, silence_s: float) -> None:
         """Describe the process, without starting it.
 
         Args:
             name: see the class.
             words: see the class.
             logs: existing directory for its standard error.
-            silence_s: how long it may be silent (s).
-            instead: see the class.
+            silence_s: see the class.
         """
-        self.name, self.words, self.silence_s, self.instead = name, words, silence_s, instead
+        self.name, self.words, self.silence_s = name, words, silence_s
         self.popen: subprocess.Popen[bytes] | None = None
         self.pid, self.due, self.silent_at, self.restarts = 0, 0.0, 0.0, Restarts()
         self.beats = self.reached = False
@@ -291,26 +286,18 @@ class LiveSupervisor:
             NodeFailed: if the site must end.
         """
         self.read(0.0)  # its last lines and heartbeats
-        code = None if process.popen is None else process.popen.returncode
-        is_refused = code in (EXIT_USAGE, EXIT_OCCUPIED)
+        code = EXIT_FAILED if process.popen is None else process.popen.returncode
+        is_refused = code in (EXIT_USAGE, EXIT_OCCUPIED) and not self.ready
         wait = process.restarts.wait(now)
-        if process.instead and (wait is None or (is_refused and self.ready)):
-            # The last line of a program that rejects its set-up is the reason.
-            reason = ", ".join([failure, *([*process.last_lines][-1:] if is_refused else [])])
-            process.words, process.instead = process.instead(reason), None
-            process.restarts, wait = Restarts(), restarts.FIRST_WAIT_S
         process.popen, process.failure = None, failure
         process.due = math.inf if wait is None else now + wait
         then = f"starts again in {wait:g} s" if wait is not None else (
             f"it has been restarted {restarts.MAX_RESTARTS} times in the last "
             f"{restarts.WINDOW_S / 60:g} minutes, and stays off until the site is restarted"
         )
-        if (is_refused and not self.ready) or (wait is None and process is self._station):
+        if is_refused or (wait is None and process is self._station):
             self._tell("\n  ".join([f"last lines of {process.name}:", *process.last_lines]))
-            raise NodeFailed(
-                f"{process.name} {failure}" + ("" if is_refused else f"; {then}"),
-                code if is_refused and code else EXIT_FAILED,
-            )
+            raise NodeFailed(f"{process.name} {failure}", code if is_refused else EXIT_FAILED)
         self._tell(f"{process.name}: {failure}; {then}")
         if process is self._actuators:
             self._stop_message = ""

@@ -6,7 +6,6 @@ test observes and controls it.
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
 import sys
@@ -30,11 +29,6 @@ def main() -> None:
         reached = (marks / "reached").exists()
         os.write(int(os.environ["GREENROOF_ROS_HEARTBEAT"]), bytes([reached]))
         time.sleep(0.05)
-        if kind == "crashes" and (marks / "turn").exists():
-            ctypes.string_at(0)
-        if kind == "refuses" and (marks / "turn").exists():
-            print("error: mine.py, line 3: x", file=sys.stderr)
-            sys.exit(2)
 
 
 main()

@@ -353,32 +353,6 @@ def test_nodes_read_what_the_site_was_started_with_on_a_full_disk(
             assert not process.stderr().count("exit code")
 
 
-def test_a_controller_that_ends_its_process(domain: int, tmp_path: Path, site: Site) -> None:
-    """On/off waters in its place after its restarts; an alarm names file and line of the class."""
-    commands, file = site.listen("/pump/command"), tmp_path / "mine.py"
-    file.write_text(
-        "import os\nfrom greenroof_ros.controllers.onoff import OnOff\n\nclass Mine(OnOff):\n"
-        "    parameters = ()\n    def __init__(self, site): super().__init__(site, 0.3)\n"
-        "    def command(self, *inputs):\n        if os.path.exists('fault'): os._exit(1)\n"
-        "        return super().command(*inputs)\n"
-    )
-    (tmp_path / "nodes.yaml").write_text(QUICK)
-    options = (*EXTERNAL, "--controller", "mine:Mine", "--node-parameters", "nodes.yaml")
-    with live(domain, tmp_path, *options, command=("restarting", "1")):
-        site.values = {**LEVELS, "/weather/frost": 0.0}
-        site.until(lambda: newest(commands) == 0.3, 60, "its commands")
-        (tmp_path / "fault").touch()
-        site.until(lambda: newest(commands) == 1.0, 60, "on/off")
-        site.during(2.0)
-        assert {value for _, value in commands} == {0.0, 0.3, 1.0}
-    (alarm,) = (
-        alarm for alarm in summary_of(tmp_path / "run")["alarms"]
-        if alarm["code"] == "controller_failed"
-    )
-    assert (alarm["node"], alarm["part"]) == ("/mine", "command")
-    assert f"ended (exit code 1) (mine:Mine is in {file}, line 7)" in alarm["sentence"]
-
-
 def test_a_site_that_is_stopped_while_it_starts_ends_with_0(domain: int, tmp_path: Path) -> None:
     """Before any node is there, and while sensors are missing and it waits for them."""
     for early in (True, False):
