@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import argparse
+import sys
 import time
 from collections import Counter
-from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
+from greenroof_ros.base.processes import InterruptedRun, Signals
+from greenroof_ros.base.standard_error import LINES, print_line
 from greenroof_ros.bringup.progress import RunProgress
 from greenroof_ros.controllers.registry import EXTERNAL
 from greenroof_ros.interface.states import PLANT, RECORDER
@@ -16,8 +21,13 @@ from greenroof_ros.nodes.plant import PlantNode
 from greenroof_ros.nodes.recorder import RecorderNode
 from greenroof_ros.nodes.weather import RecordedWeather
 from greenroof_ros.ros.alarms import ROLE
-from greenroof_ros.ros.spin import spin
+from greenroof_ros.ros.domain import lock_bringup, ros_arguments
+from greenroof_ros.ros.errors import explain
+from greenroof_ros.ros.parameter_file import node_parameter_files
+from greenroof_ros.ros.spin import destroy_nodes, end_nodes, ros, spin
 from greenroof_ros.ros.watchdog import Watchdog
+from greenroof_ros.simulation import screen, summary
+from greenroof_ros.simulation.directory import make_run_directory, write_configuration
 from greenroof_ros.simulation.run import Run
 
 # How long messages of a node that is not composed here are still received after the last tick (s):
@@ -25,94 +35,119 @@ from greenroof_ros.simulation.run import Run
 _EXTRA_S = 0.5
 
 
-class Composition:
-    """The plant, weather, controller and recorder nodes of one run, in this process.
+def run_graph(
+    run: Run, arguments: argparse.Namespace, modules: dict[str, str], signals: Signals
+) -> int:
+    """Create the run's directory, run the nodes, write the summary, and return the exit code.
 
-    Attributes:
-        nodes: the nodes, by their names. The plant is the first; the alarms node takes no part in
-            the lockstep.
+    Args:
+        run: the run.
+        arguments: the parsed command line.
+        modules: module of every node of the run, by the node's name.
+        signals: the signals that end the run.
+
+    Raises:
+        ConfigurationError: if an option is invalid, or a graph is already running.
+        OSError: if the directory cannot be created, or the summary cannot be written.
     """
+    user_files = node_parameter_files(arguments, modules, run.controller, run.parameters)
+    with lock_bringup(arguments.namespace):
+        directory = make_run_directory(arguments.output, run.controller.name)
+        parameters = write_configuration(directory, run, {
+            "speed": arguments.speed, "pump": arguments.pump, "record": not arguments.no_record,
+            "peer_limit": arguments.peer_limit,
+        })
+        summary.write(summary.make_unfinished_summary(run, summary.RUNNING), directory)
+        words = ros_arguments([parameters, *user_files], arguments.namespace, sys.argv[1:])
+        nodes: dict[str, Any] = {}
+        status, reason, code = summary.DONE, "", EXIT_DONE
+        with ros(["greenroof", *words, "--disable-stdout-logs"]):
+            try:
+                _run_nodes(nodes, run, arguments, signals)
+            except InterruptedRun as error:
+                status, reason, code = summary.INTERRUPTED, str(error), EXIT_INTERRUPTED
+                print_line(reason)
+            except Exception as error:
+                status, reason, code = summary.FAILED, *explain(error)
+                print_line(f"error: {reason}")
+            try:
+                if end_nodes([*nodes.values()], reason or None) != (reason or None):
+                    code = EXIT_FAILED  # the bag cannot be closed
+                _summarize(nodes, run, status, reason, arguments, directory)
+            finally:
+                destroy_nodes([*nodes.values()])
+        return code
 
-    def __init__(self, run: Run, *, external_pump: bool, progress: RunProgress) -> None:
-        """Store the run, without creating nodes.
 
-        Args:
-            run: the run to simulate.
-            external_pump: True if the pump driver is in another process.
-            progress: progress bar that shows the run.
-        """
-        self.nodes: dict[str, Any] = {}
-        self._controller = run.controller
-        self._progress = progress
-        is_external = external_pump or run.controller.reference == EXTERNAL
-        self._extra_s = _EXTRA_S if is_external else 0.0
-        self._finished_at = time.monotonic()
+def _run_nodes(
+    nodes: dict[str, Any], run: Run, arguments: argparse.Namespace, signals: Signals
+) -> None:
+    """Create the nodes of a run, and run them to its end.
 
-    def spin(self, check: Callable[[], None], *, record: bool) -> None:
-        """Create the nodes, and run them to the end of the run.
+    Args:
+        nodes: receives the nodes, by their names. The plant is the first; the alarms node takes no
+            part in the lockstep.
+        run: the run.
+        arguments: the parsed command line.
+        signals: the signals that end the run.
+    """
+    plant = nodes[PLANT] = PlantNode()
+    nodes["weather"] = RecordedWeather()
+    has_controller = run.controller.reference != EXTERNAL
+    if has_controller:
+        nodes[run.controller.name] = SimulatedController(run.controller.reference)
+    if not arguments.no_record:
+        nodes[RECORDER] = RecorderNode()
+    nodes[ROLE] = AlarmsNode()
+    extra_s = 0.0 if has_controller and arguments.pump != EXTERNAL else _EXTRA_S
+    watchdog, finished_at = Watchdog(exits=True), time.monotonic()
 
-        Args:
-            check: callback that is called 20 times a second; it can raise an error to end the run.
-            record: True to include a recorder.
+    def may_end() -> bool:
+        nonlocal finished_at
+        watchdog.report(plant.limit())
+        signals.check()
+        for node in nodes.values():
+            progress.warn(node.warnings)
+        if plant.acted:
+            progress.show_tick(**plant.progress())
+        else:
+            missing = ", ".join(map(plant.peers.name_of, plant.peers.absent()))
+            progress.show(f"waiting for {missing}" if missing else "starting", 0.0)
+        now = time.monotonic()
+        if not all(node.finished for node in nodes.values()):
+            finished_at = now
+            return False
+        return now - finished_at >= extra_s
 
-        Raises:
-            LockstepError: if the graph cannot continue.
-            ConfigurationError: if a parameter is invalid.
-            OSError: if a node cannot continue, for instance because the disk is full.
-        """
-        plant = self.nodes[PLANT] = PlantNode()
-        self.nodes["weather"] = RecordedWeather()
-        if self._controller.reference != EXTERNAL:
-            self.nodes[self._controller.name] = SimulatedController(self._controller.reference)
-        if record:
-            self.nodes[RECORDER] = RecorderNode()
-        self.nodes[ROLE] = AlarmsNode()
-        watchdog = Watchdog(exits=True)
-
-        def may_end() -> bool:
-            watchdog.report(plant.limit())
-            check()
-            self._show(plant)
-            return self._is_over()
-
+    with RunProgress(run.steps, run.site.tau, LINES) as progress:
         try:
-            spin([*self.nodes.values()], may_end)
+            spin([*nodes.values()], may_end)
         finally:
             watchdog.stop()
 
-    def _is_over(self) -> bool:
-        """Return True if the run is over for all nodes and the wait for late messages is over."""
-        now = time.monotonic()
-        if not all(node.finished for node in self.nodes.values()):
-            self._finished_at = now
-            return False
-        return now - self._finished_at >= self._extra_s
 
-    def _show(self, plant: PlantNode) -> None:
-        for node in self.nodes.values():
-            self._progress.warn(node.warnings)
-        if plant.acted:
-            self._progress.show_tick(**plant.progress())
-        else:
-            missing = ", ".join(map(plant.peers.name_of, plant.peers.absent()))
-            self._progress.show(f"waiting for {missing}" if missing else "starting", 0.0)
-
-    def happened(self) -> dict[str, Any]:
-        """Return the run's refused values and parameter changes so far, and its last tick."""
-        refused: Counter[str] = Counter()
-        for node in self.nodes.values():
-            refused.update({name: entry.refused for name, entry in node.inputs.items()})
-        plant, controller = map(self.nodes.get, (PLANT, self._controller.name))
-        return {
-            "refused": dict(+refused),
-            "last_tick": plant.progress()["tick"] if plant is not None and plant.acted else None,
-            **({} if controller is None else controller.progress()),
-        }
-
-    def results(self) -> dict[str, Any]:
-        """Return the results of a completed run, for its summary."""
-        absent: dict[str, Any] = {"solver": None, "messages": None}
-        return absent | {
-            key: value for name, node in self.nodes.items() if name != ROLE
-            for key, value in node.result.items()
-        }
+def _summarize(
+    nodes: dict[str, Any], run: Run, status: str, reason: str, arguments: argparse.Namespace,
+    directory: Path,
+) -> None:
+    """Write the summary of a run, and print it if the run is complete."""
+    plant, controller = map(nodes.get, (PLANT, run.controller.name))
+    refused: Counter[str] = Counter()
+    for node in nodes.values():
+        refused.update({name: entry.refused for name, entry in node.inputs.items()})
+    happened = {
+        "refused": dict(+refused),
+        "last_tick": plant.progress()["tick"] if plant is not None and plant.acted else None,
+        **({} if controller is None else controller.progress()),
+    }
+    if status != summary.DONE:
+        print_line(f"the unfinished run is in {directory}")
+        happened["reason"] = reason
+        summary.write(summary.make_unfinished_summary(run, status, **happened), directory)
+        return
+    results: dict[str, Any] = {"solver": None, "messages": None}
+    for name, node in nodes.items():
+        results |= {} if name == ROLE else node.result
+    result = summary.make_summary(run, **results, **happened)
+    summary.write(result, directory)
+    screen.show_summary(result, directory, as_json=arguments.json)
