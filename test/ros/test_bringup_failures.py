@@ -153,7 +153,7 @@ def test_a_controller_that_hangs_or_fails_ends_the_run(
     (tmp_path / "mine.py").write_text(text)
     process = Process(
         domain, "bringup", "--controller", "mine:Mine", "--hours", "0.02", "--peer-limit", "2",
-        "--output", "run", cwd=tmp_path,
+        "--speed", "60", "--output", "run", cwd=tmp_path,
     )
     # Its code is refused as other wrong input is; what does not answer is a node that failed.
     assert process.wait(300) == (1 if reason is HANGS else 2)
