@@ -79,8 +79,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         )
         try:
             write(summary.RUNNING, None)
-            with supervisor:
-                _supervise(supervisor, signals)
+            _supervise(supervisor, signals)
         except Exception as error:  # whatever the error, the summary must not state "running"
             signals.ignore()
             return _end(write, supervisor.may_run, error)
@@ -93,7 +92,7 @@ def _tell(text: str) -> None:
 
 
 def _supervise(supervisor: LiveSupervisor, signals: Signals) -> NoReturn:
-    """Monitor the processes until an error ends the site.
+    """Start and monitor the processes until an error ends the site, and end them.
 
     Raises:
         InterruptedRun: if a signal arrived.
@@ -113,6 +112,7 @@ def _supervise(supervisor: LiveSupervisor, signals: Signals) -> NoReturn:
     finally:
         notify("STOPPING=1")
         _tell("stopping the pump, and then the nodes")
+        supervisor.end()
 
 
 def _end(write: Callable[[str, str], None], may_run: str, error: Exception) -> int:

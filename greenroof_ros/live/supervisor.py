@@ -159,11 +159,7 @@ class LiveSupervisor:
         self._stop_message, self._stop_again_at = "", math.inf
         self._selector = selectors.DefaultSelector()
 
-    def __enter__(self) -> LiveSupervisor:
-        """Return the supervisor without starting a process."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def end(self) -> None:
         """End all processes: the actuators first, and the station last, which completes the bag.
 
         Two simultaneous stops of the drive would collide, so a stop in progress is completed first.

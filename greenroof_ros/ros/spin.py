@@ -136,40 +136,32 @@ def end_nodes(nodes: Sequence[GraphNode], failure: str | None) -> str | None:
     """
     for node in nodes:
         node.note_failure(failure)
-    with _reporting(nodes):
-        for node in nodes:
-            try:
-                node.on_stop()
-            except Exception as error:  # the other nodes must stop too
-                why, _ = explain(error)
-                failure = failure or why
-                print(f"error: {why}", file=sys.stderr)
+    stopped = threading.Event()
+    reporter = threading.Thread(target=_report, args=(nodes, stopped), daemon=True)
+    reporter.start()
+    for node in nodes:
+        try:
+            node.on_stop()
+        except Exception as error:  # the other nodes must stop too
+            why, _ = explain(error)
+            failure = failure or why
+            print(f"error: {why}", file=sys.stderr)
+    stopped.set()
+    reporter.join()
     for node in nodes:
         node.end(failure)
     return failure
 
 
-@contextmanager
-def _reporting(nodes: Sequence[GraphNode]) -> Iterator[None]:
-    """Let nodes report their states during the block, for a limited time."""
-    stopped = threading.Event()
-
-    def report() -> None:
-        until = time.monotonic() + _MAX_STOP_S
-        while time.monotonic() < until:
-            for node in nodes:
-                with suppress(Exception):  # its own error is reported already
-                    node.report_state()
-            if stopped.wait(_REPORT_S):
-                return
-
-    reporter = threading.Thread(target=report, daemon=True)
-    reporter.start()
-    try:
-        yield
-    finally:
-        stopped.set()
-        reporter.join()
+def _report(nodes: Sequence[GraphNode], stopped: threading.Event) -> None:
+    """Let nodes report their states until they have stopped, for a limited time."""
+    until = time.monotonic() + _MAX_STOP_S
+    while time.monotonic() < until:
+        for node in nodes:
+            with suppress(Exception):  # its own error is reported already
+                node.report_state()
+        if stopped.wait(_REPORT_S):
+            return
 
 
 def destroy_nodes(nodes: Sequence[GraphNode]) -> None:

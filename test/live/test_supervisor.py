@@ -49,7 +49,7 @@ class Site:
             [], stop_drive, self._tell, dict,
         )
         self._ending = ExitStack()
-        self._ending.enter_context(self.supervisor)
+        self._ending.callback(self.supervisor.end)
         self.end = self._ending.close
 
     def _tell(self, text: str) -> None:
