@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections import Counter
 from pathlib import Path
@@ -23,7 +22,6 @@ from greenroof_ros.nodes.weather import RecordedWeather
 from greenroof_ros.ros.alarms import ROLE
 from greenroof_ros.ros.domain import lock_bringup, ros_arguments
 from greenroof_ros.ros.errors import explain
-from greenroof_ros.ros.parameter_file import node_parameter_files
 from greenroof_ros.ros.spin import destroy_nodes, end_nodes, ros, spin
 from greenroof_ros.ros.watchdog import Watchdog
 from greenroof_ros.simulation import screen, summary
@@ -35,22 +33,18 @@ from greenroof_ros.simulation.run import Run
 _EXTRA_S = 0.5
 
 
-def run_graph(
-    run: Run, arguments: argparse.Namespace, modules: dict[str, str], signals: Signals
-) -> int:
+def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
     """Create the run's directory, run the nodes, write the summary, and return the exit code.
 
     Args:
         run: the run.
         arguments: the parsed command line.
-        modules: module of every node of the run, by the node's name.
         signals: the signals that end the run.
 
     Raises:
         ConfigurationError: if an option is invalid, or a graph is already running.
         OSError: if the directory cannot be created, or the summary cannot be written.
     """
-    user_files = node_parameter_files(arguments, modules, run.controller, run.parameters)
     with lock_bringup(arguments.namespace):
         directory = make_run_directory(arguments.output, run.controller.name)
         parameters = write_configuration(directory, run, {
@@ -58,7 +52,7 @@ def run_graph(
             "peer_limit": arguments.peer_limit,
         })
         summary.write(summary.make_unfinished_summary(run, summary.RUNNING), directory)
-        words = ros_arguments([parameters, *user_files], arguments.namespace, sys.argv[1:])
+        words = ros_arguments([parameters], arguments.namespace)
         nodes: dict[str, Any] = {}
         status, reason, code = summary.DONE, "", EXIT_DONE
         with ros(["greenroof", *words, "--disable-stdout-logs"]):

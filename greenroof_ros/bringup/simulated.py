@@ -3,39 +3,30 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from functools import partial
 
 from greenroof_ros.base.command_line import Parser, command
 from greenroof_ros.bringup.start import bring_up
-from greenroof_ros.controllers.registry import EXTERNAL, ControllerChoice, find_controller
-from greenroof_ros.interface.states import RECORDER
+from greenroof_ros.controllers.registry import EXTERNAL
 from greenroof_ros.ros.arguments import add_graph_arguments
 from greenroof_ros.ros.domain import require_ros
-from greenroof_ros.ros.ros_arguments import find_options, remove_ros_arguments
 from greenroof_ros.simulation import screen
 from greenroof_ros.simulation.options import add_output_arguments, add_run_arguments, build_run
 from greenroof_ros.simulation.run import Run
-
-_NODES = "greenroof_ros.nodes"
 
 
 def make_parser() -> Parser:
     """Return the parser of the command line."""
     parser = Parser(
         prog="greenroof run",
-        usage="%(prog)s [options] [--ros-args ...]",
         description="Run the plant, weather, controller and recorder as ROS 2 nodes in one "
         "process, in lockstep with simulated time. For a real site, use 'greenroof live'.",
         epilog="examples:\n"
         "  greenroof run --controller lookahead --initial high-low --horizon 12\n"
-        "  greenroof run --weather mine.csv --start 2024-06-01 --hours 24 --speed 60\n"
-        "  greenroof run --namespace site1 --site site1.yaml --no-record\n"
-        "  greenroof run --controller external    # your node runs alongside it\n"
-        "  greenroof run --ros-args -r plant:/roof/level:=/raw\n\n"
-        "ROS arguments: all nodes of the run receive them, as rclpy defines them. -p NAME:=VALUE "
-        "and --params-file FILE set parameters of the controller. Nodes cannot be renamed. Other "
-        "commands, such as watch, do not recognize a remapped topic.\n\n"
+        "  greenroof run --weather mine.csv --start 2024-06-01 --hours 24\n"
+        "  greenroof run --namespace site1 --site site1.yaml\n"
+        "  greenroof run --speed 60 --no-record\n"
+        "  greenroof run --controller external    # your node runs alongside it\n\n"
         "exit codes: 0 done, 1 a node failed, 2 bad usage or configuration, or an error in a "
         "controller's code, 3 a graph is already running, 130 interrupted",
     )
@@ -59,30 +50,11 @@ def simulated_run(arguments: argparse.Namespace) -> Run:
     return run
 
 
-def _modules(controller: ControllerChoice, arguments: argparse.Namespace) -> dict[str, str]:
-    """Return the module of every node of the run, by the node's name."""
-    is_external = controller.reference == EXTERNAL
-    return {
-        "plant": f"{_NODES}.plant",
-        "weather": f"{_NODES}.weather",
-        **({} if is_external else {controller.name: f"{_NODES}.controller"}),
-        **({} if arguments.no_record else {RECORDER: f"{_NODES}.recorder"}),
-    }
-
-
 @command
 def main() -> int:
     """Start the graph, supervise it until the run is over, and stop it."""
-    parser, words = make_parser(), sys.argv[1:]
-    if "--ros-args" in words:
-        words = remove_ros_arguments(words)
-        given = parser.parse_args(words)
-        controller = find_controller(given.controller)
-        nodes = _modules(controller, given)
-        words = [*words, *find_options(sys.argv[1:], given.namespace, nodes, controller)]
-    arguments = parser.parse_args(words)
+    arguments = make_parser().parse_args()
     run = simulated_run(arguments)
     with require_ros():
         from greenroof_ros.bringup.composition import run_graph
-    modules = _modules(run.controller, arguments)
-    return bring_up(arguments, partial(run_graph, run, arguments, modules))
+    return bring_up(arguments, partial(run_graph, run, arguments))

@@ -43,11 +43,12 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
         group, "serve the graph to Foxglove or Lichtblick on this machine until the graph stops, "
         "and print the address of the server.",
     )
-    group.add_argument(
-        "--node-parameters", type=Path, metavar="FILE",
-        help="ROS 2 parameter file for the parameters that bringup does not set, such as the "
-        "limits of the pump node (doc/reference/nodes.md); unknown parameters are rejected",
-    )
+    if not pump:
+        group.add_argument(
+            "--node-parameters", type=Path, metavar="FILE",
+            help="ROS 2 parameter file for the parameters that bringup does not set, such as the "
+            "limits of the pump node (doc/reference/nodes.md); unknown parameters are rejected",
+        )
 
 
 def add_foxglove(parser: argparse._ActionsContainer, about: str) -> None:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -146,11 +146,8 @@ def prepare_ros() -> None:
     os.environ[variable] = str(shared_directory() / "config" / f"{name}.xml")
 
 
-def join(words: Sequence[str] = ()) -> Any:
+def join() -> Any:
     """Join the domain as an observer, with a separate context, and return the context.
-
-    Args:
-        words: command line whose ROS arguments apply to the nodes of the context.
 
     Raises:
         ConfigurationError: if ROS 2 is not installed, or the environment is wrong.
@@ -161,15 +158,13 @@ def join(words: Sequence[str] = ()) -> Any:
     context = rclpy.Context()
     rclpy.init(
         # Its log file would need a home directory, which a service may not have.
-        args=["--ros-args", "--disable-external-lib-logs", "--", *words], context=context,
+        args=["--ros-args", "--disable-external-lib-logs"], context=context,
         signal_handler_options=SignalHandlerOptions.NO,
     )
     return context
 
 
-def ros_arguments(
-    parameters: Iterable[Path], namespace: str, more: Sequence[str] = ()
-) -> list[str]:
+def ros_arguments(parameters: Iterable[Path], namespace: str) -> list[str]:
     """Return the ROS arguments for bringup's nodes, which disable rcl's own log files.
 
     These files would grow for months in the user's home directory, and a hanging disk would stop
@@ -178,11 +173,10 @@ def ros_arguments(
     Args:
         parameters: ROS 2 parameter files; later files override earlier ones.
         namespace: namespace of the nodes, such as ``/site1``; empty for none.
-        more: a command line whose ROS arguments apply as well; of parameters, the last one wins.
     """
     files = [word for file in parameters for word in ("--params-file", str(file))]
     remapped = ["-r", f"__ns:={namespace}"] if namespace else []
-    return ["--ros-args", "--disable-external-lib-logs", *files, *remapped, "--", *more]
+    return ["--ros-args", "--disable-external-lib-logs", *files, *remapped, "--"]
 
 
 @contextmanager

@@ -128,7 +128,7 @@ def test_what_contradicts_the_sensors(
 
 NODES = {
     name: f"greenroof_ros.{module}" for name, module in {
-        "plant": "nodes.plant", "weather": "live.weather", "onoff": "live.controller",
+        "weather": "live.weather", "onoff": "live.controller",
         "pump": "live.pump", "recorder": "live.recorder", "roof_sensor": "live.sensors",
     }.items()
 }
@@ -136,7 +136,9 @@ NODES = {
 
 def parameters(file: Path) -> list[Path]:
     """Return the parameter files that bringup with a drive makes from one."""
-    arguments = make_parser().parse_args(["--namespace", "site1", "--node-parameters", str(file)])
+    arguments = live_site_parser().parse_args(
+        ["--namespace", "site1", "--node-parameters", str(file)]
+    )
     given = {"fraction": 0.9, "level": 1.0}
     return node_parameter_files(arguments, NODES, find_controller("onoff"), given)
 
@@ -151,8 +153,8 @@ NO_EFFECT = {
     "/**:\n  ros__parameters:\n    level: 1\n    fraction: 0.5\n":
         "line 4: /**: fraction = 0.5: must not be set for the node onoff in this file: "
         "under bringup, --fraction sets it",
-    "/plant:\n  ros__parameters:\n    record: true\n":
-        "line 1: /plant: applies to no node that bringup starts: /site1/",
+    "/pump:\n  ros__parameters:\n    min_off: 1.0\n":
+        "line 1: /pump: applies to no node that bringup starts: /site1/",
     "/**/pump:\n  ros__parameters:\n    min_off: 1.0\n    max_volume_per_dai: 0.5\n":
         "line 4: /**/pump: max_volume_per_dai = 0.5: there is no such parameter; did you "
         "mean max_volume_per_day?",
@@ -173,21 +175,6 @@ def test_a_parameter_that_would_have_no_effect(tmp_path: Path, text: str) -> Non
         parameters(file)
     assert str(error.value).startswith(f"{file}, {NO_EFFECT[text]}")
     assert [file.name for file in tmp_path.iterdir()] == ["nodes.yaml"]
-
-
-@pytest.mark.parametrize(
-    ("rule", "words"),
-    [
-        ("-p weight:=4", "is not a parameter of the controller's node, onoff"),
-        ("-r plant:__ns:=/a", "must not rename or move a node of a run"),
-        ("--params-file a.yaml", "Couldn't parse params file"),
-    ],
-)
-def test_ros_arguments_that_do_not_fit_a_run(rule: str, words: str, tmp_path: Path) -> None:
-    pytest.importorskip("rclpy")
-    done = bringup(tmp_path, "--controller", "onoff", "--ros-args", *rule.split())
-    assert (done.returncode, done.stdout, list(tmp_path.iterdir())) == (2, "", [])
-    assert words in done.stderr
 
 
 def test_a_drive_of_another_program_is_left_to_it() -> None:

@@ -236,21 +236,3 @@ def test_two_at_once(domain: int, tmp_path: Path) -> None:
     assert summary_of(tmp_path / "site1")["parameters"]["weight"] == 0.02
     # The file took effect in the node: on/off commands its fraction, and nothing else.
     assert summary_of(tmp_path / "site2")["max_command"] == 0.4
-
-
-def test_ros_arguments(domain: int, tmp_path: Path) -> None:
-    """A remapping is for all nodes, or for one; what the run must know is as by its options.
-
-    The namespace is that of the run for rclpy as well: /**/onoff is the controller in it.
-    """
-    (tmp_path / "onoff.yaml").write_text("/**/onoff:\n  ros__parameters:\n    level: 0.9\n")
-    summary = bring_up(
-        domain, tmp_path, "--controller", "onoff", "--ros-args", "-r", "roof/level:=/raw", "-r",
-        "__ns:=/x", "-r", "plant:pump/flow:=/f", "-r", "recorder:pump/flow:=/f", "-p",
-        "fraction:=0.4", "--params-file", "onoff.yaml", "--", "--hours", "0.01",
-    )
-    assert (summary["parameters"]["fraction"], summary["max_command"]) == (0.4, 0.4)
-    assert summary["parameters"]["level"] == 0.9
-    moved = {"/roof/level": "/raw", "/pump/flow": "/f"}
-    names = {moved.get(topic, f"/x{topic}") for topic in bag_topics()}
-    assert messages_of(tmp_path / "run").keys() == names
