@@ -29,8 +29,7 @@ def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
     process = Process(
         domain, "bringup", "--controller", "mpc",
         "--output", "run", "--namespace", "site1", "--hours", "0.2",
-        "--speed", "120", "--parameters", "mine.yaml", "--node-parameters", "mine.yaml",
-        cwd=tmp_path,
+        "--speed", "120", "--parameters", "mine.yaml", cwd=tmp_path,
     )
     weight = parameter(observer, "/site1/mpc", "weight")
     assert (weight.type, weight.double_value) == (ParameterType.PARAMETER_DOUBLE, 5.0)
