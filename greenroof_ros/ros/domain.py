@@ -192,19 +192,16 @@ def lock_bringup(namespace: str, directory: Path | None = None) -> Iterator[None
         ConfigurationError: if the number of the domain is invalid.
         OSError: if the system does not support this kind of lock.
     """
-    domain = read_domain()
-    places = {f"domain-{domain}{namespace}": (
-        f"in ROS domain {domain}, namespace {namespace or '/'}; stop it, or use another "
-        "--namespace or another ROS_DOMAIN_ID"
-    )}
+    places = [f"ROS domain {read_domain()}, namespace {namespace or '/'}"]
     if directory is not None:
-        places[f"directory-{directory.resolve()}"] = (
-            f"with --state {directory}; stop it, or use another directory"
-        )
+        places.append(f"{directory.resolve()}")
     with ExitStack() as locks:
-        for name, place in places.items():
+        for place in places:
             try:
-                locks.enter_context(acquire_name_lock(f"{os.getuid()}-{name}"))
+                locks.enter_context(acquire_name_lock(f"{os.getuid()} {place}"))
             except LockedError:
-                raise OccupiedError(f"a bringup is already running {place}") from None
+                raise OccupiedError(
+                    f"a bringup is already running in {place}; stop it, or use another "
+                    "--namespace, ROS_DOMAIN_ID or --state"
+                ) from None
         yield

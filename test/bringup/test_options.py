@@ -232,6 +232,6 @@ def test_a_directory_in_use(tmp_path: Path) -> None:
         done = run_command("bringup.live", *EXTERNAL, cwd=tmp_path, env=environment(0))
     assert (done.returncode, directory.exists()) == (3, False)
     assert done.stderr == (
-        f"error: a bringup is already running with --state {directory}; stop it, or use another "
-        "directory\n"
+        f"error: a bringup is already running in {directory}; stop it, or use another "
+        "--namespace, ROS_DOMAIN_ID or --state\n"
     )

@@ -26,7 +26,7 @@ def test_one_bringup_in_a_namespace(monkeypatch: pytest.MonkeyPatch) -> None:
         with pytest.raises(OccupiedError) as occupied, lock_bringup("/site1"):
             pass
         # Of a run or a live site: another place is chosen in the same way for both.
-        assert "use another --namespace or another ROS_DOMAIN_ID" in str(occupied.value)
+        assert "use another --namespace, ROS_DOMAIN_ID or" in str(occupied.value)
         assert "greenroof" not in str(occupied.value)
         with lock_bringup("/site2"):
             pass
