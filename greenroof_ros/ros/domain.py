@@ -74,9 +74,7 @@ def parse_namespace(text: str) -> str:
 
 
 # argparse shows this in its error message
-parse_namespace.__name__ = (
-    "namespace of letters, digits and _ that does not begin with a digit, such as site1"
-)
+parse_namespace.__name__ = "name of letters, digits and _, such as site1"
 
 
 def add_namespace(parser: argparse.ArgumentParser, more: str = "") -> None:
