@@ -7,8 +7,7 @@ import signal
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
-from functools import partial
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
@@ -248,35 +247,3 @@ def test_a_log_that_cannot_be_written_delays_no_one(make_site: Make, tmp_path: P
     site.during(1)
     site.end()
     assert not site.told
-
-
-@contextmanager
-def few_files_left(number: int) -> Iterator[None]:
-    """Let this process open only this many more files."""
-    import resource
-
-    opened = []
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (256, hard))
-    try:
-        with suppress(OSError):
-            while True:
-                opened.append(os.open(os.devnull, os.O_RDONLY))
-        for _ in range(number):
-            os.close(opened.pop())
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-        for file in opened:
-            os.close(file)
-
-
-def test_a_process_that_cannot_be_started_is_tried_again(make_site: Make) -> None:
-    """Wherever files run out, nothing is left open."""
-    site = make_site()
-    site.until_ready()
-    with few_files_left(5):
-        os.kill(site.pid("controller"), signal.SIGKILL)
-        failed = "controller: cannot be started: Too many open files; starts again in"
-        site.until(partial(lambda: any(text.startswith(failed) for text in site.told)))
-    site.until_restarted("controller")

@@ -113,32 +113,6 @@ def with_frost(directory: Path, hour: str) -> str:
     return str(file)
 
 
-def test_same_bits_in_quiet_hours(domain: int, tmp_path: Path) -> None:
-    """One minute of three is quiet, to the second, by Toronto's clock in summer; a wrong sensor.
-
-    A plan begins before it and is shorter from its first tick on, and so at its end.
-    """
-    file = tmp_path / "quiet.yaml"
-    file.write_text(
-        "extends: site.yaml\nquiet_hours: ['03:01-03:02']\ntime_zone: America/Toronto\n"
-    )
-    # Quiet hours end a minimum time on, as with a real pump.
-    options = (
-        "--controller", "lookahead", "--days-after", "0", "--pump-min-on", "50",
-        "--pump-min-off", "20", "--roof-offset=-1e-3",
-        "--site", str(file), "--start", "2021-07-07T02:00-05:00", "--hours", "0.05",
-    )
-    bring_up(domain, tmp_path, *options)
-    simulate(domain, tmp_path, *options)
-    rows = assert_same(tmp_path)
-    commands, flows = (
-        [float(row[column]) for row in rows] for column in ("command", "pump_flow_m3_per_s")
-    )
-    assert commands[60:120] == flows[60:120] == [0.0] * 60
-    sizes = [len(plan) for plan in messages_of(tmp_path / "run")["/controller/plan"]]
-    assert sizes[60] > sizes[61] and sizes[120] > sizes[121]
-
-
 def test_same_bits_and_plans_of_an_ensemble(domain: int, tmp_path: Path) -> None:
     """With sensor noise that affects the commands; the frost ends with a new issue."""
     options = (
