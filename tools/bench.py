@@ -31,16 +31,16 @@ ECHOES = 7200
 def echo(role: str) -> None:
     """Run one of the two processes that send a Float64 back and forth, as a yardstick."""
     import rclpy
+    from rclpy.experimental import EventsExecutor
     from rclpy.node import Node
     from std_msgs.msg import Float64
 
     from greenroof_ros.interface.topics import read_topics
     from greenroof_ros.ros.messages import qos_profile
-    from greenroof_ros.ros.spin import make_executor
 
     rclpy.init(args=[])
     node = Node(role)
-    executor = make_executor()
+    executor = EventsExecutor()
     executor.add_node(node)
     profile = qos_profile(read_topics()["/roof/level"].qos)
     outward, inward = ("ping", "pong") if role == "caller" else ("pong", "ping")

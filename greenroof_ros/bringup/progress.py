@@ -1,21 +1,16 @@
-"""The progress of a run: its simulated time, levels, command and speed, and its warnings."""
+"""The progress of a run: its simulated time, levels and command, and its warnings."""
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable
 from typing import Any
 
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.times import hours_minutes_seconds
 
-# How many warnings are remembered, so that each is printed once. There is a limit, since a text can
-# contain a changing value.
-_MAX_WARNED = 1000
-
 
 class RunProgress(ProgressBar):
-    """Progress bar with a run's simulated time, cistern and roof levels, command and speed."""
+    """Progress bar with a run's simulated time, cistern and roof levels, and command."""
 
     def __init__(self, steps: int, tau: float, file: Any = None) -> None:
         """Create the bar.
@@ -27,27 +22,19 @@ class RunProgress(ProgressBar):
         """
         super().__init__(file)
         self._steps, self._tau = steps, tau
-        self._warned: deque[str] = deque(maxlen=_MAX_WARNED)
+        self._warned: set[str] = set()
 
     def warn(self, warnings: Iterable[str]) -> None:
         """Print the warnings that have not been printed yet, above the bar."""
-        for text in warnings:
-            if text not in self._warned:
-                self._warned.append(text)
-                self.print_line(f"warning: {text}")
+        for text in set(warnings) - self._warned:
+            self._warned.add(text)
+            self.print_line(f"warning: {text}")
 
-    def show_tick(self, tick: int, cistern: float, roof: float, command: float) -> None:
-        """Show the values of a tick.
-
-        Args:
-            tick: number of the tick.
-            cistern: level in the cistern (m).
-            roof: level on the roof (m).
-            command: command as a share of the maximum flow (1).
-        """
-        share_per_s = self.tasks[0].speed
-        real = f", {share_per_s * self._steps * self._tau:.0f}x real time" if share_per_s else ""
+    def show_tick(
+        self, tick: int, cistern_level: float, roof_level: float, command: float
+    ) -> None:
+        """Show a tick with its levels (m), and its command as a share of the maximum flow (1)."""
         self.show(
-            f"{hours_minutes_seconds(tick * self._tau)}, cistern {cistern:.3f} m, roof "
-            f"{roof:.4f} m, command {command:.3f}{real}", tick / self._steps,
+            f"{hours_minutes_seconds(tick * self._tau)}, cistern {cistern_level:.3f} m, roof "
+            f"{roof_level:.4f} m, command {command:.3f}", tick / self._steps,
         )

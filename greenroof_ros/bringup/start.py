@@ -6,12 +6,10 @@ A watcher is a separate process; a run neither waits for a watcher nor fails bec
 from __future__ import annotations
 
 import argparse
-import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
 
 from greenroof_ros.base.command_line import EXIT_DONE, EXIT_INTERRUPTED
 from greenroof_ros.base.processes import InterruptedRun, Signals, child_environment
@@ -19,8 +17,9 @@ from greenroof_ros.base.standard_error import print_line
 
 # How long the watcher may take to end (s) before it is killed.
 _ENDING_S = 3.0
-# How often a watcher that has exited is started again, and after which time (s).
-_MAX_RESTARTS, _WAIT_S = 10, 2.0
+# How often a watcher that has exited is started again, after which time, and how often it is
+# checked (s).
+_MAX_RESTARTS, _WAIT_S, _CHECK_S = 10, 2.0, 0.25
 
 
 def bring_up(
@@ -37,87 +36,56 @@ def bring_up(
     Raises:
         ConfigurationError: if the Foxglove server cannot use the port.
     """
-    watchers: dict[str, tuple[str, ...]] = {"watch": ()} if arguments.watch else {}
+    watchers = {"watch": list[str]()} if arguments.watch else {}
     if arguments.foxglove is not None:
         from greenroof_ros.watch.foxglove_server import refuse_unusable
 
         refuse_unusable(arguments.foxglove)
-        watchers["foxglove"] = "--foxglove", str(arguments.foxglove)
-    signals = Signals()
+        watchers["foxglove"] = ["--foxglove", str(arguments.foxglove)]
+    signals, ending = Signals(), threading.Event()
+    keepers = [
+        threading.Thread(target=_keep_watcher, args=(
+            name, [*options, f"--namespace={arguments.namespace}"], ending
+        )) for name, options in watchers.items()
+    ]
+    for keeper in keepers:
+        keeper.start()
     try:
-        with ExitStack() as stack:
-            for name, options in watchers.items():
-                stack.enter_context(_watcher(name, arguments.namespace, *options))
-            code = start(signals)
+        code = start(signals)
     except InterruptedRun as error:  # before any node was started
         print(error, file=sys.stderr)
         return stopped
     finally:
         signals.ignore()
+        ending.set()
+        for keeper in keepers:
+            keeper.join()
     return code or (stopped if signals.received else EXIT_DONE)
 
 
-@contextmanager
-def _watcher(name: str, namespace: str, *options: str) -> Iterator[None]:
-    """Run ``greenroof watch`` during a run, and print its output, which includes its address.
+def _keep_watcher(name: str, options: list[str], ending: threading.Event) -> None:
+    """Run ``greenroof watch`` until the run ends; it prints its address.
 
-    The watcher stops at the end of the run, regardless of how the run ends. If the watcher exits
-    early, it is started again, at most ten times, and a line says so; the run continues.
-
-    Args:
-        name: name of the watcher, printed at the beginning of its lines.
-        namespace: namespace of the graph.
-        options: options of ``greenroof watch``.
+    If the watcher exits early, it is started again, at most ten times, and a line says so; the run
+    continues.
     """
-    words = [
-        sys.executable, "-m", "greenroof_ros", "watch", *options,
-        *(["--namespace", namespace] if namespace else []),
-    ]
-    ending = threading.Event()
-    process = _start(words)
-
-    def keep() -> None:
-        nonlocal process
-        for restarts in range(_MAX_RESTARTS + 1):
-            how = _print_output(name, process, ending)
-            again = restarts < _MAX_RESTARTS
-            if not ending.is_set():
-                then = f"starts again in {_WAIT_S:g} s" if again else "is given up"
-                print_line(f"{name}: the watcher has exited ({how}), and {then}; the run continues")
-            if not again or ending.wait(_WAIT_S):
-                return
-            process = _start(words)
-
-    keeper = threading.Thread(target=keep, daemon=True)
-    keeper.start()
-    try:
-        yield
-    finally:
-        ending.set()
-        process.terminate()
-        try:
-            process.wait(_ENDING_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-        keeper.join(_ENDING_S)
-
-
-def _start(words: Sequence[str]) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        text=True, errors="replace",
-        start_new_session=True,  # Ctrl-C is for the run, which ends the watcher
-        env=child_environment(),
-    )
-
-
-def _print_output(
-    name: str, process: subprocess.Popen[str], ending: threading.Event
-) -> str:
-    """Print a watcher's output until the run ends, and return how the watcher exited."""
-    assert process.stdout is not None
-    for line in process.stdout:
-        if not ending.is_set():
-            print_line(f"{name}: {line.rstrip()}")
-    code = process.wait()
-    return f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+    for left in reversed(range(_MAX_RESTARTS + 1)):
+        process = subprocess.Popen(
+            [sys.executable, "-m", "greenroof_ros", "watch", *options],
+            stdin=subprocess.DEVNULL, stdout=sys.stderr,  # a run's output may be JSON
+            start_new_session=True,  # Ctrl-C is for the run, which ends the watcher
+            env=child_environment(),
+        )
+        while process.poll() is None and not ending.wait(_CHECK_S):
+            pass
+        if ending.is_set():
+            process.terminate()
+            try:
+                process.wait(_ENDING_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+            return
+        then = f"starts again in {_WAIT_S:g} s" if left else "is given up"
+        print_line(f"{name}: the watcher has exited, and {then}; the run continues")
+        if ending.wait(_WAIT_S):
+            return

@@ -43,7 +43,7 @@ _PATHS = {**BUILT_IN, EXTERNAL: f"{_HERE}.registry:External"}
 OF_EVERY_NODE = {"use_sim_time", "start_type_description_service", "qos_overrides"}
 # Every controller's node has these parameters.
 _OF_EVERY_NODE = {
-    "site_file", "state_file", "given_up", "time_without_rain", "use_sim_time", "level_limit",
+    "site_file", "state_file", "time_without_rain", "use_sim_time", "level_limit",
     "forecast_limit", "frost_limit", "gauge_limit", "flow_limit", "recovery_time",
     "frozen_movement", "jump_tolerance",
 }

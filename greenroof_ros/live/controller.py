@@ -30,10 +30,11 @@ from greenroof_ros.live.levels import RECOVERY, Levels, live_parameters
 from greenroof_ros.live.live_input import LiveInput, bad_inputs
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.live.number_file import NumberFile
-from greenroof_ros.live.time_limit import deciding_limit, time_limit
+from greenroof_ros.live.time_limit import deciding_limit
 from greenroof_ros.nodes.controller import FORECASTS, FROST, LEVELS, ControllerNode, Outputs
 from greenroof_ros.ros.diagnostics import ERROR, WARN
 from greenroof_ros.ros.parameters import declare, site_file
+from greenroof_ros.ros.watchdog import time_limit
 
 _FLOW, _GAUGE, _HOLD = "/pump/flow", "/gauge/precipitation", "/pump/hold"
 # On/off takes over once the controller has failed, or a forecast has been missing, for this
@@ -57,16 +58,12 @@ STATE_FILE = Parameter(
     "state_file", "", meaning="file in which the cost of waiting for rain is preserved across "
         "restarts; if empty, the cost is not preserved",
 )
-GIVEN_UP = Parameter(
-    "given_up", "", meaning="reason why bringup has replaced the controller with on/off control; "
-        "empty if the controller is running",
-)
 
 
 def parameters(choice: ControllerChoice | None) -> list[Parameter]:
     """Return the parameters of a controller's node; without a controller, the common parameters."""
     of_class = [] if choice is None else choice.kind.parameters
-    return [site_file(), STATE_FILE, GIVEN_UP, EXTERNAL_PUMP, *of_class, *LIVE_PARAMETERS]
+    return [site_file(), STATE_FILE, EXTERNAL_PUMP, *of_class, *LIVE_PARAMETERS]
 
 
 class LiveControllerNode(ControllerNode, LiveNode):
@@ -79,8 +76,8 @@ class LiveControllerNode(ControllerNode, LiveNode):
     knowledge of the roof and its plan are outdated. The cost of waiting for rain is stored in
     ``state_file``, and thus survives restarts of the node.
 
-    If the node cannot run its controller, it exits. Bringup then restarts the node with on/off
-    control as its controller and ``given_up``, until the site is restarted.
+    If the node cannot run its controller, it exits. Bringup then restarts it, at most ten times in
+    ten minutes.
     """
 
     _rain: LiveInput
@@ -100,7 +97,7 @@ class LiveControllerNode(ControllerNode, LiveNode):
         with time_limit(_STARTING_S):
             _ = choice.kind
         self.prepare(choice)
-        values = declare(self, [STATE_FILE, GIVEN_UP, EXTERNAL_PUMP, *LIVE_PARAMETERS])
+        values = declare(self, [STATE_FILE, EXTERNAL_PUMP, *LIVE_PARAMETERS])
         self._levels = Levels(self._site, values, self.subscribe)
         self._cistern, self._roof = self._levels.cistern, self._levels.roof
         self._frost = self.subscribe(FROST)
@@ -115,7 +112,6 @@ class LiveControllerNode(ControllerNode, LiveNode):
         self._failure, self._failed_at = "", -math.inf  # the controller's last (steady clock, s)
         self._lacking_since = math.inf  # lacking a forecast or a working controller (s)
         self._stand_in_since = ""  # when on/off took over, in words; empty if not
-        self._given_up, self._started = values[GIVEN_UP.name], self._time_in_words()
         file = values[STATE_FILE.name]
         self._learned_file = NumberFile(Path(file)) if file else None
         self._learned: dict[str, float] = {}
@@ -245,10 +241,10 @@ class LiveControllerNode(ControllerNode, LiveNode):
         self._diagnose_forecast()
 
     def _diagnose_failure(self) -> None:
-        since = self._stand_in_since if self._failure else self._started
-        if why := self._failure or self._given_up:
+        since = self._stand_in_since
+        if self._failure:
             case, level = ("onoff", WARN) if since else ("stops", ERROR)
-            diagnosis = Diagnosis.of("controller_failed", case, why=why, since=since)
+            diagnosis = Diagnosis.of("controller_failed", case, why=self._failure, since=since)
             self.reports.diagnose("command", diagnosis, level=level)
         elif "command" in self.reports.parts:
             self.reports.diagnose("command", None, "the controller is in command again")
@@ -297,10 +293,7 @@ class LiveControllerNode(ControllerNode, LiveNode):
         }
 
 
-main = live_command(
-    LiveControllerNode, "live.controller", __doc__,
-    lambda name: parameters(name and find_controller(name)), "--controller",
-)
+main = live_command(LiveControllerNode, __doc__, "--controller")
 
 
 if __name__ == "__main__":

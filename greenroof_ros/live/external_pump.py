@@ -156,7 +156,7 @@ class ExternalPumpNode(ActuatorNode):
         return DriveState.CONNECTING if self.decision.flow is None else None
 
 
-main = live_command(ExternalPumpNode, "live.external_pump", __doc__, parameters)
+main = live_command(ExternalPumpNode, __doc__)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from greenroof_ros.results.bag_write import METADATA, BagWriter, find_files, wri
 
 # How often the bag is flushed to disk (s): the most that a kill -9 or a power failure can lose.
 FLUSH_S = 10.0
+# Share of the space on its disk, including the bag's own at the start, that the bag may use.
+_SHARE = 0.9
 # Wait until a recording that failed, as on a full disk, is tried again (s).
 RETRY_S = 60.0
 _DAY_NS = 86_400 * 10**9
@@ -33,7 +36,6 @@ class LiveBag:
         directory: directory of the bag.
         problem: reason why recording failed; empty if it has not failed, or once later messages are
             flushed.
-        lost: number of messages that were lost because recording failed.
     """
 
     def __init__(
@@ -46,26 +48,20 @@ class LiveBag:
             topics: topics whose messages can be recorded.
             file_bytes: size at which a file is closed and the next file begins (bytes); a new file
                 also begins every day (UTC).
-            total_bytes: size of the bag above which its oldest files are removed (bytes); at least
-                twice ``file_bytes``.
+            total_bytes: size of the bag above which its oldest files are removed (bytes), or nine
+                tenths of the disk space for it at the start, if that is less.
         """
         self.directory = directory
         self.problem = ""
-        self.lost = 0
         self._topics = list(topics)
         self._index = {topic.name: index for index, topic in enumerate(self._topics)}
         self._file_bytes = file_bytes
         self._total_bytes = total_bytes
+        self._fits = 0  # how large the bag may be on its disk (bytes); 0 until it is known
         self._file: BagWriter | None = None  # the file being written
         self._day = 0  # day on which it was begun (days since 1970)
-        self._before = 0  # messages recorded before it
-        self._flushed = -math.inf
-        self._again = -math.inf  # time of the next try (steady clock, s)
-
-    @property
-    def recorded(self) -> int:
-        """Number of messages flushed to the bag since the start of the recorder."""
-        return self._before + (self._file.safe if self._file is not None else 0)
+        # Times of the last flush and of the next try (steady clock, s).
+        self._flushed = self._again = -math.inf
 
     def write(self, topic: str, time_ns: int, message: bytes, now: float) -> None:
         """Record a message.
@@ -77,7 +73,6 @@ class LiveBag:
             now: current time on the steady clock (s).
         """
         if now < self._again:
-            self.lost += 1
             return
         day = time_ns // _DAY_NS
         try:
@@ -87,7 +82,6 @@ class LiveBag:
                 self._flushed, self._day = now, day
             self._file.write(time_ns, [(self._index[topic], message)])
         except OSError as error:
-            self.lost += 1
             self._fail(error, now)
 
     def flush_if_due(self, now: float) -> None:
@@ -116,28 +110,27 @@ class LiveBag:
     def _close(self) -> None:
         if self._file is not None:
             self._file.close()
-            self._before, self._file, self.problem = self.recorded, None, ""
+            self._file, self.problem = None, ""
             self._remove_oldest()
 
     def _fail(self, error: OSError, now: float) -> None:
-        """Stop recording until the next retry, and count the messages not yet flushed as lost."""
+        """Stop recording until the next retry; the messages not yet flushed are lost."""
         self.problem = f"{self.directory}: {error.strerror or error}"
         self._again = now + RETRY_S
         if self._file is not None:
-            self.lost += self._file.written - self._file.safe
             self._file.cut()
-            self._before, self._file = self.recorded, None
+            self._file = None
 
     def _remove_oldest(self) -> None:
         """Remove the oldest files while the bag exceeds its limit, but never the newest file."""
         files = find_files(self.directory)
-        while len(files) > 1 and sum(file.stat().st_size for file in files) > self._total_bytes:
+        size = sum(file.stat().st_size for file in files)
+        if not self._fits:  # it is asked here, since a disk may hang
+            self._fits = int(_SHARE * (shutil.disk_usage(self.directory).free + size))
+        while len(files) > 1 and size > min(self._total_bytes, self._fits):
             oldest = files.pop(0)
-            try:
-                # Before the removal: metadata must never list a missing file.
-                write_metadata(self.directory, files)
-                oldest.unlink()
-            except OSError:  # the disk may be too full for it, until the file is removed
-                (self.directory / METADATA).unlink(missing_ok=True)
-                oldest.unlink(missing_ok=True)
-                write_metadata(self.directory, files)
+            size -= oldest.stat().st_size
+            # In this order, metadata never lists a missing file, and a full disk has room for them.
+            (self.directory / METADATA).unlink(missing_ok=True)
+            oldest.unlink()
+            write_metadata(self.directory, files)

@@ -18,10 +18,9 @@ from typing import Any, NoReturn
 from rclpy.executors import SingleThreadedExecutor
 
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.interface.states import READY, DriveState
-from greenroof_ros.live import heartbeat
+from greenroof_ros.interface.states import DriveState
 from greenroof_ros.live.boot_clock import boot_time, suspended_time
-from greenroof_ros.live.heartbeat import NOT_REQUIRED, Beat
+from greenroof_ros.live.heartbeat import send_beat
 from greenroof_ros.live.levels import LIMITS, RECOVERY
 from greenroof_ros.live.live_input import LiveInput, LivePublishers, bad_inputs
 from greenroof_ros.live.live_topics import read_live_topics
@@ -63,7 +62,6 @@ class LiveNode(GraphNode):
             ConfigurationError: if the ROS arguments or a parameter file are invalid.
         """
         super().__init__(name, role, read_live_topics())
-        heartbeat.states[name] = Beat(0)
         self.inputs: dict[str, LiveInput] = {}
         self._period = self._due = math.inf  # without a site, the node only reacts
         self._awake_at = self._ignoring_until = boot_time()
@@ -229,14 +227,8 @@ class LiveNode(GraphNode):
     def report_state(self, **values: Any) -> None:
         """Report the node's state, and send a heartbeat, since bringup must notice a hang soon."""
         super().report_state(**values)
-        shown, beat = self.reports.values, Beat(0)
-        if self.reports.state == READY or self.role in NOT_REQUIRED:
-            beat |= Beat.READY
-        if shown.get("at_rest") is True:
-            beat |= Beat.AT_REST
-        if shown.get("drive_state") not in (None, DriveState.CONNECTING.value):
-            beat |= Beat.REACHED
-        heartbeat.send_beat(self.get_name(), beat)
+        drive_state = self.reports.values.get("drive_state")
+        send_beat(drive_state not in (None, DriveState.CONNECTING.value))
 
 
 def spin(

@@ -297,7 +297,7 @@ class PumpNode(ActuatorNode):
         )
 
 
-main = live_command(PumpNode, "live.pump", __doc__, parameters)
+main = live_command(PumpNode, __doc__)
 
 
 if __name__ == "__main__":

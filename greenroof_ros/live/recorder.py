@@ -99,7 +99,6 @@ class LiveRecorderNode(LiveNode):
             total_bytes=int(total),
         )
         self._recorded: Recorded = {}
-        self._unwritten = 0  # messages for which there was no room in memory
         self._updated_at = time.monotonic()
         for name, topic in topics.items():
             self.record(topic.name, partial(self._queue, name))
@@ -109,9 +108,7 @@ class LiveRecorderNode(LiveNode):
         now = time.monotonic()
         if name == _DIAGNOSTICS and not shows_change(message, now, self._recorded):
             return
-        write = partial(self._bag.write, name, time.time_ns(), message, now)
-        if not DISK.do(write, len(message)):
-            self._unwritten += 1
+        DISK.do(partial(self._bag.write, name, time.time_ns(), message, now), len(message))
 
     def on_timer(self, now: float) -> None:
         """Flush the bag if a flush is due, and report the state of the recording."""
@@ -124,11 +121,8 @@ class LiveRecorderNode(LiveNode):
         self.reports.diagnose("recording", diagnosis, f"recording to {directory}")
 
     def progress(self) -> dict[str, Any]:
-        """Return the bag's path, and the numbers of messages recorded and lost since this start."""
-        return {
-            "bag": str(self._bag.directory), "recorded": self._bag.recorded,
-            "lost": self._bag.lost + self._unwritten,
-        }
+        """Return the bag's path."""
+        return {"bag": str(self._bag.directory)}
 
     def on_stop(self) -> None:
         """Close the bag; if the disk hangs, leave the bag as if the node had been killed."""
@@ -138,7 +132,7 @@ class LiveRecorderNode(LiveNode):
             self.get_logger().error(f"{self._bag.directory} was not closed: {why}")
 
 
-main = live_command(LiveRecorderNode, "live.recorder", __doc__, parameters)
+main = live_command(LiveRecorderNode, __doc__)
 
 
 if __name__ == "__main__":

@@ -108,7 +108,7 @@ def sensor_nodes(file: str) -> list[LiveNode]:
     return [make() for make in sensor_makers(Path(file))]
 
 
-main = live_command(sensor_nodes, "live.sensors", __doc__, parameters, "--sensors")
+main = live_command(sensor_nodes, __doc__, "--sensors")
 
 
 if __name__ == "__main__":

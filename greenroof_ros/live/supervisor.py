@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import math
 import os
@@ -12,43 +11,37 @@ import subprocess
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from contextlib import suppress
 from functools import partial
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, cast
 
 from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, EXIT_OCCUPIED, EXIT_USAGE
 from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.processes import child_environment
-from greenroof_ros.interface.states import PUMP
 from greenroof_ros.live import restarts
-from greenroof_ros.live.heartbeat import PIPE, Beat
+from greenroof_ros.live.heartbeat import PIPE
 from greenroof_ros.live.restarts import Restarts
 from greenroof_ros.ros.alarms import RESTARTED
 from greenroof_ros.ros.domain import LEASE
-from greenroof_ros.ros.reports import PAUSE_S
 
-# How long to wait for a process to end before it is killed (s). The pump node is given longer: it
-# waits until the pump is stopped, while the speed falls.
-ENDING_S, PUMP_ENDING_S = 8.0, 40.0
+# How long to wait for a process to end before it is killed (s). The actuators are given longer:
+# they wait until the pump is stopped, while the speed falls.
+ENDING_S, ACTUATORS_ENDING_S = 8.0, 40.0
 # Longest time that killing a process may take (s).
 KILLING_S = 5.0
-# How long a started process may be silent at first (s), since imports take seconds on a busy
-# machine.
-START_LIMIT_S = 30.0
-# The pump's process is killed after this silence (s), unless it last said that the pump is at rest.
-SILENT_S = 2.0
+# How long a process may be silent before its first heartbeat (s), since imports take seconds on a
+# busy machine; and how long the actuators may be silent after that, while the pump may be running.
+START_LIMIT_S, ACTUATORS_SILENT_S = 30.0, 2.0
 _LAST_LINES, _MAX_READ = 15, 1 << 16
 # Size at which a process's log is renamed to .log.1, replacing the previous one, since a live site
-# runs for months. How long to wait, after the end, until all output is written (s).
-_LOG_BYTES, _WRITTEN_S = 10_000_000, 2.0
+# runs for months.
+_LOG_BYTES = 10_000_000
 # How long after its restart a killed process still counts as a second publisher (s).
 _LIVE_LEASE_S = "3"
-# The process with all nodes but the pump's and the controller's.
-STATION = "station"
 
 # A function that stops the drive without the pump node. It takes the process id of that node, and
 # whether that node has reached the drive; it returns whether the pump may be running after that,
@@ -57,104 +50,66 @@ StopDrive = Callable[[int, bool], tuple[bool, str]]
 
 
 class NodeFailed(Exception):
-    """Error raised if a process has ended or is hanging, so that the site must end.
+    """Error raised if the site must end because of one of its processes.
 
     Attributes:
-        last_lines: the last lines that the process printed.
         code: the exit code for bringup.
     """
 
-    def __init__(self, reason: str, last_lines: str, code: int) -> None:
+    def __init__(self, reason: str, code: int) -> None:
         """Create the error."""
         super().__init__(reason)
-        self.last_lines, self.code = last_lines, code
+        self.code = code
 
 
-class NodeSetup(NamedTuple):
-    """A node, as bringup starts it."""
-
-    module: str
-    """Python module of the node, such as greenroof_ros.live.weather"""
-    parameters: dict[str, Any]
-    """parameters that bringup sets"""
-
-
-@dataclass(frozen=True)
-class ProcessStart:
-    """Process to be started, which runs one or more nodes.
-
-    Attributes:
-        name: name of the process.
-        module: Python module of the process, such as greenroof_ros.live.station.
-        arguments: command-line arguments of the process, without ROS arguments.
-        nodes: the nodes, by name.
-        instead: function that receives the reason why the process can no longer be used, and
-            returns the arguments with which it is started from then on; None if it then stays off.
-    """
-
-    name: str
-    module: str
-    arguments: tuple[str, ...]
-    nodes: Mapping[str, NodeSetup]
-    instead: Callable[[str], tuple[str, ...]] | None = None
-
-
-class _Process:
+class SiteProcess:
     """A process of the site: how it is started, and what it does.
 
     Attributes:
-        popen: the operating-system process; None before the first start.
-        runs: whether it is running as far as known; if not, it is started when that is due.
-        due: time of the next start (steady clock, s); None if the process stays off.
-        state: content of its last heartbeat.
-        beat_at: time of its last heartbeat or start (steady clock, s).
-        limit: how long it may be silent (s).
+        name: name of the process.
+        words: its Python module and its command-line arguments, without ROS arguments.
+        silence_s: how long it may be silent (s).
+        popen: the running process as far as known; None if it is not running.
+        pid: its last process id.
+        due: time of its next start (steady clock, s); infinite if it stays off.
+        silent_at: time at which it will count as hung without another heartbeat (steady clock, s).
+        beats: whether it has ever sent a heartbeat.
+        reached: whether it has ever reached the pump's drive.
+        failure: why it last failed; empty if it has not.
+        last_lines: the last lines that it printed.
     """
 
-    def __init__(self, start: ProcessStart, log: Path) -> None:
-        self.start = start
+    def __init__(self, name: str, words: Sequence[str], logs: Path, silence_s: float) -> None:
+        """Describe the process, without starting it.
+
+        Args:
+            name: see the class.
+            words: see the class.
+            logs: existing directory for its standard error.
+            silence_s: see the class.
+        """
+        self.name, self.words, self.silence_s = name, words, silence_s
         self.popen: subprocess.Popen[bytes] | None = None
-        self.runs, self.was_ready, self.restarts = False, False, Restarts()
-        self.due: float | None = 0.0
-        self.state, self.beat_at, self.beats = Beat(0), 0.0, False
-        self.failure = ""  # why it was restarted, or cannot be started
+        self.pid, self.due, self.silent_at, self.restarts = 0, 0.0, 0.0, Restarts()
+        self.beats = self.reached = False
+        self.failure = ""
         self.last_lines: deque[str] = deque(maxlen=_LAST_LINES)
-        # The file is opened with the first line.
         self._log = RotatingFileHandler(
-            log, maxBytes=_LOG_BYTES, backupCount=1, encoding="utf-8", errors="surrogateescape",
-            delay=True,
+            logs / f"{name}.log", maxBytes=_LOG_BYTES, backupCount=1, encoding="utf-8",
+            errors="surrogateescape", delay=True,  # the file is opened with the first line
         )
         self._log.terminator = ""
 
     def receive(self, data: bytes) -> None:
         """Receive heartbeats."""
-        self.state, self.beat_at, self.beats = Beat(data[-1]), time.monotonic(), True
-        self.was_ready |= Beat.READY in self.state
+        self.silent_at, self.beats = time.monotonic() + self.silence_s, True
+        self.reached |= any(data)
 
     def log(self, data: bytes) -> None:
         """Log the output of the process, and remember its last lines in case the disk fails."""
         self.last_lines.extend(filter(None, data.decode(errors="replace").splitlines()))
         record = logging.makeLogRecord({"msg": data.decode(errors="surrogateescape")})
         DISK.do(partial(self._log.emit, record), len(data))
-
-    @property
-    def is_alive(self) -> bool:
-        """Whether the operating-system process has not ended."""
-        return self.popen is not None and self.popen.poll() is None
-
-    def describe_end(self) -> str:
-        """Return a description of the end; empty if the process has not ended."""
-        code = None if self.popen is None else self.popen.poll()
-        if code is None:
-            return ""
-        return f"ended ({f'exit code {code}' if code >= 0 else signal.Signals(-code).name})"
-
-    def kill(self) -> None:
-        """Kill the process, and wait at most 1 s for it to end."""
-        assert self.popen is not None
-        self.popen.kill()
-        with contextlib.suppress(subprocess.TimeoutExpired):  # the kernel may take longer
-            self.popen.wait(1.0)
 
 
 class LiveSupervisor:
@@ -169,142 +124,113 @@ class LiveSupervisor:
     end, whatever the pump node reports.
 
     Attributes:
+        ready: whether every process has sent a heartbeat since the start of the site.
         may_run: warning that the pump may still be running after the end; empty if the pump is
             stopped.
     """
 
     def __init__(
-        self, processes: Iterable[ProcessStart], logs: Path, ros_arguments: Collection[str],
-        stop_drive: StopDrive | None, tell: Callable[[str], None], *,
-        silence_s: float, prepare: Callable[[], Mapping[str, str]],
+        self, actuators: SiteProcess, controller: SiteProcess, station: SiteProcess,
+        ros_arguments: Collection[str], stop_drive: StopDrive | None, tell: Callable[[str], None],
+        prepare: Callable[[], Mapping[str, str]],
     ) -> None:
         """Start nothing yet.
 
         Args:
-            processes: the processes of the site.
-            logs: existing directory for the output, with one file per process.
+            actuators: the process that drives the pump, or watches the user's own pump driver.
+            controller: the process with the controller.
+            station: the process with all other nodes, which reports the alarms.
             ros_arguments: ROS arguments of all processes.
             stop_drive: function that stops the drive; None if there is no drive or the user runs
                 the pump.
-            tell: function that receives what the station prints for human readers, and what
-                happens to a process.
-            silence_s: time for which a process may be silent before it is killed (s).
+            tell: function that receives what the processes print on standard output, which is for
+                human readers, and what happens to a process.
             prepare: function called before every start of a process; it returns additions to its
                 environment, or raises an :class:`OSError`.
         """
-        self.may_run = ""
-        self._processes = {
-            start.name: _Process(start, logs / f"{start.name}.log") for start in processes
-        }
-        self._ros_arguments, self._stop_drive, self._tell = ros_arguments, stop_drive, tell
-        self._silence_s, self._prepare = silence_s, prepare
+        self.ready, self.may_run = False, ""
+        self._actuators, self._station = actuators, station
+        self._processes = actuators, controller, station  # in the order in which they end
+        self._ros_arguments, self._prepare = ros_arguments, prepare
+        self._stop_drive, self._tell = stop_drive, tell
         self._stopper = ThreadPoolExecutor(1)
         self._stopper.submit(int)  # start its thread now: the system may be out of threads later
         self._stopping: Future[tuple[bool, str]] | None = None
         self._stop_message, self._stop_again_at = "", math.inf
-        self._drive_reached = False
         self._selector = selectors.DefaultSelector()
-        self._read_at = time.monotonic()
 
-    def __enter__(self) -> LiveSupervisor:
-        """Return the supervisor without starting a process."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """End all processes: the pump's first, and the station last, so that the bag is complete.
+    def end(self) -> None:
+        """End all processes: the actuators first, and the station last, which completes the bag.
 
         Two simultaneous stops of the drive would collide, so a stop in progress is completed first.
         """
         if self._stopping is not None:
             self._stopping.result()
-        for process in self._processes.values():
-            if process.is_alive and process.popen is not None:
+        for process in self._processes:
+            if process.popen is not None:
                 # A stopped process would not receive SIGTERM.
                 process.popen.send_signal(signal.SIGCONT)
-        names = self._processes.keys()
-        self._end_processes(names & {PUMP})
-        pump = self._processes.get(PUMP)
-        if self._stop_drive is not None and pump is not None and pump.popen is not None:
-            may_run, message = self._stop_drive(pump.popen.pid, self._drive_reached)
-            self.may_run = message if may_run else ""
-            if self.may_run or pump.popen.returncode != EXIT_DONE:
-                self._tell(f"{PUMP}: {pump.describe_end()}; {message}")
-        self._end_processes(names - {PUMP, STATION})
-        self._end_processes(names & {STATION})
+        for process in self._processes:
+            how = self._end(process)
+            if process is self._actuators and self._stop_drive is not None and process.pid:
+                may_run, message = self._stop_drive(process.pid, process.reached)
+                self.may_run = message if may_run else ""
+                if may_run or process.popen is None or process.popen.returncode != EXIT_DONE:
+                    self._tell(f"{process.name}: {how}; {message}")
 
-    def _end_processes(self, names: Collection[str]) -> None:
-        """Stop the given processes with SIGTERM, and kill them if they take too long.
+    def _end(self, process: SiteProcess) -> str:
+        """Stop a process with SIGTERM, or kill it if it takes too long; return how it ended.
 
         SIGINT is not used, because background processes of a shell ignore it, as would a process
         that is just starting.
         """
-        began_at = time.monotonic()
-        ending = {
-            name: popen for name in names
-            if (popen := self._processes[name].popen) is not None and popen.poll() is None
-        }
-        for popen in ending.values():
-            popen.send_signal(signal.SIGTERM)
-        while ending:
+        if (popen := process.popen) is None:
+            return process.failure
+        popen.send_signal(signal.SIGTERM)
+        limit = ACTUATORS_ENDING_S if process is self._actuators else ENDING_S
+        kill_at = time.monotonic() + limit
+        while popen.poll() is None and time.monotonic() < kill_at + KILLING_S:
             self.read(0.02)
-            passed = time.monotonic() - began_at
-            for name, popen in list(ending.items()):
-                limit = PUMP_ENDING_S if name == PUMP else ENDING_S
-                if popen.poll() is not None or passed > limit + KILLING_S:
-                    del ending[name]
-                elif passed > limit:
-                    popen.kill()
+            if time.monotonic() > kill_at:
+                popen.kill()
         self.read(0.0)
-        if not any(process.is_alive for process in self._processes.values()):
-            DISK.wait(_WRITTEN_S)
+        return _describe_end(popen)
 
     # --- starting and reading -------------------------------------------------------------------
 
-    def _start(self, process: _Process) -> None:
+    def _start(self, process: SiteProcess) -> None:
         """Start a process in its own session, so that Ctrl-C at the terminal does not reach it.
-
-        What the station prints on standard output is for the person at the terminal.
 
         Raises:
             OSError: if the system has no processes or file descriptors left, or the process's files
                 cannot be written; nothing is left open.
         """
-        additions = dict(self._prepare())
-        if process.failure and process.start.name == STATION:
-            additions[RESTARTED] = process.failure
-        readers = [process.receive, process.log, *(
-            [lambda data: self._tell(data.decode(errors="replace").rstrip("\n"))]
-            if process.start.name == STATION else []
-        )]
-        with contextlib.ExitStack() as ours, contextlib.ExitStack() as theirs:
-            pipes = []
-            for _ in readers:
-                reading, writing = os.pipe()
-                ours.callback(os.close, reading)
-                theirs.callback(os.close, writing)
-                pipes.append((reading, writing))
-            beats, prints = pipes[0][1], [writing for _, writing in pipes[1:]]
-            os.set_blocking(beats, False)
-            process.popen = subprocess.Popen(
-                [
-                    sys.executable, "-m", process.start.module, *process.start.arguments,
-                    *self._ros_arguments,
-                ],
-                stdin=subprocess.DEVNULL,
-                stdout=prints[-1],
-                stderr=prints[0],
+        additions = self._prepare()
+        reading, writing = os.pipe()
+        os.set_blocking(writing, False)
+        try:
+            popen = subprocess.Popen(
+                [sys.executable, "-m", *process.words, *self._ros_arguments],
+                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
                 env={
-                    **child_environment(), **additions, LEASE: _LIVE_LEASE_S, PIPE: str(beats),
+                    **child_environment(), **additions, LEASE: _LIVE_LEASE_S, PIPE: str(writing),
+                    RESTARTED: process.failure,
                     "PYTHONFAULTHANDLER": "1",  # so that a crash in compiled code shows its place
                 },
-                pass_fds=[beats],
-                start_new_session=True,
+                pass_fds=[writing], start_new_session=True,
             )
-            ours.pop_all()
-        process.runs, process.beats, process.state = True, False, Beat(0)
-        process.beat_at = time.monotonic()
-        for (reading, _), reader in zip(pipes, readers, strict=True):
-            self._selector.register(reading, selectors.EVENT_READ, reader)
+        except OSError:
+            os.close(reading)
+            raise
+        finally:
+            os.close(writing)
+        process.popen, process.pid = popen, popen.pid
+        process.silent_at = time.monotonic() + max(process.silence_s, START_LIMIT_S)
+        for source, reader in (
+            (os.fdopen(reading, "rb", 0), process.receive), (popen.stderr, process.log),
+            (popen.stdout, lambda data: self._tell(data.decode(errors="replace").rstrip("\n"))),
+        ):
+            self._selector.register(cast("IO[bytes]", source), selectors.EVENT_READ, reader)
 
     def read(self, seconds: float = 0.1) -> None:
         """Read heartbeats and output, waiting for them for at most the given time (s)."""
@@ -312,114 +238,91 @@ class LiveSupervisor:
             if data := os.read(key.fd, _MAX_READ):
                 key.data(data)
             else:
-                self._selector.unregister(key.fd)
-                os.close(key.fd)
-        now = time.monotonic()
-        if now - self._read_at > PAUSE_S:  # this process was paused, so no other was silent
-            for process in self._processes.values():
-                process.beat_at = now
-        self._read_at = now
+                self._selector.unregister(key.fileobj)
+                cast("IO[bytes]", key.fileobj).close()
 
     # --- keeping them running -------------------------------------------------------------------
 
-    @property
-    def unready(self) -> str:
-        """Text that names the processes that are not ready; empty if all are ready."""
-        return ", ".join(
-            f"{name} is {'starting' if process.runs else 'missing'}"
-            for name, process in self._processes.items()
-            if not (process.runs and Beat.READY in process.state)
-        )
-
     def update(self) -> None:
-        """Start what is due, and restart what failed; called repeatedly.
+        """Start what is due, and restart what failed; called repeatedly, each time after a read.
+
+        Heartbeats wait in their pipes while this process is stopped, so that no other then counts
+        as silent.
 
         Raises:
-            NodeFailed: if the station was restarted too often, or if a process was never ready and
-                ended because of invalid parameters or another graph.
+            NodeFailed: if the station was restarted too often, or if a process ended because of
+                invalid parameters or another graph before all processes were ready.
         """
         now = time.monotonic()
-        for name, process in self._processes.items():
-            self._drive_reached |= Beat.REACHED in process.state
-            waits = name == PUMP and self._stopping is not None
-            if process.runs:
-                if failure := process.describe_end() or self._kill_if_silent(process, now):
+        for process in self._processes:
+            if process.popen is not None:
+                if failure := _find_failure(process.popen, now >= process.silent_at):
                     self._handle_failure(process, failure, now)
-            elif process.due is not None and now >= process.due and not waits:
-                self._try_to_start(process, now)
+            elif now >= process.due and not (
+                process is self._actuators and self._stopping is not None
+            ):
+                try:
+                    self._start(process)
+                except OSError as error:
+                    self._handle_failure(process, f"cannot be started: {error.strerror}", now)
+        self.ready |= all(process.beats for process in self._processes)
         if self._stopping is not None and self._stopping.done():
             may_run, message = self._stopping.result()
-            if not self._stop_message or message != self._stop_message:
-                self._tell(f"{PUMP}: did not stop the drive; {message}")
+            if message != self._stop_message:
+                self._tell(f"{self._actuators.name}: did not stop the drive; {message}")
             self._stopping, self._stop_message = None, message
-            if may_run and self._processes[PUMP].due is None:  # nobody else stops it any more
-                self._stop_again_at = now + restarts.MAX_WAIT_S
-        if now >= self._stop_again_at and (popen := self._processes[PUMP].popen) is not None:
-            self._begin_stop(popen.pid)
+            self._stop_again_at = now + restarts.MAX_WAIT_S if may_run else math.inf
+        if now >= self._stop_again_at and self._actuators.popen is None:
+            self._begin_stop()  # nobody else stops it
 
-    def _try_to_start(self, process: _Process, now: float) -> None:
-        """Start a process; if there are no processes or file descriptors, try again in 10 s."""
-        try:
-            self._start(process)
-        except OSError as error:
-            process.due = now + restarts.MAX_WAIT_S
-            before, process.failure = process.failure, f"cannot be started: {error.strerror}"
-            if process.failure != before:
-                again = f"another attempt is made every {restarts.MAX_WAIT_S:g} s"
-                self._tell(f"{process.start.name}: {process.failure}; {again}")
-
-    def _kill_if_silent(self, process: _Process, now: float) -> str:
-        """Kill a process if it hangs, and return the reason; empty if it does not hang."""
-        limit = self._silence_s if process.beats else max(self._silence_s, START_LIMIT_S)
-        if process.start.name == PUMP and process.beats and Beat.AT_REST not in process.state:
-            limit = SILENT_S
-        if now - process.beat_at <= limit:
-            return ""
-        process.kill()
-        return f"had not answered for {limit:g} s: killed"
-
-    def _handle_failure(self, process: _Process, failure: str, now: float) -> None:
+    def _handle_failure(self, process: SiteProcess, failure: str, now: float) -> None:
         """Report that a process failed, and schedule its restart; for the pump, stop the drive.
 
         Raises:
             NodeFailed: if the site must end.
         """
         self.read(0.0)  # its last lines and heartbeats
-        self._drive_reached |= Beat.REACHED in process.state
-        start, name, popen = process.start, process.start.name, process.popen
-        assert popen is not None
-        wrong = popen.returncode in (EXIT_USAGE, EXIT_OCCUPIED)
-        wait, how = process.restarts.wait(now), ""
-        if start.instead and (wait is None or (wrong and process.was_ready)):
-            # The last line of a program that rejects its set-up is the reason.
-            reason = ", ".join([failure, *list(process.last_lines)[-1:]]) if wrong else failure
-            process.start = replace(start, arguments=start.instead(reason), instead=None)
-            process.restarts, wait, how = Restarts(), restarts.FIRST_WAIT_S, "given up: "
-        process.runs, process.failure, process.state = False, failure, Beat(0)
-        process.due = None if wait is None else now + wait
-        too_often = (
+        code = EXIT_FAILED if process.popen is None else process.popen.returncode
+        is_refused = code in (EXIT_USAGE, EXIT_OCCUPIED) and not self.ready
+        wait = process.restarts.wait(now)
+        process.popen, process.failure = None, failure
+        process.due = math.inf if wait is None else now + wait
+        then = f"starts again in {wait:g} s" if wait is not None else (
             f"it has been restarted {restarts.MAX_RESTARTS} times in the last "
-            f"{restarts.WINDOW_S / 60:g} minutes"
+            f"{restarts.WINDOW_S / 60:g} minutes, and stays off until the site is restarted"
         )
-        if (wrong and not process.was_ready) or (wait is None and name == STATION):
-            more = "" if wrong else f"; {too_often}, and will not be restarted again"
-            code = popen.returncode if wrong else EXIT_FAILED
-            lines = [f"  {line}" for line in process.last_lines] or ["  (none)"]
-            raise NodeFailed(
-                f"{name} {failure}{more}", "\n".join([f"last lines of {name}:", *lines]), code
-            )
-        self._tell(f"{name}: {failure}; " + (
-            f"{how}starts again in {wait:g} s" if wait is not None
-            else f"{too_often}, and stays off until the site is restarted"
-        ))
-        if name == PUMP:
+        if is_refused or (wait is None and process is self._station):
+            self._tell("\n  ".join([f"last lines of {process.name}:", *process.last_lines]))
+            raise NodeFailed(f"{process.name} {failure}", code if is_refused else EXIT_FAILED)
+        self._tell(f"{process.name}: {failure}; {then}")
+        if process is self._actuators:
             self._stop_message = ""
-            self._begin_stop(popen.pid)
+            self._begin_stop()
 
-    def _begin_stop(self, pump_node: int) -> None:
-        """Begin to stop the drive without the pump node, whose process id is given."""
+    def _begin_stop(self) -> None:
+        """Begin to stop the drive without the pump node."""
         self._stop_again_at = math.inf
-        if self._stop_drive is not None:
+        if self._stop_drive is not None and self._stopping is None:
             self._stopping = self._stopper.submit(
-                self._stop_drive, pump_node, self._drive_reached
+                self._stop_drive, self._actuators.pid, self._actuators.reached
             )
+
+
+def _find_failure(popen: subprocess.Popen[bytes], is_silent: bool) -> str:
+    """Return why a process has failed; empty if it has not. A silent process is killed."""
+    if popen.poll() is not None:
+        return _describe_end(popen)
+    if is_silent:
+        popen.kill()
+        with suppress(subprocess.TimeoutExpired):  # the kernel may take longer
+            popen.wait(1.0)
+        return "did not respond: killed"
+    return ""
+
+
+def _describe_end(popen: subprocess.Popen[bytes]) -> str:
+    """Return how a process has ended."""
+    code = popen.returncode
+    if code is None:
+        return "cannot be killed"
+    return f"ended ({f'exit code {code}' if code >= 0 else signal.Signals(-code).name})"

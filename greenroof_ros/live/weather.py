@@ -227,7 +227,7 @@ def _find_monthly_mean(site: Site, now: datetime) -> float | None:
     return site.crop_coefficient * reference / 1000 / 86400 * site.a2
 
 
-main = live_command(LiveWeatherNode, "live.weather", __doc__, parameters)
+main = live_command(LiveWeatherNode, __doc__)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from dataclasses import replace
 from itertools import permutations
 from typing import Any
 
+from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from std_msgs.msg import Float64
 
@@ -24,7 +25,7 @@ from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.ros import messages
 from greenroof_ros.ros.lockstep import CLOCK, RUN, RunIdentity
 from greenroof_ros.ros.publishers import name_owner
-from greenroof_ros.ros.spin import make_executor, ros
+from greenroof_ros.ros.spin import ros
 from greenroof_ros.site.site import Site
 
 CISTERN, ROOF, FROST = "/cistern/level", "/roof/level", "/weather/frost"
@@ -87,7 +88,7 @@ class NodeCheck(ABC):
         self.received: dict[str, list[Float64]] = {topic: [] for topic in outputs}
         self._publishers: dict[str, Any] = {}
         self._ticks = 0
-        self._executor = make_executor()
+        self._executor = EventsExecutor()
         self._executor.add_node(self.node)
 
     @abstractmethod

@@ -213,10 +213,7 @@ class SimulatedController(ControllerNode, LockstepNode):
         return {"solver": read_statistics(self.controller)}
 
 
-main = node_command(
-    SimulatedController, "nodes.controller", __doc__,
-    lambda name: parameters(name and find_controller(name)), "--controller",
-)
+main = node_command(SimulatedController, __doc__, "--controller")
 
 
 if __name__ == "__main__":

@@ -280,7 +280,7 @@ class PlantNode(LockstepNode):
         return {**self._metrics.results(self._site.state)._asdict(), "wall_s": self._wall_s}
 
 
-main = node_command(PlantNode, "nodes.plant", __doc__, parameters)
+main = node_command(PlantNode, __doc__)
 
 
 if __name__ == "__main__":

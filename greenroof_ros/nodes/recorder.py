@@ -143,7 +143,7 @@ class RecorderNode(LockstepNode):
             self._save(self._bag.close)
 
 
-main = node_command(RecorderNode, "nodes.recorder", __doc__, parameters)
+main = node_command(RecorderNode, __doc__)
 
 
 if __name__ == "__main__":

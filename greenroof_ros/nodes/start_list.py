@@ -6,16 +6,14 @@ import math
 from collections.abc import Callable
 
 from greenroof_ros.interface.alarm import advise
-from greenroof_ros.interface.states import PUMP, STARTING, DriveState, PumpState
+from greenroof_ros.interface.states import PUMP, STARTING, DriveState
 from greenroof_ros.ros.alarms import ROLE, Judge
-from greenroof_ros.ros.reports import Reports, StatusDiagnosis
+from greenroof_ros.ros.reports import Reports
 
 # How long the list must have been unchanged before it is printed (s).
 _SETTLED_S = 1.0
 # States of the pump node in which it cannot run its drive yet.
 _NOT_READY = {DriveState.CONNECTING.value, DriveState.REFUSED.value}
-# Decimal places of each level (m).
-_PLACES = {"cistern": 3, "roof": 4}
 
 
 class StartList:
@@ -35,8 +33,9 @@ class StartList:
         """
         self._tell = tell
         # What is missing, by name and code: as last printed, and as last seen and since when.
-        self._printed: list[tuple[str, str]] | None = None
-        self._last_missing: tuple[list[tuple[str, str]], float] = ([], -math.inf)
+        self._printed: list[tuple[str, str]] = []
+        self._missing: list[tuple[str, str]] = []
+        self._since = -math.inf
 
     def update(self, now: float, judge: Judge, reports: Reports) -> bool:
         """Print the list if it has changed; return True, and print a line, if startup is complete.
@@ -50,47 +49,35 @@ class StartList:
             name: diagnosis for name, diagnosis in judge.diagnoses.items()
             if diagnosis.is_serious and diagnosis.role != ROLE
         }
-        missing = {
-            (name, diagnosis.code): f"  {name}: {diagnosis.sentence}. "
-            f"{advise(diagnosis.code, diagnosis.role, name.partition(': ')[0])}"
-            for name, diagnosis in wrong.items()
-            if _is_own(diagnosis, judge.diagnoses.get(judge.causes.get(name, "")))
-            and judge.has_lasted(now, name)
-        }
-        why = _explain_wait(reports)
+        lines = dict[tuple[str, str], str]()
+        for name, diagnosis in wrong.items():
+            cause = wrong.get(judge.causes.get(name, ""))
+            explained = cause is not None and cause.stops_pump >= diagnosis.stops_pump
+            if judge.has_lasted(now, name) and not explained:
+                advice = advise(diagnosis.code, diagnosis.role, name.partition(": ")[0])
+                lines[name, diagnosis.code] = f"  {name}: {diagnosis.sentence}. {advice}"
         stopped = any(diagnosis.stops_pump for diagnosis in wrong.values())
-        if why and not stopped:
-            missing[why, ""] = f"  {why}"
-        levels = {name: reports.level(name) for name in _PLACES}
-        finished = not (stopped or why or None in levels.values())
-        codes = list(missing)
-        if codes != self._last_missing[0]:
-            self._last_missing = codes, now
-        title = "missing:" if self._printed is None else "still missing:"
-        settled = now - self._last_missing[1] > _SETTLED_S
-        if missing and codes != self._printed and (finished or settled):
-            self._printed = codes
-            self._tell("\n".join([title, *missing.values()]))
-        if finished:
-            self._tell("running: " + ", ".join(
-                f"{name} {level:.{_PLACES[name]}f} m" for name, level in levels.items()
-            ))
-        return finished
-
-
-def _is_own(diagnosis: StatusDiagnosis, cause: StatusDiagnosis | None) -> bool:
-    """Return whether the list has a diagnosis of its own for what a cause does not explain."""
-    return cause is None or cause.role == ROLE or (diagnosis.stops_pump and not cause.stops_pump)
+        why = "" if stopped else _explain_wait(reports)
+        if why:
+            lines[why, ""] = f"  {why}"
+        if [*lines] != self._missing:
+            self._missing, self._since = [*lines], now
+        if lines and self._missing != self._printed and now - self._since > _SETTLED_S:
+            self._printed = self._missing
+            self._tell("\n".join(["missing:", *lines.values()]))
+        cistern, roof = reports.level("cistern"), reports.level("roof")
+        if stopped or why or cistern is None or roof is None:
+            return False
+        self._tell(f"running: cistern {cistern:.3f} m, roof {roof:.4f} m")
+        return True
 
 
 def _explain_wait(reports: Reports) -> str:
     """Return which nodes are not ready, or why the pump is kept off; empty if neither is so."""
-    unready = ", ".join(
-        f"{name} is missing" if node is None else f"{name} is starting"
-        for name in reports.expected
-        if (node := reports.nodes.get(name)) is None or node.state == STARTING
-    )
-    if unready or reports.value(PUMP, "drive_state") not in _NOT_READY:
-        return unready
-    state, why = (reports.value(PUMP, key) or "" for key in ("pump_state", "pump_why"))
-    return f"the pump is kept off: {PumpState(state or 'unknown', why)}"
+    for name in reports.expected:
+        node = reports.nodes.get(name)
+        if node is None or node.state == STARTING:
+            return f"{name} is {'missing' if node is None else 'starting'}"
+    if reports.value(PUMP, "drive_state") in _NOT_READY:
+        return f"the pump is kept off: {reports.value(PUMP, 'pump_why') or 'unknown'}"
+    return ""

@@ -168,7 +168,7 @@ class RecordedWeather(WeatherNode, LockstepNode):
         )
 
 
-main = node_command(RecordedWeather, "nodes.weather", __doc__, parameters)
+main = node_command(RecordedWeather, __doc__)
 
 
 if __name__ == "__main__":

@@ -28,11 +28,11 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
         help="put the whole graph, including its clock, in the namespace /NAME, so that several "
         "graphs can run side by side in one ROS domain (default: none)",
     )
-    group.add_argument(
-        "--peer-limit", type=make_number_type(2, 1e6), default=5.0, metavar="S",
-        help="longest time to wait for a node (s of wall time); at least 2 s, because a node that "
-        "joins the graph first listens for one second (default: %(default)s s)",
-    )
+    if pump:
+        group.add_argument(
+            "--peer-limit", type=make_number_type(2, 1e6), default=5.0, metavar="S",
+            help="longest time to wait for a node (s of wall time; default: %(default)s s)",
+        )
     group.add_argument(
         "--watch", action="store_true",
         help="show the graph on a page in a web browser, and print the address of the page; for a "
@@ -47,8 +47,7 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
         group.add_argument(
             "--node-parameters", type=Path, metavar="FILE",
             help="ROS 2 parameter file for the parameters that bringup does not set, such as the "
-            "limits of the pump node; --help of each node lists the node's parameters, and unknown "
-            "parameters are rejected",
+            "limits of the pump node (doc/reference/nodes.md); unknown parameters are rejected",
         )
 
 

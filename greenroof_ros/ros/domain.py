@@ -1,4 +1,4 @@
-"""Access to the ROS domain: joining it, and finding the other nodes in it.
+"""Access to the ROS domain: joining it, and excluding a second graph of the same user.
 
 ROS is imported only when a function needs it.
 
@@ -12,13 +12,10 @@ neither problem, but makes each tick a little longer.
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import os
 import re
-import sys
-import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +29,7 @@ from greenroof_ros.base.files import shared_directory
 from greenroof_ros.base.processes import LockedError, acquire_name_lock
 from greenroof_ros.base.ranges import Range
 
-_DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+_DOMAIN, _DISCOVERY = "ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _RANGES = ("LOCALHOST", "SUBNET", "SYSTEM_DEFAULT", "OFF")
 # From this number on, a domain's ports overlap the system's ephemeral ports.
 _LAST_DOMAIN = 101
@@ -48,60 +45,24 @@ _ROS = (
     "rclpy", "rcl_interfaces", "std_msgs", "std_srvs", "rosgraph_msgs", "diagnostic_msgs",
     "builtin_interfaces", "rpyutils", "rosidl_runtime_py",
 )
-# How long to listen for nodes that are already in the graph (s). On loopback they answer in well
-# under half of that. The check for two publishers finds a node that is missed here.
-_LISTEN_S = 1.0
 # How long the middleware may take to shut down (s): a fraction of a second, unless the machine is
 # busy. Fast DDS can lock up and spin while it shuts down at the same time as a peer, in a call or
 # when Python frees its last objects at exit. No Python code runs then, so the kernel must end the
 # process (SIGALRM).
-SHUTDOWN_S = 6
-
-
-def end_without_ros() -> None:
-    """Exit with a one-line error and code 2 if ROS 2 is missing."""
-    try:
-        _check_ros()
-    except ConfigurationError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
-
-
-def check_environment() -> None:
-    """Check that ROS 2 can be loaded, and will use the domain and range in the environment.
-
-    Raises:
-        ConfigurationError: if ROS 2 is missing, or if ROS would silently use another domain or
-            range, so that messages might leave the machine.
-    """
-    _check_ros()
-    read_domain()
-    scope = os.environ.get(_DISCOVERY)
-    if scope and scope not in _RANGES:
-        raise ConfigurationError(describe_choices(_RANGES, scope), key=_DISCOVERY, value=scope)
-
-
-def _check_ros() -> None:
-    if importlib.util.find_spec("rclpy") is None:
-        raise ConfigurationError(
-            f"ROS 2 is not available: source your ROS 2, or {describe_extra('ros')}; "
-            "greenroof simulate does not need ROS 2"
-        )
+SHUTDOWN_S = 10
 
 
 def read_domain() -> int:
     """Return the number of the ROS domain.
 
     Raises:
-        ConfigurationError: if the variable is not the number of a domain that has ports, or if ROS
-            would read it as an octal number.
+        ConfigurationError: if the variable is not the number of a domain that has ports.
     """
-    text = os.environ.get("ROS_DOMAIN_ID") or "0"
-    if not re.fullmatch("0|[1-9][0-9]{0,2}", text) or int(text) > _LAST_DOMAIN:
-        raise ConfigurationError(
-            Range(0, _LAST_DOMAIN, whole=True).expected(), key="ROS_DOMAIN_ID", value=text
-        )
-    return int(text)
+    text = os.environ.get(_DOMAIN) or "0"
+    try:
+        return int(Range(0, _LAST_DOMAIN, whole=True).parse(text))
+    except ValueError as error:
+        raise ConfigurationError(str(error), key=_DOMAIN, value=text) from None
 
 
 def parse_namespace(text: str) -> str:
@@ -113,9 +74,7 @@ def parse_namespace(text: str) -> str:
 
 
 # argparse shows this in its error message
-parse_namespace.__name__ = (
-    "namespace of letters, digits and _ that does not begin with a digit, such as site1"
-)
+parse_namespace.__name__ = "name of letters, digits and _, such as site1"
 
 
 def add_namespace(parser: argparse.ArgumentParser, more: str = "") -> None:
@@ -128,26 +87,22 @@ def add_namespace(parser: argparse.ArgumentParser, more: str = "") -> None:
 
 @contextmanager
 def require_ros() -> Iterator[None]:
-    """Turn an import error of ROS 2 in the block into a ConfigurationError.
+    """Prepare this process for ROS, and turn an import error of ROS 2 into a ConfigurationError.
 
     Raises:
-        ConfigurationError: if ROS 2 cannot be imported; the message states the remedy.
+        ConfigurationError: if ROS 2 cannot be imported, or if :func:`prepare_ros` raises one; the
+            message states the remedy.
     """
-    check_environment()
     try:
+        prepare_ros()
         yield
     except ImportError as error:
         if error.name and error.name.partition(".")[0] not in _ROS:
             raise  # of another package, such as one that a user's controller needs
         raise ConfigurationError(
-            "ROS 2 cannot be imported: repair the installation of ROS 2, or "
-            f"{describe_extra('ros')}; greenroof simulate does not need ROS 2 ({error})"
+            f"ROS 2 is not available ({error}): source your ROS 2, or {describe_extra('ros')}; "
+            "greenroof simulate does not need ROS 2"
         ) from error
-
-
-def _is_fast_dds_3() -> bool:
-    """Detect Fast DDS 3 from the loaded library's name, since its version cannot be queried."""
-    return "/libfastdds.so" in Path("/proc/self/maps").read_text(encoding="utf-8")
 
 
 def prepare_ros() -> None:
@@ -162,21 +117,24 @@ def prepare_ros() -> None:
     sockets to the loopback interface.
 
     Raises:
-        ConfigurationError: if :func:`check_environment` raises one.
+        ConfigurationError: if ROS would silently use another domain or range than the environment
+            states, so that messages might leave the machine.
     """
-    check_environment()
     import rclpy
 
-    # The first node would import ROS's generator of Python code, with a parser and templates, which
-    # nothing here uses. Blocking the import saves a tenth of a node's start time.
-    sys.modules.setdefault("rosidl_generator_py.generate_py_impl", None)  # type: ignore[arg-type]
+    read_domain()
     # To ROS, empty means SUBNET.
     discovery = os.environ[_DISCOVERY] = os.environ.get(_DISCOVERY) or "LOCALHOST"
+    if discovery not in _RANGES:
+        raise ConfigurationError(
+            describe_choices(_RANGES, discovery), key=_DISCOVERY, value=discovery
+        )
     fast_dds = rclpy.get_rmw_implementation_identifier().startswith("rmw_fastrtps")
     if not fast_dds or any(map(os.environ.get, _PROFILES)):
         return
     os.environ.setdefault(LEASE, _LEASE_S)
-    is_3 = _is_fast_dds_3()
+    # The version of Fast DDS cannot be queried, but it is in the name of the loaded library.
+    is_3 = "/libfastdds.so" in Path("/proc/self/maps").read_text(encoding="utf-8")
     variable, name = _PROFILES[is_3], "fastdds3" if is_3 else "fastdds"
     if discovery == "LOCALHOST":
         os.environ[_DISCOVERY] = "SYSTEM_DEFAULT"
@@ -186,31 +144,25 @@ def prepare_ros() -> None:
     os.environ[variable] = str(shared_directory() / "config" / f"{name}.xml")
 
 
-def join(words: Sequence[str] = ()) -> Any:
+def join() -> Any:
     """Join the domain as an observer, with a separate context, and return the context.
 
-    Args:
-        words: command line whose ROS arguments apply to the nodes of the context.
-
     Raises:
-        ConfigurationError: if ROS 2 is not installed.
+        ConfigurationError: if ROS 2 is not installed, or the environment is wrong.
     """
     with require_ros():
         import rclpy
         from rclpy.signals import SignalHandlerOptions
-    prepare_ros()
     context = rclpy.Context()
     rclpy.init(
         # Its log file would need a home directory, which a service may not have.
-        args=["--ros-args", "--disable-external-lib-logs", "--", *words], context=context,
+        args=["--ros-args", "--disable-external-lib-logs"], context=context,
         signal_handler_options=SignalHandlerOptions.NO,
     )
     return context
 
 
-def ros_arguments(
-    parameters: Iterable[Path], namespace: str, more: Sequence[str] = ()
-) -> list[str]:
+def ros_arguments(parameters: Iterable[Path], namespace: str) -> list[str]:
     """Return the ROS arguments for bringup's nodes, which disable rcl's own log files.
 
     These files would grow for months in the user's home directory, and a hanging disk would stop
@@ -219,74 +171,35 @@ def ros_arguments(
     Args:
         parameters: ROS 2 parameter files; later files override earlier ones.
         namespace: namespace of the nodes, such as ``/site1``; empty for none.
-        more: a command line whose ROS arguments apply as well; of parameters, the last one wins.
     """
     files = [word for file in parameters for word in ("--params-file", str(file))]
     remapped = ["-r", f"__ns:={namespace}"] if namespace else []
-    return ["--ros-args", "--disable-external-lib-logs", *files, *remapped, "--", *more]
-
-
-def _occupied(reason: str, namespace: str) -> OccupiedError:
-    domain = read_domain()
-    place = f"in ROS domain {domain}" + (f", namespace {namespace}" if namespace else "")
-    return OccupiedError(
-        f"{reason} is already running {place}; stop it, or use another --namespace or another "
-        f"domain, such as ROS_DOMAIN_ID={domain % 100 + 1}"
-    )
+    return ["--ros-args", "--disable-external-lib-logs", *files, *remapped, "--"]
 
 
 @contextmanager
-def lock_namespace(namespace: str) -> Iterator[None]:
-    """Lock a namespace of the ROS domain, so that only one bringup of this user runs in it.
-
-    Discovery would also find the nodes of another bringup, but not always in time on a busy
-    machine.
+def lock_bringup(namespace: str, directory: Path | None = None) -> Iterator[None]:
+    """Lock a namespace of the ROS domain and a directory for a bringup of this user.
 
     Args:
         namespace: namespace such as ``/site1``; empty for none.
+        directory: directory of a live site; None for none.
 
     Raises:
-        OccupiedError: if a bringup is already running in the namespace.
+        OccupiedError: if another bringup is running in the namespace or with the directory.
+        ConfigurationError: if the number of the domain is invalid.
         OSError: if the system does not support this kind of lock.
     """
-    try:
-        lock = acquire_name_lock(f"{os.getuid()}-domain-{read_domain()}{namespace}")
-    except LockedError:
-        raise _occupied("a bringup", namespace) from None
-    with lock:
+    places = [f"ROS domain {read_domain()}, namespace {namespace or '/'}"]
+    if directory is not None:
+        places.append(f"{directory.resolve()}")
+    with ExitStack() as locks:
+        for place in places:
+            try:
+                locks.enter_context(acquire_name_lock(f"{os.getuid()} {place}"))
+            except LockedError:
+                raise OccupiedError(
+                    f"a bringup is already running in {place}; stop it, or use another "
+                    "--namespace, ROS_DOMAIN_ID or --state"
+                ) from None
         yield
-
-
-def refuse_other_nodes(namespace: str, names: Collection[str], check: Callable[[], None]) -> None:
-    """Listen for 1 s, and raise an error if nodes with these names are already in the namespace.
-
-    The listening node leaves the graph before the nodes of the run are created.
-
-    Args:
-        namespace: namespace such as ``/site1``; empty for none.
-        names: names of the nodes of the run.
-        check: callback that is called every 50 ms; it can raise an error to end the wait.
-
-    Raises:
-        OccupiedError: if a node with one of the names is already in the namespace.
-        ConfigurationError: if ROS 2 is not installed.
-    """
-    context = join()
-    from rclpy.node import Node
-
-    node = Node("bringup", context=context, start_parameter_services=False, enable_rosout=False)
-    try:
-        until = time.monotonic() + _LISTEN_S
-        while time.monotonic() < until:
-            check()
-            time.sleep(0.05)
-            running = sorted(
-                name
-                for name, place in node.get_node_names_and_namespaces()
-                if place == (namespace or "/") and name in names
-            )
-            if running:
-                raise _occupied(f"a graph with {', '.join(running)}", namespace)
-    finally:
-        node.destroy_node()
-        context.try_shutdown()

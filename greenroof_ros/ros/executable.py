@@ -1,29 +1,21 @@
-"""Executables of nodes: command line, ``--help``, running the node, and exit code."""
+"""Executables of nodes: command line, running the nodes, and exit code."""
 
 from __future__ import annotations
 
 import argparse
-import math
 import sys
-import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NoReturn
 
 from rclpy.utilities import remove_ros_args
 
-from greenroof_ros.base.command_line import (
-    EXIT_DONE,
-    EXIT_FAILED,
-    EXIT_USAGE,
-    command,
-)
-from greenroof_ros.base.parameter import Parameter
+from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, EXIT_USAGE, command
 from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.ros.errors import print_failure
 from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.lockstep import LockstepNode
-from greenroof_ros.ros.parameters import default_site, refuse_unknown, type_name
+from greenroof_ros.ros.parameters import refuse_unknown
 from greenroof_ros.ros.spin import destroy_nodes, end_nodes, ros, spin
 
 
@@ -37,15 +29,13 @@ class NodeParser(argparse.ArgumentParser):
     def parse_own_args(self) -> argparse.Namespace:
         """Return the process's own arguments."""
         try:
-            argv = remove_ros_args(sys.argv)
+            return self.parse_args(remove_ros_args(sys.argv)[1:])
         except RuntimeError as error:  # rcl cannot parse the arguments
             self.error(" ".join(str(error).split()))
-        return self.parse_args(argv[1:])
 
 
 def node_command(
-    make: Callable[..., Any], module: str, purpose: str | None,
-    parameters: Callable[[Any], Iterable[Parameter]], option: str = "",
+    make: Callable[..., Any], purpose: str | None, option: str = "",
     spin: Callable[[Any, Callable[[], None]], None] | None = None,
 ) -> Callable[[], NoReturn]:
     """Return the main function of a node's executable.
@@ -53,72 +43,21 @@ def node_command(
     Args:
         make: function that returns the node, or the nodes, of this process; its argument is the
             value of the option, if there is an option.
-        module: the node's module in this package, for ``--help``.
         purpose: docstring of the node's module, which describes the node.
-        parameters: function that returns all parameters that the node declares for a site or, if
-            there is an option, for the option's value (None if the user omits it).
-        option: the option that the node requires, such as ``--of``; empty for none.
+        option: the option that the node requires, such as ``--controller``; empty for none.
         spin: function that runs the nodes and, 20 times a second, calls its second argument, which
             can raise an error; None for a node of a simulated graph.
     """
 
     @command
     def main() -> int:
-        parser = NodeParser(add_help=False, allow_abbrev=False)
-        parser.add_argument("-h", "--help", action="store_true")
+        parser = NodeParser(description=purpose, allow_abbrev=False)
         if option:
-            parser.add_argument(option, dest="value")
+            parser.add_argument(option, dest="value", required=True)
         arguments = parser.parse_own_args()
-        of = [arguments.value] if option else []
-        if arguments.help:
-            usage = f"{module} {option} VALUE" if option else module
-            print(node_help(usage, purpose, parameters(*of or [default_site()])))
-            return EXIT_DONE
-        if of == [None]:
-            parser.error(f"{option} is missing")
-        return run_nodes(partial(make, *of), spin or spin_alone)
+        return run_nodes(partial(make, *vars(arguments).values()), spin or spin_alone)
 
     return main
-
-
-def node_help(module: str, purpose: str | None, parameters: Iterable[Parameter]) -> str:
-    """Return the text of a node's ``--help``.
-
-    Args:
-        module: the node's module in this package, followed by the arguments that it requires.
-        purpose: docstring of the node's module, which describes the node.
-        parameters: all parameters that the node declares.
-    """
-    lines = [
-        f"usage: python -m greenroof_ros.{module} [--help] [--ros-args ...]\n",
-        f"{purpose}".strip().replace("``", "`"),
-        "\nparameters, set after --ros-args with -p NAME:=VALUE or --params-file FILE:",
-    ]
-    for parameter in parameters:
-        lines += (f"  {parameter.name} ({_about(parameter)})", textwrap.fill(
-            parameter.description, 96, initial_indent=" " * 6, subsequent_indent=" " * 6,
-            break_on_hyphens=False,
-        ))
-    return "\n".join(lines)
-
-
-def _about(parameter: Parameter) -> str:
-    """Return a parameter's type, range and default, formatted as in a parameter file."""
-    default = parameter.default
-    if isinstance(default, list):
-        default = f"[{', '.join(default)}]"
-    elif isinstance(default, bool):
-        default = str(default).lower()
-    elif isinstance(default, float):
-        default = f"{default:.7g}" if default % 1 else f"{default:.1f}"
-        if math.isnan(parameter.default):
-            default = "set by the site"
-    limits = f"{parameter.limits and ', '}{parameter.limits}"
-    changes = "; may change during a run" if parameter.may_change else ""
-    return f"{type_name(parameter)}{limits}; default {str(default) or 'empty'}{changes}"
-
-
-# --- the process ----------------------------------------------------------------------------------
 
 
 def run_nodes(
@@ -157,25 +96,11 @@ def run_nodes(
 
 
 def spin_alone(nodes: Sequence[LockstepNode], check: Callable[[], None]) -> None:
-    """Run a node of a simulated graph until its run is over; see :func:`node_command`.
-
-    Before the node acts for the first time, log the nodes that it is waiting for whenever they
-    change.
-    """
+    """Run a node of a simulated graph until its run is over; see :func:`node_command`."""
     (node,) = nodes
-    missing: list[str] = []
 
     def may_end() -> bool:
-        nonlocal missing
         check()
-        before = missing
-        if not node.acted:
-            missing = sorted(map(node.peers.name_of, node.peers.absent()))
-        if missing != before:
-            awaited = ", ".join(missing)
-            node.get_logger().info(
-                f"waiting for {awaited}" if missing else "all inputs have publishers"
-            )
         return node.may_end
 
     spin(nodes, may_end)

@@ -67,16 +67,14 @@ class Peers:
             names: the awaited topics in the order of the node's inputs (weather, controller, pump),
                 in which each node waits for the nodes before it.
         """
-        role, topics = next(iter(self._by_role(names).items()))
-        return self.describe({role: topics})
+        return self.describe(dict([*self._by_role(names).items()][:1]))
 
     def name_of(self, role: str) -> str:
         """Return the name of the node in a role, or the role's usual name if no node has it."""
-        nodes = [
-            node for publishers in self.publishers.values() if role in publishers.topic.publishers
-            for node in publishers.names()
-        ]
-        return nodes[0] if nodes else ROLES.get(role, role)
+        return next((
+            name for publishers in self.publishers.values() if role in publishers.topic.publishers
+            for name in publishers.names()
+        ), ROLES.get(role, role))
 
     # --- what is wrong ----------------------------------------------------------------------
 
@@ -95,6 +93,5 @@ class Peers:
         """Return a sentence about the first input with a second publisher; empty for none."""
         for publishers in self.publishers.values():
             if publishers.count > 1 and publishers.compatible > 1:
-                return f"{publishers.full_name} {publishers.describe_second(DISCOVERY_S)}"
+                return f"{publishers.full_name} {publishers.describe_second()}"
         return ""
-

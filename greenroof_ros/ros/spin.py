@@ -13,7 +13,7 @@ from typing import Any
 import rclpy
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
@@ -26,8 +26,6 @@ from greenroof_ros.ros.rclpy_internals import take_messages
 
 # How often the steady clock, the signals and the ends of the nodes are checked (s).
 _CHECK_S = 0.05
-# How long the middleware may take to shut down on a busy machine (s); SHUTDOWN_S is processor time.
-_MAX_SHUTDOWN_S = 30
 # Interval of the reports while nodes close their files and connections, and the longest time for
 # which they report this (s): a pump takes up to 38 s to come to a standstill.
 _REPORT_S, _MAX_STOP_S = 0.25, 45.0
@@ -65,7 +63,9 @@ def spin(nodes: Sequence[LockstepNode], may_end: Callable[[], bool]) -> None:
     """Run nodes until they may stop.
 
     The executor loops over the messages, since a loop in Python would take a seventh of the time of
-    a tick. Every 50 ms, the loop is interrupted to check what depends on the steady clock.
+    a tick. Every 50 ms, the loop is interrupted to check what depends on the steady clock. The
+    fast executor uses a third of the processor time of rclpy's others, but publisher events can
+    lock it up (rmw_fastrtps, pull request 890), so these nodes use none.
 
     Args:
         nodes: the nodes.
@@ -77,7 +77,7 @@ def spin(nodes: Sequence[LockstepNode], may_end: Callable[[], bool]) -> None:
         ConfigurationError: if the configuration of a node is invalid.
         OSError: if a node cannot continue, for instance because the disk is full.
     """
-    executor, pause = make_executor(), Future()
+    executor, pause = EventsExecutor(), Future()
 
     def stop() -> None:
         if not pause.done():
@@ -99,19 +99,6 @@ def spin(nodes: Sequence[LockstepNode], may_end: Callable[[], bool]) -> None:
             raise failed
         for node in nodes:
             node.check(now)
-
-
-def make_executor() -> Any:
-    """Return the fastest executor in the installed rclpy, for nodes without publisher events.
-
-    ``rclpy.experimental.EventsExecutor`` uses a third of the processor time of other executors, but
-    publisher events can lock it up (rmw_fastrtps, pull request 890).
-    """
-    try:
-        from rclpy.experimental import EventsExecutor
-    except ImportError:
-        return SingleThreadedExecutor()
-    return EventsExecutor()
 
 
 def start_receiving(executor: Any, node: Any) -> None:
@@ -149,40 +136,32 @@ def end_nodes(nodes: Sequence[GraphNode], failure: str | None) -> str | None:
     """
     for node in nodes:
         node.note_failure(failure)
-    with _reporting(nodes):
-        for node in nodes:
-            try:
-                node.on_stop()
-            except Exception as error:  # the other nodes must stop too
-                why, _ = explain(error)
-                failure = failure or why
-                print(f"error: {why}", file=sys.stderr)
+    stopped = threading.Event()
+    reporter = threading.Thread(target=_report, args=(nodes, stopped), daemon=True)
+    reporter.start()
+    for node in nodes:
+        try:
+            node.on_stop()
+        except Exception as error:  # the other nodes must stop too
+            why, _ = explain(error)
+            failure = failure or why
+            print(f"error: {why}", file=sys.stderr)
+    stopped.set()
+    reporter.join()
     for node in nodes:
         node.end(failure)
     return failure
 
 
-@contextmanager
-def _reporting(nodes: Sequence[GraphNode]) -> Iterator[None]:
-    """Let nodes report their states during the block, for a limited time."""
-    stopped = threading.Event()
-
-    def report() -> None:
-        until = time.monotonic() + _MAX_STOP_S
-        while time.monotonic() < until:
-            for node in nodes:
-                with suppress(Exception):  # its own error is reported already
-                    node.report_state()
-            if stopped.wait(_REPORT_S):
-                return
-
-    reporter = threading.Thread(target=report, daemon=True)
-    reporter.start()
-    try:
-        yield
-    finally:
-        stopped.set()
-        reporter.join()
+def _report(nodes: Sequence[GraphNode], stopped: threading.Event) -> None:
+    """Let nodes report their states until they have stopped, for a limited time."""
+    until = time.monotonic() + _MAX_STOP_S
+    while time.monotonic() < until:
+        for node in nodes:
+            with suppress(Exception):  # its own error is reported already
+                node.report_state()
+        if stopped.wait(_REPORT_S):
+            return
 
 
 def destroy_nodes(nodes: Sequence[GraphNode]) -> None:
@@ -193,12 +172,6 @@ def destroy_nodes(nodes: Sequence[GraphNode]) -> None:
 
 
 def end_soon() -> None:
-    """Let the kernel kill this process if it locks up after everything has been sent and written.
-
-    A locked-up process spins, so the limit applies to its processor time. On a busy machine, a
-    normal exit also takes longer in wall time, and must keep its exit code.
-    """
-    signal.signal(signal.SIGPROF, signal.SIG_DFL)
-    signal.setitimer(signal.ITIMER_PROF, SHUTDOWN_S)
+    """Let the kernel kill this process if it locks up after all has been sent and written."""
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    signal.alarm(_MAX_SHUTDOWN_S)
+    signal.alarm(SHUTDOWN_S)

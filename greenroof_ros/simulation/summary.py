@@ -39,7 +39,7 @@ def make_summary(
         happened: what happened in the run, as for :func:`make_unfinished_summary`.
     """
     return {
-        **make_unfinished_summary(run, DONE, last_tick=run.steps, **happened),
+        **make_unfinished_summary(run, DONE, **happened | {"last_tick": run.steps}),
         "frost_hours": run.series.frost_hours,
         "precipitation_in_frost_mm": run.series.precipitation_in_frost,
         **metrics,

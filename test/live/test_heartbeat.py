@@ -1,30 +1,41 @@
-"""The heartbeat of a process with several nodes, and with a bringup that does not read."""
+"""Nobody who does not read stops a process: neither bringup its nodes, nor systemd bringup."""
 
 from __future__ import annotations
 
 import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
+from places import CHECKOUT
 
-from greenroof_ros.live import heartbeat
-from greenroof_ros.live.heartbeat import NOT_REQUIRED, PIPE, Beat, send_beat
+from greenroof_ros.live.heartbeat import PIPE, send_beat
 
 
-def test_a_heartbeat_is_of_all_nodes_of_a_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is ready when all are; a full or a closed pipe stops no one."""
+def test_a_heartbeat_that_is_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     monkeypatch.setenv(PIPE, str(writing))
-    monkeypatch.setattr(heartbeat, "states", {"weather": Beat(0), "pump": Beat(0)})
-    for node, state, beat in (
-        ("pump", Beat.READY | Beat.AT_REST, Beat.AT_REST), ("weather", Beat.READY, Beat(3)),
-        ("pump", Beat.READY | Beat.REACHED, Beat(5)), ("pump", Beat(0), Beat(0)),
-    ):
-        send_beat(node, state)
-        assert os.read(reading, 10) == bytes([beat])
+    for reached in (False, True):
+        send_beat(reached)
+        assert os.read(reading, 10) == bytes([reached])
     for _ in range(100_000):
-        send_beat("pump", Beat.READY)
+        send_beat(True)
     os.close(reading)
-    send_beat("pump", Beat.READY)
+    send_beat(True)
     os.close(writing)
-    assert {"recorder", "rain_gauge"} < NOT_REQUIRED and "roof_sensor" not in NOT_REQUIRED
+
+
+def test_a_full_socket_of_systemd(tmp_path: Path) -> None:
+    """The time limit is the test."""
+    path = tmp_path / "notify"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(str(path))
+        code = "from greenroof_ros.live.service_manager import notify\n" \
+            "for _ in range(10_000): notify('WATCHDOG=1')"
+        subprocess.run(
+            [sys.executable, "-c", code], env={"NOTIFY_SOCKET": str(path)}, timeout=300, check=True,
+            cwd=CHECKOUT,
+        )

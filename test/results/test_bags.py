@@ -13,6 +13,7 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from random import Random
+from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -289,7 +290,7 @@ def test_what_came_is_read_back_with_its_times(tmp_path: Path) -> None:
     for topic, stamp, value in sent:
         bag.write(topic, stamp, number(value), stamp / 1e9)
     bag.close()
-    assert (bag.problem, bag.recorded, bag.lost) == ("", 1000, 0)
+    assert bag.problem == ""
     assert read(tmp_path / "bag") == sent
     about = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())
     about = about["rosbag2_bagfile_information"]
@@ -357,13 +358,19 @@ def test_every_file_of_a_split_bag_is_checked(tmp_path: Path, loop: bool) -> Non
     assert losses[-1] == f"bag_1.mcap: {len(had)} of its {len(had)} messages are lost"
 
 
-def test_oldest_files_go_beyond_the_limit(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("total", "free"), [(100_000, 10**9), (10**9, 111_000)])
+def test_oldest_files_go_beyond_the_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, total: int, free: int
+) -> None:
     """The bag stays within the limit, and has its newest messages; its metadata list no other file.
+
+    The limit is its own, or nine tenths of what was free at the start.
 
     Not even if there is room for messages, but none for the metadata without the oldest file.
     """
     directory, random, largest = tmp_path / "bag", Random(1), 0
-    bag, about = live_bag(directory, 5000, 100_000), directory / "metadata.yaml"
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=free))
+    bag, about = live_bag(directory, 5000, total), directory / "metadata.yaml"
 
     def write(seconds: range) -> None:
         nonlocal largest
@@ -400,7 +407,7 @@ def test_a_simulations_bag_without_room_for_its_metadata_is_whole(tmp_path: Path
 
 @pytest.mark.parametrize("room", [6000, 9000, 12_000])
 def test_recording_that_fails_tries_again(tmp_path: Path, room: int) -> None:
-    """Wherever the room ends: the rest is lost, counted, and reported until something is safe."""
+    """Wherever the room ends: the rest is lost, and reported until something is safe."""
     bag, random = live_bag(tmp_path / "bag"), Random(1)
     values, second = [random.random() for _ in range(3000)], 0
     with no_file_beyond(room):
@@ -408,20 +415,17 @@ def test_recording_that_fails_tries_again(tmp_path: Path, room: int) -> None:
             write_second(bag, second, values[second])
             second += 1
         assert bag.problem == f"{tmp_path / 'bag'}: File too large"
-        assert 0 < bag.lost < second
     with no_file_beyond(50):  # it tries again in vain, and leaves nothing
         for later in range(second, second + 100):
             write_second(bag, later, values[later])
-        assert bag.problem and bag.lost > 100 and len(list(bag.directory.iterdir())) == 1
-        second, lost_before = second + 100, bag.lost
+        assert bag.problem and len(list(bag.directory.iterdir())) == 1
+        second += 100
     for later in range(second, 3000):
         write_second(bag, later, values[later])
     assert bag.problem == ""
-    assert bag.lost <= lost_before + 60  # one wait
     bag.close()
-    assert bag.recorded + bag.lost == 3000
     restored = read(recover(tmp_path).bag)
-    assert len(restored) == bag.recorded
+    assert len(restored) >= 3000 - second - 60  # one wait
     assert set(restored) <= {
         (TOPICS[0], LATE_NS + second * 10**9, value) for second, value in enumerate(values)
     }

@@ -87,8 +87,7 @@ def bags_outside_and_inside(
     return [bag_file(directory / run).read_bytes() for run in ("outside", "inside")]
 
 
-@pytest.mark.parametrize("valve", [False, True])
-@pytest.mark.parametrize("pump", ["internal", "external"])
+@pytest.mark.parametrize(("pump", "valve"), [("internal", True), ("external", False)])
 def test_it_gives_the_bag_of_the_same_controller_inside(
     domain: int, tmp_path: Path, pump: str, valve: bool
 ) -> None:
@@ -144,21 +143,13 @@ def test_a_bad_command_to_the_valve_closes_it(
 
 
 def test_a_node_without_a_command_to_the_valve_is_named(domain: int, tmp_path: Path) -> None:
-    """It has no such publisher, stops to publish, publishes twice; or another node does."""
+    """It has no such publisher, or publishes twice; the exit code is 1, and the bag is closed."""
     publish = "valve.publish(Float64(data=opening()))"
-    stops = changed(EXAMPLE, publish, f"{publish} if len(ticks) < 9 else 0; ticks.append(0)")
-    stops = changed(stops, "tick = {}", "ticks, tick = [], {}")
     twice = changed(EXAMPLE, "if topic in tick:", "if False:")
     twice = changed(twice, publish, f"{publish}, {publish}")
-    second = changed(EXAMPLE, "\npublisher = ", """
-node.create_publisher(Float64, "outlet/command", qos)
-publisher = """)
-    for number, (source, arguments, codes, words) in enumerate((
-        (EXAMPLE, (), {1}, r"the run did not start within 30 s: /outlet/command from controller$"),
-        (stops, VALVE_ARGUMENTS, {1}, r"no message within 5 s on /outlet/command from controller$"),
-        (twice, VALVE_ARGUMENTS, {1}, r"/outlet/command has a second message in tick \d+ \(contr"),
-        # Whether it is found before the first tick depends on the discovery.
-        (second, VALVE_ARGUMENTS, {1, 3}, r"/outlet/command has .* publishers.*controller"),
+    for number, (source, arguments, words) in enumerate((
+        (EXAMPLE, (), r"the run did not start within 30 s: /outlet/command from controller$"),
+        (twice, VALVE_ARGUMENTS, r"/outlet/command has a second message in tick \d+ \(contr"),
     )):
         run = tmp_path / f"run{number}"
         with ending(start_node(domain, tmp_path, "controller_node", source, *arguments)):
@@ -166,21 +157,20 @@ publisher = """)
                 domain, "bringup", "--controller", "external", *valve_site(tmp_path), "--hours",
                 "1", "--output", str(run), "--peer-limit", "5", cwd=tmp_path,
             )
-            assert process.wait(120) in codes, process.stderr()
-        assert re.search(words, summary_of(run)["reason"]), summary_of(run)["reason"]
+            assert process.wait(120) == 1, process.stderr()
+        reason = summary_of(run)["reason"]
+        assert re.search(words, reason) and reason in process.stderr(), reason
+    assert (run / "bag" / "metadata.yaml").exists()
 
 
-@pytest.mark.parametrize("valve", [False, True])
-def test_a_node_in_c_gives_the_same_bag_and_passes_the_check(
-    domain: int, tmp_path: Path, valve: bool
-) -> None:
+def test_a_node_in_c_gives_the_same_bag_and_passes_the_check(domain: int, tmp_path: Path) -> None:
     program = build_with_rcl(Path(__file__).with_name("controller_node.c"), tmp_path)
-    environ, options = environment(domain), ["--valve"] * valve
-    controller = subprocess.Popen([program, *options], cwd=tmp_path, env=environ)
-    outside, inside = bags_outside_and_inside(domain, tmp_path, controller, valve=valve)
+    environ = environment(domain)
+    controller = subprocess.Popen([program, "--valve"], cwd=tmp_path, env=environ)
+    outside, inside = bags_outside_and_inside(domain, tmp_path, controller, valve=True)
     assert outside == inside
-    arguments = *options, "--ros-args", "-r", "__ns:=/site1"
-    site = valve_site(tmp_path)[:2] if valve else ()
+    arguments = "--valve", "--ros-args", "-r", "__ns:=/site1"
+    site = valve_site(tmp_path)[:2]
     with ending(subprocess.Popen([program, *arguments], cwd=tmp_path, env=environ)) as controller:
         check = Process(
             domain, "check_controller", "--node", "/site1/controller", *site, cwd=tmp_path

@@ -48,7 +48,7 @@ def test_a_run_under_the_eyes_of_four_is_the_same_run(domain: int, tmp_path: Pat
         assert slow.recv(512)
         killed = child_of(run)
         os.kill(killed, signal.SIGKILL)
-        run.until_printed("the watcher has exited (SIGKILL), and starts again in 2 s")
+        run.until_printed("the watcher has exited, and starts again in 2 s")
         wait_for(lambda: child_of(run) not in (0, killed), 60, "another watcher")
         process.process.send_signal(signal.SIGSTOP)
         time.sleep(2.0)

@@ -82,15 +82,9 @@ def read_run(path: Path, site: Path | Site | None = None) -> ReportedRun:
         raise
 
 
-def _find_site_file(run: Path) -> Path:
-    """Return the path of a run's site file, which is in its own directory for a live site."""
-    configuration = run / "configuration"
-    return next(iter((configuration / "site").glob("*")), configuration / SITE_FILE)
-
-
 def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRun:
     run, bag, notes = run_directory(path), _bag_in(path), list(about.notes)
-    own_site = _find_site_file(run)
+    own_site = run / "configuration" / SITE_FILE
     file = given if isinstance(given, Path) else own_site if own_site.is_file() else None
     site = given if isinstance(given, Site) else read_site(file or default_site_file())
     if file is None and given is None:

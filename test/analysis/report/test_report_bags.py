@@ -503,8 +503,8 @@ def test_a_live_site(tmp_path: Path) -> None:
     """
     path = tmp_path / "live"
     small_bag(path / "bag", pump_command=[0.1] * 100 + [math.nan] + [0.1] * 99)
-    (path / "configuration" / "site").mkdir(parents=True)
-    shutil.copy(CONFIG / "site.yaml", path / "configuration" / "site" / "my_site.yaml")
+    (path / "configuration").mkdir(parents=True)
+    shutil.copy(CONFIG / "site.yaml", path / "configuration" / "site.yaml")
     (path / "summary.json").write_text(json.dumps({
         "status": "done", "controller": "onoff", "parameters": {"fraction": 1.0},
         "forecast": "/var/forecast.csv", "drive_at": "/dev/ttyUSB0",
@@ -520,7 +520,7 @@ def test_a_live_site(tmp_path: Path) -> None:
     (path / "alarms.jsonl").write_text("\n".join(lines))
     assert set(loaded(path)[0].command.tolist()) == {0.1}
     (run,) = report_of(path).runs
-    assert (run.row["case"], run.row["site"]) == ("onoff", "my_site.yaml")
+    assert (run.row["case"], run.row["site"]) == ("onoff", "site.yaml")
     assert [list(alarm.values()) for alarm in run.alarms] == [
         ["/pump: drive", "2026-11-20 21:25:12-05:00", "2026-11-20 21:25:20-05:00", "error",
          "no connection to the drive", ""],

@@ -565,13 +565,13 @@ def test_who_stops_the_drive_of_a_dead_driver_keeps_other_drivers_off_and_tries_
 
 def test_the_waits_fit_into_the_longer_ones_of_bringup_and_service() -> None:
     """The pump node's end; the supervisor's stop, perhaps after another one; the other nodes."""
-    from greenroof_ros.live.supervisor import ENDING_S, KILLING_S, PUMP_ENDING_S
+    from greenroof_ros.live.supervisor import ACTUATORS_ENDING_S, ENDING_S, KILLING_S
 
     leave = exchange.REST_LIMIT_S
-    assert MAX_RAMP_S < leave < leave + exchange.MAX_WAIT_S < PUMP_ENDING_S
+    assert MAX_RAMP_S < leave < leave + exchange.MAX_WAIT_S < ACTUATORS_ENDING_S
     service = (CHECKOUT / "examples/greenroof.service").read_text()
     (line,) = (line for line in service.splitlines() if line.startswith("TimeoutStopSec="))
     others_end = 2 * (ENDING_S + KILLING_S)  # the other nodes, and the recorder
     assert float(line.partition("=")[2]) > max(
-        PUMP_ENDING_S + KILLING_S + leave, 2 * leave
+        ACTUATORS_ENDING_S + KILLING_S + leave, 2 * leave
     ) + others_end
