@@ -24,7 +24,6 @@ from std_srvs.srv import SetBool
 
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.interface.states import DriveState
 from greenroof_ros.live.actuator import COMMAND, FLOW, STATE, STATE_FILE, ActuatorNode
 from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.levels import live_parameters
@@ -96,16 +95,16 @@ class ExternalPumpNode(ActuatorNode):
         flow = float(self._flow.value) if alive else None
         share = None if flow is None else flow / self._max_flow
         command = float(self._command.value) if self._command.good else 0.0
-        faults = []
+        reasons = [lost] if lost else []
         if share is not None and (command == 0 or self._hold_sent):
             self._stopping.update(min(dt, PAUSE_S), share, 0.0)
             if self._stopping.error_for > self.values["follow_time"] + AFTERFLOW_S:
-                faults.append(Diagnosis.of(
+                reasons.append(Diagnosis.of(
                     "runs_on", "driver", flow=flow or 0.0, time=self._stopping.error_for
                 ))
         else:
             self.discard_evidence()
-        active = evaluate(self.state_file, faults, filter(None, (lost,)))
+        active = evaluate(self.state_file, reasons)
         self._send_hold(float(bool(active)))
         self._told = self._told and lost is None  # it may have been started again
         self._tell_driver(bool(active.keys() - {"driver_lost", "two_pumps"}))
@@ -150,10 +149,6 @@ class ExternalPumpNode(ActuatorNode):
         if self._driver is not None and stop != self._told and self._driver.service_is_ready():
             self._told = stop
             self._driver.call_async(SetBool.Request(data=stop))
-
-    def trouble(self) -> DriveState | None:
-        """Return what is wrong with the driver, if anything."""
-        return DriveState.CONNECTING if self.decision.flow is None else None
 
 
 main = live_command(ExternalPumpNode, "live.external_pump", __doc__, parameters)

@@ -18,6 +18,7 @@ from typing import NoReturn
 from rclpy.executors import SingleThreadedExecutor
 
 from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.states import READY
 from greenroof_ros.live.boot_clock import boot_time, suspended_time
 from greenroof_ros.live.levels import LIMITS, RECOVERY
@@ -244,7 +245,7 @@ class LiveNode(GraphNode):
         if passed > PAUSE_S:
             self._ignoring_until = now + PAUSE_S
             for entry in self.inputs.values():
-                entry.rules.clear(now, passed)
+                entry.rules.receive(now, None, Diagnosis.of("input_paused", time=passed))
                 entry.check()
 
 

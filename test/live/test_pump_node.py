@@ -35,7 +35,7 @@ from std_srvs.srv import SetBool, Trigger
 from greenroof_ros.base.times import to_people
 from greenroof_ros.commands.pump_requests import _parse_future_time
 from greenroof_ros.live.devices.drive_file import find_drive_file
-from greenroof_ros.live.devices.exchange import DriveExchange, DriveSnapshot, read_endpoint
+from greenroof_ros.live.devices.exchange import DriveExchange, read_endpoint
 
 
 @pytest.fixture
@@ -68,29 +68,22 @@ def test_it_connects_by_itself_and_its_report_shows_the_state(rig: PumpRig) -> N
 
 
 HEAD = b"\x00\x01\x00\x00"  # of a message, little-endian
-GUARDS = DriveSnapshot(timeout_s=3.0)
 
 
-@pytest.mark.parametrize(
-    ("make", "address", "snapshot", "stops_locally", "words"),
-    [
-        ("abb_acs880", "gateway://127.0.0.1", GUARDS, False, None),
-        ("abb_acs880", "gateway://127.0.0.1",
-         DriveSnapshot(timeout_s=10.5), False,
-         "it is 10.5 s, but must be at most 10 s; to set it: "),
-        ("abb_acs880", "tcp://127.0.0.1", DriveSnapshot(timeout_note="no timeout.tcp"), False,
-         "is not effective: no timeout.tcp"),
-        ("grundfos_cim500", "tcp://127.0.0.1", GUARDS, False,
-         "and confirm this (local_settings_stop_the_pump: true); to set it: "),
-        ("grundfos_cim500", "tcp://127.0.0.1", GUARDS, True, None),
-    ],
-)
+@pytest.mark.parametrize(("make", "at", "seconds", "stops_locally", "words"), [
+    ("abb_acs880", "gateway", 3.0, False, None),
+    ("abb_acs880", "gateway", 10.5, False, "it is 10.5 s, but must be at most 10 s; to set it: "),
+    ("abb_acs880", "tcp", None, False, "is not effective: it is off; to set it: not described"),
+    ("grundfos_cim500", "tcp", 3.0, False,
+     "and confirm this (local_settings_stop_the_pump: true); to set it: "),
+    ("grundfos_cim500", "tcp", 3.0, True, None),
+])
 def test_a_timeout_that_does_not_guard(
-    make: str, address: str, snapshot: DriveSnapshot, stops_locally: bool, words: str | None
+    make: str, at: str, seconds: float | None, stops_locally: bool, words: str | None
 ) -> None:
-    endpoint = read_endpoint(find_drive_file(make), address, "address")
+    endpoint = read_endpoint(find_drive_file(make), f"{at}://127.0.0.1", "address")
     exchange = DriveExchange(endpoint, stops_locally=stops_locally)
-    problem = exchange.timeout_problem(snapshot)
+    problem = exchange.judge_timeout(seconds, "" if seconds else "it is off")
     assert (problem is None) == (words is None)
     assert problem is None or words in problem.sentence
 
