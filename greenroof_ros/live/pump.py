@@ -83,10 +83,10 @@ _INPUT_PARTS = {
 _PARTS = {
     "flow": ("two_pumps",),
     "drive": ("drive_lost", "runs_on", "drive_fault", "drive_local", "second_master",
-              "drive_warning"),
+              "start_failed"),
     "drive timeout": ("drive_timeout", "drive_guards_later"),
 }
-_WARNINGS = {"drive_local", "second_master", "drive_warning", "drive_guards_later"}
+_WARNINGS = {"drive_local", "second_master", "start_failed", "drive_guards_later"}
 # The fields of a request for a dose.
 _DOSE = (
     Parameter("volume", 0.0, "m3", meaning="the volume", optional=False),
@@ -277,8 +277,6 @@ class PumpNode(ActuatorNode):
             ), level=WARN)
         snapshot, now = self._exchange.snapshot, boot_time()
         found = {reason.code: reason for reason in self._reasons(snapshot, now)}
-        if snapshot.problem:
-            found["drive_warning"] = Diagnosis.of("drive_warning", warning=snapshot.problem)
         well = {
             "flow": "this is the only pump node", "drive": f"connected to {endpoint.file}",
             "drive timeout":

@@ -73,7 +73,7 @@ def test_an_alarm_begins_and_ends() -> None:
 
 @pytest.mark.parametrize(("code", "level", "seconds"), [
     ("drive_lost", ERROR, 0), ("drive_fault", ERROR, 0), ("not_recorded", ERROR, 0),
-    ("hold", WARN, 0), ("drive_warning", WARN, 0), ("a code of another version", ERROR, 0),
+    ("hold", WARN, 0), ("drive_local", WARN, 0), ("a code of another version", ERROR, 0),
     ("sensor_lost", ERROR, 3), ("gauge_bad", WARN, 3), ("forecast_missing", ERROR, 3),
     ("input_recovering", ERROR, 30),
 ])

@@ -588,7 +588,7 @@ LOST = "off: no connection to the drive; it is unknown whether the pump is stopp
 def test_a_pump_that_may_turn_is_unknown_and_an_alarm() -> None:
     """Placeholders on its topics are not shown: neither off nor 0.0 L/min."""
     lost = alarm("/pump: pump", "pump", "stands_unknown", LOST)
-    warned = alarm("/pump: drive", "pump", "drive_warning", "warm", WARN)
+    warned = alarm("/pump: drive", "pump", "drive_local", "by hand", WARN)
     document = with_pump(
         watched("live", warned, lost, pump_command=1.0), LOST,
         at_rest=False, speed=None, flow=None,

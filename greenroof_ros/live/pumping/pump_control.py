@@ -18,6 +18,7 @@ from greenroof_ros.site.site import Site
 
 # A measured flow above this multiple of the maximum flow is implausible.
 _MAX_FLOW = 1.5
+_FULL = "the roof is at its target"
 AFTERFLOW_S = 12.0
 """time for which a meter may show a flow after its end (s); sensor_file allows 10 s"""
 
@@ -94,14 +95,13 @@ class PumpControl:
             *filter(None, (undelivered,)), *observed.reasons,
         ])
         full = observed.roof_level is not None and observed.roof_level >= self._site.z_veg
-        self.doses.inhibited = "the roof is at its target" if full else ""
-        if full:
-            self.doses.end(self.doses.inhibited)
-        if active:
-            request, (state, why) = None, state_of(active)
-            self._pulses.clear()
+        state, why = state_of(active) if active else ("off", _FULL if full else "")
+        self.doses.inhibited = why
+        if why:
             self.doses.end(why)
-            self.doses.inhibited = why
+        if active:
+            request = None
+            self._pulses.clear()
         else:
             assert observed.command is not None
             self.doses.minimum = self._pulses.min_pulse(level)
@@ -206,7 +206,7 @@ class PumpControl:
             share, why = minimum, f"it must stay on for at least {self._settings.min_on:g} s"
         wait, why_wait = self._limits.wait()
         if share == 0 and command == 0:
-            return None, "the roof is at its target" if full else "the command is 0"
+            return None, _FULL if full else "the command is 0"
         if share == 0:
             due_in = math.ceil(max(wait, pulses.due_in))
             return None, f"the next pulse is due in {duration(due_in)}"

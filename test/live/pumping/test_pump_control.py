@@ -42,14 +42,6 @@ def test_minimum_times() -> None:
     assert rig.decisions[13].why == "it must stay on for at least 10 s"
 
 
-def test_a_command_above_1_acts_as_1() -> None:
-    rig = Rig(x2=0.0)
-    assert rig.run(30, 1e300).request == 1
-    before = rig.delivered
-    rig.run(30, 1e300)
-    assert rig.delivered - before <= 30 * maximum_pump_flow(PAPER_SITE, 70.0)
-
-
 def test_what_is_unknown_is_reported_so() -> None:
     """A drive that is lost while it runs: neither speed nor flow, until it is sure to stand.
 
