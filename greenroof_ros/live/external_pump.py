@@ -105,7 +105,10 @@ class ExternalPumpNode(ActuatorNode):
         else:
             self.discard_evidence()
         active = evaluate(self.state_file, reasons)
-        self._send_hold(float(bool(active)))
+        hold, now = float(bool(active)), boot_time()
+        if hold != self._hold_sent or now - self._sent_at >= _HOLD_S:
+            self._hold_sent, self._sent_at = hold, now
+            self.publish(_HOLD, hold)
         self._told = self._told and lost is None  # it may have been started again
         self._tell_driver(bool(active.keys() - {"driver_lost", "two_pumps"}))
         runs = share is not None and share > RUNNING_SHARE
@@ -131,12 +134,6 @@ class ExternalPumpNode(ActuatorNode):
             case = "awaited" if why.code in AWAITED else "age"
             return Diagnosis.of("driver_lost", case, why=why.sentence)
         return None
-
-    def _send_hold(self, hold: float) -> None:
-        now = boot_time()
-        if hold != self._hold_sent or now - self._sent_at >= _HOLD_S:
-            self._hold_sent, self._sent_at = hold, now
-            self.publish(_HOLD, hold)
 
     def _tell_driver(self, stop: bool) -> None:
         """Call the driver's ``~/stop``, if it offers one, when a hold or a fault begins or ends."""

@@ -207,7 +207,10 @@ class PumpNode(ActuatorNode):
 
     def _observe(self, snapshot: DriveSnapshot, now: float) -> Observation:
         status = snapshot.status_at(now)
-        values = {name: self._value(name) for name in _INPUTS}
+        values = {
+            name: float(entry.value) if self.acted and entry.good else None
+            for name, entry in self._by_name.items()
+        }
         if values["flow"] is None and status is not None:
             values["flow"] = status.flow
         return Observation(
@@ -221,11 +224,6 @@ class PumpNode(ActuatorNode):
                 if now >= self._resetting_until or reason.code not in ("runs_on", "drive_fault")
             ],
         )
-
-    def _value(self, name: str) -> float | None:
-        """Return the value of an input; None if it is unknown."""
-        entry = self._by_name[name]
-        return float(entry.value) if self.acted and entry.good else None
 
     def _reasons(self, snapshot: DriveSnapshot, now: float) -> Iterator[Diagnosis]:
         """Yield this node's own reasons for keeping the pump off."""

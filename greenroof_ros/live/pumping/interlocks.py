@@ -66,10 +66,8 @@ def evaluate(state_file: StateFile, reasons: Iterable[Diagnosis]) -> dict[str, D
     """
     table, present = read_interlocks(), _in_order(reasons)
     for code, reason in present.items():
-        stored = state_file.state
-        replaces = not stored.fault or (
-            _is_cleared_on_page(stored.fault_code) and not table[code].on_page)
-        if table[code].kind == LATCHED and replaces:
+        gives_way = not clear_refusal(state_file) and not table[code].on_page
+        if table[code].kind == LATCHED and (gives_way or not state_file.state.fault):
             state_file.change(fault=reason.sentence, fault_code=code)
     stored = state_file.state
     kept = [Diagnosis.if_any("state_unknown", stored.unknown), state_file.active_hold]
@@ -90,7 +88,8 @@ def clear_refusal(state_file: StateFile) -> str:
     """Return the reason why the latched fault cannot be cleared from the page; empty if it can."""
     if not state_file.state.fault:
         return "there is no fault"
-    if not _is_cleared_on_page(state_file.state.fault_code):
+    row = read_interlocks().get(state_file.state.fault_code)
+    if row is None or not row.on_page:
         return "someone who has checked the pump must reset this fault at the pump node"
     return ""
 
@@ -107,11 +106,6 @@ def _in_order(reasons: Iterable[Diagnosis]) -> dict[str, Diagnosis]:
             active[code] = present[code]
             kinds.add(interlock.kind)
     return active
-
-
-def _is_cleared_on_page(code: str) -> bool:
-    row = read_interlocks().get(code)
-    return row is not None and row.on_page
 
 
 class Following:

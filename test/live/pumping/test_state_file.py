@@ -500,16 +500,6 @@ def test_a_hold_is_not_forgotten_with_its_file(
     assert content == "directory" or stored(file).unknown == ""
 
 
-def test_a_moved_site_needs_no_reset(tmp_path: Path) -> None:
-    """All its files, or the state file alone, on a machine without any."""
-    held(tmp_path / "a" / "pump.json", "painting")
-    (tmp_path / "a").rename(tmp_path / "b")
-    assert stored(tmp_path / "b" / "pump.json").hold_reason == "painting"
-    (tmp_path / "b" / "pump.json.number").unlink()
-    state = stored(tmp_path / "b" / "pump.json")
-    assert (state.unknown, state.hold_reason) == ("", "painting")
-
-
 def test_a_file_that_another_program_removes_is_missed(file: Path) -> None:
     """At the next request, whose answer says so, and at the next start."""
     state_file = StateFile(file)
