@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import socket
+import threading
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -155,8 +156,9 @@ class DriveSnapshot:
         problem: description of the last problem if it persists; otherwise empty.
         connected: whether the drive is connected and responding; after `close`, it is not.
         status: last status of the drive; None without a connection, unless the drive is left in
-            silence because it runs on. After `close`, this is the status at the time when the drive
-            was released, possibly before it reached standstill, or None if it could not be read.
+            silence because it runs on, and no reset was requested since. After `close`, this is the
+            status at the time when the drive was released, possibly before it reached standstill,
+            or None if it could not be read.
         timeout_s: communication timeout of the drive (s); None if it is off.
         unguarded: diagnosis that the drive's own timeout is unusable, or may not be effective yet;
             None if the timeout is effective.
@@ -223,7 +225,7 @@ class DriveExchange(DeviceThread):
             ConfigurationError: if a library is not installed or a login file is invalid.
         """
         super().__init__("communication with the drive")
-        self._snapshot = DriveSnapshot()
+        self._snapshot, self._lock = DriveSnapshot(), threading.Lock()
         self.endpoint, self.flows_at_rest = endpoint, False
         self._drive: Drive | Relay = endpoint.connection()
         self._drive_lock: socket.socket | None = None
@@ -324,15 +326,19 @@ class DriveExchange(DeviceThread):
         """Request that the thread stop the drive and acknowledge its fault.
 
         Only a fault that is active now is acknowledged: the request expires if there is no
-        connection, or another program controls the drive.
+        connection, or another program controls the drive. A drive in silence is judged anew after
+        the silence; until then, its status is unknown.
         """
         self._reset_requested = True
+        if not self._snapshot.connected:
+            self._update(status=None)
         self._wake.set()
 
     # --- in the thread ----------------------------------------------------------------------------
 
     def _update(self, **changes: Any) -> None:
-        self._snapshot = replace(self._snapshot, **changes)
+        with self._lock:
+            self._snapshot = replace(self._snapshot, **changes)
 
     def _must_not_wait(self) -> bool:
         return self._closing or self._stop_requested

@@ -421,6 +421,21 @@ def test_one_that_is_not_seen_to_slow_down_is_left_again_and_again(
     bench.until_reported(lambda status: status.at_rest and not status.fault)
 
 
+def test_what_was_seen_of_one_that_runs_on_counts_no_more_after_a_reset(bench: Bench) -> None:
+    """The reset does not shorten the silence, after which the drive is judged anew, and runs."""
+    drive = RunningOn(bench, lambda _now: 0.5)
+    bench.until(lambda: SILENT in bench.now.problem)
+    bench.wait(4.0)
+    assert bench.now.status is not None and bench.now.status.runs_on
+    drive.speed = lambda _now: 0.0
+    bench.exchange.reset()
+    assert bench.now.status is None and not bench.now.connected
+    bench.speed, drive.faults = 0.5, set()
+    drive.listen(drive.seconds + 7.0)
+    assert drive.faults == {""} and bench.silences()[-1] > 9.9
+    assert bench.drive.values[0] == 0x047F
+
+
 def test_what_is_known_of_the_speed_outlives_connections_that_break(bench: Bench) -> None:
     drive = RunningOn(bench, lambda _now: 0.5)
     while FALLEN not in drive.faults and drive.seconds < 60:
