@@ -424,7 +424,7 @@ def test_alarms_have_an_order_and_what_follows_is_not_listed() -> None:
     assert [(row["id"], row["level"], row["name"]) for row in document["alarms"]] == [
         ("/pump: pump", "warn", "Pump"), ("/mpc", "error", "Controller"),
         ("/recorder: recording", "error", "Recorder"),
-        ("/weather: rain gauge", "warn", "Weather"), ("/pump: limits", "warn", "Pump"),
+        ("/weather: rain gauge", "warn", "Weather"), ("/pump: drive", "warn", "Pump"),
         ("/camera", "warn", "Camera"),
     ]
     summary = document["tiles"]["summary"]

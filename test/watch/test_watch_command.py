@@ -19,6 +19,7 @@ from commands import run_command
 from graphs import (
     Process,
     alive,
+    children_of,
     environment,
     files_of,
     free_ports,
@@ -167,11 +168,10 @@ def test_a_token_that_others_may_know_is_refused(
 
 def child_of(process: Process, command: bytes = b"greenroof_ros\0watch") -> int:
     """Return the process with this command that another has started; 0 for none."""
-    children = Path(f"/proc/{process.process.pid}/task/{process.process.pid}/children")
-    for pid in children.read_text().split():
+    for pid in children_of(process.process.pid):
         with suppress(OSError):  # it has just ended
             if command in Path(f"/proc/{pid}/cmdline").read_bytes():
-                return int(pid)
+                return pid
     return 0
 
 
