@@ -51,9 +51,7 @@ class StartList:
         }
         lines = dict[tuple[str, str], str]()
         for name, diagnosis in wrong.items():
-            cause = wrong.get(judge.causes.get(name, ""))
-            explained = cause is not None and cause.stops_pump >= diagnosis.stops_pump
-            if judge.has_lasted(now, name) and not explained:
+            if judge.has_lasted(now, name) and judge.causes.get(name) not in wrong:
                 advice = advise(diagnosis.code, diagnosis.role, name.partition(": ")[0])
                 lines[name, diagnosis.code] = f"  {name}: {diagnosis.sentence}. {advice}"
         stopped = any(diagnosis.stops_pump for diagnosis in wrong.values())
