@@ -12,7 +12,7 @@ from functools import partial
 from pymodbus.pdu import ModbusPDU
 from rig_simulators import FAULTS, ActiveFault, FaultyConnection
 
-from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine
+from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine, Serial
 from greenroof_ros.live.simulators.server import Server, make_device
 
 
@@ -24,7 +24,7 @@ class Line:
 
     def __init__(self, port: int, behind: int) -> None:
         self._behind = ModbusLine(
-            Address("127.0.0.1", behind), port=0, device_id=1, timeout_s=0.2
+            Address("127.0.0.1", behind), Serial(19200, "even", 1, device_id=1), 0.2
         )
         self._fault = ActiveFault()
         self._level: dict[int, int] = {}
