@@ -236,7 +236,7 @@ class Bench:
         self.registers = dict.fromkeys(range(5), 0) | {PARAMETER: DEFAULT}
         self.servers: list[Server] = []
         device = make_device(DEVICE_ID, self.read_registers, self._write)
-        self._workbench = Server(workbench, [device])
+        self._workbench = Server(workbench, [device], BENCH)
         self._started_at = time.monotonic()
 
     async def run(self, ended: asyncio.Event) -> None:
@@ -582,7 +582,7 @@ class SiteBench(Bench, SimulatedSite):
     run, addresses = SimulatedSite.run, SimulatedSite.addresses
 
     def inject(self, name: str, parameter: int) -> None:
-        self._fault_since, self._frozen = self.tick, {}
+        self._fault_since, self._frozen = self.virtual_site.tick, {}
         super().inject(name, parameter)
 
     def _has_fault(self, section: str, name: str) -> bool:
@@ -614,7 +614,7 @@ class SiteBench(Bench, SimulatedSite):
         if self._has_fault(section, "noisy"):
             value += random.gauss(0.0, parameter * LEVEL_UNIT)
         elif self._has_fault(section, "drifting"):
-            minutes = (self.tick - self._fault_since) * self._site.tau / 60
+            minutes = (self.virtual_site.tick - self._fault_since) * self._site.tau / 60
             value += minutes * parameter * LEVEL_UNIT
         return value
 
@@ -631,7 +631,7 @@ class SiteBench(Bench, SimulatedSite):
             x1 = max(0.0, x1 - tau * self.fault.parameter * 1e-6)
         site.state = State(x1, x2, layer)
         if self._output is not None:
-            print(self.tick * tau, *site.levels(), sep=",", file=self._output, flush=True)
+            print(site.tick * tau, *site.levels(), sep=",", file=self._output, flush=True)
 
 
 # --- programs -------------------------------------------------------------------------------------

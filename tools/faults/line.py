@@ -15,6 +15,8 @@ from rig_simulators import FAULTS, ActiveFault, FaultyConnection
 from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine, Serial
 from greenroof_ros.live.simulators.server import Server, make_device
 
+_SERIAL = Serial(19200, "even", 1, 1)
+
 
 class Line:
     """Listens at a port and asks the sensor at another, in a thread of its own.
@@ -24,12 +26,12 @@ class Line:
 
     def __init__(self, port: int, behind: int) -> None:
         self._behind = ModbusLine(
-            Address("127.0.0.1", behind), Serial(19200, "even", 1, device_id=1), 0.2
+            Address("127.0.0.1", behind), _SERIAL, 0.2
         )
         self._fault = ActiveFault()
         self._level: dict[int, int] = {}
         self._server = Server(
-            Address("127.0.0.1", port), [make_device(1, lambda: self._level)],
+            Address("127.0.0.1", port), [make_device(1, lambda: self._level)], _SERIAL,
             connection=partial(FaultyConnection, fault=self._fault, hear=self._hear),
         )
         self._ended = threading.Event()

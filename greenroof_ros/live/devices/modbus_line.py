@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import copy
 import logging
-import math
 import os
 import re
 import socket
@@ -356,9 +355,7 @@ def coding_mistakes(kind: str, word_order: str) -> Iterator[tuple[str, str]]:
 
 
 def limits(kind: str) -> tuple[float, float]:
-    """Return the minimum and the maximum value of a register type."""
-    if kind.startswith("float"):
-        return -math.inf, math.inf
+    """Return the minimum and the maximum value of an integer type."""
     bits = 16 * WIDTHS[kind]
     return (0, 2**bits - 1) if kind.startswith("u") else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
 

@@ -79,11 +79,6 @@ class SimulatedSite:
         ]
 
     @property
-    def tick(self) -> int:
-        """The number of ticks simulated so far."""
-        return self.virtual_site.tick
-
-    @property
     def addresses(self) -> str:
         """The addresses of the sensors, as text."""
         return ", ".join(f"{name} sensor {sensor}" for name, sensor in self._sensors.items())
@@ -145,7 +140,7 @@ class SimulatedSite:
         ]
         started_at = time.monotonic()
         while not ended.is_set():
-            flow = await self._mean_flow(started_at + (self.tick + 1) * self._site.tau)
+            flow = await self._mean_flow(started_at + (self.virtual_site.tick + 1) * self._site.tau)
             self.step(self._speed(), flow)
         await asyncio.gather(*publishing)
 
@@ -165,7 +160,7 @@ class SimulatedSite:
     def _present_weather(self) -> tuple[float, float]:
         """Return rain (m/s) and evapotranspiration (m3/s) in the current tick."""
         rain, evapotranspiration = (
-            series[min(self.tick, len(series) - 1)] for series in self._weather
+            series[min(self.virtual_site.tick, len(series) - 1)] for series in self._weather
         )
         return rain, evapotranspiration
 

@@ -36,7 +36,7 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for() -> None:
     )
     for _ in range(40):
         site.step(0.8, site.flow(0.8))
-    ticks, (cistern, roof) = site.tick, site.virtual_site.levels()
+    ticks, (cistern, roof) = site.virtual_site.tick, site.virtual_site.levels()
     assert site.pumped == pytest.approx(6.1261e-3 * ticks, rel=5e-4)
     assert cistern == pytest.approx(3 - site.pumped / 25, abs=1e-5)
     assert roof == pytest.approx(0.05 + site.pumped / 68.8 + ticks * 9e-6, abs=1e-5)
