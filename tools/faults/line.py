@@ -63,7 +63,7 @@ class Line:
             if not self._behind.connected:
                 self._behind.connect()
             register = request.address
-            self._level = {register: self._behind.read(register, 1, inputs=True)[0]}
+            self._level = {register: self._behind.read(register, 1, "input")[0]}
         except DriveError:
             self._behind.close()
             return False

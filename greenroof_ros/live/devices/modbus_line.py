@@ -251,17 +251,15 @@ class ModbusLine:
         """
         self._client.close()  # type: ignore[no-untyped-call]
 
-    def read(self, address: int, count: int, *, inputs: bool = False) -> list[int]:
-        """Read holding registers, or input registers if ``inputs`` is true.
+    def read(self, address: int, count: int, kind: str = "holding") -> list[int]:
+        """Read registers of a kind: ``holding`` or ``input``.
 
         Raises:
             DriveError: if no valid response arrives.
         """
-        client = self._client
-        read = client.read_input_registers if inputs else client.read_holding_registers
-        return self._request(
-            f"reading register {address}", 4 if inputs else 3, read, address, count=count
-        )
+        read = getattr(self._client, f"read_{kind}_registers")
+        function = 4 if kind == "input" else 3
+        return self._request(f"reading register {address}", function, read, address, count=count)
 
     def write(self, address: int, word: int) -> None:
         """Write one holding register.

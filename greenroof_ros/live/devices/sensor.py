@@ -244,9 +244,7 @@ class SensorLine:
             try:
                 if not line.connected:
                     line.connect()
-                return line.read(
-                    sensor.register, WIDTHS[sensor.type], inputs=sensor.kind == "input"
-                )
+                return line.read(sensor.register, WIDTHS[sensor.type], sensor.kind)
             except Exception:
                 line.close()  # a late answer must not be read as the next
                 if count > 1:
@@ -330,8 +328,7 @@ class MqttReader(Reader):
         # When the last message arrived, and until when messages are ignored (s, `boot_time`).
         self._received_at = self._ignoring_until = -math.inf
         self._client = make_client(
-            broker, f"greenroof_sensor_{section}", self._on_connect, self._on_message,
-            self._on_disconnect,
+            broker, f"greenroof_{section}", self._on_connect, self._on_message, self._on_disconnect,
         )
 
     def start(self) -> None:
