@@ -16,7 +16,7 @@ NUMBA = "numba>=0.68,<1"
 NODES = {
     **{name: f"nodes.{name}" for name in ("plant", "weather", "controller", "recorder")},
     **{f"live_{name}": f"live.{name}" for name in ("weather", "controller", "recorder")},
-    **{name: f"live.{name}" for name in ("station", "sensors", "pump")},
+    **{name: f"live.{name}" for name in ("station", "pump")},
     "pump_guard": "live.external_pump",
 }
 # Colcon calls one of these, and setup.cfg sets where executables go. Pip calls neither, and would

@@ -32,7 +32,14 @@ from greenroof_ros.base.command_line import add_site, command
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.live.devices.drive_file import DriveFile, find_drive_file
 from greenroof_ros.live.devices.exchange import read_endpoint
-from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine, parse_address
+from greenroof_ros.live.devices.modbus_line import (
+    WIDTHS,
+    Address,
+    DriveError,
+    ModbusLine,
+    Serial,
+    parse_address,
+)
 from greenroof_ros.live.devices.relay import RelayEndpoint
 from greenroof_ros.live.devices.sensor_file import ModbusSensor, default_sensors, read_sensors
 from greenroof_ros.live.simulators.drive import SimulatedDrive, drive_server
@@ -49,6 +56,7 @@ from greenroof_ros.site.site import Site
 # Functions that write.
 WRITES = (5, 6, 15, 16, 22, 23)
 DEVICE_ID = 247
+BENCH = Serial(19200, "even", 1, DEVICE_ID)
 # Registers of the workbench. The parameter of a fault is written before the fault.
 SPEED, FAULT, PARAMETER, LOCAL, CISTERN_LEVEL = range(5)
 SPEED_UNIT = LEVEL_UNIT = 1e-4
@@ -228,7 +236,7 @@ class Bench:
         self.registers = dict.fromkeys(range(5), 0) | {PARAMETER: DEFAULT}
         self.servers: list[Server] = []
         device = make_device(DEVICE_ID, self.read_registers, self._write)
-        self._workbench = Server(workbench, [device])
+        self._workbench = Server(workbench, [device], BENCH)
         self._started_at = time.monotonic()
 
     async def run(self, ended: asyncio.Event) -> None:
@@ -395,7 +403,7 @@ class DriveBench(Bench):
         self.registers[CISTERN_LEVEL] = round(level / LEVEL_UNIT)
         (self._server,) = self.servers = [drive_server(self.drive, file, self._reached)]
         self._server.connection = partial(FaultyConnection, fault=self.fault, hear=self._hear)
-        self._device_id = file.device_id_at(self._reached)
+        self._device_id = file.serial.device_id_at(self._reached)
 
     @property
     def addresses(self) -> str:
@@ -516,7 +524,7 @@ class DistantPump:
 
     def __init__(self, address: Address, level, log) -> None:
         self.speed, self._lost = 0.0, False
-        self._line = ModbusLine(address, port=0, device_id=DEVICE_ID, timeout_s=1.0)
+        self._line = ModbusLine(address, BENCH, 1.0)
         self._level, self._log = level, log
 
     def update(self) -> None:
@@ -574,7 +582,7 @@ class SiteBench(Bench, SimulatedSite):
     run, addresses = SimulatedSite.run, SimulatedSite.addresses
 
     def inject(self, name: str, parameter: int) -> None:
-        self._fault_since, self._frozen = self.tick, {}
+        self._fault_since, self._frozen = self.virtual_site.tick, {}
         super().inject(name, parameter)
 
     def _has_fault(self, section: str, name: str) -> bool:
@@ -589,7 +597,7 @@ class SiteBench(Bench, SimulatedSite):
 
     def words(self, section: str, sensor) -> list[int]:
         if self._has_fault(section, "absurd"):
-            return [self.fault.parameter] * sensor.registers
+            return [self.fault.parameter] * WIDTHS[sensor.type]
         return super().words(section, sensor)
 
     def raw(self, section: str) -> float | None:
@@ -606,7 +614,7 @@ class SiteBench(Bench, SimulatedSite):
         if self._has_fault(section, "noisy"):
             value += random.gauss(0.0, parameter * LEVEL_UNIT)
         elif self._has_fault(section, "drifting"):
-            minutes = (self.tick - self._fault_since) * self._site.tau / 60
+            minutes = (self.virtual_site.tick - self._fault_since) * self._site.tau / 60
             value += minutes * parameter * LEVEL_UNIT
         return value
 
@@ -623,7 +631,7 @@ class SiteBench(Bench, SimulatedSite):
             x1 = max(0.0, x1 - tau * self.fault.parameter * 1e-6)
         site.state = State(x1, x2, layer)
         if self._output is not None:
-            print(self.tick * tau, *site.levels(), sep=",", file=self._output, flush=True)
+            print(site.tick * tau, *site.levels(), sep=",", file=self._output, flush=True)
 
 
 # --- programs -------------------------------------------------------------------------------------

@@ -51,8 +51,7 @@ class Workbench:
     """
 
     def __init__(self, address: Address, timeout_s: float = 1.0) -> None:
-        device_id = rig_simulators.DEVICE_ID
-        self._line = ModbusLine(address, port=0, device_id=device_id, timeout_s=timeout_s)
+        self._line = ModbusLine(address, rig_simulators.BENCH, timeout_s)
         self.close = self._line.close
 
     def _request(self, request: Callable[[], T]) -> T:

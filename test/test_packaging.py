@@ -22,7 +22,7 @@ from greenroof_ros.__main__ import COMMANDS
 
 NODES = (
     "plant", "weather", "controller",
-    "recorder", "live_weather", "live_controller", "live_recorder", "station", "sensors",
+    "recorder", "live_weather", "live_controller", "live_recorder", "station",
     "pump", "pump_guard",
 )
 GREENROOF = "greenroof"

@@ -164,7 +164,7 @@ class Fetcher:
     """
 
     def __init__(
-        self, service: Service, write: Callable[[IssuedForecast], None], every: float
+        self, service: Service, write: Callable[[IssuedForecast], object], every: float
     ) -> None:
         """Set the service and the output, without fetching a forecast yet.
 

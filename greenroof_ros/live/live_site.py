@@ -82,8 +82,8 @@ class LiveSite:
             (has_forecast and arguments.forecast != OPEN_METEO
              and not arguments.forecast.lower().endswith(".csv"), "--forecast",
              arguments.forecast, "must be a FILE.csv, which is read again whenever it is replaced"),
-            (isinstance(endpoint, DriveEndpoint) and any(
-                sensor.connection == endpoint.address.canonical_name(0)
+            (isinstance(endpoint, DriveEndpoint) and endpoint.address.line and any(
+                sensor.place.connection == endpoint.address.connection
                 for sensor in sensors.values() if isinstance(sensor, ModbusSensor)
              ), "--drive-at", arguments.drive_at,
              "is also the serial line of a sensor, but only one program can open a serial line: "
@@ -108,7 +108,7 @@ class LiveSite:
                 # A controller cannot use what another one has learned.
                 "state_file": str(state / f"{name}.json"),
             }),
-            **{QUANTITIES[section].node: (f"{_LIVE}.sensors", {}) for section in sensors},
+            **{QUANTITIES[each].live_publishers[0]: (f"{_LIVE}.sensors", {}) for each in sensors},
             RECORDER: (f"{_LIVE}.recorder", {
                 "directory": str(state / "bag"), "total_limit": arguments.bag_limit,
             }),
@@ -124,7 +124,8 @@ class LiveSite:
                 "horizon": self.parameters.get("horizon", shown), "all_members": kind.ensemble,
             }
         optional = {
-            RECORDER, *(each.node for section, each in QUANTITIES.items() if section not in TANKS),
+            RECORDER,
+            *(QUANTITIES[each].live_publishers[0] for each in QUANTITIES if each not in TANKS),
         }
         self.nodes[ROLE] = "greenroof_ros.nodes.alarms", {
             "directory": str(state), "expected": " ".join(sorted({*self.nodes} - optional)),

@@ -1,16 +1,12 @@
-"""The nodes of all sensors, which publish the sensors' readings from a single process.
+"""The nodes of all sensors: one for every section of the sensor file.
 
-``python -m greenroof_ros.live.sensors --sensors sensors.yaml`` creates a node for every section of
-the file, such as /cistern_sensor, which publishes /cistern/level. A node publishes once per period
-for a Modbus sensor, and at every message for an MQTT sensor. An invalid reading is not published,
-and the reason is reported on /diagnostics; the last value then becomes too old for its subscribers.
+A node such as /cistern_sensor publishes the readings of its sensor, such as /cistern/level: once
+per period for a Modbus sensor, and at every message for an MQTT sensor. An invalid reading is not
+published, and the reason is reported on /diagnostics; the last value then becomes too old for its
+subscribers.
 """
 
 from __future__ import annotations
-
-from greenroof_ros.ros import begin_node
-
-begin_node(__name__)
 
 from collections import defaultdict
 from collections.abc import Callable
@@ -23,14 +19,14 @@ from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.devices.sensor import ModbusReader, MqttReader, SensorLine
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS, ModbusSensor, read_sensors
 from greenroof_ros.live.levels import LIMITS
-from greenroof_ros.live.node import LiveNode, live_command
+from greenroof_ros.live.node import LiveNode
 from greenroof_ros.ros.diagnostics import ERROR, WARN
 from greenroof_ros.ros.parameters import declare
 
 
 def parameters(site: object = None) -> list[Parameter]:
     """Return the parameters of sensor nodes, which are the same at every site."""
-    return list(dict.fromkeys(LIMITS[quantity.topic_name] for quantity in QUANTITIES.values()))
+    return list(dict.fromkeys(LIMITS[quantity.name] for quantity in QUANTITIES.values()))
 
 
 class SensorNode(LiveNode):
@@ -47,12 +43,12 @@ class SensorNode(LiveNode):
         Raises:
             ConfigurationError: if the file is invalid.
         """
-        quantity = QUANTITIES[section]
-        super().__init__(quantity.node, quantity.node)
+        topic = QUANTITIES[section]
+        (name,) = topic.live_publishers
+        super().__init__(name, name)
         values = declare(self, parameters())
         sensor = read_sensors(file, values).by_section[section]
-        self._topic, unit = quantity.topic_name, quantity.topic.unit
-        self._lowest = quantity.topic.low
+        self._topic, self._lowest = topic.name, topic.low
         # A missing level stops the pump; other missing quantities may not.
         self._part, self._level = ("sensor", ERROR) if section in TANKS else ("gauge", WARN)
         self.open_outputs(self._topic)
@@ -61,10 +57,10 @@ class SensorNode(LiveNode):
         self.reports.hardware = str(sensor)
         self._reader: ModbusReader | MqttReader
         if isinstance(sensor, ModbusSensor):
-            line, age = lines[sensor.connection], values[quantity.limit]
-            self._reader = ModbusReader(sensor, unit, line, age, quantity.spread_s)
+            line, age = lines[sensor.place.connection], values[LIMITS[topic.name].name]
+            self._reader = ModbusReader(section, sensor, line, age)
         else:
-            self._reader = MqttReader(quantity.node, sensor, unit, quantity.spread_s)
+            self._reader = MqttReader(section, sensor)
 
     def on_start(self) -> None:
         """Start reading the sensor."""
@@ -98,18 +94,3 @@ def sensor_makers(file: Path) -> list[Callable[[], LiveNode]]:
         partial(SensorNode, section, file, lines) for section in read_sensors(file).by_section
     ]
 
-
-def sensor_nodes(file: str) -> list[LiveNode]:
-    """Return a node for each sensor in a file.
-
-    Raises:
-        ConfigurationError: if the file or a parameter is invalid, or a library is missing.
-    """
-    return [make() for make in sensor_makers(Path(file))]
-
-
-main = live_command(sensor_nodes, __doc__, "--sensors")
-
-
-if __name__ == "__main__":
-    main()

@@ -7,20 +7,19 @@ once at the start.
 
 from __future__ import annotations
 
-from greenroof_ros.live.latest_writer import LatestWriter
 from greenroof_ros.ros import begin_node
 
 begin_node(__name__)
 
 import math
 from datetime import datetime, timedelta, timezone
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.base.disk import DiskThread
+from greenroof_ros.base.disk import DISK, DiskThread
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import from_epoch_ns, to_people
-from greenroof_ros.forecast.issue import IssuedForecast
 from greenroof_ros.forecast.live import (
     ForecastFile,
     LiveForecast,
@@ -123,8 +122,9 @@ class LiveWeatherNode(WeatherNode, LiveNode):
             days=min(days, MAX_DAYS), url=values["fetch_url"],
         )
         files = ForecastFiles(file, file.with_suffix(""))
-        kept = LatestWriter[IssuedForecast](files.write)
-        fetcher = Fetcher(service, kept.write, _FETCH_S)
+        fetcher = Fetcher(
+            service, lambda issue: DISK.do(partial(files.write, issue)), _FETCH_S
+        )
         fetcher.start()
         return fetcher
 

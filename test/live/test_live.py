@@ -481,7 +481,7 @@ def test_the_noise_of_a_sensor_at_zero_is_treated_as_zero(observer: Observer) ->
         body = raw.to_bytes(2, "big", signed=True)
         return [(0.0, request[:4] + bytes([0, 5, request[6], 4, 2]) + body)]
 
-    values = {name: observer.collect(QUANTITIES[name].topic_name) for name in AT_ZERO}
+    values = {name: observer.collect(QUANTITIES[name].name) for name in AT_ZERO}
     with closing(Wire(answer)) as wire:
         sensor = (
             f"\n  address: {wire.at}\n  device_id: 1\n  kind: input\n  type: int16\n  median: 1\n"
@@ -492,7 +492,7 @@ def test_the_noise_of_a_sensor_at_zero_is_treated_as_zero(observer: Observer) ->
             f"{name}:{sensor}{number}\n  {limits}\n"
             for number, (name, (limits, *_)) in enumerate(AT_ZERO.items())
         ))
-        observer.start(f"live.sensors --sensors {file}")
+        observer.start(f"live.station --sensors {file}")
         observer.until(lambda: all(
             len(values[name]) > len(read) and len(set(values[name])) >= len(set(published))
             for name, (_, read, published) in AT_ZERO.items()

@@ -25,7 +25,7 @@ def test_the_published_rain_adds_up_to_the_rise_of_the_total(
         times, rates = (
             collect("/gauge/precipitation") for collect in (observer.times, observer.collect)
         )
-        observer.start(f"live.sensors --sensors {file}")
+        observer.start(f"live.station --sensors {file}")
         with Talker(broker) as talker:
 
             def first() -> bool:

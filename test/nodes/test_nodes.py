@@ -136,9 +136,12 @@ REFUSED = {
     "nodes.weather --ros-args -p run_length:=10000000": ("toronto_2021-07.csv",),
     "nodes.recorder --ros-args -p directory:=.": ("directory", "exists"),
     # A level counts for 5 s (level_limit), which must cover two readings.
-    "live.sensors --sensors sensors.yaml":
+    "live.station --sensors sensors.yaml":
         ("line 22: cistern.period = 2.6: must be at most 2.5 s",),
-    "live.sensors": ("--sensors", "required"),
+    "live.station --sensors sensors_mqtt.yaml --ros-args -p level_limit:=4.0":
+        ("line 16: cistern.max_age = 5.0: must be at most 4 s, since older values than",),
+    "live.station --sensors login.yaml":
+        ("/no/greenroof/broker.yaml: ",),
     f"live.pump {DRIVE} -p site_file:=slow.yaml -p command_limit:=3.0":
         ("command_limit of pump = 3.0: must exceed tau of the",),
     f"live.pump {DRIVE} -p folow_time:=9.0":
@@ -152,6 +155,8 @@ def test_what_is_refused(domain: int, tmp_path: Path, command: str) -> None:
     for file, name, old, new in (
         ("site.yaml", "slow.yaml", "tau: 1.0 ", "tau: 3.0 "),
         ("sensors.yaml", "sensors.yaml", "period: 1.0", "period: 2.6"),
+        ("sensors_mqtt.yaml", "sensors_mqtt.yaml", "", ""),
+        ("sensors_mqtt.yaml", "login.yaml", "# login: /etc/", "login: /no/"),
     ):
         (tmp_path / name).write_text((CONFIG / file).read_text().replace(old, new))
     (tmp_path / "wrong.yaml").write_text("/**/plant:\n  ros__parameters: {run_lenght: 4}\n")

@@ -12,8 +12,10 @@ from functools import partial
 from pymodbus.pdu import ModbusPDU
 from rig_simulators import FAULTS, ActiveFault, FaultyConnection
 
-from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine
+from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine, Serial
 from greenroof_ros.live.simulators.server import Server, make_device
+
+_SERIAL = Serial(19200, "even", 1, 1)
 
 
 class Line:
@@ -24,12 +26,12 @@ class Line:
 
     def __init__(self, port: int, behind: int) -> None:
         self._behind = ModbusLine(
-            Address("127.0.0.1", behind), port=0, device_id=1, timeout_s=0.2
+            Address("127.0.0.1", behind), _SERIAL, 0.2
         )
         self._fault = ActiveFault()
         self._level: dict[int, int] = {}
         self._server = Server(
-            Address("127.0.0.1", port), [make_device(1, lambda: self._level)],
+            Address("127.0.0.1", port), [make_device(1, lambda: self._level)], _SERIAL,
             connection=partial(FaultyConnection, fault=self._fault, hear=self._hear),
         )
         self._ended = threading.Event()
@@ -61,7 +63,7 @@ class Line:
             if not self._behind.connected:
                 self._behind.connect()
             register = request.address
-            self._level = {register: self._behind.read(register, 1, inputs=True)[0]}
+            self._level = {register: self._behind.read(register, 1, "input")[0]}
         except DriveError:
             self._behind.close()
             return False

@@ -11,7 +11,6 @@ from operator import or_
 
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.devices.drive_file import (
-    PORT,
     DriveFile,
     Register,
     RegisterCondition,
@@ -357,8 +356,9 @@ class DriveEndpoint:
         Raises:
             OSError: if the host is unknown or no name server responds.
         """
-        place = self.address.canonical_name(PORT).strip("/")
-        return place if self.address.line else f"{place}-{self.file.device_id_at(self.address)}"
+        place = self.address.canonical_name().strip("/")
+        device_id = self.file.serial.device_id_at(self.address)
+        return place if self.address.line else f"{place}-{device_id}"
 
     def connection(self) -> Drive:
         """Return the drive on a new connection that is not yet open and must be opened only once.

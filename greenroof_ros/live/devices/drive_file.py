@@ -25,8 +25,6 @@ from greenroof_ros.live.devices.modbus_line import (
     coding_mistakes,
 )
 
-# TCP port of a drive or a gateway, unless the address specifies one.
-PORT = 502
 # Default limit of a device's own communication timeout (s). Within this time, apart from its ramp,
 # a device also shows whether it obeys.
 LIMIT_S = 10.0
@@ -190,10 +188,6 @@ class DriveFile(DeviceFile):
         "the drive's own communication timeouts of its port `serial` and its Ethernet port `tcp`")
     min_speed: float = entry("minimum share of the rated speed at which the pump may run", 0, 1)
 
-    def device_id_at(self, address: Address) -> int:
-        """Return the unit identifier or slave address: that of the address, or the file's."""
-        return self.serial.device_id if address.device_id is None else address.device_id
-
     def line(self, address: Address, timeout_s: float) -> ModbusLine:
         """Return a connection to the drive that is not yet open.
 
@@ -201,10 +195,7 @@ class DriveFile(DeviceFile):
             address: address of the drive.
             timeout_s: maximum time to wait for a connection and for each response (s).
         """
-        return ModbusLine(
-            address, port=PORT, device_id=self.device_id_at(address), serial=self.serial,
-            timeout_s=timeout_s,
-        )
+        return ModbusLine(address, self.serial, timeout_s)
 
 
 @dataclass(frozen=True)

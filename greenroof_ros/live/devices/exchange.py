@@ -24,7 +24,7 @@ from greenroof_ros.live.devices.drive_file import (
     read_drive_file,
     read_relay_file,
 )
-from greenroof_ros.live.devices.modbus_line import DeviceThread, DriveError, parse_drive_address
+from greenroof_ros.live.devices.modbus_line import DeviceThread, DriveError, parse_address
 from greenroof_ros.live.devices.relay import Relay, RelayEndpoint
 
 # The connection is treated as lost after this many consecutive rounds without a valid answer.
@@ -77,7 +77,7 @@ def read_endpoint(file: Path, at: str, key: str, login: str = "", authority: str
         file: the drive file or relay file.
         at: address of the drive or relay. For a relay, this is ``mqtt://HOST[:PORT]/DEVICE``, or
             ``mqtts`` over TLS; for a drive, see
-            :func:`greenroof_ros.live.devices.modbus_line.parse_drive_address`.
+            :func:`greenroof_ros.live.devices.modbus_line.parse_address`.
         key: name of the option or parameter that gives the address, for messages.
         login: file with ``username`` and ``password`` for a relay's broker; empty for none.
         authority: file of trusted certificates (PEM) for a relay's broker; empty to use those of
@@ -88,7 +88,7 @@ def read_endpoint(file: Path, at: str, key: str, login: str = "", authority: str
     """
     if "protocol" in read_yaml(file):
         return RelayEndpoint(read_relay_file(file), *parse_topic(at, key, login, authority))
-    return DriveEndpoint(read_drive_file(file), parse_drive_address(at, key))
+    return DriveEndpoint(read_drive_file(file), parse_address(at, key))
 
 
 class DriveInUseError(DriveError):

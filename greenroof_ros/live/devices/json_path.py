@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from typing import Any
 
 _STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
@@ -27,16 +26,3 @@ def value_at(content: Any, path: str) -> Any:
         raise LookupError(path) from None
     return content
 
-
-def with_value(content: Any, path: Sequence[str | int], value: Any) -> Any:
-    """Return a JSON value with another value at a path, which need not exist yet."""
-    if not path:
-        return value
-    step, *rest = path
-    if isinstance(step, str):
-        items = content if isinstance(content, dict) else {}
-        return {**items, step: with_value(items.get(step), rest, value)}
-    old = content if isinstance(content, list) else []
-    new = old + [None] * (step + 1 - len(old))
-    new[step] = with_value(new[step], rest, value)
-    return new

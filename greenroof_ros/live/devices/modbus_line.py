@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import copy
 import logging
-import math
+import os
 import re
 import socket
 import struct
@@ -21,8 +21,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from greenroof_ros.base.errors import ConfigurationError, require_extra
 from greenroof_ros.base.mqtt import parse_host
@@ -32,6 +31,8 @@ if TYPE_CHECKING:
     from pymodbus.client import ModbusSerialClient, ModbusTcpClient
     from pymodbus.pdu import ModbusPDU
 
+# TCP port of a device, unless its address specifies one.
+PORT = 502
 # The number of registers that a value of each type takes.
 WIDTHS = {
     "uint16": 1, "int16": 1, "uint32": 2, "int32": 2, "float32": 2, "uint64": 4, "int64": 4,
@@ -60,8 +61,12 @@ class Serial:
 
     def parity_letter(self, line: str) -> str:
         """Return the letter of the parity (E, O or N); a pseudo-terminal supports only N."""
-        pseudo = Path(line).resolve().is_relative_to("/dev/pts")
+        pseudo = os.path.realpath(line).startswith("/dev/pts/")
         return "N" if pseudo else self.parity[0].upper()
+
+    def device_id_at(self, address: Address) -> int:
+        """Return the unit identifier or slave address: that of the address, or this one."""
+        return self.device_id if address.device_id is None else address.device_id
 
 
 @dataclass(frozen=True)
@@ -70,7 +75,7 @@ class Address:
 
     Attributes:
         host: host for Modbus TCP; empty for a serial line.
-        port: port for Modbus TCP; None for the port in the device's file.
+        port: port for Modbus TCP; None for 502.
         line: the serial line's device, such as ``/dev/ttyUSB0``; empty for TCP.
         gateway: whether the host and the port are those of a gateway to the device's serial port.
         device_id: unit identifier or slave address; None for the one in the device's file.
@@ -100,37 +105,23 @@ class Address:
         """
         return "serial" if self.line or self.gateway else "tcp"
 
-    def canonical_name(self, port: int) -> str:
-        """Return a name for the host or line that is the same for all spellings of the address.
+    @property
+    def connection(self) -> str:
+        """The serial line, by its real path, or the host and the port."""
+        return os.path.realpath(self.line) if self.line else f"{self.host}:{self.port or PORT}"
 
-        The name does not include the device id. A serial line is named after its device number, and
-        all addresses of this machine count as one host. The call may block while the host name is
-        resolved.
+    def canonical_name(self) -> str:
+        """Return a name for the line, or the host and port, that is the same for all spellings.
 
-        Args:
-            port: the TCP port, unless the address specifies one.
+        The call may block while the host name is resolved.
 
         Raises:
             OSError: if the host is unknown or no name server responds.
         """
         if self.line:
-            path = Path(self.line).resolve()
-            return f"device-{path.stat().st_rdev:x}" if path.is_char_device() else str(path)
-        found = socket.getaddrinfo(self.host, None)
-        host = min(str(info[4][0]) for info in found)
-        if any(_is_here(info[0], info[4]) for info in found):
-            host = "localhost"
-        return f"{host}-{self.port or port}"
-
-
-def _is_here(family: socket.AddressFamily, place: tuple[Any, ...]) -> bool:
-    """Return whether an address belongs to this machine; its port must be 0."""
-    with socket.socket(family, socket.SOCK_DGRAM) as plug:
-        try:
-            plug.bind(place)
-        except OSError:
-            return False
-    return True
+            return self.connection
+        host = min(str(info[4][0]) for info in socket.getaddrinfo(self.host, None))
+        return f"{host}-{self.port or PORT}"
 
 
 def parse_address(text: str, key: str = "address") -> Address:
@@ -138,39 +129,27 @@ def parse_address(text: str, key: str = "address") -> Address:
 
     Args:
         text: ``tcp://HOST``, ``tcp://HOST:PORT``, ``gateway://HOST:PORT`` or the path of a serial
-            line's device.
+            line's device; if the unit identifier or slave address differs from that in the drive
+            file, it is appended after a comma.
         key: name of the option or parameter, for messages.
 
     Raises:
         ConfigurationError: if the text is none of these.
     """
-    scheme, host, port = parse_host(text) or ("", "", None)
+    where, comma, device_id = text.partition(",")
+    scheme, host, port = parse_host(where) or ("", "", None)
     if scheme in ("tcp", "gateway"):
-        return Address(host, port, gateway=scheme == "gateway")
-    if text.startswith("/") and not text.endswith("/"):
-        return Address(line=text)
-    raise ConfigurationError(
-        "must be tcp://HOST, tcp://HOST:PORT, gateway://HOST:PORT, or a serial line such as "
-        "/dev/ttyUSB0",
-        key=key, value=text,
-    )
-
-
-def parse_drive_address(text: str, key: str) -> Address:
-    """Return the drive address that a user specified, which may include the device id.
-
-    Args:
-        text: address as for `parse_address`; if the unit identifier or slave address differs from
-            that in the drive file, it is appended after a comma.
-        key: name of the option or parameter, for messages.
-
-    Raises:
-        ConfigurationError: if the address or the device id is invalid.
-    """
-    canonical_name, comma, device_id = text.rpartition(",")
+        address = Address(host, port, gateway=scheme == "gateway")
+    elif where.startswith("/") and not where.endswith("/"):
+        address = Address(line=where)
+    else:
+        raise ConfigurationError(
+            "must be tcp://HOST, tcp://HOST:PORT, gateway://HOST:PORT, or a serial line such as "
+            "/dev/ttyUSB0",
+            key=key, value=text,
+        )
     if not comma:
-        return parse_address(text, key)
-    address = parse_address(canonical_name, key)
+        return address
     low, high = (0, 255) if address.interface == "tcp" else (1, 247)
     if not re.fullmatch(r"[0-9]{1,3}", device_id) or not low <= int(device_id) <= high:
         raise ConfigurationError(
@@ -209,16 +188,13 @@ class ModbusLine:
     """A connection to a device; :meth:`for_device` gives access to others on the same line."""
 
     def __init__(
-        self, address: Address, *, port: int, device_id: int, serial: Serial | None = None,
-        timeout_s: float,
+        self, address: Address, serial: Serial, timeout_s: float
     ) -> None:
         """Prepare the connection without opening it.
 
         Args:
             address: address of the device.
-            port: the TCP port, unless the address specifies one.
-            device_id: unit identifier or slave address.
-            serial: settings of a serial line; not needed over TCP.
+            serial: settings of a serial line, and the device id if the address has none.
             timeout_s: maximum time to wait for a connection and for each response (s).
 
         Raises:
@@ -227,16 +203,16 @@ class ModbusLine:
         check_installed()
         from pymodbus.client import ModbusTcpClient
 
-        self._address, self._device_id, self._timeout_s = address, device_id, timeout_s
+        self._address, self._timeout_s = address, timeout_s
+        self._device_id = serial.device_id_at(address)
         # The bytes of the last request (True), and of what was received after it (False).
         self._frames = {True: b"", False: b""}
         self._client: ModbusTcpClient | ModbusSerialClient
         if address.line:
-            assert serial is not None
             self._client = _serial_client(address.line, serial, timeout_s, self._trace)
         else:
             self._client = ModbusTcpClient(
-                address.host, port=address.port or port, timeout=timeout_s, retries=0,
+                address.host, port=address.port or PORT, timeout=timeout_s, retries=0,
                 trace_packet=self._trace,
             )
 
@@ -264,27 +240,26 @@ class ModbusLine:
         """
         if not self._client.connect():
             raise self.error("connection", "cannot connect")
+        if isinstance(plug := self._client.socket, socket.socket):
+            plug.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
 
     def close(self) -> None:
         """Close the connection.
 
-        If a request went unanswered, the connection is reset instead of being closed normally. A
-        device with only one or two sockets can then accept a new connection immediately, and no
-        late request can arrive.
+        The connection is reset instead of being closed normally. A device with only one or two
+        sockets can then accept a new connection immediately, and no late request can arrive.
         """
         self._client.close()  # type: ignore[no-untyped-call]
 
-    def read(self, address: int, count: int, *, inputs: bool = False) -> list[int]:
-        """Read holding registers, or input registers if ``inputs`` is true.
+    def read(self, address: int, count: int, kind: str = "holding") -> list[int]:
+        """Read registers of a kind: ``holding`` or ``input``.
 
         Raises:
             DriveError: if no valid response arrives.
         """
-        client = self._client
-        read = client.read_input_registers if inputs else client.read_holding_registers
-        return self._request(
-            f"reading register {address}", 4 if inputs else 3, read, address, count=count
-        )
+        read = getattr(self._client, f"read_{kind}_registers")
+        function = 4 if kind == "input" else 3
+        return self._request(f"reading register {address}", function, read, address, count=count)
 
     def write(self, address: int, word: int) -> None:
         """Write one holding register.
@@ -312,7 +287,12 @@ class ModbusLine:
         try:
             answer = request(*values, device_id=self._device_id, **options)
         except (ModbusException, OSError) as error:
-            raise self._silence(action, error) from error
+            if isinstance(error, ConnectionError):
+                self.close()
+            problem = "the connection was closed" if not self.connected else (
+                f"no valid response within {self._timeout_s:.3g} s"
+            )
+            raise self.error("connection", f"{action}: {problem}") from error
         if answer.isError():
             raise self.error("answer", f"{action}: rejected with exception {answer.exception_code}")
         registers = list(answer.registers)
@@ -326,17 +306,6 @@ class ModbusLine:
     def _trace(self, sending: bool, data: bytes) -> bytes:
         self._frames[sending] = data
         return data
-
-    def _silence(self, action: str, error: Exception) -> DriveError:
-        if isinstance(error, ConnectionError):
-            self.close()
-        if not self.connected:
-            return self.error("connection", f"{action}: the connection was closed")
-        plug = self._client.socket
-        if isinstance(plug, socket.socket):
-            plug.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        return self.error("connection",
-            f"{action}: no valid response within {self._timeout_s:.3g} s")
 
     def error(self, kind: str, problem: str) -> DriveError:
         """Return an error that names the device and the problem."""
@@ -384,24 +353,21 @@ def coding_mistakes(kind: str, word_order: str) -> Iterator[tuple[str, str]]:
 
 
 def limits(kind: str) -> tuple[float, float]:
-    """Return the minimum and the maximum value of a register type."""
-    if kind.startswith("float"):
-        return -math.inf, math.inf
+    """Return the minimum and the maximum value of an integer type."""
     bits = 16 * WIDTHS[kind]
     return (0, 2**bits - 1) if kind.startswith("u") else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
 
 
-def decode(registers: Sequence[int], kind: str, word_order: str = "") -> int | float | str:
-    """Return the decoded value of registers: text for the type ``text``, otherwise a number."""
+def decode(registers: Sequence[int], kind: str, word_order: str = "") -> int | float:
+    """Return the number that registers encode."""
     from pymodbus.client.mixin import ModbusClientMixin
 
-    types = ModbusClientMixin.DATATYPE
     value = ModbusClientMixin.convert_from_registers(
-        registers, types.STRING if kind == "text" else types[kind.upper()],
-        "little" if word_order == "low first" else "big", "latin-1",
+        registers, ModbusClientMixin.DATATYPE[kind.upper()],
+        "little" if word_order == "low first" else "big",
     )
-    assert not isinstance(value, list)
-    return value.replace("\0", " ").strip() if isinstance(value, str) else value
+    assert isinstance(value, int | float)
+    return value
 
 
 def encode(value: float, kind: str, word_order: str = "") -> list[int]:

@@ -67,7 +67,7 @@ class RelayEndpoint:
         Raises:
             OSError: if the host is unknown or no name server responds.
         """
-        return f"{Address(self.broker.host).canonical_name(self.broker.port)}-{self.device}"
+        return f"{Address(self.broker.host, self.broker.port).canonical_name()}-{self.device}"
 
     def connection(self) -> Relay:
         """Return the relay on a new connection that is not yet open and must be opened only once.

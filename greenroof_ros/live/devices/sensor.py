@@ -20,16 +20,20 @@ from greenroof_ros.base.mqtt import make_client
 from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.devices.json_path import value_at
 from greenroof_ros.live.devices.modbus_line import (
+    WIDTHS,
     DeviceThread,
     DriveError,
     ModbusLine,
     check_installed,
     decode,
 )
-from greenroof_ros.live.devices.sensor_file import ModbusSensor, MqttSensor, Sensor
+from greenroof_ros.live.devices.sensor_file import QUANTITIES, ModbusSensor, MqttSensor, Sensor
 
 # A rise may exceed the maximum rate by as much as that rate adds in this time (s).
 _BURST_S = 60.0
+# Longest time over which a rise of a flow meter's total is spread (s): a flow that is shown for
+# 12 s while the pump is stopped is a fault.
+_FLOW_SPREAD_S = 5.0
 # Shortest time over which a rise is spread (s), which covers several calls by the node.
 _MIN_SPREAD_S = 0.5
 # Longest wait for a connection, and for each answer (s).
@@ -82,7 +86,7 @@ class Total:
             raw: total as the sensor reports it.
 
         Raises:
-            ValueError: if the total rose faster than the maximum rate allows.
+            DriveError: if the total rose faster than the maximum rate allows.
         """
         now, last, high = boot_time(), self._last, self._sensor.high
         gap = now - self._received_at
@@ -98,8 +102,8 @@ class Total:
             spread_s = min(max(gap, min(rest_s, _BURST_S), _MIN_SPREAD_S), self._spread_s)
             self._rate = min(max(0.0, self._due / spread_s), high)
         elif rise > 0:
-            raise ValueError(
-                f"reports {raw:g}, a total that rose by {rise:.6g} "
+            raise DriveError(
+                "answer", f"reports {raw:g}, a total that rose by {rise:.6g} "
                 f"{self._unit.removesuffix('/s')} in {gap:.1f} s, which is faster than {high:g} "
                 f"{self._unit}"
             )
@@ -145,18 +149,19 @@ class Reader:
 
     sensor: Sensor
 
-    def __init__(self, unit: str, max_age: float, spread_s: float) -> None:
+    def __init__(self, section: str, sensor: Sensor, max_age: float) -> None:
         """Start without readings.
 
         Args:
-            unit: unit of the quantity, for messages.
+            section: section of the sensor file.
+            sensor: the content of the section.
             max_age: longest silence after which the sensor is lost (s).
-            spread_s: maximum time over which a rise in a total is spread (s).
         """
-        self.max_age, self._unit = max_age, unit
+        self.sensor, self.max_age, self._unit = sensor, max_age, QUANTITIES[section].unit
         self._reading = Reading(boot_time())
-        self._values: deque[float] = deque(maxlen=self.sensor.median)
-        self._total = Total(self.sensor, unit, spread_s) if self.sensor.counts else None
+        self._values: deque[float] = deque(maxlen=sensor.median)
+        spread_s = _FLOW_SPREAD_S if section == "flow_meter" else math.inf
+        self._total = Total(sensor, self._unit, spread_s) if sensor.counts else None
         self._lock = threading.RLock()
 
     @property
@@ -182,14 +187,14 @@ class Reader:
         """Add a reading, and update the quantity.
 
         Raises:
-            ValueError: if the reading is not a number or is out of range.
+            DriveError: if the reading is not a number or is out of range.
         """
-        sensor, value = self.sensor, self.sensor.convert(raw)
+        sensor, value = self.sensor, self.sensor.scale * raw + self.sensor.offset
         with self._lock:
             if boot_time() - self._reading.read_at > self.max_age:
                 self._values.clear()
             if not math.isfinite(value):
-                raise ValueError(f"reports {raw}, which is not a number")
+                raise DriveError("answer", f"reports {raw}, which is not a number")
             if self._total is not None:
                 self._total.add(raw)
                 self._reading = Reading(boot_time())
@@ -197,8 +202,8 @@ class Reader:
                 self._values.append(value)
                 self._reading = Reading(boot_time(), "", statistics.median_low(self._values))
             else:
-                raise ValueError(
-                    f"reports {value:.6g} {self._unit} (raw {raw:g}), which is not from "
+                raise DriveError(
+                    "answer", f"reports {value:.6g} {self._unit} (raw {raw:g}), which is not from "
                     f"{sensor.low:g} to {sensor.high:g} {self._unit}"
                 )
 
@@ -215,12 +220,12 @@ class SensorLine:
     exceeds A, whatever the other sensors do. At A = 5 s, each of two sensors has 0.42 s to respond.
 
     Attributes:
-        max_ages: maximum age of the value of each sensor on the line (s), by location of the value.
+        max_ages: maximum age of the value of each sensor on the line (s).
     """
 
     def __init__(self) -> None:
         """Prepare a line without sensors."""
-        self.max_ages: dict[object, float] = {}
+        self.max_ages: dict[ModbusSensor, float] = {}
         self._turn = threading.Lock()
         self._line: ModbusLine | None = None
 
@@ -234,12 +239,12 @@ class SensorLine:
             began, count = time.monotonic(), len(self.max_ages)
             timeout_s = min(_TIMEOUT_S, min(self.max_ages.values()) / 2 / (_TIMEOUTS * count))
             if self._line is None:
-                self._line = sensor.line(timeout_s)
+                self._line = ModbusLine(sensor.place, sensor.serial, timeout_s)
             line = self._line.for_device(sensor.device_id)
             try:
                 if not line.connected:
                     line.connect()
-                return line.read(sensor.register, sensor.registers, inputs=sensor.kind == "input")
+                return line.read(sensor.register, WIDTHS[sensor.type], sensor.kind)
             except Exception:
                 line.close()  # a late answer must not be read as the next
                 if count > 1:
@@ -250,28 +255,27 @@ class SensorLine:
 class ModbusReader(Reader, DeviceThread):
     """A thread that reads a sensor on a line once per period."""
 
+    sensor: ModbusSensor
+
     def __init__(
-        self, sensor: ModbusSensor, unit: str, line: SensorLine, max_age: float,
-        spread_s: float = math.inf,
+        self, section: str, sensor: ModbusSensor, line: SensorLine, max_age: float
     ) -> None:
         """Add a sensor to a line.
 
         Args:
+            section: section of the sensor file.
             sensor: the sensor to read.
-            unit: unit of the quantity, for messages.
             line: the line that the sensor shares with others.
             max_age: maximum age of the quantity (s).
-            spread_s: maximum time over which a rise in a total is spread (s).
 
         Raises:
             ConfigurationError: if the Modbus library is not installed.
         """
         check_installed()
-        self.sensor: ModbusSensor = sensor
-        Reader.__init__(self, unit, max_age, spread_s)
+        Reader.__init__(self, section, sensor, max_age)
         DeviceThread.__init__(self, f"{sensor}: reading")
         self._line, self._due = line, time.monotonic()
-        line.max_ages[sensor.unique_key] = max_age
+        line.max_ages[sensor] = max_age
 
     def close(self) -> None:
         """End the thread, and wait for its last reading, up to four timeouts."""
@@ -289,12 +293,8 @@ class ModbusReader(Reader, DeviceThread):
             registers = self._line.read(sensor)
             bits = decode(registers, f"uint{16 * len(registers)}", sensor.word_order)
             if bits == sensor.missing:
-                raise ValueError(f"reports 0x{bits:X}, which means 'no reading'")
-            raw = decode(registers, sensor.type, sensor.word_order)
-            assert not isinstance(raw, str)
-            self.add(raw)
-        except (DriveError, ValueError) as error:
-            self.fail(str(error))
+                raise DriveError("answer", f"reports 0x{bits:X}, which means 'no reading'")
+            self.add(decode(registers, sensor.type, sensor.word_order))
         finally:  # missed readings are not made up for, so that it is the others' turn
             now, period = time.monotonic(), sensor.period
             self._due = self._due + period if self._due + period > now else now + period
@@ -311,27 +311,24 @@ class MqttReader(Reader):
     any age.
     """
 
-    def __init__(
-        self, name: str, sensor: MqttSensor, unit: str, spread_s: float = math.inf
-    ) -> None:
+    sensor: MqttSensor
+
+    def __init__(self, section: str, sensor: MqttSensor) -> None:
         """Prepare the reader without connecting.
 
         Args:
-            name: name of the quantity, for the client id.
+            section: section of the sensor file.
             sensor: the sensor whose messages are received.
-            unit: unit of the quantity, for messages.
-            spread_s: maximum time over which a rise in a total is spread (s).
 
         Raises:
             ConfigurationError: if the MQTT library is not installed or a login file is invalid.
         """
-        self.sensor: MqttSensor = sensor
-        super().__init__(unit, sensor.max_age, spread_s)
-        broker, self._topic = sensor.broker_and_topic()
+        super().__init__(section, sensor, sensor.max_age)
+        broker, self._topic = sensor.place
         # When the last message arrived, and until when messages are ignored (s, `boot_time`).
         self._received_at = self._ignoring_until = -math.inf
         self._client = make_client(
-            broker, f"greenroof_{name}", self._on_connect, self._on_message, self._on_disconnect,
+            broker, f"greenroof_{section}", self._on_connect, self._on_message, self._on_disconnect,
         )
 
     def start(self) -> None:
@@ -357,7 +354,7 @@ class MqttReader(Reader):
             return
         try:
             self._receive(payload, retained)
-        except ValueError as error:
+        except DriveError as error:
             self.fail(str(error))
         except Exception as error:  # whatever the error, the next message is read
             logging.getLogger(__name__).exception("%s failed", self.sensor)
@@ -366,11 +363,12 @@ class MqttReader(Reader):
     def _receive(self, payload: bytes, retained: bool) -> None:
         now = boot_time()
         if retained:
-            raise ValueError("has not yet sent a new message; the retained message may be old")
+            why = "has not yet sent a new message; the retained message may be old"
+            raise DriveError("answer", why)
         before, self._received_at = self._received_at, now
         if now - before > self.max_age:
             self._ignoring_until = now + _IGNORING_S
-            raise ValueError("is sending again, but its first messages may be old")
+            raise DriveError("answer", "is sending again, but its first messages may be old")
         if now >= self._ignoring_until:
             self.add(read_number(payload, self.sensor.value))
 
@@ -379,7 +377,7 @@ def read_number(payload: bytes, path: str) -> float:
     """Return the number at a path in a JSON message; without a path, the message is the number.
 
     Raises:
-        ValueError: if there is no number.
+        DriveError: if there is no number.
     """
     try:
         value = value_at(json.loads(payload), path)
@@ -387,4 +385,5 @@ def read_number(payload: bytes, path: str) -> float:
             return float(value)
     except (ValueError, LookupError, OverflowError, RecursionError):
         pass
-    raise ValueError(f"reports {payload[:80]!r}, which has no number{path and f' at {path}'}")
+    place = f" at {path}" if path else ""
+    raise DriveError("answer", f"reports {payload[:80]!r}, which has no number{place}")

@@ -7,17 +7,17 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import shared_directory
 from greenroof_ros.base.mqtt import Broker, parse_topic
 from greenroof_ros.base.parameter import entry, read_record
-from greenroof_ros.interface.topics import Topic, read_topics
+from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.live.devices.modbus_line import (
     WIDTHS,
     WORD_ORDERS,
-    ModbusLine,
+    Address,
     Serial,
     coding_mistakes,
     parse_address,
@@ -29,43 +29,16 @@ _MAX_FILTER_S = 30.0
 _MAX_AFTERFLOW_S = 10.0
 # A level further below 0 (m) is not noise: a tank would seem empty.
 _LEVEL_NOISE = 0.1
-_MODBUS_PORT = 502
 
 
-class MeasuredQuantity(NamedTuple):
-    """A quantity that a sensor measures.
-
-    Attributes:
-        node: name of the node that publishes the quantity.
-        topic_name: name of the quantity's topic in the interface, which defines the unit and the
-            range.
-        spread_s: maximum time over which a rise in a running total is spread (s).
-    """
-
-    node: str
-    topic_name: str
-    spread_s: float = math.inf
-
-    @property
-    def topic(self) -> Topic:
-        """Its topic."""
-        return read_topics()[self.topic_name]
-
-    @property
-    def limit(self) -> str:
-        """The name of the parameter that sets the maximum age of the quantity."""
-        age = self.topic.max_age
-        assert age is not None
-        return age.parameter
-
-
-# The quantities, by section of the file.
+# The keys that together say where a value is, which no two sensors may have in common.
+_PLACE = ("address", "device_id", "kind", "register", "value")
+# The topic of the quantity that a sensor measures, by section of the file.
 QUANTITIES = {
-    "cistern": MeasuredQuantity("cistern_sensor", "/cistern/level"),
-    "roof": MeasuredQuantity("roof_sensor", "/roof/level"),
-    "flow_meter": MeasuredQuantity("flow_meter", "/pump/meter", _MAX_AFTERFLOW_S / 2),
-    "rain_gauge": MeasuredQuantity("rain_gauge", "/gauge/precipitation"),
-    "thermometer": MeasuredQuantity("thermometer", "/gauge/temperature"),
+    section: read_topics()[name] for section, name in {
+        "cistern": "/cistern/level", "roof": "/roof/level", "flow_meter": "/pump/meter",
+        "rain_gauge": "/gauge/precipitation", "thermometer": "/gauge/temperature",
+    }.items()
 }
 
 
@@ -90,14 +63,6 @@ class Sensor:
         "if true, scale x raw is a running total (m or m3), and the value is its increase per "
         "second, without a filter", default=False,
     )
-
-    def convert(self, raw: float) -> float:
-        """Return the quantity for a raw value, except for a running total."""
-        return self.scale * raw + self.offset
-
-    def raw_for(self, value: float) -> float:
-        """Return the raw value that :meth:`convert` converts to a given value."""
-        return (value - self.offset) / self.scale
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,46 +101,14 @@ class ModbusSensor(Sensor):
         return f"{self.address}, device {self.device_id}"
 
     @property
-    def connection(self) -> str:
-        """The sensor's serial line or TCP port; the same for all sensors on one connection."""
-        address = parse_address(self.address)
-        return address.canonical_name(_MODBUS_PORT) if address.line else (
-            f"{address.host}:{address.port or _MODBUS_PORT}"
-        )
-
-    @property
-    def unique_key(self) -> tuple[object, ...]:
-        """The location of the sensor's register, which no other sensor may use."""
-        return self.connection, self.device_id, self.kind, self.register
+    def place(self) -> Address:
+        """The serial line or TCP port, which several sensors may share."""
+        return parse_address(self.address)
 
     @property
     def serial(self) -> Serial:
         """The settings of a serial line."""
         return Serial(self.baud_rate, self.parity, self.stop_bits, self.device_id)
-
-    @property
-    def registers(self) -> int:
-        """The number of registers that the value occupies."""
-        return WIDTHS[self.type]
-
-    def mistakes(self) -> Iterator[tuple[str, str]]:
-        """Yield the key and a description of every mistake in its own keys."""
-        try:
-            parse_address(self.address)
-        except ConfigurationError as error:
-            yield "address", f"{error.expected}; or mqtt://HOST[:PORT]/TOPIC"
-        yield from coding_mistakes(self.type, self.word_order)
-
-    def line(self, timeout_s: float) -> ModbusLine:
-        """Return a connection to the sensor that is not yet open.
-
-        Args:
-            timeout_s: maximum time to wait for a connection and for each response (s).
-        """
-        return ModbusLine(
-            parse_address(self.address), port=_MODBUS_PORT, device_id=self.device_id,
-            serial=self.serial, timeout_s=timeout_s,
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,13 +125,12 @@ class MqttSensor(Sensor):
         0.1, 3600,
     )
     login: str = entry(
-        "absolute path of a file with the username and password; the file must not be readable "
+        "path of a file with the username and password; the file must not be readable "
         "by other users (chmod 600)",
         default="",
     )
     authority: str = entry(
-        "absolute path of a file of trusted certificates (PEM); by default, the system's "
-        "certificates",
+        "path of a file of trusted certificates (PEM); by default, the system's certificates",
         default="",
     )
 
@@ -211,27 +143,8 @@ class MqttSensor(Sensor):
         return str(section.get("address")).startswith(("mqtt://", "mqtts://"))
 
     @property
-    def unique_key(self) -> tuple[object, ...]:
-        """The sensor's topic and the path of its value, which no other sensor may use."""
-        broker, topic = self.broker_and_topic()
-        return broker.host, broker.port, topic, self.value
-
-    def mistakes(self) -> Iterator[tuple[str, str]]:
-        """Yield the key and a description of every mistake in its own keys."""
-        try:
-            self.broker_and_topic()
-        except ConfigurationError as error:
-            yield "address", error.expected
-        for key, file in (("login", self.login), ("authority", self.authority)):
-            if file and not Path(file).is_absolute():
-                yield key, "must be an absolute path, because the program reads a copy of this file"
-
-    def broker_and_topic(self) -> tuple[Broker, str]:
-        """Return the broker and the topic.
-
-        Raises:
-            ConfigurationError: if the address is invalid.
-        """
+    def place(self) -> tuple[Broker, str]:
+        """The broker and the topic."""
         return parse_topic(self.address, "address", self.login, self.authority)
 
 
@@ -281,52 +194,41 @@ def _mistakes(
 ) -> Iterator[tuple[str, str]]:
     """Yield the key and a description of every mistake; later checks rely on earlier ones."""
     for section, sensor in sensors.by_section.items():
-        max_age = max_ages.get(QUANTITIES[section].limit, math.inf)
-        for key, expected in (
-            *sensor.mistakes(), *_sensor_mistakes(sensor, section, max_age)
-        ):
+        for key, expected in _sensor_mistakes(sensor, section, max_ages):
             yield f"{section}.{key}", expected
     for (first, earlier), (second, later) in combinations(sensors.by_section.items(), 2):
-        of = f"the {first.replace('_', ' ')}"
-        if earlier.unique_key == later.unique_key:
+        if all(getattr(earlier, key, 0) == getattr(later, key, 0) for key in _PLACE):
             key = "register" if isinstance(later, ModbusSensor) else "address"
-            yield f"{second}.{key}", f"must differ from that of {of}"
-        if isinstance(earlier, ModbusSensor) and isinstance(later, ModbusSensor) and (
-            parse_address(later.address).line and later.connection == earlier.connection
-        ):
-            if later.device_id == earlier.device_id:
-                yield f"{second}.device_id", (
-                    f"must differ from that of {of} on the same serial line, since a late response "
-                    "could be mistaken for that of the other sensor"
-                )
-            for key in ("baud_rate", "parity", "stop_bits"):
-                if getattr(later, key) != (value := getattr(earlier, key)):
-                    yield f"{second}.{key}", f"must be {value}, as for {of} on the same line"
+            yield f"{second}.{key}", f"must differ from that of the {first.replace('_', ' ')}"
 
 
 def _sensor_mistakes(
-    sensor: ModbusSensor | MqttSensor, section: str, max_age: float
+    sensor: ModbusSensor | MqttSensor, section: str, max_ages: Mapping[str, float]
 ) -> Iterator[tuple[str, str]]:
-    topic, is_tank = QUANTITIES[section].topic, section in TANKS
-    lowest = topic.low - _LEVEL_NOISE if is_tank else -math.inf
+    try:
+        _ = sensor.place
+    except ConfigurationError as error:
+        yield "address", error.expected
+    topic = QUANTITIES[section]
+    limit = topic.max_age.parameter if topic.max_age is not None else ""
+    max_age = max_ages.get(limit, math.inf)
+    lowest = topic.low - _LEVEL_NOISE if section in TANKS else -math.inf
     if isinstance(sensor, MqttSensor):
         key, interval, longest = "max_age", sensor.max_age, max_age
     else:
+        yield from coding_mistakes(sensor.type, sensor.word_order)
         key, interval, longest = "period", sensor.period, max_age / 2
     late = 0.0 if sensor.counts else sensor.median // 2 * interval
-    is_meter = section == "flow_meter"
+    longest_late = _MAX_AFTERFLOW_S - interval if section == "flow_meter" else _MAX_FILTER_S
     for is_wrong, name, expected in (
         (sensor.low < lowest, "low", f"must be at least {lowest:g} {topic.unit}, since noise of "
          "the sensor cannot account for a lower level"),
         (sensor.counts and section not in ("flow_meter", "rain_gauge"), "counts",
          "is only allowed for a flow meter or a rain gauge"),
-        (late > _MAX_FILTER_S, "median", f"must be smaller: it delays the value by {late:g} s, but "
-         f"the delay may be at most {_MAX_FILTER_S:g} s"),
-        (is_meter and late + interval > _MAX_AFTERFLOW_S, "median", "must be smaller, or "
-         f"the readings more frequent: a flow that is shown for more than {_MAX_AFTERFLOW_S:g} s "
-         "after its end would look like a welded contact"),
+        (late > longest_late, "median", f"must be smaller: it delays the value by {late:g} s, but "
+         f"the delay may be at most {longest_late:g} s"),
         (interval > longest, key, f"must be at most {longest:g} s, since older values than "
-         f"{QUANTITIES[section].limit} ({max_age:g} s) are not used"),
+         f"{limit} ({max_age:g} s) are not used"),
     ):
         if is_wrong:
             yield name, expected

@@ -66,7 +66,10 @@ class SimulatedDrive:
         self._resets = {step.value for step in sequences.reset if step.write == "control"}
         self._resets -= {self._run, self._stop, *(value for _, value in self._ready)}
         self._done = 0  # steps of *ready* so far
-        self._words = {address: 0 for name in self._registers for address in self._addresses(name)}
+        self._names = {
+            address: name for name in self._registers for address in self._addresses(name)
+        }
+        self._words = dict.fromkeys(self._names, 0)
         for register in self._registers.values():
             if register.full_scale:  # 50 Hz or 750 rpm
                 scale = self._registers[register.full_scale]
@@ -75,14 +78,8 @@ class SimulatedDrive:
         self.write_raw(
             self.timeout.register, max(1, round(min(timeout_s, timer.high) / timer.scale))
         )
-        writable = {"control", "reference", self.timeout.register}
-        writable |= {step.write for steps in vars(sequences).values() for step in steps}
         for setting in filter(None, (self.timeout.action, self.timeout.mode)):
             self.write_raw(setting.register, min(setting.stops))
-            writable.add(setting.register)
-        self._writable = {
-            address: name for name in writable for address in self._addresses(name)
-        }
 
     # --- orders -----------------------------------------------------------------------------------
 
@@ -212,11 +209,11 @@ class SimulatedDrive:
         """Write a client's values to consecutive registers; return an exception code, or None."""
         self.on_request()
         addresses = range(address, address + len(values))
-        if any(at not in self._writable for at in addresses):
+        if any(at not in self._names for at in addresses):
             return ExcCodes.ILLEGAL_ADDRESS
         for at, value in zip(addresses, values, strict=True):
             self._words[at] = value
-            self._obey(self._writable[at], value)
+            self._obey(self._names[at], value)
         return None
 
     def on_request(self) -> None:
@@ -234,5 +231,5 @@ def drive_server(drive: SimulatedDrive, file: DriveFile, address: Address) -> Se
         file: drive file of the drive.
         address: address of the drive, as for the pump node; port 0 selects a free port.
     """
-    device = make_device(file.device_id_at(address), drive.registers, drive.write)
+    device = make_device(file.serial.device_id_at(address), drive.registers, drive.write)
     return Server(address, [device], file.serial)

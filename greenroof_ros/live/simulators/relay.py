@@ -17,7 +17,7 @@ from typing import Any
 
 from greenroof_ros.base.mqtt import Broker, make_client
 from greenroof_ros.live.devices.drive_file import RelayFile, RelayMessage
-from greenroof_ros.live.devices.json_path import parse_path, with_value
+from greenroof_ros.live.devices.json_path import parse_path
 
 
 class SimulatedRelay:
@@ -78,10 +78,14 @@ class SimulatedRelay:
                 self.switch(on, float(given.get("seconds", self.timer_s)))
                 return
         state = file.state.is_on if self.on else file.state.is_off
-        values, reply, to = {file.state.path: _value(state), **self.settings}, None, ""
+        values, reply, to = {file.state.path: _value(state), **self.settings}, dict[Any, Any](), ""
         for question in self._questions:
             if (given := self._match(question, topic, payload)) is not None:
-                reply = with_value(reply or {}, parse_path(question.path), values[question.path])
+                *parents, last = parse_path(question.path)
+                part = reply
+                for name in parents:
+                    part = part.setdefault(name, {})
+                part[last] = values[question.path]
                 to = self._fill(question.answer, given.get("me", ""))
         if to:
             yield to, json.dumps(reply)

@@ -54,13 +54,13 @@ class Server:
     Attributes:
         address: TCP port or serial line; port 0 is replaced by a free port when the server opens.
         devices: devices on whose behalf the server responds.
-        line: settings of a serial line; not needed on TCP.
+        line: settings of a serial line; without effect on TCP.
         connection: function that makes the handler of a client's connection; None for pymodbus's.
     """
 
     address: Address
     devices: list[SimDevice]
-    line: Serial | None = None
+    line: Serial
     connection: Callable[[Any], Any] | None = None
     _server: ModbusTcpServer | ModbusSerialServer | None = field(default=None, init=False)
 
@@ -74,7 +74,6 @@ class Server:
             return
         server: Any
         if self.address.line:
-            assert self.line is not None
             server = ModbusSerialServer(
                 self.devices, framer=FramerType.RTU, port=self.address.line,
                 baudrate=self.line.baud_rate, parity=self.line.parity_letter(self.address.line),

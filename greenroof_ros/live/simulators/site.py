@@ -8,11 +8,11 @@ import json
 import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-
-from pymodbus.simulator import SimDevice
+from functools import partial
+from typing import Any
 
 from greenroof_ros.base.mqtt import make_client
-from greenroof_ros.live.devices.json_path import parse_path, with_value
+from greenroof_ros.live.devices.json_path import parse_path
 from greenroof_ros.live.devices.modbus_line import encode, parse_address
 from greenroof_ros.live.devices.sensor_file import ModbusSensor, MqttSensor, Sensors
 from greenroof_ros.live.simulators.server import Server, make_device
@@ -71,16 +71,12 @@ class SimulatedSite:
                 lines[sensor.address][sensor.device_id][section] = sensor
         self.servers = [
             Server(
-                parse_address(address), [self.device(sensors) for sensors in devices.values()],
+                parse_address(address),
+                [make_device(each, partial(self._read, part)) for each, part in devices.items()],
                 next(iter(next(iter(devices.values())).values())).serial,
             )
             for address, devices in lines.items()
         ]
-
-    @property
-    def tick(self) -> int:
-        """The number of ticks simulated so far."""
-        return self.virtual_site.tick
 
     @property
     def addresses(self) -> str:
@@ -89,16 +85,12 @@ class SimulatedSite:
 
     # --- sensors ----------------------------------------------------------------------------------
 
-    def device(self, sensors: Mapping[str, ModbusSensor]) -> SimDevice:
-        """Return the Modbus device that has these sensors."""
-
-        def read() -> dict[int, int]:
-            return {
-                sensor.register + offset: word for section, sensor in sensors.items()
-                for offset, word in enumerate(self.words(section, sensor))
-            }
-
-        return make_device(next(iter(sensors.values())).device_id, read)
+    def _read(self, sensors: Mapping[str, ModbusSensor]) -> dict[int, int]:
+        """Return the current values of the registers of these sensors."""
+        return {
+            sensor.register + offset: word for section, sensor in sensors.items()
+            for offset, word in enumerate(self.words(section, sensor))
+        }
 
     def words(self, section: str, sensor: ModbusSensor) -> list[int]:
         """Return the current values of a sensor's registers."""
@@ -106,7 +98,8 @@ class SimulatedSite:
 
     def raw(self, section: str) -> float | None:
         """Return the current raw value of a sensor; None for a sensor that is silent."""
-        return self._sensors[section].raw_for(self.true(section))
+        sensor = self._sensors[section]
+        return (self.true(section) - sensor.offset) / sensor.scale
 
     def true(self, section: str) -> float:
         """Return the true current value of the quantity that a sensor measures."""
@@ -124,12 +117,14 @@ class SimulatedSite:
         Raises:
             ConfigurationError: if the MQTT library is not installed, or a login file is invalid.
         """
-        broker, topic = sensor.broker_and_topic()
+        broker, topic = sensor.place
         client = make_client(broker, f"simulated_{section}", lambda: None, lambda *message: None)
         client.loop_start()
         while not ended.is_set():
             if (raw := self.raw(section)) is not None:
-                content = with_value(None, parse_path(sensor.value), raw)
+                content: Any = raw
+                for step in reversed(parse_path(sensor.value)):
+                    content = {step: content} if isinstance(step, str) else [content] * (step + 1)
                 client.publish(topic, json.dumps(content))
             with contextlib.suppress(asyncio.TimeoutError):
                 await asyncio.wait_for(ended.wait(), sensor.max_age / _MESSAGES)
@@ -145,7 +140,7 @@ class SimulatedSite:
         ]
         started_at = time.monotonic()
         while not ended.is_set():
-            flow = await self._mean_flow(started_at + (self.tick + 1) * self._site.tau)
+            flow = await self._mean_flow(started_at + (self.virtual_site.tick + 1) * self._site.tau)
             self.step(self._speed(), flow)
         await asyncio.gather(*publishing)
 
@@ -165,7 +160,7 @@ class SimulatedSite:
     def _present_weather(self) -> tuple[float, float]:
         """Return rain (m/s) and evapotranspiration (m3/s) in the current tick."""
         rain, evapotranspiration = (
-            series[min(self.tick, len(series) - 1)] for series in self._weather
+            series[min(self.virtual_site.tick, len(series) - 1)] for series in self._weather
         )
         return rain, evapotranspiration
 

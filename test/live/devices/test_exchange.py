@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import stat
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -33,7 +32,7 @@ from greenroof_ros.live.devices.exchange import (
     acquire_drive_lock,
     stop_drive,
 )
-from greenroof_ros.live.devices.modbus_line import DriveError, parse_drive_address
+from greenroof_ros.live.devices.modbus_line import DriveError, parse_address
 
 PERIOD_S, DEAD_MAN_S, TIMEOUT_S = 0.1, 1.0, 0.5
 SILENT = "nothing is sent for 10 s"
@@ -513,7 +512,7 @@ def test_a_ramp_is_waited_for_at_the_end_but_no_drive_that_turns_on(
 
 def test_a_serial_line_whose_plug_is_pulled() -> None:
     with closing(SerialWire(rtu_server(acs880()))) as plug:
-        driver = DriveExchange(DriveEndpoint(ABB, parse_drive_address(plug.line, "at")))
+        driver = DriveExchange(DriveEndpoint(ABB, parse_address(plug.line, "at")))
         driver.start()
         wait(lambda: driver.snapshot.connected)
         assert driver.snapshot.problem == ""
@@ -526,7 +525,7 @@ def test_a_serial_line_whose_plug_is_pulled() -> None:
 def test_a_second_driver_on_the_same_machine_keeps_off() -> None:
     """Only the supervisor's stop ignores the lock, of its own driver."""
     with closing(Wire(acs880())) as wire:
-        at = DriveEndpoint(ABB, parse_drive_address(wire.gateway, "at"))
+        at = DriveEndpoint(ABB, parse_address(wire.gateway, "at"))
         first, second = acquire_drive_lock(at), DriveExchange(at)
         second.start()
         holder = f"process {os.getpid()} on this computer"
@@ -545,12 +544,8 @@ def test_a_second_driver_on_the_same_machine_keeps_off() -> None:
 
 def test_a_serial_line_is_one_drivers_by_any_name(tmp_path: Path) -> None:
     (tmp_path / "by-id").symlink_to(tmp_path / "ttyUSB0")
-    if os.geteuid() == 0:  # a second file of one device
-        (tmp_path / "by-id").unlink()
-        for name in ("ttyUSB0", "by-id"):
-            os.mknod(tmp_path / name, stat.S_IFCHR | 0o600, os.makedev(188, 250))
     first, second = (
-        DriveEndpoint(ABB, parse_drive_address(f"{tmp_path}/{name}", "at")).lock_name()
+        DriveEndpoint(ABB, parse_address(f"{tmp_path}/{name}", "at")).lock_name()
         for name in ("ttyUSB0,1", "by-id,2")
     )
     assert first == second
@@ -563,7 +558,7 @@ def test_who_stops_the_drive_of_a_dead_driver_keeps_other_drivers_off_and_tries_
     monkeypatch.setattr(exchange, "STEADY_S", 1.0)
     drive = acs880()
     with closing(Wire(drive)) as wire, ThreadPoolExecutor() as pool:
-        at = DriveEndpoint(ABB, parse_drive_address(wire.gateway, "at"))
+        at = DriveEndpoint(ABB, parse_address(wire.gateway, "at"))
         drive.values.update({3: 0x1137, 4: 20000})
         drive.on_write = lambda _address, _word: None
         stop = pool.submit(stop_drive, at)

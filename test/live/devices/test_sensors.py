@@ -19,7 +19,7 @@ from modbus_wire import Answer, SerialWire, Wire, crc
 from simulators import until
 
 from greenroof_ros.live.devices import sensor as devices
-from greenroof_ros.live.devices.modbus_line import DriveError, ModbusLine
+from greenroof_ros.live.devices.modbus_line import DriveError, ModbusLine, parse_address
 from greenroof_ros.live.devices.sensor import (
     ModbusReader,
     MqttReader,
@@ -44,7 +44,7 @@ def sensor(at: str, **changed: object) -> ModbusSensor:
 
 def alone(sensor: ModbusSensor, timeout_s: float = 0.2) -> ModbusReader:
     """The reader of a sensor alone on its line: three timeouts are half of the maximum age."""
-    return ModbusReader(sensor, "m", SensorLine(), max_age=6 * timeout_s)
+    return ModbusReader("roof", sensor, SensorLine(), max_age=6 * timeout_s)
 
 
 def result(reader: Reader) -> float | str:
@@ -129,7 +129,7 @@ def test_a_reading_of_long_ago_does_not_count(monkeypatch: pytest.MonkeyPatch) -
     """Neither if the reading hangs, nor after a suspend of the machine."""
     now = 1000.0
     monkeypatch.setattr(devices, "boot_time", lambda: now)
-    reader = ModbusReader(sensor("tcp://h", median=3), "m", SensorLine(), max_age=5.0)
+    reader = ModbusReader("roof", sensor("tcp://h", median=3), SensorLine(), max_age=5.0)
     for raw in (10_000, 10_000):
         reader.add(raw)
     now += 4.9
@@ -174,9 +174,9 @@ def both(at: str, **changed: tuple[int, int]) -> Iterator[list[ModbusReader]]:
     """Start the readers of two sensors on one line, the first of which is due far more often."""
     line = SensorLine()
     readers = [
-        ModbusReader(sensor(at, period=period, **{
+        ModbusReader("roof", sensor(at, period=period, **{
             key: values[number] for key, values in changed.items()
-        }), "m", line, 3.0)
+        }), line, 3.0)
         for number, period in enumerate((0.05, 0.2))
     ]
     for reader in readers:
@@ -210,7 +210,7 @@ def test_a_sensor_next_to_a_silent_or_wrong_one_on_a_serial_line() -> None:
     with closing(SerialWire(devices)) as wire, both(wire.line, device_id=(1, 2)) as (first, second):
         assert (first.snapshot.value, second.snapshot.value) == (1.0, 3.0)
         with pytest.raises(DriveError, match="cannot connect"):
-            sensor(wire.line).line(0.2).connect()
+            ModbusLine(parse_address(wire.line), sensor(wire.line).serial, 0.2).connect()
         for data, problem in (
             ("", "no valid response within 0.25 s"), ("FFFF", "which is not from 0 to 6 m"),
             ("27102710", "the response does not fit"),
@@ -277,7 +277,7 @@ def sensor_at(address: str, **changed: object) -> MqttSensor:
 def reading(broker: Mosquitto, **changed: object) -> Iterator[MqttReader]:
     """Subscribe to a sensor."""
     sensor = sensor_at(f"{broker.address}/{TOPIC}", **changed)
-    with closing(MqttReader("roof_sensor", sensor, "m")) as reader:
+    with closing(MqttReader("roof", sensor)) as reader:
         reader.start()
         until(lambda: "has sent nothing yet" in reader.snapshot.problem, 20)
         yield reader
@@ -323,7 +323,7 @@ def test_the_number_in_a_message(message: str, path: str, expected: float | None
     if expected is not None:
         assert read_number(message.encode(), path) == expected
         return
-    with pytest.raises(ValueError, match=f"which has no number{path and ' at '}"):
+    with pytest.raises(DriveError, match=f"which has no number{path and ' at '}"):
         read_number(message.encode(), path)
 
 
@@ -387,7 +387,7 @@ def test_a_sensor_that_reports_nothing_is_lost(
 def test_a_broker_that_comes_or_is_killed_or_stops_answering_is_used(tmp_path: Path) -> None:
     """A lost connection is reported at once, a broker that hangs within 15 s."""
     with mosquitto(tmp_path) as broker, closing(MqttReader(
-        "roof_sensor", sensor_at(f"{broker.address}/{TOPIC}", max_age=1.0), "m",
+        "roof", sensor_at(f"{broker.address}/{TOPIC}", max_age=1.0)
     )) as reader:
 
         def talk(message: str) -> None:
@@ -444,6 +444,6 @@ def test_why_a_broker_cannot_be_used_is_reported(tmp_path: Path) -> None:
     ):
         with mosquitto(tmp_path, *lines) as broker:
             address = f"{scheme}://127.0.0.1:{broker.port}/x"
-            with closing(MqttReader("cistern", sensor_at(address, **changed), "m")) as reader:
+            with closing(MqttReader("cistern", sensor_at(address, **changed))) as reader:
                 reader.start()
                 until(lambda why=why, reader=reader: why in reader.snapshot.problem, 10)

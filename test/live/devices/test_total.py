@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import pytest
 
 from greenroof_ros.live.devices import sensor as devices
+from greenroof_ros.live.devices.modbus_line import DriveError
 from greenroof_ros.live.devices.sensor import Total
 from greenroof_ros.live.devices.sensor_file import MqttSensor
 
@@ -43,7 +44,7 @@ def published(
             _, raw = waiting.pop(0)
             try:
                 gauge.sensor_lost() if raw is None else gauge.add(raw)
-            except ValueError:
+            except DriveError:
                 refused += 1
                 gauge.sensor_lost()
         rate = gauge.rate() or 0.0

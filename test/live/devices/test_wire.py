@@ -29,7 +29,7 @@ from simulators import until
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.devices.drive import Drive, DriveStatus
 from greenroof_ros.live.devices.drive_file import find_drive_file, read_drive_file
-from greenroof_ros.live.devices.modbus_line import DriveError, parse_drive_address
+from greenroof_ros.live.devices.modbus_line import DriveError, parse_address
 
 Task = Callable[[Drive], Any]
 
@@ -37,7 +37,7 @@ Task = Callable[[Drive], Any]
 def talk(name: str, wire: str, task: Task, timeout_s: float = 0.3) -> Any:
     """Call a function with a drive behind an address."""
     file = read_drive_file(find_drive_file(name))
-    drive = Drive(file, parse_drive_address(wire, "at"), timeout_s)
+    drive = Drive(file, parse_address(wire, "at"), timeout_s)
     drive.line.connect()
     try:
         return task(drive)

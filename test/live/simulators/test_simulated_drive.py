@@ -21,7 +21,6 @@ from greenroof_ros.live.devices.modbus_line import (
     Address,
     DriveError,
     parse_address,
-    parse_drive_address,
 )
 
 
@@ -50,9 +49,9 @@ def test_it_listens_on_loopback_and_refuses_what_is_not_there() -> None:
         }
         for at, task, code in (
             (drive.address, lambda line: line.read(0x7000, 1), 2),
-            (drive.address, lambda line: line.write(3, 1), 2),
+            (drive.address, lambda line: line.write(0x7000, 1), 2),
         ):
-            line = Drive(file, parse_drive_address(at, "at")).line
+            line = Drive(file, parse_address(at, "at")).line
             line.connect()
             with closing(line), pytest.raises(DriveError, match=f"rejected with exception {code}"):
                 task(line)

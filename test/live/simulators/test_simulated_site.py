@@ -36,7 +36,7 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for() -> None:
     )
     for _ in range(40):
         site.step(0.8, site.flow(0.8))
-    ticks, (cistern, roof) = site.tick, site.virtual_site.levels()
+    ticks, (cistern, roof) = site.virtual_site.tick, site.virtual_site.levels()
     assert site.pumped == pytest.approx(6.1261e-3 * ticks, rel=5e-4)
     assert cistern == pytest.approx(3 - site.pumped / 25, abs=1e-5)
     assert roof == pytest.approx(0.05 + site.pumped / 68.8 + ticks * 9e-6, abs=1e-5)
@@ -46,7 +46,7 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for() -> None:
 
 def read_once(sensor: ModbusSensor) -> float:
     """Return what a sensor on Modbus reads."""
-    with closing(ModbusReader(sensor, "m", SensorLine(), 5.0)) as reader:
+    with closing(ModbusReader("roof", sensor, SensorLine(), 5.0)) as reader:
         reader.start()
         until(lambda: reader.snapshot.value is not None, 20)
         assert reader.snapshot.value is not None
@@ -70,7 +70,7 @@ def test_sensors_on_mqtt_next_to_one_on_modbus(tmp_path: Path) -> None:
         for section in ("roof", "rain_gauge", "thermometer"):
             sensor = sensors.by_section[section]
             assert isinstance(sensor, MqttSensor)
-            readers[section] = stack.enter_context(closing(MqttReader(section, sensor, "m")))
+            readers[section] = stack.enter_context(closing(MqttReader(section, sensor)))
             readers[section].start()
         assert isinstance(sensors.cistern, ModbusSensor)
         assert read_once(sensors.cistern) == pytest.approx(2.0, abs=1e-3)
