@@ -12,7 +12,6 @@ from greenroof_ros.ros.domain import add_namespace
 from greenroof_ros.watch.document import join_summary, make_document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.store import GraphStore
-from greenroof_ros.watch.words import SPACE
 
 WARNING, ALARM, NOTHING = 1, 2, 3
 
@@ -59,7 +58,7 @@ def main() -> int:
     with Feed(store):
         shown = _read_status(store)
     code = _judge(shown)
-    print("\n".join(_write_lines(shown, code)).replace(SPACE, " "))
+    print("\n".join(_write_lines(shown, code)))
     return code
 
 

@@ -73,8 +73,7 @@ class Bridge:
         self._store, self._feed, self._broker = store, feed, broker
         self._base = f"greenroof/{site}"
         self._discovery = make_discovery(site)
-        # Set by the client's thread: a stop was requested, and all messages must be sent.
-        self._stop, self._connected = threading.Event(), threading.Event()
+        self._stop = threading.Event()  # set by the client's thread: a stop was requested
         self._client = make_client(
             broker, f"greenroof_{site}", self._on_connect, self._on_message,
             lambda why: print_seldom(why, f"not connected to {broker}: {why}; trying again"),
@@ -124,10 +123,6 @@ class Bridge:
         return self._client.publish(f"{self._base}/{name}", text, retain=retain)
 
     def _publish_state(self) -> None:
-        if self._connected.is_set():
-            self._connected.clear()
-            for topic, text in self._discovery.items():
-                self._client.publish(topic, text, retain=True)
         # Again and again, as another bridge of this site may have ended.
         self._publish("availability", ONLINE, retain=True)
         shown = make_document(self._store, time.monotonic())
@@ -139,7 +134,8 @@ class Bridge:
     def _on_connect(self) -> None:
         print_seldom("connected", f"connected to {self._broker}; topics: {self._base}/")
         self._client.subscribe(f"{self._base}/stop")
-        self._connected.set()
+        for topic, text in self._discovery.items():
+            self._client.publish(topic, text, retain=True)
 
     def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
         if payload == STOP.encode() and not retained:

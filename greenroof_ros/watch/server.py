@@ -32,15 +32,13 @@ from urllib.parse import urlsplit
 
 from aiohttp import ETag, web
 
-from greenroof_ros.base.processes import InterruptedRun, Signals
+from greenroof_ros.base.processes import Signals
 from greenroof_ros.base.standard_error import print_seldom
 from greenroof_ros.base.text import clean_text
-from greenroof_ros.watch import words
-from greenroof_ros.watch.document import HOURS, make_document, make_series
+from greenroof_ros.watch.document import HOURS, describe_stop, make_document, make_series
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.graph_client import PumpRequestError
-from greenroof_ros.watch.listening import Listener, listen
-from greenroof_ros.watch.stopping import describe_stop
+from greenroof_ros.watch.listening import Listener
 from greenroof_ros.watch.store import GraphStore
 
 _PAGE = Path(__file__).resolve().parent / "page"
@@ -81,7 +79,7 @@ class _PageApplication:
     ) -> None:
         self._store, self._feed = store, feed
         self._names, self._token = names, token
-        self._acting: dict[str, asyncio.Task[tuple[bool, str]]] = {}  # by action
+        self._acting: dict[str, asyncio.Task[str]] = {}  # by action
         # The state (at 0) and the charts for each length of their history (h), made once for all
         # browsers, each with the time at which it was begun.
         self._documents: dict[int, tuple[float, asyncio.Task[tuple[bytes, ETag]]]] = {}
@@ -129,11 +127,13 @@ class _PageApplication:
         try:
             self._check(request)
             answer = await handler(request)
+        except PumpRequestError as failure:
+            answer = _make_response(False, str(failure))
         except web.HTTPException as error:
             answer = _make_response(False, error.reason, error.status)
         except Exception as error:
             print_seldom("request", traceback.format_exc())
-            answer = _make_response(False, clean_text(f"{type(error).__name__}: {error}"), 500)
+            answer = _make_response(False, f"{type(error).__name__}: {error}", 500)
         answer.force_close()
         return answer
 
@@ -213,24 +213,18 @@ class _PageApplication:
         if action != "stop" and under_way:
             return _make_response(False, "Nothing was done: another request is under way.")
         if action not in under_way:
-            self._acting[action] = asyncio.create_task(self._request_action(action, given))
+            self._acting[action] = asyncio.create_task(
+                asyncio.to_thread(self._feed.request_action, action, **given)
+            )
         if request.transport is not None:
             request.transport.pause_reading()  # nothing else is answered on this connection
         self._open[request.protocol] = True
-        return _make_response(*await asyncio.shield(self._acting[action]))
+        return _make_response(True, await asyncio.shield(self._acting[action]))
 
     def _is_offered(self, action: str) -> bool:
         """Return whether the page offers an action now; behind a proxy, it needs a token."""
         with self._store.lock:
             return self._token is not None and action in describe_stop(self._store)["actions"]
-
-    async def _request_action(self, action: str, given: dict[str, Any]) -> tuple[bool, str]:
-        """Request an action from the pump node; return the result, even if the client is gone."""
-        try:
-            answer = await asyncio.to_thread(self._feed.request_action, action, **given)
-        except PumpRequestError as failure:
-            return False, words.clean_sentence(str(failure))
-        return True, words.clean_sentence(answer)
 
 
 def _make_file_handler(file: Path) -> _Handler:
@@ -245,7 +239,7 @@ def _make_file_handler(file: Path) -> _Handler:
 
 def _make_response(ok: bool, sentence: str, status: int = 200) -> web.Response:
     return web.json_response(
-        {"ok": ok, "sentence": sentence}, status=status, headers=_HEADERS
+        {"ok": ok, "sentence": clean_text(sentence)}, status=status, headers=_HEADERS
     )
 
 
@@ -281,37 +275,24 @@ async def run_server(
 
 
 def serve(
-    store: GraphStore,
-    feed: Feed,
-    *,
-    host: str,
-    port: int | None,
-    token: str | None,
-    on_ready: Callable[[str], None],
-    signals: Signals,
+    store: GraphStore, feed: Feed, listener: Listener, token: str | None, signals: Signals
 ) -> None:
     """Serve the page until a signal arrives.
 
     Args:
         store: state of the graph to show.
         feed: feed of the store, through which the pump is stopped.
-        host: address or name on which to listen.
-        port: TCP port; 0 for any free port, None for the first free port from 8080 on.
+        listener: where to serve it.
         token: the token that a page must send; None if no token is required.
-        on_ready: callback that receives the address for a browser, including the token, once the
-            page is served.
         signals: signals that stop the server.
 
     Raises:
-        ConfigurationError: if the address or the port cannot be used.
+        InterruptedRun: if a signal arrives.
     """
     async def run() -> None:
-        listener = listen(host, port)
         async with run_server(store, feed, listener, token):
-            on_ready(listener.url + (f"#token={token}" if token else ""))
             while True:
                 signals.check()
                 await asyncio.sleep(0.1)
 
-    with suppress(InterruptedRun):
-        asyncio.run(run())
+    asyncio.run(run())

@@ -11,11 +11,11 @@ from functools import partial
 from typing import Any
 
 from greenroof_ros.base.text import number_of
+from greenroof_ros.base.times import duration
 from greenroof_ros.interface.states import PUMP, PUMP_STATES
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.results.sums import NEAR_TARGET
 from greenroof_ros.watch import words
-from greenroof_ros.watch.stopping import runs_on
 from greenroof_ros.watch.store import FLOW, GraphStore
 
 _DAY_S, _DAYS = 86_400.0, 7
@@ -145,8 +145,8 @@ def _write_coming_rain(store: GraphStore) -> str:
         return "no forecast received"
     if (reach := forecast.reach(now)) <= 0:
         return "the forecast has ended"
-    rain = words.write_rain(float((forecast.values @ forecast.lengths(now)).mean()))
-    return f"{rain} expected in the next {words.write_duration(reach)}"
+    rain = float((forecast.values @ forecast.lengths(now)).mean())
+    return f"{words.write_number(rain, 'mm', 1, 1e3)} expected in the next {duration(round(reach))}"
 
 
 # --- the pump -------------------------------------------------------------------------------------
@@ -162,7 +162,7 @@ def _make_pump_tile(store: GraphStore) -> Tile:
     lost = node is not None and store.mode != "ended" and not node.is_online(store.wall)
     at_rest = values.get("at_rest")
     no_speed = values.get("speed", 0.0) is None  # some nodes never report a speed
-    may_turn = runs_on(store) or (lost and at_rest is False) or (no_speed and at_rest is not True)
+    may_turn = store.runs_on or (lost and at_rest is False) or (no_speed and at_rest is not True)
     number = None if no_speed and not may_turn else store.present_value(FLOW)
     kept_off = any(alarm.role == PUMP and alarm.part == PUMP for alarm in store.present)
     if state == "held" and not kept_off and not values.get("hold"):  # as intended
@@ -221,7 +221,7 @@ def _make_watering_tile(store: GraphStore, pump: Tile) -> Tile:
     elif pumped is not None:
         value = f"from {store.time_text(pumped[1])}"
     elif plan is not None:
-        value = f"not in the next {words.write_duration(plan.reach(now))}"
+        value = f"not in the next {duration(round(plan.reach(now)))}"
         sentence = "no pumping is planned"
     planned = "" if pumped is None or share is None else (
         f"{words.write_litres(pumped[0])} up to {write_level(pumped[2])} planned"

@@ -84,7 +84,7 @@ def test_each_value_has_the_pages_unit_and_what_is_old_is_unknown() -> None:
     add_plan(graph, 9, (1000.0, 0.0, 0.04), (4600.0, 1e-3, 0.045))
     graph.system = START / SECOND + 10
     said = state(graph)
-    assert said.pop("plan").startswith("wanted; pump: unknown; 3600\u00a0L up to 45.0")
+    assert said.pop("plan").startswith("wanted; pump: unknown; 3600 L up to 45.0")
     assert said == {
         "mode": "live", "roof_level": 45.7, "cistern_level": 2500, "rain": 3.6, "flow": 60.0,
         "command": 25, "frost": "ON", "pump": "unknown", "condition": "none", "problem": "OFF",

@@ -69,7 +69,7 @@ def watched() -> GraphStore:
     """A store in which everything may be requested of a pump that is held and at rest."""
     store = GraphStore()
     store.wall = time.monotonic()
-    store.add_statuses(time.monotonic() + 1e6, node(
+    store.add_statuses(time.monotonic() + 1e6, 0, node(
         "/pump", "pump", **pump_report("held: x"), at_rest=True, hold={"owner": "x"},
         fault="slow", no_clear="", max_dose=1.0, no_dose="",
     ))
@@ -177,7 +177,7 @@ def test_nothing_else_is_done_unless_that_was_allowed_with_a_token(
         for wrong in (b"{", b"[]", b"[" * 9000, b'{"volume": 1}', b'{"volume": "x", "asked_at": 1}',
                       b'{"volume": 1' + 400 * b"0" + b', "asked_at": 1}'):
             assert request(port, "POST", "/dose", wrong, **RIGHT).status == 400, wrong
-        watched.graph.nodes.clear()
+        watched.nodes.clear()
         assert request(port, "POST", "/release", **RIGHT).status == 403
     assert len(pump.done) == 3
 
