@@ -15,7 +15,7 @@ from greenroof_ros.base.mqtt import Broker, make_client
 from greenroof_ros.base.processes import Signals
 from greenroof_ros.base.standard_error import print_seldom
 from greenroof_ros.interface.states import PUMP_STATES
-from greenroof_ros.watch.document import join_summary, make_document
+from greenroof_ros.watch.document import make_document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.words import UNKNOWN, find_display
@@ -166,7 +166,7 @@ def make_state(shown: Mapping[str, Any]) -> dict[str, Any]:
 def make_alarms(shown: Mapping[str, Any]) -> dict[str, Any]:
     """Return the summary, the advice and the current alarms, as in the document."""
     return {
-        "summary": join_summary(shown),
+        "summary": shown["tiles"]["summary"]["text"],
         "advice": shown["advice"],
         "alarms": shown["alarms"][:_MAX_ALARMS],
         "notes": shown["notes"],

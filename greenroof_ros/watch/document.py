@@ -68,7 +68,7 @@ def make_document(store: GraphStore, wall: float) -> dict[str, Any]:
     """
     with store.lock:
         store.wall = wall
-        tiles, rows, stop = make_tiles(store), list_alarms(store), describe_stop(store)
+        tiles, rows, stop = make_tiles(store), _list_alarms(store), describe_stop(store)
         summary, step = _summarize(store, tiles, rows, stop)
         factor, simulated = store.factor, store.mode == "simulated"
         local = store.local(store.now)
@@ -116,7 +116,7 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
     """
     two, pump = store.two_pumps, store.pump
     here = pump is not None and pump.is_online(store.wall) and not two
-    values = pump.values if here and pump is not None else {}
+    values = store.pump_values if here else {}
     hold = _describe_hold(store, values)
     at_rest = values.get("at_rest") is True and not store.runs_on
     off = at_rest and values.get("pump_state") in ("off", "held", "fault")
@@ -189,7 +189,7 @@ def _write_dose(dose: Mapping[str, Any], flow: float | None) -> str:
 # --- alarms and events ----------------------------------------------------------------------------
 
 
-def list_alarms(store: GraphStore) -> list[dict[str, Any]]:
+def _list_alarms(store: GraphStore) -> list[dict[str, Any]]:
     """Return the present alarms as they are published, the most important one first.
 
     An alarm that follows from another one is left out. If the site's program as a whole no longer
@@ -241,12 +241,6 @@ def _list_events(store: GraphStore) -> list[dict[str, Any]]:
 # --- the sentence above the tiles, and the next step ----------------------------------------------
 
 
-def join_summary(shown: Mapping[str, Any]) -> str:
-    """Return the summary of a document as a single string."""
-    summary = shown["tiles"]["summary"]
-    return f"{summary['word']} {summary['sentence']}".strip()
-
-
 def _summarize(
     store: GraphStore, tiles: dict[str, Tile], rows: list[dict[str, Any]], stop: dict[str, Any]
 ) -> tuple[dict[str, str], str]:
@@ -288,15 +282,13 @@ def _summarize(
         (store.runs_on, _WELDED, step),
         (pump["state"] == "alarm", "The pump may be running.", step if serious else _GO_AND_SEE),
         (worst, f"{worst}.", step),
-        (stop["warning"], now, step),
-        (unknown and not starting, now, step or _UNKNOWN),
-        (True, now, step or "Nothing to do."),
+        (stop["warning"] or step, now, step),
+        (True, now, _UNKNOWN if unknown and not starting else "Nothing to do."),
     )
     sentence, step = next((sentence, step) for case, sentence, step in cases if case)
-    return {
-        "word": " ".join(filter(None, (word and f"{word}.", starting))),
-        "sentence": sentence, "level": level,
-    }, step
+    word = " ".join(filter(None, (word and f"{word}.", starting)))
+    text = f"{word} {sentence}".strip()
+    return {"word": word, "sentence": sentence, "text": text, "level": level}, step
 
 
 def _advise(store: GraphStore, step: str, stop: dict[str, Any]) -> str:

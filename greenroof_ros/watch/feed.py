@@ -145,8 +145,7 @@ class Feed:
         if self._past_file is not None:
             past = read_histories(self._past_file)
             with self._store.lock:
-                known = self._store.past.keys() & past.keys()
-                self._store.past |= {name: past[name] for name in known}
+                self._store.past |= past
 
     def _save(self) -> None:
         """Save the history of a live site, without waiting for the disk."""

@@ -98,8 +98,6 @@ class FoxgloveServer:
 
     def _on_message(self, name: str, message: bytes, time_ns: int) -> None:
         """Pass a message on, after its time, by which Lichtblick sorts the message."""
-        if time_ns < self._time_ns:  # of another run
-            self._server.clear_session()
         if time_ns != self._time_ns:
             self._time_ns = time_ns
             self._server.broadcast_time(time_ns)

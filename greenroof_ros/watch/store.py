@@ -56,7 +56,7 @@ _GONE_S = 10.0
 _PLAN_S = 2 * 3600.0
 _PAPERS = "Levels are judged by the parameters of the paper's site, config/site.yaml."
 # Times that a calendar contains (s since 1970).
-_FIRST, _LAST = 0.0, 4e9
+_FIRST, _LAST, _LAST_NS = 0.0, 4e9, 4 * 10**18
 _TWO = "two_pump_nodes", "two_processes"
 
 
@@ -118,14 +118,13 @@ class GraphStore(Reports):
 
     def reset(self) -> None:
         """Reset everything for a new run, except the nodes and the settings for watching them."""
-        with self.lock:
-            self.alarms: list[Alarm] = []
-            self._alarms_at = -math.inf  # when they came (steady clock, s)
-            self._alarms_of = 0.0  # the graph's time then (s since 1970)
-            self.newest: dict[str, Newest] = {}
-            self.past = {name: History() for name in (*LINES, GIVEN)}
-            self.forecast: Steps | None = None
-            self._plan: Steps | None = None
+        self.alarms: list[Alarm] = []
+        self._alarms_at = -math.inf  # when they came (steady clock, s)
+        self._alarms_of = 0.0  # the graph's time then (s since 1970)
+        self.newest: dict[str, Newest] = {}
+        self.past = {name: History() for name in (*LINES, GIVEN)}
+        self.forecast: Steps | None = None
+        self._plan: Steps | None = None
 
     # --- the graph that is watched --------------------------------------------------------------
 
@@ -175,6 +174,11 @@ class GraphStore(Reports):
     def pump(self) -> NodeReport | None:
         """The pump node with its last report; None if no pump node has reported."""
         return self.node(PUMP)
+
+    @property
+    def pump_values(self) -> Mapping[str, Any]:
+        """The values that the pump node last reported; empty if it never has."""
+        return {} if self.pump is None else self.pump.values
 
     @property
     def two_pumps(self) -> str:
@@ -277,8 +281,8 @@ class GraphStore(Reports):
     def _add_number(self, topic: str, time_ns: int, value: float) -> None:
         entry, before, at = read_topics()[topic], self.newest.get(topic), time_ns / 1e9
         known = math.isfinite(value) and entry.low <= value <= entry.high
-        if topic == FLOW and self.pump is not None:  # it publishes 0 for an unknown flow
-            known = known and self.pump.values.get("flow", value) is not None
+        if topic == FLOW:  # the pump node publishes 0 for an unknown flow
+            known = known and self.pump_values.get("flow", value) is not None
         self.newest[topic] = Newest(at, value + 0.0 if known else None, self.wall)  # no minus zero
         for name, line in LINES.items():
             if line == topic:
@@ -289,22 +293,20 @@ class GraphStore(Reports):
             if 0 < passed <= HOLDS_S:
                 self.past[GIVEN].add(time_ns, total)
 
-    def is_stale(self, topic: str) -> bool:
-        """Return whether the next value on a topic is overdue; None is once the run has ended."""
+    def present_value(self, topic: str) -> float | None:
+        """Return the current value on a topic; None if there is none or the next is overdue.
+
+        Nothing is overdue once the run has ended.
+        """
         if (newest := self.newest.get(topic)) is None or self.mode == "ended":
-            return False
+            return newest and newest.value
         limit, age = TICKS * self.site.tau, read_topics()[topic].max_age
         if self.mode == "live":
             limit = limit if age is None else age.default
         elif self.factor > 0:
             limit /= self.factor
         overdue = self.wall - newest.received_at > max(_STALE_S, limit)
-        return overdue or self.gone_since is not None
-
-    def present_value(self, topic: str) -> float | None:
-        """Return the current value on a topic; None if there is none or it is stale."""
-        newest = self.newest.get(topic)
-        return None if newest is None or self.is_stale(topic) else newest.value
+        return None if overdue or self.gone_since is not None else newest.value
 
     @property
     def plan(self) -> Steps | None:
@@ -337,8 +339,7 @@ class GraphStore(Reports):
     def given_since(self, begin: float) -> float:
         """Return the volume pumped since a time (s since 1970, m3), as far as it is known."""
         given = self.past[GIVEN]
-        total = float(given.rows["last"][-1]) if len(given.rows) else 0.0
-        return total - given.value_at(round(begin * 1e9))
+        return given.value_at(_LAST_NS) - given.value_at(round(begin * 1e9))
 
     def local(self, at: float) -> datetime:
         """Return a time (s since 1970) on the site's clock."""

@@ -157,7 +157,7 @@ def _make_pump_tile(store: GraphStore) -> Tile:
 
     The state is ``alarm`` if the pump might be turning unnoticed.
     """
-    node, values = store.pump, {} if store.pump is None else store.pump.values
+    node, values = store.pump, store.pump_values
     state, why = _read_pump_state(store)
     lost = node is not None and store.mode != "ended" and not node.is_online(store.wall)
     at_rest = values.get("at_rest")
@@ -182,7 +182,7 @@ def _read_pump_state(store: GraphStore) -> tuple[str, str]:
     """Return the pump's state and the reason; in a simulation, derive both if not reported."""
     if store.two_pumps:
         return words.UNKNOWN, ""
-    values = {} if store.pump is None else store.pump.values
+    values = store.pump_values
     if state := words.text_of(values, "pump_state"):
         # Of a hold, the page states more, and in the site's time.
         hold = values.get("hold")
