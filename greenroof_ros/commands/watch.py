@@ -155,7 +155,7 @@ def main() -> None:
     store = GraphStore(arguments.namespace)
     store.allow_release = arguments.allow_release
     try:
-        from greenroof_ros.watch.server import serve
+        from greenroof_ros.watch.server import PageServer
     except ModuleNotFoundError as error:
         raise ConfigurationError(f"needs {error.name}: {describe_extra('watch')}") from error
     host, port = arguments.host or LOOPBACK, arguments.port
@@ -172,4 +172,4 @@ def main() -> None:
         listener = listen(host, port)
         url = listener.url + (f"#token={token}" if token else "")
         _print_address(url, host, port, release=store.allow_release)
-        serve(store, feed, listener, token, signals)
+        PageServer(store, feed, listener, token).serve(signals)

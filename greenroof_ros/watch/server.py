@@ -21,7 +21,6 @@ import hmac
 import json
 import logging
 import math
-import socket
 import time
 import traceback
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -66,7 +65,7 @@ _STATE, _CHARTS = _DOCUMENTS = "/state", "/charts"
 _Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
-class _PageApplication:
+class PageServer:
     """The page's server, which always accepts new connections, dropping the oldest if needed.
 
     A new connection therefore has time for its request until a hundred others have connected. A
@@ -75,32 +74,74 @@ class _PageApplication:
     """
 
     def __init__(
-        self, store: GraphStore, feed: Feed, names: frozenset[str] | None, token: str | None
+        self, store: GraphStore, feed: Feed, listener: Listener, token: str | None
     ) -> None:
+        """Prepare the server without accepting connections.
+
+        Args:
+            store: state of the graph to show.
+            feed: feed of the store, through which the pump is stopped.
+            listener: where to serve the page.
+            token: the token that a page must send; None if no token is required.
+        """
         self._store, self._feed = store, feed
-        self._names, self._token = names, token
+        self._listener, self._token = listener, token
         self._acting: dict[str, asyncio.Task[str]] = {}  # by action
         # The state (at 0) and the charts for each length of their history (h), made once for all
         # browsers, each with the time at which it was begun.
         self._documents: dict[int, tuple[float, asyncio.Task[tuple[bytes, ETag]]]] = {}
         # The open connections, the oldest first; True while the pump node's answer is awaited.
         self._open: dict[web.RequestHandler, bool] = {}
-        self.app = web.Application(middlewares=[self._answer_all])
+        self._app = web.Application(middlewares=[self._answer_all])
         for file in _PAGE.iterdir():
             if file.suffix in _TYPES:
                 path = "/" if file.name == "index.html" else f"/{file.name}"
-                self.app.router.add_get(path, _make_file_handler(file), allow_head=False)
+                self._app.router.add_get(path, _make_file_handler(file), allow_head=False)
         for document in _DOCUMENTS:
-            self.app.router.add_get(document, self._read_document, allow_head=False)
+            self._app.router.add_get(document, self._read_document, allow_head=False)
         for action in ("stop", "release", "clear", "dose"):
-            self.app.router.add_post(f"/{action}", self._act)
+            self._app.router.add_post(f"/{action}", self._act)
 
-    async def accept(self, listening: socket.socket, server: web.Server) -> None:
+    def serve(self, signals: Signals) -> None:
+        """Serve the page until a signal arrives.
+
+        Raises:
+            InterruptedRun: if a signal arrives.
+        """
+        async def run() -> None:
+            async with self.running():
+                while True:
+                    signals.check()
+                    await asyncio.sleep(0.1)
+
+        asyncio.run(run())
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        """Serve the page in the running event loop."""
+        runner = web.AppRunner(
+            self._app, access_log=None, auto_decompress=False, handler_cancellation=True,
+            lingering_time=1.0, shutdown_timeout=1.0,
+            # A request that cannot be read is answered, but not reported on the terminal.
+            logger=logging.Logger("page", logging.CRITICAL),
+        )
+        await runner.setup()
+        assert runner.server is not None
+        accepting = asyncio.create_task(self._accept(runner.server))
+        try:
+            yield
+        finally:
+            accepting.cancel()
+            await asyncio.gather(accepting, return_exceptions=True)
+            self._listener.socket.close()
+            await runner.cleanup()
+
+    async def _accept(self, server: web.Server) -> None:
         """Accept connections one after another, until cancelled."""
         loop = asyncio.get_running_loop()
         while True:
             try:
-                connection, _ = await loop.sock_accept(listening)
+                connection, _ = await loop.sock_accept(self._listener.socket)
             except OSError as error:  # the system has run out of files or memory
                 print_seldom("accept", f"no connection can be accepted: {error.strerror}")
                 await asyncio.sleep(_RETRY_S)
@@ -143,7 +184,8 @@ class _PageApplication:
         If the name of another host resolved to this address, a browser would treat a page from that
         host as a page of this server (DNS rebinding).
         """
-        if self._names is not None and _read_host(request) not in self._names:
+        names = self._listener.names
+        if names is not None and _read_host(request) not in names:
             raise web.HTTPForbidden(
                 reason="the host name in the address is not recognized; use localhost"
             )
@@ -248,51 +290,3 @@ def _read_host(request: web.Request) -> str | None:
     with suppress(ValueError):
         return urlsplit(f"//{request.host}").hostname
     return None
-
-
-@asynccontextmanager
-async def run_server(
-    store: GraphStore, feed: Feed, listener: Listener, token: str | None
-) -> AsyncIterator[None]:
-    """Serve the page on a listener, in the running event loop."""
-    site = _PageApplication(store, feed, listener.names, token)
-    runner = web.AppRunner(
-        site.app, access_log=None, auto_decompress=False, handler_cancellation=True,
-        lingering_time=1.0, shutdown_timeout=1.0,
-        # A request that cannot be read is answered, but not reported on the terminal.
-        logger=logging.Logger("page", logging.CRITICAL),
-    )
-    await runner.setup()
-    assert runner.server is not None
-    accepting = asyncio.create_task(site.accept(listener.socket, runner.server))
-    try:
-        yield
-    finally:
-        accepting.cancel()
-        await asyncio.gather(accepting, return_exceptions=True)
-        listener.socket.close()
-        await runner.cleanup()
-
-
-def serve(
-    store: GraphStore, feed: Feed, listener: Listener, token: str | None, signals: Signals
-) -> None:
-    """Serve the page until a signal arrives.
-
-    Args:
-        store: state of the graph to show.
-        feed: feed of the store, through which the pump is stopped.
-        listener: where to serve it.
-        token: the token that a page must send; None if no token is required.
-        signals: signals that stop the server.
-
-    Raises:
-        InterruptedRun: if a signal arrives.
-    """
-    async def run() -> None:
-        async with run_server(store, feed, listener, token):
-            while True:
-                signals.check()
-                await asyncio.sleep(0.1)
-
-    asyncio.run(run())

@@ -36,7 +36,7 @@ LINES = {
 """Lines of the charts, each with its topic."""
 TOPICS = (
     *LINES.values(), RAIN_FORECAST, PLAN, "/pump/command", "/weather/frost",
-    "/gauge/precipitation", "/gauge/temperature", "/outlet/command",
+    "/gauge/temperature", "/outlet/command",
 )
 """Topics of which the values are shown."""
 GIVEN = "given"

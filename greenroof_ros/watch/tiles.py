@@ -24,7 +24,7 @@ _SEEN_S = 3600.0
 
 _COMMAND, _RAIN = "/pump/command", "/weather/precipitation"
 _ROOF, _CISTERN, _FROST = "/roof/level", "/cistern/level", "/weather/frost"
-_GAUGE, _THERMOMETER, _VALVE = "/gauge/precipitation", "/gauge/temperature", "/outlet/command"
+_THERMOMETER, _VALVE = "/gauge/temperature", "/outlet/command"
 write_level = partial(words.write_value, _ROOF)
 write_flow = partial(words.write_value, FLOW)
 
@@ -34,13 +34,12 @@ Tile = dict[str, Any]
 def make_tiles(store: GraphStore) -> dict[str, Tile]:
     """Return all tiles, by their keys."""
     pump = _make_pump_tile(store)
-    rain = _GAUGE if store.newest.get(_RAIN) is None else _RAIN
     return {
         "roof": _make_tile(store, "Roof level", _ROOF, _judge_roof),
         "cistern": _make_tile(store, "Cistern level", _CISTERN, _judge_cistern),
         "pump": pump,
         "watering": _make_watering_tile(store, pump),
-        "rain": _make_tile(store, "Rain", rain, lambda *_: ("good", _write_coming_rain(store))),
+        "rain": _make_tile(store, "Rain", _RAIN, lambda *_: ("good", _write_coming_rain(store))),
         "temperature": _make_temperature_tile(store),
     }
 
