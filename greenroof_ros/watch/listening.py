@@ -62,12 +62,13 @@ def is_loopback(host: str) -> bool:
     return _resolve(host).is_loopback
 
 
-def listen(host: str, port: int | None) -> Listener:
+def listen(host: str, port: int | None, key: str = "--host, --port") -> Listener:
     """Listen on a single address of this machine.
 
     Args:
         host: address or name; 0.0.0.0 means all addresses.
         port: TCP port; 0 for any free port, None for the first free port from 8080 on.
+        key: option to name in an error.
 
     Raises:
         ConfigurationError: if the host is not this machine, or the port cannot be used.
@@ -85,7 +86,7 @@ def listen(host: str, port: int | None) -> Listener:
     else:
         raise ConfigurationError(
             f"cannot be used: {os.strerror(why.errno or 0)}; choose another address or port",
-            key="--host, --port", value=f"{host}, {number}",
+            key=key, value=f"{host}, {number}",
         ) from why
     listening.setblocking(False)
     shown = socket.gethostname() if address.is_unspecified else host

@@ -193,9 +193,7 @@ def _read_pump_state(store: GraphStore) -> tuple[str, str]:
     flow = store.newest.get(FLOW)
     if flow is None or flow.value is None:
         return words.UNKNOWN, ""
-    if write_flow(flow.value) != write_flow(0.0):
-        return "running", ""
-    return "off", "nothing is commanded" if store.present_value(_COMMAND) == 0 else ""
+    return "off" if write_flow(flow.value) == write_flow(0.0) else "running", ""
 
 
 # --- watering -------------------------------------------------------------------------------------

@@ -105,17 +105,16 @@ def test_levels(name: str, level: float, expected: tuple[str, str, str]) -> None
     assert tile_of(graph, name)[1] == "good"
 
 
-@pytest.mark.parametrize(("values", "state", "why", "level"), [
-    ({}, "off", "nothing is commanded", "ok"),
-    ({"pump_command": 0.4, "pump_flow": 2.05e-4, "roof_level": 0.04}, "running", "", "ok"),
-    ({"roof_level": 0.05}, "off", "nothing is commanded", "warn"),
-    ({"roof_level": -1.0}, "off", "nothing is commanded", "warn"),
+@pytest.mark.parametrize(("values", "state", "level"), [
+    ({}, "off", "ok"), ({"roof_level": 0.05}, "off", "warn"),
+    ({"pump_command": 0.4, "pump_flow": 2.05e-4, "roof_level": 0.04}, "running", "ok"),
+    ({"roof_level": -1.0}, "off", "warn"),
 ])
-def test_the_simulated_pump(values: dict[str, float], state: str, why: str, level: str) -> None:
+def test_the_simulated_pump(values: dict[str, float], state: str, level: str) -> None:
     """A roof that is not as wanted is no alarm, but not green, unless it is being watered."""
     document = shown(watched(**values))
     tile, summary = document["tiles"]["pump"], document["tiles"]["summary"]
-    assert (tile["value"], tile["state"]) == (state, state) and tile["sentence"].endswith(why)
+    assert (tile["value"], tile["state"]) == (state, state)
     assert (summary["word"], summary["level"]) == ("All is well." if level == "ok" else "", level)
     unknown = values.get("roof_level", 0.0) < 0
     assert document["advice"].startswith("Some values are" if unknown else "Nothing to do.")

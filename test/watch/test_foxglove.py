@@ -125,7 +125,7 @@ def test_a_port_in_use_is_refused(unused_domain: int, tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         for arguments, refusal in (
-            (("bringup", "--foxglove", port), "this port cannot be used: Address already in use"),
+            (("bringup", "--foxglove", port), "cannot be used: Address already in use"),
             (("watch", "--foxglove", "--port", "8081"), "--port: applies only to the page"),
         ):
             done = run_command(*arguments, cwd=tmp_path, env=environment(unused_domain))
