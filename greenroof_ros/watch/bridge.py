@@ -8,7 +8,6 @@ import threading
 import time
 import traceback
 from collections.abc import Mapping
-from contextlib import suppress
 from typing import Any
 
 from greenroof_ros.base.mqtt import Broker, make_client
@@ -36,8 +35,6 @@ NUMBERS = {
 _POLL_S, _EXPIRES_S = 1.0, 30
 # Home Assistant accepts 255 characters as a state, and records 16 kB of attributes.
 _MAX_TEXT, _MAX_ALARMS = 255, 10
-# Longest time that the last message may take (s).
-_LAST_S = 1.0
 # For how long a stop is tried again (s): a pump node that has died is back by then.
 _STOP_S = 60.0
 
@@ -104,10 +101,8 @@ class Bridge:
                 except Exception:  # Home Assistant shows as unavailable what is not renewed
                     print_seldom("state", traceback.format_exc())
         finally:
-            last = self._publish("availability", OFFLINE, retain=True)
-            with suppress(RuntimeError):  # there is no broker
-                last.wait_for_publish(_LAST_S)
-            self._client.disconnect()
+            self._publish("availability", OFFLINE, retain=True)
+            self._client.disconnect()  # after this message
             self._client.loop_stop()
 
     def _is_stopped(self) -> bool:
@@ -119,8 +114,8 @@ class Bridge:
         print_seldom(f"stop {done}", f"stop requested over MQTT: {answer}")
         return done
 
-    def _publish(self, name: str, text: str, *, retain: bool = False) -> Any:
-        return self._client.publish(f"{self._base}/{name}", text, retain=retain)
+    def _publish(self, name: str, text: str, *, retain: bool = False) -> None:
+        self._client.publish(f"{self._base}/{name}", text, retain=retain)
 
     def _publish_state(self) -> None:
         # Again and again, as another bridge of this site may have ended.
