@@ -114,7 +114,7 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
     counts as stopped if it is held and at standstill; a hold alone only means that the pump should
     be stopped. ``actions`` contains the question to ask before each action.
     """
-    two, pump = store.two_pumps, store.pump
+    two, pump = store.two_pumps, store.node(PUMP)
     here = pump is not None and pump.is_online(store.wall) and not two
     values = store.pump_values if here else {}
     hold = _describe_hold(store, values)
@@ -296,8 +296,8 @@ def _advise(store: GraphStore, step: str, stop: dict[str, Any]) -> str:
     release = ""
     if "release" in stop["actions"]:
         release = "If it may run again, release it with the button below."
-    elif stop["stopped"] and store.pump is not None:
-        command = words.complete_commands(command_for(store.pump.name, "release"))
+    elif stop["stopped"] and (pump := store.node(PUMP)) is not None:
+        command = words.complete_commands(command_for(pump.name, "release"))
         release = f"If it may run again, release it with: {command}"
     done = stop["warning"] or stop["hold"] or stop["dose"]["text"]
     return " ".join(filter(None, (done, step, release)))

@@ -28,8 +28,8 @@ from greenroof_ros.watch.graph_client import (
 from greenroof_ros.watch.lines import read_histories, write_histories
 from greenroof_ros.watch.store import FASTEST, TOPICS, GraphStore
 
-# Interval at which the watcher receives new messages, and how long it rests after an error (s).
-_POLL_S, _REST_S = 0.1, 1.0
+# Interval at which the watcher receives new messages (s).
+_POLL_S = 0.1
 _STOP_S = 3.0
 # Interval at which the past of a live site is saved, and longest wait at the end for this (s).
 _SAVE_S, _SAVED_S = 600.0, 10.0
@@ -104,7 +104,6 @@ class Feed:
                 self._update_store()
             except Exception:
                 print_seldom("step", traceback.format_exc())
-                self._closing.wait(_REST_S)
         with self._requesting:
             self._client.close()
 

@@ -23,7 +23,7 @@ from greenroof_ros.interface.alarm import Alarm
 from greenroof_ros.interface.states import PLANT, PUMP
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.ros.alarm_status import read_status
-from greenroof_ros.ros.reports import NodeReport, Reports, Status
+from greenroof_ros.ros.reports import Reports, Status
 from greenroof_ros.site.file import read_site
 from greenroof_ros.watch.lines import History, Steps, read_steps
 from greenroof_ros.watch.words import number_in
@@ -171,14 +171,10 @@ class GraphStore(Reports):
                 self.site, self.site_note = read_site(Path(file)), ""
 
     @property
-    def pump(self) -> NodeReport | None:
-        """The pump node with its last report; None if no pump node has reported."""
-        return self.node(PUMP)
-
-    @property
     def pump_values(self) -> Mapping[str, Any]:
         """The values that the pump node last reported; empty if it never has."""
-        return {} if self.pump is None else self.pump.values
+        pump = self.node(PUMP)
+        return {} if pump is None else pump.values
 
     @property
     def two_pumps(self) -> str:

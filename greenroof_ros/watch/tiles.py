@@ -156,7 +156,7 @@ def _make_pump_tile(store: GraphStore) -> Tile:
 
     The state is ``alarm`` if the pump might be turning unnoticed.
     """
-    node, values = store.pump, store.pump_values
+    node, values = store.node(PUMP), store.pump_values
     state, why = _read_pump_state(store)
     lost = node is not None and store.mode != "ended" and not node.is_online(store.wall)
     at_rest = values.get("at_rest")
