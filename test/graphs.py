@@ -138,6 +138,12 @@ def wait_for(condition: Callable[[], Any], seconds: float, event: str) -> Any:
     raise AssertionError(f"{event} did not happen within {seconds:g} s")
 
 
+def children_of(pid: int) -> list[int]:
+    """Return the processes that the threads of a process have started."""
+    files = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(child) for file in files for child in file.read_text().split()]
+
+
 class Process:
     """A command of this package as a user would start it, in a separate session."""
 
@@ -180,15 +186,14 @@ class Process:
     def nodes(self) -> dict[str, int]:
         """Return the process id of each node that this bringup started, or of all sensors'."""
         processes = {}
-        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
-        for pid in children.read_text().split():
+        for pid in children_of(self.process.pid):
             try:
                 words = Path(f"/proc/{pid}/cmdline").read_bytes().decode().split("\0")
             except OSError:
                 continue
             for word in words:
                 if word.startswith(("greenroof_ros.nodes.", "greenroof_ros.live.")):
-                    processes[word.rpartition(".")[2]] = int(pid)
+                    processes[word.rpartition(".")[2]] = pid
         return processes
 
     def wait_for_ticks(self, size: int = 30_000) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from paper import PAPER_SITE
 
+from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.pumping.interlocks import Decision
 from greenroof_ros.live.pumping.limits import Observation, PumpSettings, pump_parameters
 from greenroof_ros.live.pumping.pump_control import PumpControl
@@ -16,6 +17,10 @@ from greenroof_ros.live.pumping.state_file import StateFile
 from greenroof_ros.physics.parameters import State, plant_parameters
 from greenroof_ros.physics.tick import step
 from greenroof_ros.site.site import Site
+
+LOST = Diagnosis("drive_lost", "no connection")
+NOT_READY = Diagnosis("drive_not_ready")
+OVERLOAD = Diagnosis.of("drive_fault", fault="overload")
 
 
 def settings_for(site: Site, **changes: float) -> PumpSettings:
@@ -90,7 +95,7 @@ class Rig:
         observed = Observation(
             command=command, cistern_level=cistern + self.cistern_offset + errors[0],
             roof_level=roof + errors[1], frost=False, time_ns=round(self.now * 1e9),
-            speed=self.speed, drive_ready=True,
+            speed=self.speed,
         )
         decision = self.control.step(
             self._dt, replace(observed, **self.change)  # type: ignore[arg-type]
@@ -113,7 +118,7 @@ class Rig:
 
     def clear(self) -> None:
         """Clear the fault, as the node does."""
-        self.state_file.fault("", "")
+        self.state_file.change(fault="", fault_code="")
         self.control.discard_evidence()
 
     def reset(self) -> None:

@@ -166,12 +166,12 @@ Value = float | str | Diagnosis
 
 
 def identity_of(values: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the code in the values of a report, and the device's own fault or warning.
+    """Return the code in the values of a report, and the device's own fault.
 
     If the code or the fault changes, a new alarm of the same name begins; numbers in the sentence
     may change.
     """
-    return values.get("code", ""), values.get("fault") or values.get("warning") or ""
+    return values.get("code", ""), values.get("fault") or ""
 
 
 class _Formatter(Formatter):

@@ -48,6 +48,12 @@ COMMAND, FLOW, STATE = "/pump/command", "/pump/flow", "/pump/state"
 COMMAND_LIMIT = LIMITS[COMMAND]
 # Interval between two decisions, and between two reports on the parts of the node (s).
 _STEP_S, _REPORT_S = 0.1, 0.2
+# What the drive's state is while an interlock is active, unless there is a fault.
+_TROUBLE = {
+    "drive_lost": DriveState.CONNECTING, "driver_lost": DriveState.CONNECTING,
+    "drive_timeout": DriveState.REFUSED, "drive_guards_later": DriveState.REFUSED,
+    "state_not_kept": DriveState.REFUSED, "hold": DriveState.STOPPED,
+}
 # The fields of a hold.
 _HOLD = (
     Parameter("owner", "", meaning="whoever requests the hold", optional=False),
@@ -116,10 +122,6 @@ class ActuatorNode(LiveNode):
         """
         raise NotImplementedError
 
-    def trouble(self) -> DriveState | None:
-        """Return what is wrong with the device itself, if anything."""
-        return None
-
     # --- the path ---------------------------------------------------------------------------------
 
     def decide(self) -> str:
@@ -166,11 +168,10 @@ class ActuatorNode(LiveNode):
     def progress(self) -> dict[str, Any]:
         """Return the values that bringup and the page show."""
         decision, stored, hold = self.decision, self.state_file.state, self.state_file.active_hold
-        state = DriveState.STOPPED if hold else DriveState.READY
-        if stored.fault or stored.unknown:
+        state = DriveState.CONNECTING if decision.state == "unknown" else DriveState.READY
+        state = next((_TROUBLE[code] for code in _TROUBLE if code in decision.active), state)
+        if decision.state == "fault":
             state = DriveState.FAULT
-        elif trouble := self.trouble():
-            state = trouble
         return {
             "pump_state": decision.state, "pump_why": decision.why, "at_rest": decision.at_rest,
             "speed": decision.speed, "flow": decision.flow, "drive_state": state.value,
@@ -252,7 +253,7 @@ class ActuatorNode(LiveNode):
     def _clear(self, request: Trigger.Request) -> tuple[bool, str]:
         if refusal := clear_refusal(self.state_file):
             raise ValueError(refusal)
-        self.state_file.fault("", "")
+        self.state_file.change(fault="", fault_code="")
         self.discard_evidence()
         return self._answer(self.decide())
 

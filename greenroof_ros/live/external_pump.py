@@ -24,7 +24,6 @@ from std_srvs.srv import SetBool
 
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.interface.states import DriveState
 from greenroof_ros.live.actuator import COMMAND, FLOW, STATE, STATE_FILE, ActuatorNode
 from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.levels import live_parameters
@@ -96,17 +95,20 @@ class ExternalPumpNode(ActuatorNode):
         flow = float(self._flow.value) if alive else None
         share = None if flow is None else flow / self._max_flow
         command = float(self._command.value) if self._command.good else 0.0
-        faults = []
+        reasons = [lost] if lost else []
         if share is not None and (command == 0 or self._hold_sent):
             self._stopping.update(min(dt, PAUSE_S), share, 0.0)
             if self._stopping.error_for > self.values["follow_time"] + AFTERFLOW_S:
-                faults.append(Diagnosis.of(
+                reasons.append(Diagnosis.of(
                     "runs_on", "driver", flow=flow or 0.0, time=self._stopping.error_for
                 ))
         else:
             self.discard_evidence()
-        active = evaluate(self.state_file, faults, filter(None, (lost,)))
-        self._send_hold(float(bool(active)))
+        active = evaluate(self.state_file, reasons)
+        hold, now = float(bool(active)), boot_time()
+        if hold != self._hold_sent or now - self._sent_at >= _HOLD_S:
+            self._hold_sent, self._sent_at = hold, now
+            self.publish(_HOLD, hold)
         self._told = self._told and lost is None  # it may have been started again
         self._tell_driver(bool(active.keys() - {"driver_lost", "two_pumps"}))
         runs = share is not None and share > RUNNING_SHARE
@@ -133,12 +135,6 @@ class ExternalPumpNode(ActuatorNode):
             return Diagnosis.of("driver_lost", case, why=why.sentence)
         return None
 
-    def _send_hold(self, hold: float) -> None:
-        now = boot_time()
-        if hold != self._hold_sent or now - self._sent_at >= _HOLD_S:
-            self._hold_sent, self._sent_at = hold, now
-            self.publish(_HOLD, hold)
-
     def _tell_driver(self, stop: bool) -> None:
         """Call the driver's ``~/stop``, if it offers one, when a hold or a fault begins or ends."""
         if self._driver is None:
@@ -150,10 +146,6 @@ class ExternalPumpNode(ActuatorNode):
         if self._driver is not None and stop != self._told and self._driver.service_is_ready():
             self._told = stop
             self._driver.call_async(SetBool.Request(data=stop))
-
-    def trouble(self) -> DriveState | None:
-        """Return what is wrong with the driver, if anything."""
-        return DriveState.CONNECTING if self.decision.flow is None else None
 
 
 main = live_command(ExternalPumpNode, __doc__)

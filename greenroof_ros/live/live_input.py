@@ -149,7 +149,8 @@ class LiveInput(Input):
             why: the reason.
         """
         self.refused += 1
-        self.rules.refuse(boot_time(), why)
+        refused = Diagnosis.of("input_refused", "refused", why=why)
+        self.rules.receive(boot_time(), None, refused)
         self.check()
 
     def _refuse(self, value: float, why: str) -> None:

@@ -221,7 +221,7 @@ class LiveNode(GraphNode):
         if passed > PAUSE_S:
             self._ignoring_until = now + PAUSE_S
             for entry in self.inputs.values():
-                entry.rules.clear(now, passed)
+                entry.rules.receive(now, None, Diagnosis.of("input_paused", time=passed))
                 entry.check()
 
     def report_state(self, **values: Any) -> None:

@@ -27,10 +27,9 @@ from rcl_interfaces.srv import SetParametersAtomically
 
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.interface.states import DriveState
 from greenroof_ros.live.actuator import FLOW, STATE, STATE_FILE, ActuatorNode, read_fields
 from greenroof_ros.live.boot_clock import boot_time
-from greenroof_ros.live.devices.drive_file import MAX_RAMP_S, find_drive_file
+from greenroof_ros.live.devices.drive_file import LIMIT_S, MAX_RAMP_S, find_drive_file
 from greenroof_ros.live.devices.exchange import (
     CHOICE,
     RESET_S,
@@ -44,7 +43,7 @@ from greenroof_ros.live.live_input import bad_inputs
 from greenroof_ros.live.node import live_command
 from greenroof_ros.live.pumping.interlocks import Decision
 from greenroof_ros.live.pumping.limits import Observation, PumpSettings, pump_parameters
-from greenroof_ros.live.pumping.pump_control import PumpControl, drive_fault
+from greenroof_ros.live.pumping.pump_control import PumpControl
 from greenroof_ros.physics.pump import STANDSTILL
 from greenroof_ros.ros.diagnostics import ERROR, WARN
 from greenroof_ros.ros.parameters import site_file
@@ -76,9 +75,18 @@ _INPUTS = {
     "flow": "/pump/meter",
 }
 # The parts that report on inputs, as in the interlocks of the table.
-_PARTS = {
+_INPUT_PARTS = {
     "command": ("command",), "levels": ("cistern_level", "roof_level"), "frost": ("frost",),
 }
+# The other parts, with the codes that they report, the most important first, and those of them that
+# need nobody at once.
+_PARTS = {
+    "flow": ("two_pumps",),
+    "drive": ("drive_lost", "runs_on", "drive_fault", "drive_local", "second_master",
+              "start_failed"),
+    "drive timeout": ("drive_timeout", "drive_guards_later"),
+}
+_WARNINGS = {"drive_local", "second_master", "start_failed", "drive_guards_later"}
 # The fields of a request for a dose.
 _DOSE = (
     Parameter("volume", 0.0, "m3", meaning="the volume", optional=False),
@@ -199,10 +207,10 @@ class PumpNode(ActuatorNode):
 
     def _observe(self, snapshot: DriveSnapshot, now: float) -> Observation:
         status = snapshot.status_at(now)
-        # A trip of the drive's own timeout clears automatically, and one that is being
-        # acknowledged does not count.
-        counts = status is not None and not status.timed_out and now >= self._resetting_until
-        values = {name: self._value(name) for name in _INPUTS}
+        values = {
+            name: float(entry.value) if self.acted and entry.good else None
+            for name, entry in self._by_name.items()
+        }
         if values["flow"] is None and status is not None:
             values["flow"] = status.flow
         return Observation(
@@ -210,49 +218,40 @@ class PumpNode(ActuatorNode):
             displacements=self._levels.displacements,
             time_ns=time.time_ns(),
             speed=None if status is None else status.speed,
-            drive_ready=status is not None and (status.ready or status.running),
-            drive_fault=status.fault if status is not None and counts else "",
-            runs_on=status is not None and status.runs_on,
-            reasons=[*self._reasons(snapshot, now)],
+            # A fault that is being acknowledged does not count.
+            reasons=[
+                reason for reason in self._reasons(snapshot, now)
+                if now >= self._resetting_until or reason.code not in ("runs_on", "drive_fault")
+            ],
         )
-
-    def _value(self, name: str) -> float | None:
-        """Return the value of an input; None if it is unknown."""
-        entry = self._by_name[name]
-        return float(entry.value) if self.acted and entry.good else None
 
     def _reasons(self, snapshot: DriveSnapshot, now: float) -> Iterator[Diagnosis]:
         """Yield this node's own reasons for keeping the pump off."""
+        # Another pump node may use the same drive; then neither runs it.
+        if second := self._flows.describe_second():
+            yield Diagnosis.of("two_pumps", topic=self._flows.full_name, problem=second)
+        yield from filter(None, (snapshot.second_master, snapshot.start_failed))
         status = snapshot.status_at(now)
-        if status is not None and not status.remote:
+        if status is None:
+            problem = snapshot.problem or f"it has not responded for {LIMIT_S:g} s"
+            yield Diagnosis.of("drive_lost", problem=problem)
+            return
+        if status.fault and status.runs_on:
+            yield Diagnosis.of("runs_on", "drive", fault=status.fault)
+        elif status.fault:
+            yield Diagnosis.of("drive_fault", fault=status.fault)
+        if not status.remote:
             yield Diagnosis.of("drive_local", "local")
-        yield from filter(None, (
-            snapshot.absence_at(now), snapshot.second_master, snapshot.start_failed,
-            self._second_pump(), *(self._unprotected(snapshot) if status else ()),
-        ))
-
-    def _unprotected(self, snapshot: DriveSnapshot) -> Iterator[Diagnosis | None]:
-        """Yield the reasons why a responding drive must not run yet, as nothing might stop it."""
-        yield snapshot.unguarded
-        yield self._exchange.timeout_problem(snapshot)
+        if not status.ready and not status.running:
+            yield Diagnosis.of("drive_not_ready")
+        # Nothing might stop it if this computer failed, or nothing keep it off after a restart.
+        if snapshot.unguarded:
+            yield snapshot.unguarded
         if not self.state_file.saved:
             why = self.state_file.problem or "the state is not saved yet"
             yield Diagnosis.of("state_not_kept", why=why)
 
-    def _second_pump(self) -> Diagnosis | None:
-        """Return a diagnosis if another pump node may use the same drive; then neither runs it."""
-        if second := self._flows.describe_second():
-            return Diagnosis.of("two_pumps", topic=self._flows.full_name, problem=second)
-        return None
-
     # --- reports ----------------------------------------------------------------------------------
-
-    def trouble(self) -> DriveState | None:
-        """Return what is wrong with the drive, if anything."""
-        snapshot = self._exchange.snapshot
-        if snapshot.absence_at(boot_time()):
-            return DriveState.CONNECTING
-        return DriveState.REFUSED if any(self._unprotected(snapshot)) else None
 
     def progress(self) -> dict[str, Any]:
         """Return the values that bringup shows and waits for."""
@@ -266,35 +265,29 @@ class PumpNode(ActuatorNode):
     def report(self) -> None:
         """Report on every part of the node."""
         super().report()
-        diagnose = self.reports.diagnose
-        diagnose("flow", self._second_pump(), "this is the only pump node")
-        for part, names in _PARTS.items():
+        diagnose, endpoint = self.reports.diagnose, self._exchange.endpoint
+        for part, names in _INPUT_PARTS.items():
             bad = bad_inputs(self._by_name[name] for name in names)
             diagnose(part, bad, "the latest value is used")
-        now, snapshot, endpoint = boot_time(), self._exchange.snapshot, self._exchange.endpoint
-        status = snapshot.status_at(now)
         if unverified := ", ".join(endpoint.file.unverified):
             diagnose("drive file", Diagnosis.of(
                 "drive_file_unverified", file=str(endpoint.file.path), settings=unverified
             ), level=WARN)
-        if status is None:
-            diagnose("drive", snapshot.absence_at(now))
-            return
-        self.reports.hardware = f"{endpoint.file}, {endpoint}"
-        warning = snapshot.problem
-        level, diagnosis = WARN, snapshot.second_master
-        if status.fault:
-            level, diagnosis = ERROR, drive_fault(status.fault, status.runs_on)
-        elif not status.remote:
-            diagnosis = Diagnosis.of("drive_local", "local")
-        elif diagnosis is None and warning:
-            diagnosis = Diagnosis.of("drive_warning", warning=warning)
-        diagnose("drive", diagnosis, f"connected to {endpoint.file}", level)
-        well = f"if this computer fails, the drive stops after {snapshot.timeout_s or 0:g} s"
-        useless = self._exchange.timeout_problem(snapshot)
-        diagnose(
-            "drive timeout", useless or snapshot.unguarded, well, ERROR if useless else WARN
-        )
+        snapshot, now = self._exchange.snapshot, boot_time()
+        found = {reason.code: reason for reason in self._reasons(snapshot, now)}
+        well = {
+            "flow": "this is the only pump node", "drive": f"connected to {endpoint.file}",
+            "drive timeout":
+                f"if this computer fails, the drive stops after {snapshot.timeout_s or 0:g} s",
+        }
+        if "drive_lost" in found:
+            del well["drive timeout"]  # it stays as it was
+        else:
+            self.reports.hardware = f"{endpoint.file}, {endpoint}"
+        for part, words in well.items():
+            reason = next((found[code] for code in _PARTS[part] if code in found), None)
+            warns = reason is not None and reason.code in _WARNINGS
+            diagnose(part, reason, words, WARN if warns else ERROR)
 
 
 main = live_command(PumpNode, __doc__)

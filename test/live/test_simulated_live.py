@@ -28,7 +28,7 @@ def test_a_new_site_is_watered_within_a_minute(domain: int, tmp_path: Path) -> N
             [sys.executable, "-m", "greenroof_ros", "status"], env=environment(domain),
             capture_output=True, text=True, check=False,
         )
-        return "pump is running" in status.stdout
+        return "pump: running" in status.stdout
 
     wait_for(pumps, 60, "the watering")
     site.process.send_signal(signal.SIGINT)

@@ -336,7 +336,7 @@ def test_a_dose_has_its_progress(dose: dict[str, Any], flow: float, advice: str)
 def test_a_pump_that_may_turn_is_an_alarm() -> None:
     """Placeholders on its topics are not shown: neither off nor 0.0 L/min."""
     lost = alarm("/pump: pump", "pump", "stands_unknown", "off: no connection to the drive")
-    graph = watched("live", alarm("/pump: drive", "pump", "drive_warning", "warm", WARN), lost)
+    graph = watched("live", alarm("/pump: drive", "pump", "start_failed", "warm", WARN), lost)
     pump_says(graph, 100.0, "off: no connection", at_rest=False, speed=None, flow=None)
     add_values(graph, 61, 62, {"/pump/flow": 0.0})
     document = shown(graph)
@@ -398,7 +398,7 @@ def test_alarms_have_an_order_and_what_follows_is_not_listed() -> None:
         alarm("/mpc", "controller", "not_heard", "silent", 3, since="2021-07-20T05:00:40+00:00"),
         alarm("/pump: command", "pump", "input_silent", "it is old", follows="/mpc"),
         alarm("/weather: sky", "weather", "x", "y", number="", starting="true"),
-        alarm("/pump: drive", "pump", "drive_warning", "warm", WARN),
+        alarm("/pump: drive", "pump", "start_failed", "warm", WARN),
         alarm("/pump: drive", "pump", "drive_lost", "lost", OK,
               since="2021-07-19T05:00:00+00:00", ended="2021-07-20T05:00:45+00:00"),
     )

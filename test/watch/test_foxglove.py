@@ -19,8 +19,8 @@ from typing import Any
 
 import pytest
 from commands import run_command
-from graphs import Process, alive, environment, wait_for
-from test_watch_command import child_of, tcp_addresses_of
+from graphs import Process, alive, children_of, environment, wait_for
+from test_watch_command import tcp_addresses_of
 
 from greenroof_ros.interface.topics import read_topics
 
@@ -104,7 +104,7 @@ def test_a_client_receives_the_roofs_level_as_in_the_bag(domain: int, tmp_path: 
         "--foxglove", "0", "--output", "run", "--namespace", "site1", cwd=tmp_path,
     )
     port = port_of(run.stderr)
-    server = child_of(run)
+    (server,) = children_of(run.process.pid)
     assert tcp_addresses_of(server) == {"0100007F"}
     channel, found = receive(port, f"/site1{LEVEL}", 40)
     assert (channel["encoding"], channel["schemaName"], channel["schemaEncoding"]) == (

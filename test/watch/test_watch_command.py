@@ -19,6 +19,7 @@ from commands import run_command
 from graphs import (
     Process,
     alive,
+    children_of,
     environment,
     files_of,
     free_ports,
@@ -158,11 +159,10 @@ def test_a_token_that_can_be_guessed_is_refused(tmp_path: Path) -> None:
 
 def child_of(process: Process, command: bytes = b"greenroof_ros\0watch") -> int:
     """Return the process with this command that another has started; 0 for none."""
-    for children in Path(f"/proc/{process.process.pid}/task").glob("*/children"):
+    for pid in children_of(process.process.pid):
         with suppress(OSError):  # it has just ended
-            for pid in children.read_text().split():
-                if command in Path(f"/proc/{pid}/cmdline").read_bytes():
-                    return int(pid)
+            if command in Path(f"/proc/{pid}/cmdline").read_bytes():
+                return pid
     return 0
 
 

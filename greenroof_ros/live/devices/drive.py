@@ -21,6 +21,8 @@ from greenroof_ros.live.devices.drive_file import (
 from greenroof_ros.live.devices.modbus_line import Address, DriveError, decode, limits
 from greenroof_ros.physics.pump import STANDSTILL
 
+TIMEOUT_S = 0.5
+"""maximum time to wait for each response (s)"""
 # Time between two checks of whether a drive has reached a state (s).
 _POLL_S = 0.05
 
@@ -67,7 +69,7 @@ class Drive:
         line: the connection.
     """
 
-    def __init__(self, file: DriveFile, address: Address, timeout_s: float = 0.5) -> None:
+    def __init__(self, file: DriveFile, address: Address, timeout_s: float = TIMEOUT_S) -> None:
         """Prepare the drive without opening a connection.
 
         Args:
@@ -358,13 +360,10 @@ class DriveEndpoint:
         place = self.address.canonical_name(PORT).strip("/")
         return place if self.address.line else f"{place}-{self.file.device_id_at(self.address)}"
 
-    def connection(self, timeout_s: float = 0.5) -> Drive:
+    def connection(self) -> Drive:
         """Return the drive on a new connection that is not yet open and must be opened only once.
-
-        Args:
-            timeout_s: maximum time to wait for a connection and for each response (s).
 
         Raises:
             ConfigurationError: if the Modbus library is not installed.
         """
-        return Drive(self.file, self.address, timeout_s)
+        return Drive(self.file, self.address)

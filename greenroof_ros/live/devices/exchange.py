@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import socket
+import threading
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.processes import LockedError, acquire_name_lock
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.boot_clock import boot_time
-from greenroof_ros.live.devices.drive import Drive, DriveEndpoint, DriveStatus
+from greenroof_ros.live.devices.drive import TIMEOUT_S, Drive, DriveEndpoint, DriveStatus
 from greenroof_ros.live.devices.drive_file import (
     LIMIT_S,
     MAX_RAMP_S,
@@ -26,8 +27,6 @@ from greenroof_ros.live.devices.drive_file import (
 from greenroof_ros.live.devices.modbus_line import DeviceThread, DriveError, parse_drive_address
 from greenroof_ros.live.devices.relay import Relay, RelayEndpoint
 
-# How long each request may wait for its response (s).
-TIMEOUT_S = 0.5
 # The connection is treated as lost after this many consecutive rounds without a valid answer.
 LOST_AFTER = 2
 # Time without a request of the caller after which the drive is stopped (s).
@@ -157,17 +156,16 @@ class DriveSnapshot:
         problem: description of the last problem if it persists; otherwise empty.
         connected: whether the drive is connected and responding; after `close`, it is not.
         status: last status of the drive; None without a connection, unless the drive is left in
-            silence because it runs on. After `close`, this is the status at the time when the drive
-            was released, possibly before it reached standstill, or None if it could not be read.
+            silence because it runs on, and no reset was requested since. After `close`, this is the
+            status at the time when the drive was released, possibly before it reached standstill,
+            or None if it could not be read.
         timeout_s: communication timeout of the drive (s); None if it is off.
-        timeout_note: reason why the timeout is treated as off.
-        unguarded: diagnosis that the connected drive is kept off because its own timeout may not be
-            effective yet; None if the timeout is effective.
+        unguarded: diagnosis that the drive's own timeout is unusable, or may not be effective yet;
+            None if the timeout is effective.
         second_master: diagnosis that another program or a person controls the drive, which is
             therefore kept off; None if nobody else controls the drive.
         start_failed: reason why the drive was stopped although a speed was requested; None once
             *off* is requested.
-        errors: number of failures since the thread was started.
     """
 
     read_at: float = -math.inf
@@ -175,22 +173,13 @@ class DriveSnapshot:
     connected: bool = False
     status: DriveStatus | None = None
     timeout_s: float | None = None
-    timeout_note: str = ""
     unguarded: Diagnosis | None = None
     second_master: Diagnosis | None = None
     start_failed: Diagnosis | None = None
-    errors: int = 0
 
     def status_at(self, now: float) -> DriveStatus | None:
         """Return the drive's last status; None if the status is too old at the given time."""
         return self.status if now - self.read_at < LIMIT_S else None
-
-    def absence_at(self, now: float) -> Diagnosis | None:
-        """Return the reason why there is no status at the given time; None if one is available."""
-        if self.status_at(now) is not None:
-            return None
-        problem = self.problem or f"it has not responded for {LIMIT_S:g} s"
-        return Diagnosis.of("drive_lost", problem=problem)
 
 
 class DriveExchange(DeviceThread):
@@ -236,9 +225,9 @@ class DriveExchange(DeviceThread):
             ConfigurationError: if a library is not installed or a login file is invalid.
         """
         super().__init__("communication with the drive")
-        self._snapshot = DriveSnapshot()
+        self._snapshot, self._lock = DriveSnapshot(), threading.Lock()
         self.endpoint, self.flows_at_rest = endpoint, False
-        self._drive: Drive | Relay = endpoint.connection(TIMEOUT_S)
+        self._drive: Drive | Relay = endpoint.connection()
         self._drive_lock: socket.socket | None = None
         self._timeout_limit_s, self._stops_locally = timeout_limit_s, stops_locally
         # Read and written as a whole, so no lock is needed.
@@ -252,6 +241,7 @@ class DriveExchange(DeviceThread):
         self._other_until = self._guarded_from = self._settings_read_at = -math.inf
         guard = endpoint.guard
         self._unguarded_s = 0.0 if guard is None else guard.unguarded_after_power_up_s
+        self._useless: Diagnosis | None = None  # why its own timeout is unusable
         # Number of consecutive rounds without a valid answer.
         self._unanswered = 0
         # Whether the last *stop* on this connection was taken, None before any, and the number of
@@ -275,8 +265,8 @@ class DriveExchange(DeviceThread):
         """
         self._requested = (None, -math.inf)
         if not self._stop_thread(REST_LIMIT_S + MAX_WAIT_S):
-            self._fail("could not confirm that the pump has stopped: the connection hangs",
-                       connected=False, status=None)
+            problem = "could not confirm that the pump has stopped: the connection hangs"
+            self._update(problem=problem, connected=False, status=None)
         elif self._drive_lock is not None:
             self._drive_lock.close()
 
@@ -295,22 +285,23 @@ class DriveExchange(DeviceThread):
             f"{status or snapshot.problem}; now only a person at its panel{timeout} can stop it"
         )
 
-    def timeout_problem(self, snapshot: DriveSnapshot) -> Diagnosis | None:
-        """Return a diagnosis if the drive's own communication timeout is unusable, or None."""
-        guard, seconds = self.endpoint.guard, snapshot.timeout_s
-        if seconds is None or guard is None:
-            note = snapshot.timeout_note
-        elif seconds > self._timeout_limit_s:
+    def judge_timeout(self, seconds: float | None, note: str) -> Diagnosis | None:
+        """Return a diagnosis if the drive's own communication timeout is unusable, or None.
+
+        Args:
+            seconds: the timeout (s); None if it is off.
+            note: the reason why it is off.
+        """
+        guard = self.endpoint.guard
+        if seconds is not None and seconds > self._timeout_limit_s:
             note = f"it is {seconds:g} s, but must be at most {self._timeout_limit_s:g} s"
-        elif guard.local_settings_decide and not self._stops_locally:
-            note = (
+        elif seconds is not None and guard and guard.local_settings_decide:
+            note = "" if self._stops_locally else (
                 "it depends on drive settings that cannot be read: set the drive to stop the pump, "
                 "check that it does, and confirm this (local_settings_stop_the_pump: true)"
             )
-        else:
-            return None
-        repair = "not described" if guard is None else guard.how_to_set
-        return Diagnosis.of("drive_timeout", note=note, repair=repair)
+        repair = guard.how_to_set if guard else "not described"
+        return Diagnosis.of("drive_timeout", note=note, repair=repair) if note else None
 
     def request_speed(self, speed: float | None) -> None:
         """Request a speed (share of the rated speed), or off (None); valid for `DEAD_MAN_S`.
@@ -335,18 +326,19 @@ class DriveExchange(DeviceThread):
         """Request that the thread stop the drive and acknowledge its fault.
 
         Only a fault that is active now is acknowledged: the request expires if there is no
-        connection, or another program controls the drive.
+        connection, or another program controls the drive. A drive in silence is judged anew after
+        the silence; until then, its status is unknown.
         """
         self._reset_requested = True
+        if not self._snapshot.connected:
+            self._update(status=None)
         self._wake.set()
 
     # --- in the thread ----------------------------------------------------------------------------
 
     def _update(self, **changes: Any) -> None:
-        self._snapshot = replace(self._snapshot, **changes)
-
-    def _fail(self, problem: str, **changes: Any) -> None:
-        self._update(problem=problem, errors=self._snapshot.errors + 1, **changes)
+        with self._lock:
+            self._snapshot = replace(self._snapshot, **changes)
 
     def _must_not_wait(self) -> bool:
         return self._closing or self._stop_requested
@@ -399,12 +391,13 @@ class DriveExchange(DeviceThread):
             if fall is not None:  # that timeout may ramp it down
                 fall.since = now + wait_s + MAX_RAMP_S
         self._connect_at, self._done = now + wait_s, self._last_attempt
-        self._fail(problem, connected=False, status=self._snapshot.status if unseen else None)
+        status = self._snapshot.status if unseen else None
+        self._update(problem=problem, connected=False, status=status)
         self._drive.line.close()
 
     def _connect(self) -> None:
         """Connect, and stop the drive."""
-        self._drive = drive = self.endpoint.connection(TIMEOUT_S)
+        self._drive = drive = self.endpoint.connection()
         self._unanswered, self._stopped, self._reset_requested = 0, None, False
         drive.line.connect()
         self._settings_read_at = -math.inf
@@ -423,7 +416,8 @@ class DriveExchange(DeviceThread):
                 raise
             seconds, note = None, str(error)
         self._settings_read_at = time.monotonic()
-        self._update(timeout_s=seconds, timeout_note=note)
+        self._update(timeout_s=seconds)
+        self._useless = self.judge_timeout(seconds, note)
 
     def _run_cycle(self) -> None:
         """Write the requested speed or *stop*, and read the drive's status."""
@@ -438,7 +432,7 @@ class DriveExchange(DeviceThread):
             self._unanswered += 1
             if self._unanswered >= LOST_AFTER or not self._drive.line.connected:
                 raise
-            self._fail(str(error))
+            self._update(problem=str(error))
             # The remainder of a late answer must not be read as the next answer.
             time.sleep(self.endpoint.period)
             return
@@ -448,7 +442,7 @@ class DriveExchange(DeviceThread):
         self._reset_requested |= status.timed_out
         self._update(
             connected=True, status=status, read_at=boot_time(), problem=problem,
-            unguarded=self._unguarded(),
+            unguarded=self._useless or self._unguarded(),
         )
         if not self._closing:
             self._pause(self.endpoint.period - (time.monotonic() - started))
@@ -480,7 +474,7 @@ class DriveExchange(DeviceThread):
         if other is not None:
             self._other_until = now + LIMIT_S
             self._fall = None  # the drive may obey the other writer
-            self._fail(other.sentence, second_master=other)
+            self._update(problem=other.sentence, second_master=other)
         elif now >= self._other_until:
             self._update(second_master=None)
         if self._requested[0] is None:
@@ -500,7 +494,7 @@ class DriveExchange(DeviceThread):
                 raise
             self._stop()
             failed = Diagnosis.of("start_failed", "failed", problem=str(error))
-            self._fail(failed.sentence, start_failed=failed)
+            self._update(problem=failed.sentence, start_failed=failed)
             return failed.sentence
         return ""
 

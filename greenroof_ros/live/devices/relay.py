@@ -69,16 +69,13 @@ class RelayEndpoint:
         """
         return f"{Address(self.broker.host).canonical_name(self.broker.port)}-{self.device}"
 
-    def connection(self, timeout_s: float = _ANSWER_S) -> Relay:
+    def connection(self) -> Relay:
         """Return the relay on a new connection that is not yet open and must be opened only once.
-
-        Args:
-            timeout_s: maximum time to wait for a reply (s), which is at least 1 s.
 
         Raises:
             ConfigurationError: if the MQTT library is not installed or a login file is invalid.
         """
-        return Relay(self, max(timeout_s, _ANSWER_S))
+        return Relay(self)
 
 
 class RelayLine:
@@ -89,19 +86,17 @@ class RelayLine:
         last_message: message to publish before the connection is closed; None for none.
     """
 
-    def __init__(self, relay: RelayEndpoint, timeout_s: float) -> None:
+    def __init__(self, relay: RelayEndpoint) -> None:
         """Prepare the connection without opening it.
 
         Args:
             relay: the relay.
-            timeout_s: maximum time to wait for a reply (s).
 
         Raises:
             ConfigurationError: if the MQTT library is not installed or a login file is invalid.
         """
         self.where = str(relay)
         self.last_message: RelayMessage | None = None
-        self._timeout_s = timeout_s
         # All connections use this name, so a broker can restrict who may publish under it.
         self._placeholders = {"device": relay.device, "me": f"greenroof_ros-{relay.device}"}
         questions = (relay.file.state, relay.file.timer, *relay.file.must)
@@ -168,7 +163,7 @@ class RelayLine:
             self._received = queue.SimpleQueue()  # earlier messages answer no question
         self._awaited[question.path] += 1
         self.publish(question)
-        topic, until = self._fill(question.answer), time.monotonic() + self._timeout_s
+        topic, until = self._fill(question.answer), time.monotonic() + _ANSWER_S
         while self.connected and (message := self._receive(until)) is not None:
             with suppress(ValueError, LookupError, RecursionError):  # not a reply to this
                 reply = json.loads(message[1]) if message[0] == topic else {}
@@ -178,8 +173,7 @@ class RelayLine:
                     return value
         if not self.connected:
             raise self.error("connection", f"the connection was closed: {self._closed_by}")
-        raise self.error(
-            "answer", f"no valid reply with {question.path} within {self._timeout_s:g} s")
+        raise self.error("answer", f"no valid reply with {question.path} within {_ANSWER_S:g} s")
 
     def error(self, kind: str, problem: str) -> DriveError:
         """Return an error that names the relay and the problem."""
@@ -218,17 +212,16 @@ class Relay:
         line: the connection.
     """
 
-    def __init__(self, endpoint: RelayEndpoint, timeout_s: float) -> None:
+    def __init__(self, endpoint: RelayEndpoint) -> None:
         """Prepare the relay without opening a connection.
 
         Args:
             endpoint: the relay and its address.
-            timeout_s: maximum time to wait for a reply (s).
 
         Raises:
             ConfigurationError: if the MQTT library is not installed or a login file is invalid.
         """
-        self._file, self.line = endpoint.file, RelayLine(endpoint, timeout_s)
+        self._file, self.line = endpoint.file, RelayLine(endpoint)
         # The state that was last ordered, None if unknown; and the state that it has reported since
         # *on* was last published, None if it has not answered.
         self._ordered: bool | None = None

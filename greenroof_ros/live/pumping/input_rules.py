@@ -197,23 +197,14 @@ class InputRules:
 
         Args:
             now: time of a steady clock (s).
-            value: the value.
-            refused: diagnosis of a value that is rejected; None if the value is accepted.
+            value: the value; None if there is none.
+            refused: why the value must not be used, without its topic; None if it may be used.
         """
         self.check(now)  # the input may have been silent until now
         self._received_at, self._newest = now, refused
         if refused is None and self.level is not None and isinstance(value, float):
             self._newest = self.level.check(now, value)
         return self.check(now)
-
-    def refuse(self, now: float, why: str) -> Diagnosis | None:
-        """Reject the latest value, because its recipient cannot use it."""
-        self._newest = Diagnosis.of("input_refused", "refused", why=why)
-        return self.check(now)
-
-    def clear(self, now: float, seconds: float) -> None:
-        """Discard the latest value, because this process itself was paused for the given time."""
-        self._received_at, self._newest = now, Diagnosis.of("input_paused", time=seconds)
 
     def check(self, now: float, publishers: str = "") -> Diagnosis | None:
         """Return the diagnosis of an input that must not be used; None if it may be used.

@@ -7,7 +7,7 @@ interlock is active. The state file keeps a latched fault until someone clears i
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from greenroof_ros.interface.conditions import (
@@ -54,9 +54,7 @@ class Decision:
         return PumpState(self.state, self.why, tuple(self.active))
 
 
-def evaluate(
-    state_file: StateFile, faults: Iterable[Diagnosis], reasons: Iterable[Diagnosis]
-) -> dict[str, Diagnosis]:
+def evaluate(state_file: StateFile, reasons: Iterable[Diagnosis]) -> dict[str, Diagnosis]:
     """Latch a fault, and return the active interlocks by code, in the order of the table.
 
     The first fault is kept, except that one that may be cleared on the page gives way to one that
@@ -64,16 +62,20 @@ def evaluate(
 
     Args:
         state_file: state file, with a hold and a latched fault.
-        faults: the present faults.
-        reasons: further reasons to keep the actuator off.
+        reasons: the present reasons to keep the actuator off, among them faults.
     """
-    present = _in_order(faults)
-    for fault in present.values():
-        stored = state_file.state
-        replaces = _is_cleared_on_page(stored.fault_code) > _is_cleared_on_page(fault.code)
-        if not stored.fault or replaces:
-            state_file.fault(fault.sentence, fault.code)
-    return _in_order([*present.values(), *reasons, *_stored_reasons(state_file)])
+    table, present = read_interlocks(), _in_order(reasons)
+    for code, reason in present.items():
+        gives_way = not clear_refusal(state_file) and not table[code].on_page
+        if table[code].kind == LATCHED and (gives_way or not state_file.state.fault):
+            state_file.change(fault=reason.sentence, fault_code=code)
+    stored = state_file.state
+    kept = [Diagnosis.if_any("state_unknown", stored.unknown), state_file.active_hold]
+    if stored.fault:
+        known = stored.fault_code in table and table[stored.fault_code].kind == LATCHED
+        # The sentence as it was when the fault latched.
+        kept.append(Diagnosis(stored.fault_code if known else "state_unknown", stored.fault))
+    return _in_order([*present.values(), *filter(None, kept)])
 
 
 def state_of(active: Mapping[str, Diagnosis]) -> tuple[str, str]:
@@ -86,7 +88,8 @@ def clear_refusal(state_file: StateFile) -> str:
     """Return the reason why the latched fault cannot be cleared from the page; empty if it can."""
     if not state_file.state.fault:
         return "there is no fault"
-    if not _is_cleared_on_page(state_file.state.fault_code):
+    row = read_interlocks().get(state_file.state.fault_code)
+    if row is None or not row.on_page:
         return "someone who has checked the pump must reset this fault at the pump node"
     return ""
 
@@ -103,25 +106,6 @@ def _in_order(reasons: Iterable[Diagnosis]) -> dict[str, Diagnosis]:
             active[code] = present[code]
             kinds.add(interlock.kind)
     return active
-
-
-def _stored_reasons(state_file: StateFile) -> Iterator[Diagnosis]:
-    """Yield the reasons in the state file: unknown contents, a hold, and a latched fault."""
-    stored, hold = state_file.state, state_file.active_hold
-    if stored.unknown:
-        yield Diagnosis.of("state_unknown", why=stored.unknown)
-    if stored.fault:
-        row = read_interlocks().get(stored.fault_code)
-        known = row is not None and row.kind == LATCHED
-        # The sentence as it was when the fault latched.
-        yield Diagnosis(stored.fault_code if known else "state_unknown", stored.fault)
-    if hold:
-        yield hold
-
-
-def _is_cleared_on_page(code: str) -> bool:
-    row = read_interlocks().get(code)
-    return row is not None and row.on_page
 
 
 class Following:

@@ -47,10 +47,7 @@ class Observation:
         speed: speed of the drive, as a share of the rated speed; negative if the pump turns
             backwards.
         flow: flow that a flow meter or, without one, the drive measures (m3/s).
-        drive_ready: whether the drive is running, or would run if requested.
-        drive_fault: the drive's fault, as text; empty if there is none.
-        runs_on: whether the fault means that the drive does not obey a stop.
-        reasons: the pump node's own reasons for keeping the pump off.
+        reasons: the pump node's own reasons for keeping the pump off, among them the drive's fault.
     """
 
     command: float | None = None
@@ -61,9 +58,6 @@ class Observation:
     time_ns: int = 0
     speed: float | None = None
     flow: float | None = None
-    drive_ready: bool = False
-    drive_fault: str = ""
-    runs_on: bool = False
     reasons: Sequence[Diagnosis] = ()
 
 
@@ -204,6 +198,7 @@ class PumpLimits:
             (observed.cistern_level, "cistern_level_unknown"),
             (observed.roof_level, "roof_level_unknown"),
             (observed.frost, "frost_unknown"),
+            (observed.speed, "drive_not_ready"),
         ):
             if value is None:
                 yield Diagnosis.of(code)

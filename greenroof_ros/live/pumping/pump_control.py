@@ -18,6 +18,7 @@ from greenroof_ros.site.site import Site
 
 # A measured flow above this multiple of the maximum flow is implausible.
 _MAX_FLOW = 1.5
+_FULL = "the roof is at its target"
 AFTERFLOW_S = 12.0
 """time for which a meter may show a flow after its end (s); sensor_file allows 10 s"""
 
@@ -89,20 +90,18 @@ class PumpControl:
             dt, observed.cistern_level, observed.roof_level, least, most, observed.displacements,
         )
         on = self._request is not None and speed is not None
-        reasons = [*self._limits.reasons(observed, on), *observed.reasons]
-        if not observed.drive_ready:
-            reasons.append(Diagnosis.of("drive_not_ready"))
-        faults = filter(None, (undelivered, *self._faults(dt, observed, level)))
-        active = evaluate(self._state_file, faults, reasons)
+        active = evaluate(self._state_file, [
+            *self._limits.reasons(observed, on), *self._faults(dt, observed, level),
+            *filter(None, (undelivered,)), *observed.reasons,
+        ])
         full = observed.roof_level is not None and observed.roof_level >= self._site.z_veg
-        self.doses.inhibited = "the roof is at its target" if full else ""
-        if full:
-            self.doses.end(self.doses.inhibited)
-        if active:
-            request, (state, why) = None, state_of(active)
-            self._pulses.clear()
+        state, why = state_of(active) if active else ("off", _FULL if full else "")
+        self.doses.inhibited = why
+        if why:
             self.doses.end(why)
-            self.doses.inhibited = why
+        if active:
+            request = None
+            self._pulses.clear()
         else:
             assert observed.command is not None
             self.doses.minimum = self._pulses.min_pulse(level)
@@ -168,7 +167,7 @@ class PumpControl:
         return self._max_speed <= STANDSTILL or self._unknown_for > self._drive_stops_after
 
     def _faults(self, dt: float, observed: Observation, level: float) -> Iterator[Diagnosis]:
-        """Yield the current faults of the drive, and of a pump that does not obey it."""
+        """Yield the faults of a pump that does not do what the drive reports or is told."""
         speed, request = observed.speed, self._request or 0.0
         # A drive knows the state of its motor, and a relay its last command; neither detects a
         # welded contact.
@@ -185,8 +184,6 @@ class PumpControl:
                 "runs_on" if self._request is None else "speed_not_followed", "speed",
                 speed=speed or 0.0, requested=request, time=self._following.error_for,
             )
-        if observed.drive_fault:
-            yield drive_fault(observed.drive_fault, observed.runs_on)
 
     def _follow(self, command: float, level: float, full: bool) -> tuple[float | None, str]:
         """Return the speed for a command or a dose (None for off), and the reason.
@@ -209,7 +206,7 @@ class PumpControl:
             share, why = minimum, f"it must stay on for at least {self._settings.min_on:g} s"
         wait, why_wait = self._limits.wait()
         if share == 0 and command == 0:
-            return None, "the roof is at its target" if full else "the command is 0"
+            return None, _FULL if full else "the command is 0"
         if share == 0:
             due_in = math.ceil(max(wait, pulses.due_in))
             return None, f"the next pulse is due in {duration(due_in)}"
@@ -220,10 +217,3 @@ class PumpControl:
         if dose is not None:
             dose.why = why
         return request, why
-
-
-def drive_fault(fault: str, runs_on: bool) -> Diagnosis:
-    """Return the fault of a drive; ``runs_on`` means that the drive does not obey a stop."""
-    return Diagnosis.of("runs_on", "drive", fault=fault) if runs_on else (
-        Diagnosis.of("drive_fault", fault=fault)
-    )

@@ -70,10 +70,10 @@ _LINE = 4096
 # how many of them a line contains.
 _MAX_STARTS, _SAVED_STARTS = 3600, 100
 # The texts that people write or read, and the maximum length of each.
-_TEXTS, _MAX_TEXT = ("hold_owner", "hold_reason", "unknown", "fault"), 350
+_TEXTS, _MAX_TEXT = {"hold_owner", "hold_reason", "unknown", "fault"}, 350
 # The format of the file. In another one, a key has another meaning; a new key does not change it.
 _VERSION = 1
-# The number next to the file may be behind by this much: each kill between the two adds up to 2.
+# The number next to the file may be behind by this much: each kill between the two adds 1.
 _UNNOTED = 10_000
 # A service waits this long for the disk (s), well below the silence after which a node is killed.
 _WAIT_S = 0.5
@@ -198,8 +198,7 @@ class StateFile:
         ends = [until, self.state.hold_until] if self.active_hold else [until]
         last = None if None in ends else max(end for end in ends if end is not None)
         self.change(
-            hold_owner=owner[:_MAX_TEXT], hold_reason=reason[:_MAX_TEXT],
-            hold_since=self._clock(), hold_until=last,
+            hold_owner=owner, hold_reason=reason, hold_since=self._clock(), hold_until=last,
         )
         return last == until
 
@@ -207,12 +206,10 @@ class StateFile:
         """End the hold, regardless of its owner."""
         self.change(hold_owner="", hold_reason="", hold_since=None, hold_until=None)
 
-    def fault(self, text: str, code: str) -> None:
-        """Latch a fault with its interlock's code; an empty text clears it."""
-        self.change(fault=text[:_MAX_TEXT], fault_code=code)
-
     def change(self, **changes: Any) -> None:
-        """Change fields of the state, and save it."""
+        """Change fields of the state, and save it; an empty ``fault`` clears that."""
+        for name in _TEXTS & changes.keys():
+            changes[name] = changes[name][:_MAX_TEXT]
         self.state = replace(self.state, **changes)
         self.save()
 
@@ -285,12 +282,10 @@ class StateFile:
         file, state, number = self.file, self._latest, self._number + 1
         try:
             if self._exists:
-                _overwrite(file, _place(number), _format(number, state))
+                _overwrite(file, _LINE * ((number + 1) % 2), _format(number, state))
                 _overwrite(_number_file(file), 0, b"%-24d\n" % number)
             else:
-                number += 1
-                lines = sorted((number - 1, number), key=_place)
-                content = b"".join(_format(line, state) for line in lines)
+                content = 2 * _format(number, state)
                 replace_file(file, lambda stream: stream.write(content), parents=True)
                 replace_text(_number_file(file), f"{number:<24}\n")
                 directory = os.open(file.parent, os.O_RDONLY)
@@ -350,11 +345,6 @@ def _read_number(file: Path) -> int | None:
         return None
     except (OSError, ValueError):
         return 0
-
-
-def _place(number: int) -> int:
-    """Return the place of a line in the file (bytes)."""
-    return _LINE * ((number + 1) % 2)
 
 
 def _overwrite(file: Path, start: int, content: bytes) -> None:

@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 from paper import PAPER_SITE, site_with
 from places import CONFIG
-from pump_rig import Rig, settings_for
+from pump_rig import LOST, Rig, settings_for
 
-from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.pumping import delivery
 from greenroof_ros.live.pumping.delivery import DeliveryCheck
 from greenroof_ros.physics.parameters import plant_parameters
@@ -23,7 +22,6 @@ NOISE = 0.005
 SLOW: dict[str, Any] = {"tau": 10.0, "noise": 0.0015}
 """for hours: ticks of 10 s, with a mean as exact as for 5 mm each second"""
 
-LOST = Diagnosis("drive_lost", "connection lost")
 
 
 def steps_to_fault(

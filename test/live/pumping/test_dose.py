@@ -8,9 +8,7 @@ from dataclasses import replace
 
 import pytest
 from paper import PAPER_SITE
-from pump_rig import Rig, settings_for
-
-from greenroof_ros.interface.conditions import Diagnosis
+from pump_rig import LOST, Rig, settings_for
 
 SITE = replace(PAPER_SITE, max_dose=0.5)
 
@@ -114,7 +112,7 @@ def test_what_cannot_begin_within_a_minute_expires() -> None:
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({"reasons": [Diagnosis("drive_lost", "no connection")]}, "no connection"),
+        ({"reasons": [LOST]}, "no connection"),
         # Even an interlock from the controller's command, which is ignored otherwise.
         ({"command": None}, "there is no command"),
         ("suspend", "there is no command"),

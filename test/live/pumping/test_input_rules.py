@@ -65,7 +65,10 @@ def test_a_level_in_another_unit_is_refused() -> None:
     assert roof.displacement == 0.0
 
 
-NAN = Diagnosis.of("input_refused", "refused", why="nan")
+REFUSED = {
+    "a value": None, "nan": Diagnosis.of("input_refused", "refused", why="nan"),
+    "pause": Diagnosis.of("input_paused", time=7.0),
+}
 # What happens at each time (s), and the rule that is then broken, for an input with a limit of 5 s
 # and a recovery of 3 s. Empty: nothing comes, and the input is only checked.
 COURSES: dict[str, list[tuple[float, str, str]]] = {
@@ -84,7 +87,6 @@ COURSES: dict[str, list[tuple[float, str, str]]] = {
     "two publishers, with any values": [
         (0.0, "a value", "recovering"), (3.0, "a value", ""), (3.5, "2 publishers", "publishers"),
         (4.0, "2 publishers", "publishers"), (4.5, "", "recovering"), (7.5, "", ""),
-        (8.0, "unusable", "refused"),
     ],
     "a pause of the node, after which all is old": [
         (0.0, "a value", "recovering"), (3.0, "a value", ""), (4.0, "pause", "paused"),
@@ -97,12 +99,8 @@ COURSES: dict[str, list[tuple[float, str, str]]] = {
 def test_courses_of_an_input(name: str) -> None:
     rules = InputRules(0.0, limit=5.0, recovery=3.0, limit_name="level_limit")
     for now, event, broken in COURSES[name]:
-        if event == "pause":
-            rules.clear(now, 7.0)
-        if event in ("a value", "nan"):
-            problem = rules.receive(now, 1.0, NAN if event == "nan" else None)
-        elif event == "unusable":
-            problem = rules.refuse(now, "it is too short")
+        if event in REFUSED:
+            problem = rules.receive(now, 1.0, REFUSED[event])
         else:
             problem = rules.check(now, "has 2 publishers" if event == "2 publishers" else "")
         assert rule(problem) == broken, now

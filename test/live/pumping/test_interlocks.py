@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from paper import PAPER_SITE
 from places import CHECKOUT
-from pump_rig import Rig, settings_for
+from pump_rig import LOST, NOT_READY, OVERLOAD, Rig, settings_for
 
 from greenroof_ros.interface.conditions import (
     INHIBIT,
@@ -35,7 +35,7 @@ def codes(decision: Decision) -> list[str]:
 AT_NIGHT = replace(PAPER_SITE, quiet_hours=("22:00-24:00",), time_zone="UTC")
 INTERLOCKS = read_interlocks()
 CAUSES: dict[str, dict[str, Any]] = {
-    "drive_fault": {"change": {"drive_fault": "overload"}},
+    "drive_fault": {"change": {"reasons": [OVERLOAD]}},
     "runs_on": {"command": 0.0, "stuck_speed": 0.6},
     "speed_not_followed": {"stuck_speed": 0.05},
     "delivery": {"command": 1.0, "arriving": 0.0, "leaving": 0.0},
@@ -50,7 +50,7 @@ CAUSES: dict[str, dict[str, Any]] = {
     "max_run": {"settings": settings_for(PAPER_SITE, max_run=60.0)},
     "daily_volume": {"record": {"volumes": (1e6,)}},
     "command_unknown": {"command": None},
-    "drive_not_ready": {"change": {"drive_ready": False}},
+    "drive_not_ready": {"change": {"reasons": [NOT_READY]}},
 }
 """changes to a rig with a running pump that cause each interlock but the pump node's own"""
 
@@ -94,7 +94,7 @@ def test_they_are_named_in_the_order_of_the_table() -> None:
     """Without what only follows: a lost drive is not ready. A fault of another version stays."""
     rig = Rig()
     rig.state_file.hold("the operator")
-    rig.state_file.fault("burst pipe", "delivery")
+    rig.state_file.change(fault="burst pipe", fault_code="delivery")
     rig.change = {
         "frost": 1.0, "roof_level": None, "reasons": [Diagnosis("drive_lost", "no answer")],
     }
@@ -102,23 +102,19 @@ def test_they_are_named_in_the_order_of_the_table() -> None:
     assert codes(decision) == ["delivery", "hold", "roof_level_unknown", "frost", "drive_lost"]
     assert decision.state == "fault"
     rig = Rig()
-    rig.change = {"drive_ready": False, "reasons": [Diagnosis("drive_lost", "no connection")]}
+    rig.change = {"reasons": [NOT_READY, LOST]}
     assert codes(rig.step(0.5)) == ["drive_lost"]
-    rig.state_file.fault("it was so", "frost")
+    rig.state_file.change(fault="it was so", fault_code="frost")
     assert codes(rig.step(0.5))[0] == "state_unknown"
 
 
 def test_faults_next_to_each_other() -> None:
-    """The first stays; another one is named next to it while it lasts, unless it only follows.
-
-    A drive that does not obey a stop, as the exchange finds it, is not a separate drive fault: a
-    person must stop it, regardless of what the drive's manual states.
-    """
+    """The first stays; another one is named next to it while it lasts, unless it only follows."""
     rig = Rig()
-    rig.state_file.fault("burst pipe", "delivery")
+    rig.state_file.change(fault="burst pipe", fault_code="delivery")
     for change, expected in (
-        ({"drive_fault": "overload"}, ["drive_fault", "delivery"]),
-        ({"drive_fault": "it acknowledges *stop*", "runs_on": True}, ["runs_on", "delivery"]),
+        ({"reasons": [OVERLOAD]}, ["drive_fault", "delivery"]),
+        ({"reasons": [OVERLOAD, Diagnosis("runs_on", "so")]}, ["runs_on", "delivery"]),
         ({}, ["delivery"]),
     ):
         rig.change = change
@@ -156,7 +152,7 @@ def test_one_release_ends_a_hold_whoever_made_it() -> None:
     decision = rig.step(0.5)
     (sentence,) = (reason.sentence for reason in decision.active.values())
     assert re.fullmatch(r"a hold by the operator since [-\d]+ [\d:]+\+00:00: a leak", sentence)
-    rig.state_file.fault("it turns at another speed", "speed_not_followed")
+    rig.state_file.change(fault="it turns at another speed", fault_code="speed_not_followed")
     rig.run(5, 1.0)
     rig.state_file.release()
     rig.clear()
@@ -169,10 +165,10 @@ def test_a_fault_of_delivery_or_drive_needs_a_person_at_the_pump(code: str) -> N
     """A speed that was not followed does not; it hides nothing that does, and no fault hides it."""
     state_file = StateFile(None)
     assert clear_refusal(state_file) == "there is no fault"
-    evaluate(state_file, [Diagnosis("speed_not_followed", "slow")], [])
+    evaluate(state_file, [Diagnosis("speed_not_followed", "slow")])
     assert clear_refusal(state_file) == ""
     for later in (code, "speed_not_followed"):
-        evaluate(state_file, [Diagnosis(later, later)], [])
+        evaluate(state_file, [Diagnosis(later, later)])
         assert state_file.state.fault_code == code
     assert bool(clear_refusal(state_file)) == (code != "speed_not_followed")
 

@@ -6,9 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from paper import PAPER_SITE
-from pump_rig import Rig, settings_for
+from pump_rig import LOST, NOT_READY, OVERLOAD, Rig, settings_for
 
-from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings
 from greenroof_ros.live.pumping.state_file import StateFile
 from greenroof_ros.physics.pump import maximum_pump_flow, pump_flow
@@ -106,8 +105,7 @@ def test_a_run_without_a_break() -> None:
 
 CHANGES: list[dict[str, object]] = [
     {}, {"frost": 1.0}, {"frost": None}, {"cistern_level": None}, {"roof_level": None},
-    {"drive_ready": False}, {"speed": None, "drive_ready": False},
-    {"reasons": [Diagnosis("drive_lost", "the cable is out")]}, {"drive_fault": "overload"},
+    {"reasons": [NOT_READY]}, {"speed": None}, {"reasons": [LOST]}, {"reasons": [OVERLOAD]},
 ]
 
 
@@ -138,7 +136,7 @@ def test_never_runs_while_anything_speaks_against_it(
         for _ in range(seconds):
             against = bool(change) or rig.levels()[0] <= 0.77 or command is None
             decision = rig.step(command)
-            fault = fault or "drive_fault" in change
+            fault = fault or change.get("reasons") == [OVERLOAD]
             if against or fault:
                 assert decision.request is None
                 assert decision.state in ("off", "stopping", "held", "fault", "unknown")

@@ -246,11 +246,14 @@ def test_a_later_request_never_shortens_a_hold(
 
 changes = st.one_of(
     st.builds(lambda reason: lambda kept: kept.hold("A", reason), st.text(max_size=900)),
-    st.builds(lambda text: lambda kept: kept.fault(text, "delivery"), st.text(max_size=900)),
+    st.builds(
+        lambda text: lambda kept: kept.change(fault=text, fault_code="delivery"),
+        st.text(max_size=900),
+    ),
     st.builds(lambda dt: lambda kept: kept.count(dt, 1e3 * dt), st.floats(0, 1e6)),
     st.sampled_from([
         lambda kept: kept.release(), lambda kept: kept.switch(True),
-        lambda kept: kept.fault("", ""),
+        lambda kept: kept.change(fault="", fault_code=""),
     ]),
 )
 
@@ -358,7 +361,7 @@ def test_a_full_disk(tmp_path: Path) -> None:
             (disk / "rubbish").write_bytes(b"x" * 100_000)
         for number in range(3):
             state_file.hold("the page", f"reason {number}")
-            state_file.fault(f"fault {number}", "delivery")
+            state_file.change(fault=f"fault {number}", fault_code="delivery")
             assert state_file.flush(20.0) == ""
             again = stored(disk / "before.json")
             assert (again.hold_reason, again.fault) == (f"reason {number}", f"fault {number}")
@@ -407,7 +410,7 @@ def test_any_state_fits_in_its_line(file: Path) -> None:
         state_file.count(1800.0, 123_456_789.01)
     state_file.state = replace(state_file.state, starts=(99_999_999_999.1,) * 3600)
     state_file.hold('"' * 1000, '"\\\x00' * 1000, 9e10 + 0.123456)
-    state_file.fault("\ud800" + "\U0001f4a7" * 400, "speed_not_followed")
+    state_file.change(fault="\ud800" + "\U0001f4a7" * 400, fault_code="speed_not_followed")
     assert state_file.close() == ""
     again = stored(file)
     assert (again.unknown, len(again.volumes), len(again.starts)) == ("", 49, 100)
@@ -495,16 +498,6 @@ def test_a_hold_is_not_forgotten_with_its_file(
     assert rig.run(30, 1.0).state == "running"
     rig.state_file.close()
     assert content == "directory" or stored(file).unknown == ""
-
-
-def test_a_moved_site_needs_no_reset(tmp_path: Path) -> None:
-    """All its files, or the state file alone, on a machine without any."""
-    held(tmp_path / "a" / "pump.json", "painting")
-    (tmp_path / "a").rename(tmp_path / "b")
-    assert stored(tmp_path / "b" / "pump.json").hold_reason == "painting"
-    (tmp_path / "b" / "pump.json.number").unlink()
-    state = stored(tmp_path / "b" / "pump.json")
-    assert (state.unknown, state.hold_reason) == ("", "painting")
 
 
 def test_a_file_that_another_program_removes_is_missed(file: Path) -> None:
