@@ -12,7 +12,7 @@ from typing import Any
 
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.listening import LOOPBACK, listen
-from greenroof_ros.watch.server import run_server
+from greenroof_ros.watch.server import PageServer
 from greenroof_ros.watch.store import GraphStore
 
 
@@ -28,7 +28,7 @@ def served(store: GraphStore, token: str | None = None, port: int = 0) -> Iterat
         return asyncio.run_coroutine_threadsafe(call(), loop).result(20)
 
     place = listen(LOOPBACK, port)
-    context = run_server(store, feed, place, token)
+    context = PageServer(store, feed, place, token).running()
     run(context.__aenter__)
     try:
         yield place.socket.getsockname()[1]

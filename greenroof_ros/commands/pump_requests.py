@@ -20,9 +20,13 @@ from greenroof_ros.base.command_line import (
 from greenroof_ros.base.times import parse_time, to_people
 from greenroof_ros.interface.states import PUMP
 from greenroof_ros.ros.domain import add_namespace, require_ros
-from greenroof_ros.watch import wire
-from greenroof_ros.watch.graph import Graph
-from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, PumpRequestError
+from greenroof_ros.ros.reports import Reports
+from greenroof_ros.watch.graph_client import (
+    DIAGNOSTICS,
+    GraphClient,
+    PumpRequestError,
+    read_message,
+)
 
 # Longest wait for the pump node (s), as its discovery takes seconds.
 _PATIENCE_S = 20.0
@@ -54,7 +58,7 @@ class PumpRequest:
     name: str
     done: str
     description: str
-    request: Callable[[GraphClient, argparse.Namespace, Graph], str]
+    request: Callable[[GraphClient, argparse.Namespace, Reports], str]
     add_options: Callable[[Parser], object] = lambda parser: None
     examples: str = ""
 
@@ -75,10 +79,10 @@ class PumpRequest:
 
     def _run(self) -> int:
         arguments = self.make_parser().parse_args()
-        reports = Graph(arguments.namespace)
+        reports = Reports(arguments.namespace)
 
         def receive(name: str, message: bytes, *_: Any) -> None:
-            if name == DIAGNOSTICS and (received := wire.read_reports(message)) is not None:
+            if name == DIAGNOSTICS and (received := read_message(name, message)) is not None:
                 reports.receive(time.monotonic(), 0.0, received[1])
 
         try:
@@ -126,7 +130,7 @@ def _parse_future_time(text: str) -> float:
 _parse_future_time.__name__ = "TIME"  # argparse and the documentation show this
 
 
-def _hold(client: GraphClient, arguments: argparse.Namespace, _: Graph) -> str:
+def _hold(client: GraphClient, arguments: argparse.Namespace, _: Reports) -> str:
     until = arguments.until
     if arguments.hours is not None:
         until = time.time() + arguments.hours * 3600
@@ -136,7 +140,7 @@ def _hold(client: GraphClient, arguments: argparse.Namespace, _: Graph) -> str:
     )
 
 
-def _release(client: GraphClient, _: argparse.Namespace, __: Graph) -> str:
+def _release(client: GraphClient, _: argparse.Namespace, __: Reports) -> str:
     return client.request("release", _PATIENCE_S)
 
 
@@ -147,7 +151,7 @@ def _add_dose_options(parser: Parser) -> None:
     )
 
 
-def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Graph) -> str:
+def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Reports) -> str:
     """Request a dose, and print its progress until the dose ends."""
     requested_at, sentence = time.time(), ""
     client.request("dose", _PATIENCE_S, volume=arguments.volume, asked_at=requested_at)
@@ -156,7 +160,7 @@ def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Graph) ->
     while True:
         time.sleep(_POLL_S)
         client.receive()
-        now, pump = time.monotonic(), reports.node(PUMP, time.monotonic())
+        now, pump = time.monotonic(), reports.node(PUMP)
         if now - max(accepted, pump.received_at if pump else 0.0) > _REPORT_S:
             raise PumpRequestError(
                 "it is unknown whether the dose continues: the pump node is silent"
@@ -180,10 +184,10 @@ def _add_reset_options(parser: Parser) -> None:
     )
 
 
-def _reset(client: GraphClient, arguments: argparse.Namespace, reports: Graph) -> str:
+def _reset(client: GraphClient, arguments: argparse.Namespace, reports: Reports) -> str:
     if not arguments.yes:
         until = time.monotonic() + _REPORT_S
-        while (pump := reports.node(PUMP, time.monotonic())) is None and time.monotonic() < until:
+        while (pump := reports.node(PUMP)) is None and time.monotonic() < until:
             time.sleep(_POLL_S)
             client.receive()
         if pump is not None and (fault := pump.values.get("fault") or pump.values.get("unknown")):

@@ -9,10 +9,9 @@ from typing import Any
 
 from greenroof_ros.base.command_line import EXIT_DONE, Parser, command
 from greenroof_ros.ros.domain import add_namespace
-from greenroof_ros.watch.document import join_summary, make_document
+from greenroof_ros.watch.document import make_document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.store import GraphStore
-from greenroof_ros.watch.words import SPACE
 
 WARNING, ALARM, NOTHING = 1, 2, 3
 
@@ -59,7 +58,7 @@ def main() -> int:
     with Feed(store):
         shown = _read_status(store)
     code = _judge(shown)
-    print("\n".join(_write_lines(shown, code)).replace(SPACE, " "))
+    print("\n".join(_write_lines(shown, code)))
     return code
 
 
@@ -105,7 +104,7 @@ def _judge(shown: Mapping[str, Any]) -> int:
 
 
 def _write_lines(shown: Mapping[str, Any], code: int) -> list[str]:
-    tiles, summary, advice = shown["tiles"], join_summary(shown), shown["advice"]
+    tiles, summary, advice = shown["tiles"], shown["tiles"]["summary"]["text"], shown["advice"]
     if code == NOTHING:
         return [f"{summary} {advice}"]
     where = filter(None, (shown["heading"], shown["namespace"], shown["time"]["text"]))

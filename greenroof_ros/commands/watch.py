@@ -16,7 +16,14 @@ from greenroof_ros.ros.arguments import add_foxglove
 from greenroof_ros.ros.domain import add_namespace
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.foxglove_server import FoxgloveServer
-from greenroof_ros.watch.listening import LOOPBACK, PORTS, is_loopback, new_token, read_token
+from greenroof_ros.watch.listening import (
+    LOOPBACK,
+    PORTS,
+    is_loopback,
+    listen,
+    new_token,
+    read_token,
+)
 from greenroof_ros.watch.store import GraphStore
 
 # Niceness, as a watcher must not slow down others: on a busy core, it gets a tenth of the time.
@@ -148,7 +155,7 @@ def main() -> None:
     store = GraphStore(arguments.namespace)
     store.allow_release = arguments.allow_release
     try:
-        from greenroof_ros.watch.server import serve
+        from greenroof_ros.watch.server import PageServer
     except ModuleNotFoundError as error:
         raise ConfigurationError(f"needs {error.name}: {describe_extra('watch')}") from error
     host, port = arguments.host or LOOPBACK, arguments.port
@@ -162,7 +169,7 @@ def main() -> None:
         suppress(InterruptedRun),
         Feed(store, _find_past_file(arguments.namespace)) as feed,
     ):
-        serve(
-            store, feed, host=host, port=port, token=token, signals=signals,
-            on_ready=lambda url: _print_address(url, host, port, release=store.allow_release),
-        )
+        listener = listen(host, port)
+        url = listener.url + (f"#token={token}" if token else "")
+        _print_address(url, host, port, release=store.allow_release)
+        PageServer(store, feed, listener, token).serve(signals)

@@ -291,11 +291,15 @@ class Reports:
         for node in self.nodes.values():
             node.received_at += seconds
 
+    def node(self, role: str) -> NodeReport | None:
+        """Return the node with a role that has reported last; None if none has."""
+        nodes = [node for node in self.nodes.values() if node.role == role]
+        return max(nodes, key=lambda node: node.received_at, default=None)
+
     def value(self, role: str, key: str) -> Any:
         """Return a value in the last report of the node with a role; None if there is none."""
-        nodes = [node for node in self.nodes.values() if node.role == role]
-        latest = max(nodes, key=lambda node: node.received_at, default=None)
-        return None if latest is None else latest.values.get(key)
+        node = self.node(role)
+        return None if node is None else node.values.get(key)
 
     def level(self, name: str) -> float | None:
         """Return the level of a tank (m), as a node knows it; None if no node does."""

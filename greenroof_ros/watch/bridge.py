@@ -8,14 +8,13 @@ import threading
 import time
 import traceback
 from collections.abc import Mapping
-from contextlib import suppress
 from typing import Any
 
 from greenroof_ros.base.mqtt import Broker, make_client
 from greenroof_ros.base.processes import Signals
 from greenroof_ros.base.standard_error import print_seldom
 from greenroof_ros.interface.states import PUMP_STATES
-from greenroof_ros.watch.document import join_summary, make_document
+from greenroof_ros.watch.document import make_document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.words import UNKNOWN, find_display
@@ -36,8 +35,6 @@ NUMBERS = {
 _POLL_S, _EXPIRES_S = 1.0, 30
 # Home Assistant accepts 255 characters as a state, and records 16 kB of attributes.
 _MAX_TEXT, _MAX_ALARMS = 255, 10
-# Longest time that the last message may take (s).
-_LAST_S = 1.0
 # For how long a stop is tried again (s): a pump node that has died is back by then.
 _STOP_S = 60.0
 
@@ -73,8 +70,7 @@ class Bridge:
         self._store, self._feed, self._broker = store, feed, broker
         self._base = f"greenroof/{site}"
         self._discovery = make_discovery(site)
-        # Set by the client's thread: a stop was requested, and all messages must be sent.
-        self._stop, self._connected = threading.Event(), threading.Event()
+        self._stop = threading.Event()  # set by the client's thread: a stop was requested
         self._client = make_client(
             broker, f"greenroof_{site}", self._on_connect, self._on_message,
             lambda why: print_seldom(why, f"not connected to {broker}: {why}; trying again"),
@@ -105,10 +101,8 @@ class Bridge:
                 except Exception:  # Home Assistant shows as unavailable what is not renewed
                     print_seldom("state", traceback.format_exc())
         finally:
-            last = self._publish("availability", OFFLINE, retain=True)
-            with suppress(RuntimeError):  # there is no broker
-                last.wait_for_publish(_LAST_S)
-            self._client.disconnect()
+            self._publish("availability", OFFLINE, retain=True)
+            self._client.disconnect()  # after this message
             self._client.loop_stop()
 
     def _is_stopped(self) -> bool:
@@ -120,14 +114,10 @@ class Bridge:
         print_seldom(f"stop {done}", f"stop requested over MQTT: {answer}")
         return done
 
-    def _publish(self, name: str, text: str, *, retain: bool = False) -> Any:
-        return self._client.publish(f"{self._base}/{name}", text, retain=retain)
+    def _publish(self, name: str, text: str, *, retain: bool = False) -> None:
+        self._client.publish(f"{self._base}/{name}", text, retain=retain)
 
     def _publish_state(self) -> None:
-        if self._connected.is_set():
-            self._connected.clear()
-            for topic, text in self._discovery.items():
-                self._client.publish(topic, text, retain=True)
         # Again and again, as another bridge of this site may have ended.
         self._publish("availability", ONLINE, retain=True)
         shown = make_document(self._store, time.monotonic())
@@ -139,7 +129,8 @@ class Bridge:
     def _on_connect(self) -> None:
         print_seldom("connected", f"connected to {self._broker}; topics: {self._base}/")
         self._client.subscribe(f"{self._base}/stop")
-        self._connected.set()
+        for topic, text in self._discovery.items():
+            self._client.publish(topic, text, retain=True)
 
     def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
         if payload == STOP.encode() and not retained:
@@ -170,7 +161,7 @@ def make_state(shown: Mapping[str, Any]) -> dict[str, Any]:
 def make_alarms(shown: Mapping[str, Any]) -> dict[str, Any]:
     """Return the summary, the advice and the current alarms, as in the document."""
     return {
-        "summary": join_summary(shown),
+        "summary": shown["tiles"]["summary"]["text"],
         "advice": shown["advice"],
         "alarms": shown["alarms"][:_MAX_ALARMS],
         "notes": shown["notes"],

@@ -9,6 +9,7 @@ A state has the entries ``heading``, ``mode``, ``namespace``, ``contact``, ``tim
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
@@ -18,9 +19,7 @@ from greenroof_ros.interface.alarm import Alarm, advise
 from greenroof_ros.interface.conditions import command_for
 from greenroof_ros.interface.states import PUMP
 from greenroof_ros.watch import words
-from greenroof_ros.watch.history import END_S, STRETCH_NS
-from greenroof_ros.watch.outlook import AHEAD_S
-from greenroof_ros.watch.stopping import describe_stop, runs_on
+from greenroof_ros.watch.lines import AHEAD_S, END_S, STRETCH_NS
 from greenroof_ros.watch.store import FASTEST, HOLDS_S, LINES, TICKS, GraphStore
 from greenroof_ros.watch.tiles import Tile, make_tiles
 
@@ -45,6 +44,20 @@ _UNKNOWN = "Some values are unknown: check that the sensors and programs are run
 _WELDED = "Water is leaving the cistern although the pump is off. Open the main switch."
 _GO_AND_SEE = "Go and see; if the pump is turning, stop it at its drive's panel or the main switch."
 
+_LOCK_OUT = (
+    "Anyone working on the pump must lock it out at the pump itself; this page does not lock it "
+    "out."
+)
+_STOP = f"A stop holds the pump off until someone releases it. {_LOCK_OUT}"
+_RELEASE = (
+    "The pump then starts automatically when the controller requires it and nothing else keeps it "
+    f"off, but not before its minimum time off has passed. {_LOCK_OUT}"
+)
+_DOSE = (
+    "The pump then delivers this volume once, regardless of the controller's command, but only up "
+    f"to the roof's target. The dose ends early if anything keeps the pump off. {_LOCK_OUT}"
+)
+
 
 def make_document(store: GraphStore, wall: float) -> dict[str, Any]:
     """Return the document for the page and the status command, in plain text.
@@ -55,7 +68,7 @@ def make_document(store: GraphStore, wall: float) -> dict[str, Any]:
     """
     with store.lock:
         store.wall = wall
-        tiles, rows, stop = make_tiles(store), list_alarms(store), describe_stop(store)
+        tiles, rows, stop = make_tiles(store), _list_alarms(store), describe_stop(store)
         summary, step = _summarize(store, tiles, rows, stop)
         factor, simulated = store.factor, store.mode == "simulated"
         local = store.local(store.now)
@@ -82,7 +95,7 @@ def _list_notes(store: GraphStore) -> list[str]:
         f"{words.name_source(alarm.name, alarm.role)}: {alarm.sentence}."
         for alarm in store.alarms if not alarm.number
     ]
-    weather = store.graph.node("weather", store.wall)
+    weather = store.node("weather")
     source = "" if weather is None else words.text_of(weather.values, "forecast_by")
     is_fast = store.mode == "simulated" and store.factor > FASTEST
     return [
@@ -91,10 +104,92 @@ def _list_notes(store: GraphStore) -> list[str]:
     ]
 
 
+# --- stop, release, clear, dose ------------------------------------------------------------------
+
+
+def describe_stop(store: GraphStore) -> dict[str, Any]:
+    """Return the actions on the pump that are possible here, and what the pump node says of them.
+
+    The pump can be stopped if any node may control it, regardless of what the nodes report. It
+    counts as stopped if it is held and at standstill; a hold alone only means that the pump should
+    be stopped. ``actions`` contains the question to ask before each action.
+    """
+    two, pump = store.two_pumps, store.node(PUMP)
+    here = pump is not None and pump.is_online(store.wall) and not two
+    values = store.pump_values if here else {}
+    hold = _describe_hold(store, values)
+    at_rest = values.get("at_rest") is True and not store.runs_on
+    off = at_rest and values.get("pump_state") in ("off", "held", "fault")
+    warning = two
+    if hold and not at_rest:
+        warning = (
+            "The stop was accepted, but the pump is still turning, or it is unknown whether it has "
+            "stopped. If it does not stop within seconds, stop it at its drive's panel."
+        )
+    dose = _describe_dose(store, values)
+    fault = words.text_of(values, "fault")
+    possible = {
+        "release": (hold and at_rest, _RELEASE),
+        "clear": (fault and not values.get("no_clear") and at_rest,
+                  f"The fault is cleared: {fault}. {_RELEASE}"),
+        "dose": (dose["max"] is not None and not values.get("no_dose"), _DOSE),
+    }
+    return {
+        "possible": bool(store.offered), "hold": hold, "stopped": bool(hold) and at_rest,
+        "warning": warning, "dose": dose,
+        "label": "Keep the pump off" if off else "Stop the pump",
+        "actions": {"stop": _STOP, **{
+            name: question for name, (is_possible, question) in possible.items()
+            if is_possible and store.allow_release
+        }},
+    }
+
+
+def _describe_hold(store: GraphStore, values: Mapping[str, Any]) -> str:
+    """Describe who holds the pump, since when, until when and why; empty if no one does."""
+    hold = values.get("hold")
+    if not isinstance(hold, dict) or not (owner := words.text_of(hold, "owner")):
+        return ""
+    since, until = words.number_in(hold, "since"), words.number_in(hold, "until")
+    begin = "" if since is None else f" since {store.time_text(since)}"
+    end = "someone releases it" if until is None else store.time_text(until)
+    reason = words.text_of(hold, "reason")
+    why = f" ({reason})" if reason else ""
+    return f"The pump is held off by {owner}{begin}, until {end}{why}."
+
+
+def _describe_dose(store: GraphStore, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the latest dose in words, the limits of a dose, and why none is possible now."""
+    least, largest = words.number_in(values, "min_dose") or 0.0, words.number_in(values, "max_dose")
+    if not store.allow_release:
+        largest = None
+    last = values.get("dose")
+    dose = last if isinstance(last, dict) else {}
+    runs = bool(dose) and not dose.get("over")
+    return {
+        "text": _write_dose(dose, words.number_in(values, "flow")), "min": least, "max": largest,
+        "refusal": "" if runs or largest is None else words.text_of(values, "no_dose"),
+    }
+
+
+def _write_dose(dose: Mapping[str, Any], flow: float | None) -> str:
+    """Write the progress or the outcome of a dose: ``A dose: 12 of 20 L, 4 min left.``."""
+    if dose.get("over"):
+        return f"{words.capitalize(words.text_of(dose, 'sentence'))}."
+    volume, delivered = words.number_in(dose, "volume"), words.number_in(dose, "delivered")
+    if volume is None or delivered is None:
+        return ""
+    given = words.write_number(delivered, "", 0, 1e3)
+    progress = f"A dose: {given} of {words.write_litres(volume)}"
+    if not flow or flow < 0:
+        return f"{progress}; it is waiting."
+    return f"{progress}, {max(1, math.ceil((volume - delivered) / flow / 60))} min left."
+
+
 # --- alarms and events ----------------------------------------------------------------------------
 
 
-def list_alarms(store: GraphStore) -> list[dict[str, Any]]:
+def _list_alarms(store: GraphStore) -> list[dict[str, Any]]:
     """Return the present alarms as they are published, the most important one first.
 
     An alarm that follows from another one is left out. If the site's program as a whole no longer
@@ -146,12 +241,6 @@ def _list_events(store: GraphStore) -> list[dict[str, Any]]:
 # --- the sentence above the tiles, and the next step ----------------------------------------------
 
 
-def join_summary(shown: Mapping[str, Any]) -> str:
-    """Return the summary of a document as a single string."""
-    summary = shown["tiles"]["summary"]
-    return f"{summary['word']} {summary['sentence']}".strip()
-
-
 def _summarize(
     store: GraphStore, tiles: dict[str, Tile], rows: list[dict[str, Any]], stop: dict[str, Any]
 ) -> tuple[dict[str, str], str]:
@@ -190,18 +279,16 @@ def _summarize(
         (store.mode == "ended", "The run has ended, and its last state is shown.", step),
         (gone is not None, "The site's program has not run since "
          f"{store.time_text(gone or 0.0)}; nobody waters the roof.", step),
-        (runs_on(store), _WELDED, step),
+        (store.runs_on, _WELDED, step),
         (pump["state"] == "alarm", "The pump may be running.", step if serious else _GO_AND_SEE),
         (worst, f"{worst}.", step),
-        (stop["warning"], now, step),
-        (unknown and not starting, now, step or _UNKNOWN),
-        (True, now, step or "Nothing to do."),
+        (stop["warning"] or step, now, step),
+        (True, now, _UNKNOWN if unknown and not starting else "Nothing to do."),
     )
     sentence, step = next((sentence, step) for case, sentence, step in cases if case)
-    return {
-        "word": " ".join(filter(None, (word and f"{word}.", starting))),
-        "sentence": sentence, "level": level,
-    }, step
+    word = " ".join(filter(None, (word and f"{word}.", starting)))
+    text = f"{word} {sentence}".strip()
+    return {"word": word, "sentence": sentence, "text": text, "level": level}, step
 
 
 def _advise(store: GraphStore, step: str, stop: dict[str, Any]) -> str:
@@ -209,8 +296,8 @@ def _advise(store: GraphStore, step: str, stop: dict[str, Any]) -> str:
     release = ""
     if "release" in stop["actions"]:
         release = "If it may run again, release it with the button below."
-    elif stop["stopped"] and store.pump is not None:
-        command = words.complete_commands(command_for(store.pump.name, "release"))
+    elif stop["stopped"] and (pump := store.node(PUMP)) is not None:
+        command = words.complete_commands(command_for(pump.name, "release"))
         release = f"If it may run again, release it with: {command}"
     done = stop["warning"] or stop["hold"] or stop["dose"]["text"]
     return " ".join(filter(None, (done, step, release)))

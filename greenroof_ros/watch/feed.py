@@ -17,20 +17,19 @@ from typing import Any
 
 from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.standard_error import print_seldom
-from greenroof_ros.interface.topics import read_topics
-from greenroof_ros.watch import wire
 from greenroof_ros.watch.graph_client import (
     ALARMS,
     CLOCK,
     DIAGNOSTICS,
     GraphClient,
     PumpRequestError,
+    read_message,
 )
-from greenroof_ros.watch.history import read_histories, write_histories
+from greenroof_ros.watch.lines import read_histories, write_histories
 from greenroof_ros.watch.store import FASTEST, TOPICS, GraphStore
 
-# Interval at which the watcher receives new messages, and how long it rests after an error (s).
-_POLL_S, _REST_S = 0.1, 1.0
+# Interval at which the watcher receives new messages (s).
+_POLL_S = 0.1
 _STOP_S = 3.0
 # Interval at which the past of a live site is saved, and longest wait at the end for this (s).
 _SAVE_S, _SAVED_S = 600.0, 10.0
@@ -105,7 +104,6 @@ class Feed:
                 self._update_store()
             except Exception:
                 print_seldom("step", traceback.format_exc())
-                self._closing.wait(_REST_S)
         with self._requesting:
             self._client.close()
 
@@ -122,23 +120,22 @@ class Feed:
         self._client.subscribe(topics if wanted else ())
         if self._requesting.acquire(blocking=False):  # a request itself finds the pumps
             try:
-                store.graph.offered = self._client.find_pumps()
+                store.offered = self._client.find_pumps()
             finally:
                 self._requesting.release()
         if now - self._saved_at >= _SAVE_S:
             self._save()
 
     def _on_message(self, name: str, message: bytes, time_ns: int) -> None:
-        now = time.monotonic()
-        if name not in (DIAGNOSTICS, ALARMS):
-            value = wire.read_value(read_topics()[name].type, message)
-            if value is not None:
-                self._store.add(name, time_ns, value)
-        elif (received := wire.read_reports(message)) is not None:
-            if name == ALARMS:
-                self._store.add_alarms(now, *received)
-            else:
-                self._store.add_statuses(now, received[1], received[0])
+        content, now = read_message(name, message), time.monotonic()
+        if content is None:
+            return
+        if name == ALARMS:
+            self._store.add_alarms(now, *content)
+        elif name == DIAGNOSTICS:
+            self._store.add_statuses(now, *content)
+        else:
+            self._store.add(name, time_ns, content)
 
     # --- the past of a live site ----------------------------------------------------------------
 
@@ -147,8 +144,7 @@ class Feed:
         if self._past_file is not None:
             past = read_histories(self._past_file)
             with self._store.lock:
-                known = self._store.past.keys() & past.keys()
-                self._store.past |= {name: past[name] for name in known}
+                self._store.past |= past
 
     def _save(self) -> None:
         """Save the history of a live site, without waiting for the disk."""

@@ -8,16 +8,14 @@ simulated time; otherwise, it is its time of arrival.
 
 from __future__ import annotations
 
-import os
-import socket
 import time
 
-from greenroof_ros.base.errors import ConfigurationError, require_extra
+from greenroof_ros.base.errors import require_extra
 from greenroof_ros.base.processes import Signals
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.results.bag_write import read_definition
 from greenroof_ros.watch.graph_client import CLOCK, GraphClient
-from greenroof_ros.watch.listening import LOOPBACK
+from greenroof_ros.watch.listening import LOOPBACK, listen
 
 # Interval at which new messages are passed on (s).
 _POLL_S = 0.05
@@ -31,13 +29,7 @@ def refuse_unusable(port: int) -> None:
     """
     with require_extra("foxglove"):
         import foxglove  # noqa: F401
-    try:
-        socket.create_server((LOOPBACK, port)).close()
-    except OSError as error:
-        raise ConfigurationError(
-            f"this port cannot be used: {os.strerror(error.errno or 0)}; choose another port",
-            key="--foxglove", value=str(port),
-        ) from error
+    listen(LOOPBACK, port, key="--foxglove").socket.close()
 
 
 class FoxgloveServer:
@@ -98,8 +90,6 @@ class FoxgloveServer:
 
     def _on_message(self, name: str, message: bytes, time_ns: int) -> None:
         """Pass a message on, after its time, by which Lichtblick sorts the message."""
-        if time_ns < self._time_ns:  # of another run
-            self._server.clear_session()
         if time_ns != self._time_ns:
             self._time_ns = time_ns
             self._server.broadcast_time(time_ns)

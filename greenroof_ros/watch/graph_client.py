@@ -15,13 +15,14 @@ import re
 import signal
 import time
 from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from itertools import islice
 from typing import Any
 
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.ros.domain import SHUTDOWN_S, join
 from greenroof_ros.ros.rclpy_internals import take_messages
-from greenroof_ros.watch import wire
+from greenroof_ros.ros.reports import MAX_BYTES, read_statuses
 
 # How many messages on a topic can wait for the next poll: 1 s at 60 times real time.
 _DEPTH = 64
@@ -33,6 +34,25 @@ _DISCOVERY_S, _SPIN_S = 2.0, 0.02
 _NO_CLOCK_S = 10.0
 
 DIAGNOSTICS, ALARMS, CLOCK = "/diagnostics", "/alarms", "/clock"
+
+
+def read_message(name: str, message: bytes) -> Any:
+    """Return what a message of a topic contains; None if it is incomplete or far too large.
+
+    Of /diagnostics and /alarms, this is the time (ns) and the statuses; of another topic, the
+    value, and of rows of numbers also the numbers before the offset, as in
+    :func:`greenroof_ros.ros.messages.decode_numbers`.
+    """
+    from greenroof_ros.ros.messages import decode_numbers, decoder  # only a graph needs ROS
+
+    with suppress(Exception):  # from the middleware, or because a text is not UTF-8
+        if name in (DIAGNOSTICS, ALARMS):
+            return read_statuses(message)
+        kind = read_topics()[name].type
+        if len(message) <= MAX_BYTES:
+            is_array = kind == "std_msgs/msg/Float64MultiArray"
+            return decode_numbers(message) if is_array else decoder(kind)(message)
+    return None
 
 
 class PumpRequestError(Exception):
@@ -118,7 +138,7 @@ class GraphClient:
             for message, info in islice(take_messages(subscription), _DEPTH)
         ):
             if name == CLOCK:
-                time_ns = wire.read_value(read_topics()[CLOCK].type, message)
+                time_ns = read_message(CLOCK, message)
                 self._clock_ns, self._clock_at = time_ns or self._clock_ns, now
             if time_ns := self._clock_ns if simulated else arrived_ns:
                 self._on_message(name, message, time_ns)

@@ -16,10 +16,6 @@ from greenroof_ros.base.files import check_private
 LOOPBACK = "127.0.0.1"
 # The ports to try unless one is specified; the first free one is used.
 PORTS = range(8080, 8100)
-# How much the kernel may hold for a slow reader (bytes), as data that waits would be old when it
-# arrives; how much may arrive before it is read, as a request has at most 10 kB; and for how long
-# the kernel sends to someone who takes nothing, even after the connection was closed (ms).
-_SENDING, _RECEIVING, _UNREAD_MS = 65_536, 16_384, 30_000
 # How many connections may wait to be accepted.
 _WAITING = 4096
 # Characters of a token that need no escape in an address, and the minimum number of them.
@@ -66,12 +62,13 @@ def is_loopback(host: str) -> bool:
     return _resolve(host).is_loopback
 
 
-def listen(host: str, port: int | None) -> Listener:
+def listen(host: str, port: int | None, key: str = "--host, --port") -> Listener:
     """Listen on a single address of this machine.
 
     Args:
         host: address or name; 0.0.0.0 means all addresses.
         port: TCP port; 0 for any free port, None for the first free port from 8080 on.
+        key: option to name in an error.
 
     Raises:
         ConfigurationError: if the host is not this machine, or the port cannot be used.
@@ -89,15 +86,9 @@ def listen(host: str, port: int | None) -> Listener:
     else:
         raise ConfigurationError(
             f"cannot be used: {os.strerror(why.errno or 0)}; choose another address or port",
-            key="--host, --port", value=f"{host}, {number}",
+            key=key, value=f"{host}, {number}",
         ) from why
     listening.setblocking(False)
-    for level, option, setting in (  # which connections inherit
-        (socket.SOL_SOCKET, socket.SO_SNDBUF, _SENDING),
-        (socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVING),
-        (socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNREAD_MS),
-    ):
-        listening.setsockopt(level, option, setting)
     shown = socket.gethostname() if address.is_unspecified else host
     url = f"http://{f'[{shown}]' if ':' in shown else shown}:{listening.getsockname()[1]}/"
     names = None if address.is_unspecified else frozenset(

@@ -21,7 +21,6 @@ import hmac
 import json
 import logging
 import math
-import socket
 import time
 import traceback
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -32,15 +31,13 @@ from urllib.parse import urlsplit
 
 from aiohttp import ETag, web
 
-from greenroof_ros.base.processes import InterruptedRun, Signals
+from greenroof_ros.base.processes import Signals
 from greenroof_ros.base.standard_error import print_seldom
 from greenroof_ros.base.text import clean_text
-from greenroof_ros.watch import words
-from greenroof_ros.watch.document import HOURS, make_document, make_series
+from greenroof_ros.watch.document import HOURS, describe_stop, make_document, make_series
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.graph_client import PumpRequestError
-from greenroof_ros.watch.listening import Listener, listen
-from greenroof_ros.watch.stopping import describe_stop
+from greenroof_ros.watch.listening import Listener
 from greenroof_ros.watch.store import GraphStore
 
 _PAGE = Path(__file__).resolve().parent / "page"
@@ -68,7 +65,7 @@ _STATE, _CHARTS = _DOCUMENTS = "/state", "/charts"
 _Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
-class _PageApplication:
+class PageServer:
     """The page's server, which always accepts new connections, dropping the oldest if needed.
 
     A new connection therefore has time for its request until a hundred others have connected. A
@@ -77,32 +74,74 @@ class _PageApplication:
     """
 
     def __init__(
-        self, store: GraphStore, feed: Feed, names: frozenset[str] | None, token: str | None
+        self, store: GraphStore, feed: Feed, listener: Listener, token: str | None
     ) -> None:
+        """Prepare the server without accepting connections.
+
+        Args:
+            store: state of the graph to show.
+            feed: feed of the store, through which the pump is stopped.
+            listener: where to serve the page.
+            token: the token that a page must send; None if no token is required.
+        """
         self._store, self._feed = store, feed
-        self._names, self._token = names, token
-        self._acting: dict[str, asyncio.Task[tuple[bool, str]]] = {}  # by action
+        self._listener, self._token = listener, token
+        self._acting: dict[str, asyncio.Task[str]] = {}  # by action
         # The state (at 0) and the charts for each length of their history (h), made once for all
         # browsers, each with the time at which it was begun.
         self._documents: dict[int, tuple[float, asyncio.Task[tuple[bytes, ETag]]]] = {}
         # The open connections, the oldest first; True while the pump node's answer is awaited.
         self._open: dict[web.RequestHandler, bool] = {}
-        self.app = web.Application(middlewares=[self._answer_all])
+        self._app = web.Application(middlewares=[self._answer_all])
         for file in _PAGE.iterdir():
             if file.suffix in _TYPES:
                 path = "/" if file.name == "index.html" else f"/{file.name}"
-                self.app.router.add_get(path, _make_file_handler(file), allow_head=False)
+                self._app.router.add_get(path, _make_file_handler(file), allow_head=False)
         for document in _DOCUMENTS:
-            self.app.router.add_get(document, self._read_document, allow_head=False)
+            self._app.router.add_get(document, self._read_document, allow_head=False)
         for action in ("stop", "release", "clear", "dose"):
-            self.app.router.add_post(f"/{action}", self._act)
+            self._app.router.add_post(f"/{action}", self._act)
 
-    async def accept(self, listening: socket.socket, server: web.Server) -> None:
+    def serve(self, signals: Signals) -> None:
+        """Serve the page until a signal arrives.
+
+        Raises:
+            InterruptedRun: if a signal arrives.
+        """
+        async def run() -> None:
+            async with self.running():
+                while True:
+                    signals.check()
+                    await asyncio.sleep(0.1)
+
+        asyncio.run(run())
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        """Serve the page in the running event loop."""
+        runner = web.AppRunner(
+            self._app, access_log=None, auto_decompress=False, handler_cancellation=True,
+            lingering_time=1.0, shutdown_timeout=1.0,
+            # A request that cannot be read is answered, but not reported on the terminal.
+            logger=logging.Logger("page", logging.CRITICAL),
+        )
+        await runner.setup()
+        assert runner.server is not None
+        accepting = asyncio.create_task(self._accept(runner.server))
+        try:
+            yield
+        finally:
+            accepting.cancel()
+            await asyncio.gather(accepting, return_exceptions=True)
+            self._listener.socket.close()
+            await runner.cleanup()
+
+    async def _accept(self, server: web.Server) -> None:
         """Accept connections one after another, until cancelled."""
         loop = asyncio.get_running_loop()
         while True:
             try:
-                connection, _ = await loop.sock_accept(listening)
+                connection, _ = await loop.sock_accept(self._listener.socket)
             except OSError as error:  # the system has run out of files or memory
                 print_seldom("accept", f"no connection can be accepted: {error.strerror}")
                 await asyncio.sleep(_RETRY_S)
@@ -129,11 +168,13 @@ class _PageApplication:
         try:
             self._check(request)
             answer = await handler(request)
+        except PumpRequestError as failure:
+            answer = _make_response(False, str(failure))
         except web.HTTPException as error:
             answer = _make_response(False, error.reason, error.status)
         except Exception as error:
             print_seldom("request", traceback.format_exc())
-            answer = _make_response(False, clean_text(f"{type(error).__name__}: {error}"), 500)
+            answer = _make_response(False, f"{type(error).__name__}: {error}", 500)
         answer.force_close()
         return answer
 
@@ -143,7 +184,8 @@ class _PageApplication:
         If the name of another host resolved to this address, a browser would treat a page from that
         host as a page of this server (DNS rebinding).
         """
-        if self._names is not None and _read_host(request) not in self._names:
+        names = self._listener.names
+        if names is not None and _read_host(request) not in names:
             raise web.HTTPForbidden(
                 reason="the host name in the address is not recognized; use localhost"
             )
@@ -213,24 +255,18 @@ class _PageApplication:
         if action != "stop" and under_way:
             return _make_response(False, "Nothing was done: another request is under way.")
         if action not in under_way:
-            self._acting[action] = asyncio.create_task(self._request_action(action, given))
+            self._acting[action] = asyncio.create_task(
+                asyncio.to_thread(self._feed.request_action, action, **given)
+            )
         if request.transport is not None:
             request.transport.pause_reading()  # nothing else is answered on this connection
         self._open[request.protocol] = True
-        return _make_response(*await asyncio.shield(self._acting[action]))
+        return _make_response(True, await asyncio.shield(self._acting[action]))
 
     def _is_offered(self, action: str) -> bool:
         """Return whether the page offers an action now; behind a proxy, it needs a token."""
         with self._store.lock:
             return self._token is not None and action in describe_stop(self._store)["actions"]
-
-    async def _request_action(self, action: str, given: dict[str, Any]) -> tuple[bool, str]:
-        """Request an action from the pump node; return the result, even if the client is gone."""
-        try:
-            answer = await asyncio.to_thread(self._feed.request_action, action, **given)
-        except PumpRequestError as failure:
-            return False, words.clean_sentence(str(failure))
-        return True, words.clean_sentence(answer)
 
 
 def _make_file_handler(file: Path) -> _Handler:
@@ -245,7 +281,7 @@ def _make_file_handler(file: Path) -> _Handler:
 
 def _make_response(ok: bool, sentence: str, status: int = 200) -> web.Response:
     return web.json_response(
-        {"ok": ok, "sentence": sentence}, status=status, headers=_HEADERS
+        {"ok": ok, "sentence": clean_text(sentence)}, status=status, headers=_HEADERS
     )
 
 
@@ -254,64 +290,3 @@ def _read_host(request: web.Request) -> str | None:
     with suppress(ValueError):
         return urlsplit(f"//{request.host}").hostname
     return None
-
-
-@asynccontextmanager
-async def run_server(
-    store: GraphStore, feed: Feed, listener: Listener, token: str | None
-) -> AsyncIterator[None]:
-    """Serve the page on a listener, in the running event loop."""
-    site = _PageApplication(store, feed, listener.names, token)
-    runner = web.AppRunner(
-        site.app, access_log=None, auto_decompress=False, handler_cancellation=True,
-        lingering_time=1.0, shutdown_timeout=1.0,
-        # A request that cannot be read is answered, but not reported on the terminal.
-        logger=logging.Logger("page", logging.CRITICAL),
-    )
-    await runner.setup()
-    assert runner.server is not None
-    accepting = asyncio.create_task(site.accept(listener.socket, runner.server))
-    try:
-        yield
-    finally:
-        accepting.cancel()
-        await asyncio.gather(accepting, return_exceptions=True)
-        listener.socket.close()
-        await runner.cleanup()
-
-
-def serve(
-    store: GraphStore,
-    feed: Feed,
-    *,
-    host: str,
-    port: int | None,
-    token: str | None,
-    on_ready: Callable[[str], None],
-    signals: Signals,
-) -> None:
-    """Serve the page until a signal arrives.
-
-    Args:
-        store: state of the graph to show.
-        feed: feed of the store, through which the pump is stopped.
-        host: address or name on which to listen.
-        port: TCP port; 0 for any free port, None for the first free port from 8080 on.
-        token: the token that a page must send; None if no token is required.
-        on_ready: callback that receives the address for a browser, including the token, once the
-            page is served.
-        signals: signals that stop the server.
-
-    Raises:
-        ConfigurationError: if the address or the port cannot be used.
-    """
-    async def run() -> None:
-        listener = listen(host, port)
-        async with run_server(store, feed, listener, token):
-            on_ready(listener.url + (f"#token={token}" if token else ""))
-            while True:
-                signals.check()
-                await asyncio.sleep(0.1)
-
-    with suppress(InterruptedRun):
-        asyncio.run(run())

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
@@ -20,15 +20,13 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.text import clean_text
 from greenroof_ros.interface.alarm import Alarm
-from greenroof_ros.interface.states import PUMP
+from greenroof_ros.interface.states import PLANT, PUMP
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.ros.alarm_status import read_status
-from greenroof_ros.ros.reports import NodeReport, Status
+from greenroof_ros.ros.reports import Reports, Status
 from greenroof_ros.site.file import read_site
-from greenroof_ros.watch import words
-from greenroof_ros.watch.graph import Graph
-from greenroof_ros.watch.history import History
-from greenroof_ros.watch.outlook import Steps, read_steps
+from greenroof_ros.watch.lines import History, Steps, read_steps
+from greenroof_ros.watch.words import number_in
 
 FLOW, RAIN_FORECAST, PLAN = "/pump/flow", "/forecast/precipitation", "/controller/plan"
 LINES = {
@@ -38,7 +36,7 @@ LINES = {
 """Lines of the charts, each with its topic."""
 TOPICS = (
     *LINES.values(), RAIN_FORECAST, PLAN, "/pump/command", "/weather/frost",
-    "/gauge/precipitation", "/gauge/temperature", "/outlet/command",
+    "/gauge/temperature", "/outlet/command",
 )
 """Topics of which the values are shown."""
 GIVEN = "given"
@@ -52,11 +50,13 @@ TICKS, _STALE_S, HOLDS_S = 3, 5.0, 600.0
 # Alarms older than this mean that the program of the site no longer runs (s): they are published
 # once a second, and a process that died is back within a few seconds.
 ALARMS_OLD_S = 10.0
+# After this silence (s), a run without its plant is over.
+_GONE_S = 10.0
 # A plan is valid for this time (s): a controller makes a new one when it starts and every hour.
 _PLAN_S = 2 * 3600.0
 _PAPERS = "Levels are judged by the parameters of the paper's site, config/site.yaml."
 # Times that a calendar contains (s since 1970).
-_FIRST, _LAST = 0.0, 4e9
+_FIRST, _LAST, _LAST_NS = 0.0, 4e9, 4 * 10**18
 _TWO = "two_pump_nodes", "two_processes"
 
 
@@ -74,7 +74,7 @@ class Newest(NamedTuple):
     received_at: float
 
 
-class GraphStore:
+class GraphStore(Reports):
     """The state of one graph; any thread may call any method, and may read under ``lock``.
 
     Times of the graph are either simulated times or system times. ``wall`` is a time of the steady
@@ -91,7 +91,8 @@ class GraphStore:
             run that is over.
         factor: ratio of simulated to wall time; NaN if it is unknown.
         allow_release: whether the pump may be released from the page.
-        graph: the nodes and their reports.
+        offered: names of the nodes that offer a hold service for the pump, and so may control it,
+            whatever is reported, each with the number of nodes that have this name.
         alarms: the alarms as last published, also those that are over or are not counted yet.
         newest: latest value on each topic.
         past: history of each line of the charts, and of the pumped volume.
@@ -104,25 +105,26 @@ class GraphStore:
         Args:
             namespace: namespace of the graph; empty if it has none.
         """
+        super().__init__(namespace)
         self.lock = threading.RLock()
         self.namespace = namespace
+        self.offered: Mapping[str, int] = {}
         self.allow_release = False
-        self._read_site(None)
+        self._read_site("")
         self.wall = self.system = 0.0
         self.mode, self.factor = "none", math.nan
-        self.graph = Graph(namespace)
+        self._began: float | None = None  # when its plant began (steady clock, s); -1 if live
         self.reset()
 
     def reset(self) -> None:
         """Reset everything for a new run, except the nodes and the settings for watching them."""
-        with self.lock:
-            self.alarms: list[Alarm] = []
-            self._alarms_at = -math.inf  # when they came (steady clock, s)
-            self._alarms_of = 0.0  # the graph's time then (s since 1970)
-            self.newest: dict[str, Newest] = {}
-            self.past = {name: History() for name in (*LINES, GIVEN)}
-            self.forecast: Steps | None = None
-            self._plan: Steps | None = None
+        self.alarms: list[Alarm] = []
+        self._alarms_at = -math.inf  # when they came (steady clock, s)
+        self._alarms_of = 0.0  # the graph's time then (s since 1970)
+        self.newest: dict[str, Newest] = {}
+        self.past = {name: History() for name in (*LINES, GIVEN)}
+        self.forecast: Steps | None = None
+        self._plan: Steps | None = None
 
     # --- the graph that is watched --------------------------------------------------------------
 
@@ -135,34 +137,53 @@ class GraphStore:
         """
         with self.lock:
             self.wall, self.system = wall, system
-            self.mode = self.graph.mode(wall)
-            if self.graph.is_of_another_run(wall):
-                self.reset()
-            if (file := self.graph.site(wall)) != self._site_file:
+            self.mode, plant = self._find_mode(), self.node(PLANT)
+            if self.mode != "none":
+                began = -1.0 if self.mode == "live" or plant is None else plant.began
+                if self._began not in (None, began):
+                    self.nodes = {key: node for key, node in self.nodes.items()
+                                  if node.is_online(wall)}
+                    self.reset()
+                self._began = began
+            files = (self.value(role, "site") for role in (PLANT, "controller"))
+            if (file := next((each for each in files if isinstance(each, str)), "")) != self._file:
                 self._read_site(file)
-            self.factor = self.graph.factor(wall, self.site.tau)
+            values = {} if plant is None else plant.values
+            tick, lasted = (number_in(values, key) or 0.0 for key in ("tick", "up_s"))
+            known = tick > 0 and lasted > 0
+            self.factor = tick * self.site.tau / lasted if known else math.nan
 
-    def _read_site(self, file: Path | None) -> None:
-        """Read the site file of the graph; the paper's if there is none, or it cannot be read."""
-        self._site_file = file
+    def _find_mode(self) -> str:
+        plant = self.node(PLANT)
+        if plant is not None and not plant.has_ended and self.wall - plant.received_at < _GONE_S:
+            return "simulated"
+        # A live site is not over: if its program ends or falls silent, nobody waters the roof.
+        if any("run_length" not in node.values for node in self.nodes.values()):
+            return "live"
+        return "none" if plant is None else "ended"  # without a plant, nodes wait for theirs
+
+    def _read_site(self, file: str) -> None:
+        """Read the site file of the graph; the paper's if it cannot be read on this machine."""
+        self._file = file
         self.site, self.site_note = read_site(default_site_file()), _PAPERS
-        with suppress(ConfigurationError):
-            if file is not None:
-                self.site, self.site_note = read_site(file), ""
+        with suppress(ConfigurationError, OSError, ValueError):
+            if file.startswith("/"):
+                self.site, self.site_note = read_site(Path(file)), ""
 
     @property
-    def pump(self) -> NodeReport | None:
-        """The pump node with its last report; None if no pump node has reported."""
-        return self.graph.node(PUMP, self.wall)
+    def pump_values(self) -> Mapping[str, Any]:
+        """The values that the pump node last reported; empty if it never has."""
+        pump = self.node(PUMP)
+        return {} if pump is None else pump.values
 
     @property
     def two_pumps(self) -> str:
         """A warning if it is unclear which node is the pump node; otherwise empty."""
         twins = any(alarm.role == PUMP and alarm.code in _TWO for alarm in self.present)
-        if not twins and sum(self.graph.offered.values()) < 2:
+        if not twins and sum(self.offered.values()) < 2:
             return ""
         return (
-            f"Two nodes claim to be the pump node ({', '.join(sorted(self.graph.offered))}), so it "
+            f"Two nodes claim to be the pump node ({', '.join(sorted(self.offered))}), so it "
             "is unknown which of them controls the pump. A stop is sent to all of them; no other "
             "request is sent from here. Shut down the node that should not be running."
         )
@@ -181,7 +202,7 @@ class GraphStore:
         for status in statuses:
             with suppress(ValueError, OverflowError):
                 alarms.append(read_status(
-                    clean_text(status.name), status.level, words.clean_sentence(status.message),
+                    clean_text(status.name), status.level, clean_text(status.message),
                     {key: clean_text(value) for key, value in status.values.items()},
                 ))
         with self.lock:
@@ -205,26 +226,31 @@ class GraphStore:
         None while it publishes them, or while a node of the site reports: then it is only unknown
         whether there are alarms. Nothing else about the state of the nodes is concluded here.
         """
-        nodes = self.graph.nodes.values()
+        nodes = self.nodes.values()
         if self.mode != "live" or self.alarms_known or not self._alarms_of or any(
             node.is_online(self.wall) for node in nodes
         ):
             return None
         return self._alarms_of
 
+    @property
+    def runs_on(self) -> bool:
+        """Whether the pump turns or delivers water although it is off."""
+        return any(alarm.role == PUMP and alarm.code == "runs_on" for alarm in self.present)
+
     # --- messages -------------------------------------------------------------------------------
 
-    def add_statuses(self, wall: float, statuses: Sequence[Status], stamp_ns: int = 0) -> None:
+    def add_statuses(self, wall: float, stamp_ns: int, statuses: Sequence[Status]) -> None:
         """Add the statuses in a message on /diagnostics.
 
         Args:
             wall: current time (steady clock, s).
-            statuses: statuses of one message.
             stamp_ns: time stamp of the message (ns since 1970); in a simulation, a simulated time.
+            statuses: statuses of one message.
         """
         with self.lock:
             self.wall = wall
-            self.graph.receive(wall, self.now, statuses, stamp_ns)
+            self.receive(wall, self.now, statuses, stamp_ns)
 
     def add(self, topic: str, time_ns: int, value: Any) -> None:
         """Add a value of any topic but those of reports and alarms.
@@ -251,8 +277,8 @@ class GraphStore:
     def _add_number(self, topic: str, time_ns: int, value: float) -> None:
         entry, before, at = read_topics()[topic], self.newest.get(topic), time_ns / 1e9
         known = math.isfinite(value) and entry.low <= value <= entry.high
-        if topic == FLOW and self.pump is not None:  # it publishes 0 for an unknown flow
-            known = known and self.pump.values.get("flow", value) is not None
+        if topic == FLOW:  # the pump node publishes 0 for an unknown flow
+            known = known and self.pump_values.get("flow", value) is not None
         self.newest[topic] = Newest(at, value + 0.0 if known else None, self.wall)  # no minus zero
         for name, line in LINES.items():
             if line == topic:
@@ -263,22 +289,20 @@ class GraphStore:
             if 0 < passed <= HOLDS_S:
                 self.past[GIVEN].add(time_ns, total)
 
-    def is_stale(self, topic: str) -> bool:
-        """Return whether the next value on a topic is overdue; None is once the run has ended."""
+    def present_value(self, topic: str) -> float | None:
+        """Return the current value on a topic; None if there is none or the next is overdue.
+
+        Nothing is overdue once the run has ended.
+        """
         if (newest := self.newest.get(topic)) is None or self.mode == "ended":
-            return False
+            return newest and newest.value
         limit, age = TICKS * self.site.tau, read_topics()[topic].max_age
         if self.mode == "live":
             limit = limit if age is None else age.default
         elif self.factor > 0:
             limit /= self.factor
         overdue = self.wall - newest.received_at > max(_STALE_S, limit)
-        return overdue or self.gone_since is not None
-
-    def present_value(self, topic: str) -> float | None:
-        """Return the current value on a topic; None if there is none or it is stale."""
-        newest = self.newest.get(topic)
-        return None if newest is None or self.is_stale(topic) else newest.value
+        return None if overdue or self.gone_since is not None else newest.value
 
     @property
     def plan(self) -> Steps | None:
@@ -300,7 +324,7 @@ class GraphStore:
         if self.mode == "live":
             return self.system
         newest = max((value.time for value in self.newest.values()), default=0.0)
-        return max(newest, self.graph.time_ns / 1e9)
+        return max(newest, self.time_ns / 1e9)
 
     @property
     def flow_since(self) -> float | None:
@@ -311,8 +335,7 @@ class GraphStore:
     def given_since(self, begin: float) -> float:
         """Return the volume pumped since a time (s since 1970, m3), as far as it is known."""
         given = self.past[GIVEN]
-        total = float(given.rows["last"][-1]) if len(given.rows) else 0.0
-        return total - given.value_at(round(begin * 1e9))
+        return given.value_at(_LAST_NS) - given.value_at(round(begin * 1e9))
 
     def local(self, at: float) -> datetime:
         """Return a time (s since 1970) on the site's clock."""

@@ -11,11 +11,11 @@ from functools import partial
 from typing import Any
 
 from greenroof_ros.base.text import number_of
+from greenroof_ros.base.times import duration
 from greenroof_ros.interface.states import PUMP, PUMP_STATES
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.results.sums import NEAR_TARGET
 from greenroof_ros.watch import words
-from greenroof_ros.watch.stopping import runs_on
 from greenroof_ros.watch.store import FLOW, GraphStore
 
 _DAY_S, _DAYS = 86_400.0, 7
@@ -24,7 +24,7 @@ _SEEN_S = 3600.0
 
 _COMMAND, _RAIN = "/pump/command", "/weather/precipitation"
 _ROOF, _CISTERN, _FROST = "/roof/level", "/cistern/level", "/weather/frost"
-_GAUGE, _THERMOMETER, _VALVE = "/gauge/precipitation", "/gauge/temperature", "/outlet/command"
+_THERMOMETER, _VALVE = "/gauge/temperature", "/outlet/command"
 write_level = partial(words.write_value, _ROOF)
 write_flow = partial(words.write_value, FLOW)
 
@@ -34,13 +34,12 @@ Tile = dict[str, Any]
 def make_tiles(store: GraphStore) -> dict[str, Tile]:
     """Return all tiles, by their keys."""
     pump = _make_pump_tile(store)
-    rain = _GAUGE if store.newest.get(_RAIN) is None else _RAIN
     return {
         "roof": _make_tile(store, "Roof level", _ROOF, _judge_roof),
         "cistern": _make_tile(store, "Cistern level", _CISTERN, _judge_cistern),
         "pump": pump,
         "watering": _make_watering_tile(store, pump),
-        "rain": _make_tile(store, "Rain", rain, lambda *_: ("good", _write_coming_rain(store))),
+        "rain": _make_tile(store, "Rain", _RAIN, lambda *_: ("good", _write_coming_rain(store))),
         "temperature": _make_temperature_tile(store),
     }
 
@@ -145,8 +144,8 @@ def _write_coming_rain(store: GraphStore) -> str:
         return "no forecast received"
     if (reach := forecast.reach(now)) <= 0:
         return "the forecast has ended"
-    rain = words.write_rain(float((forecast.values @ forecast.lengths(now)).mean()))
-    return f"{rain} expected in the next {words.write_duration(reach)}"
+    rain = float((forecast.values @ forecast.lengths(now)).mean())
+    return f"{words.write_number(rain, 'mm', 1, 1e3)} expected in the next {duration(round(reach))}"
 
 
 # --- the pump -------------------------------------------------------------------------------------
@@ -157,12 +156,12 @@ def _make_pump_tile(store: GraphStore) -> Tile:
 
     The state is ``alarm`` if the pump might be turning unnoticed.
     """
-    node, values = store.pump, {} if store.pump is None else store.pump.values
+    node, values = store.node(PUMP), store.pump_values
     state, why = _read_pump_state(store)
     lost = node is not None and store.mode != "ended" and not node.is_online(store.wall)
     at_rest = values.get("at_rest")
     no_speed = values.get("speed", 0.0) is None  # some nodes never report a speed
-    may_turn = runs_on(store) or (lost and at_rest is False) or (no_speed and at_rest is not True)
+    may_turn = store.runs_on or (lost and at_rest is False) or (no_speed and at_rest is not True)
     number = None if no_speed and not may_turn else store.present_value(FLOW)
     kept_off = any(alarm.role == PUMP and alarm.part == PUMP for alarm in store.present)
     if state == "held" and not kept_off and not values.get("hold"):  # as intended
@@ -182,7 +181,7 @@ def _read_pump_state(store: GraphStore) -> tuple[str, str]:
     """Return the pump's state and the reason; in a simulation, derive both if not reported."""
     if store.two_pumps:
         return words.UNKNOWN, ""
-    values = {} if store.pump is None else store.pump.values
+    values = store.pump_values
     if state := words.text_of(values, "pump_state"):
         # Of a hold, the page states more, and in the site's time.
         hold = values.get("hold")
@@ -194,9 +193,7 @@ def _read_pump_state(store: GraphStore) -> tuple[str, str]:
     flow = store.newest.get(FLOW)
     if flow is None or flow.value is None:
         return words.UNKNOWN, ""
-    if write_flow(flow.value) != write_flow(0.0):
-        return "running", ""
-    return "off", "nothing is commanded" if store.present_value(_COMMAND) == 0 else ""
+    return "off" if write_flow(flow.value) == write_flow(0.0) else "running", ""
 
 
 # --- watering -------------------------------------------------------------------------------------
@@ -221,7 +218,7 @@ def _make_watering_tile(store: GraphStore, pump: Tile) -> Tile:
     elif pumped is not None:
         value = f"from {store.time_text(pumped[1])}"
     elif plan is not None:
-        value = f"not in the next {words.write_duration(plan.reach(now))}"
+        value = f"not in the next {duration(round(plan.reach(now)))}"
         sentence = "no pumping is planned"
     planned = "" if pumped is None or share is None else (
         f"{words.write_litres(pumped[0])} up to {write_level(pumped[2])} planned"

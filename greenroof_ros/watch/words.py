@@ -12,16 +12,11 @@ from shutil import which
 from typing import Any
 
 from greenroof_ros.base.text import clean_text
-from greenroof_ros.base.times import duration
 from greenroof_ros.interface.topics import Display, read_topics
 
 UNKNOWN = "unknown"
-# The unit as it is written in logs.
-_CUBIC = re.compile(r"\bm3\b")
 # A command in an advice, rather than the service of that name.
 _COMMAND = re.compile(r"\bgreenroof(?= (?:live|release|reset|watch)\b)")
-SPACE = "\N{NO-BREAK SPACE}"
-"""Space between a number and its unit, where no line may end."""
 
 
 def write_number(value: float, unit: str, decimals: int, factor: float = 1.0) -> str:
@@ -37,7 +32,7 @@ def write_number(value: float, unit: str, decimals: int, factor: float = 1.0) ->
         return UNKNOWN
     text = f"{value * factor:.{decimals}f}"
     text = text.removeprefix("-") if float(text) == 0 else text
-    return f"{text}{SPACE}{unit}" if unit else text
+    return f"{text} {unit}" if unit else text
 
 
 def find_display(topic: str) -> Display:
@@ -53,30 +48,15 @@ def write_value(topic: str, value: float) -> str:
     return write_number(value, display.unit, display.decimals, display.factor)
 
 
-def write_rain(metres: float) -> str:
-    """Write an amount of rain, as in ``1.2 mm``."""
-    return write_number(metres, "mm", 1, 1e3)
-
-
 def write_litres(volume: float) -> str:
     """Write a volume (m3) in litres."""
     return write_number(volume, "L", 0, 1e3)
 
 
-def write_duration(seconds: float) -> str:
-    """Write a duration, such as ``12 h``."""
-    return duration(round(seconds)).replace(" ", SPACE)
-
-
-def clean_sentence(text: str) -> str:
-    """Return a node's sentence with m³ for m3, in printable characters."""
-    return _CUBIC.sub("m³", clean_text(text))
-
-
 def text_of(values: Mapping[str, Any], key: str) -> str:
     """Return a text among the values that a node reports; empty if it reports none."""
     value = values.get(key)
-    return clean_sentence(value) if isinstance(value, str) else ""
+    return clean_text(value) if isinstance(value, str) else ""
 
 
 def number_in(values: Mapping[str, Any], key: str) -> float | None:

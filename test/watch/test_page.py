@@ -76,9 +76,9 @@ def saying(watched: GraphStore, statuses: list[Status]) -> Iterator[None]:
         if statuses:
             alarms = [status for status in statuses if "since" in status.values]
             watched.add_alarms(now, round(watched.now * 1e9), alarms)
-        watched.add_statuses(now, [each for each in statuses if "process" in each.values])
+        watched.add_statuses(now, 0, [each for each in statuses if "process" in each.values])
         pumps = {each.name: 1 for each in statuses if each.values.get("role") == '"pump"'}
-        watched.graph.offered = watched.graph.offered or pumps
+        watched.offered = watched.offered or pumps
 
     say()
     with repeating(say, 0.25):

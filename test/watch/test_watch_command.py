@@ -101,18 +101,15 @@ def test_it_waits_for_a_graph_on_loopback_and_ends_soon(domain: int, tmp_path: P
             end(process, number)
 
 
-@pytest.mark.parametrize(("host", "message"), [
-    ("192.0.2.1", "192.0.2.1, 0': cannot be used"),
-    ("no.such.host.invalid", "is not an address or name"),
-])
-def test_only_an_address_of_this_machine_is_used(host: str, message: str) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        listen(host, 0)
-    with (
-        listen("127.0.0.1", 0).socket as taken,
-        pytest.raises(ConfigurationError, match="cannot be used: Address already in use"),
-    ):
-        listen("127.0.0.1", taken.getsockname()[1])
+def test_only_an_address_of_this_machine_is_used() -> None:
+    with listen("127.0.0.1", 0).socket as taken:
+        for host, port, message in (
+            ("192.0.2.1", 0, "192.0.2.1, 0': cannot be used"),
+            ("no.such.host.invalid", 0, "is not an address or name"),
+            ("127.0.0.1", taken.getsockname()[1], "cannot be used: Address already in use"),
+        ):
+            with pytest.raises(ConfigurationError, match=message):
+                listen(host, port)
 
 
 def test_beyond_loopback_and_to_release_it_needs_its_token(domain: int, tmp_path: Path) -> None:
@@ -150,18 +147,12 @@ def test_beyond_loopback_and_to_release_it_needs_its_token(domain: int, tmp_path
     assert file.stat().st_mode & 0o777 == 0o600
 
 
-@pytest.mark.parametrize(("content", "mode", "message"), [
-    ("a" * 32, 0o640, "can be read or changed by other users"),
-    ("é" * 40, 0o600, "must contain a token of at least 32 letters"),
-])
-def test_a_token_that_others_may_know_is_refused(
-    content: str, mode: int, message: str, tmp_path: Path
-) -> None:
+def test_a_token_that_can_be_guessed_is_refused(tmp_path: Path) -> None:
     """The message names the file, but not the token."""
-    file = tmp_path / "token"
-    file.write_text(f"{content}\n", encoding="utf-8")
-    file.chmod(mode)
-    with pytest.raises(ConfigurationError, match=message) as refused:
+    file, content = tmp_path / "token", "é" * 40
+    file.write_text(content, encoding="utf-8")
+    file.chmod(0o600)
+    with pytest.raises(ConfigurationError, match="a token of at least 32 letters") as refused:
         read_token(file)
     assert str(file) in str(refused.value) and content not in str(refused.value)
 

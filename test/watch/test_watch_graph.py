@@ -3,75 +3,82 @@
 from __future__ import annotations
 
 import json
+from array import array
 from pathlib import Path
-from random import Random
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from page_inputs import START, node
-from rosbags.typesys import Stores, get_typestore
+from places import CONFIG
 
 from greenroof_ros.ros.reports import Status
-from greenroof_ros.watch import wire
 from greenroof_ros.watch.document import make_document
-from greenroof_ros.watch.graph import Graph
+from greenroof_ros.watch.graph_client import read_message
 from greenroof_ros.watch.store import GraphStore
 
 
 def say(
-    graph: Graph, now: float, role: str, state: str = "ready", name: str = "", **values: Any
-) -> None:
-    """Have a node of a lockstep graph report its state."""
-    graph.receive(now, 0.0, node(name or f"/{role}", role, state=state, run_length=100, **values))
+    graph: GraphStore, now: float, role: str, state: str = "ready", *, run: bool = True,
+    **values: Any,
+) -> str:
+    """Have a node report its state, in a run or at a live site; return the kind of graph."""
+    more = {"run_length": 100} if run else {}
+    graph.add_statuses(now, 0, node(f"/{role}", role, state=state, **more, **values))
+    return mode(graph, now)
+
+
+def mode(graph: GraphStore, now: float) -> str:
+    graph.update(now, 0.0)
+    return graph.mode
 
 
 def test_a_live_site_that_falls_silent_has_not_ended() -> None:
     """Then nobody waters the roof; a simulation with all nodes killed has ended."""
-    live, simulated = Graph(), Graph()
-    assert live.mode(0.0) == "none"
+    live, simulated = GraphStore(), GraphStore()
+    assert mode(live, 0.0) == "none"
+    assert say(simulated, 0.0, "controller") == "none"  # it waits for its plant
+    assert (say(simulated, 0.0, "plant"), mode(simulated, 60.0)) == ("simulated", "ended")
     for role in ("controller", "pump"):
-        live.receive(0.0, 0.0, node(f"/{role}", role))
-    say(simulated, 0.0, "controller")
-    assert simulated.mode(0.0) == "none"  # it waits for its plant
-    say(simulated, 0.0, "plant")
-    for graph, modes in ((live, ["live", "live"]), (simulated, ["simulated", "ended"])):
-        assert [graph.mode(1.0), graph.mode(60.0)] == modes
-    live.receive(61.0, 0.0, node("/pump", "pump", state="ended"))
-    assert live.mode(61.0) == "live"
+        assert say(live, 0.0, role, run=False) == mode(live, 60.0) == "live"
+    assert say(live, 61.0, "pump", "ended", run=False) == "live"
 
 
 def test_another_run_or_site_replaces_the_one_before() -> None:
     """Of which nothing is left; a run that has ended is still the same one."""
-    graph = Graph()
-    for at, process, state, is_new in (
-        (0.0, "host 1", "ready", False), (1.0, "host 2", "ready", True),
+    graph = GraphStore()
+
+    def is_new() -> bool:
+        before = graph.newest.pop("/roof/level", None) is None
+        graph.add("/roof/level", START, 0.04)
+        return before
+
+    for at, process, state, replaces in (
+        (0.0, "host 1", "ready", True), (1.0, "host 2", "ready", True),
         (2.0, "host 2", "ended", False),
     ):
         say(graph, at, "plant", state, process=process, tick=5)
-        assert graph.is_of_another_run(at) == is_new
-    graph.receive(3.0, 0.0, node("/onoff", "controller"))
-    assert graph.is_of_another_run(3.0) and not graph.is_of_another_run(3.1)
-    assert graph.nodes.keys() == {"/onoff"}
-    say(graph, 60.0, "plant")
-    assert graph.is_of_another_run(60.0) and graph.nodes.keys() == {"/plant"}
-    assert graph.mode(90.0) == "ended"
+        assert is_new() == replaces
+    assert say(graph, 3.0, "controller", run=False) == "live"
+    assert is_new() and mode(graph, 3.1) == "live" and not is_new()
+    assert graph.nodes.keys() == {"/controller"}
+    assert say(graph, 60.0, "plant") == "simulated"
+    assert is_new() and graph.nodes.keys() == {"/plant"}
+    assert mode(graph, 90.0) == "ended"
 
 
 def test_the_speed_and_the_site_file(tmp_path: Path) -> None:
-    """100 ticks of 10 s in 20 s."""
-    graph = Graph()
-    for tick, up_s, factor in ((0, 3.0, "nan"), (100, 20.0, "50.0")):
+    """100 ticks of 1 s in 20 s; for a file that cannot be read, the paper's."""
+    graph = GraphStore()
+    for tick, up_s, factor in ((0, 3.0, "nan"), (100, 20.0, "5.0")):
         say(graph, 0.0, "plant", tick=tick, up_s=up_s)
-        assert str(graph.factor(0.0, 10.0)) == factor
-    for place, site in (
-        (f"{tmp_path}", tmp_path), (f"{tmp_path}/none", None), ("/etc/passwd\0", None),
-        (".", None), (7, None), ("/" + "p" * 5000, None),
-    ):
+        assert str(graph.factor) == factor
+    file = tmp_path / "site.yaml"
+    file.write_text((CONFIG / "site.yaml").read_text())
+    for place in (f"{file}", f"{tmp_path}", "/none", "/etc/passwd\0", ".", 7, "/" + "p" * 5000):
         say(graph, 0.0, "plant", site=place)
-        assert graph.site(0.0) == site, place
+        assert (graph.site_note == "") == (place == f"{file}"), place
 
 
 # --- hostile messages -----------------------------------------------------------------------------
@@ -106,7 +113,7 @@ def test_nothing_that_is_reported_raises(messages: list[tuple[bool, list[Status]
     store.allow_release = True
     for are_alarms, statuses in messages:
         wall += 0.5
-        store.add_statuses(wall, statuses, START)
+        store.add_statuses(wall, START, statuses)
         if are_alarms:
             store.add_alarms(wall, START, statuses)
         store.update(wall, START / 1e9)
@@ -117,35 +124,14 @@ def test_nothing_that_is_reported_raises(messages: list[tuple[bool, list[Status]
             assert len(row["what"]) <= 501
 
 
-TYPES = get_typestore(Stores.ROS2_JAZZY)
-
-
-def written(kind: str, *fields: Any) -> bytes:
-    """Return a message of a type in CDR."""
-    return bytes(TYPES.serialize_cdr(TYPES.types[kind](*fields), kind))
-
-
-def array_of(count: int) -> bytes:
-    layout = TYPES.types["std_msgs/msg/MultiArrayLayout"]([], 1)
-    return written("std_msgs/msg/Float64MultiArray", layout, np.arange(float(count)))
-
-
-@pytest.mark.parametrize(("kind", "message", "value"), [
-    ("std_msgs/msg/Float64", written("std_msgs/msg/Float64", -1.5e300), "-1.5e+300"),
-    ("std_msgs/msg/Float64MultiArray", array_of(3),
-     "WithFront(front=array('d', [0.0]), values=array('d', [1.0, 2.0]))"),
-])
-def test_what_is_not_whole_is_none(kind: str, message: bytes, value: str) -> None:
-    """Cut anywhere, it is None; with any bytes changed, it is a value or None, and never raises."""
-    assert str(wire.read_value(kind, message)) == value
-    for length in range(len(message)):
-        # Padding at the end of a message may be missing.
-        cut = wire.read_value(kind, message[:length])
-        assert cut is None or message[length:].strip(b"\0") == b""
-    random = Random(1)
-    for _ in range(1000):
-        changed = bytearray(message)
-        changed[random.randrange(len(changed))] = random.choice((0, 1, 127, 255))
-        wire.read_value(kind, bytes(changed))
-        wire.read_reports(bytes(changed))
-    assert wire.read_value("std_msgs/msg/Float64MultiArray", array_of(1_000_001)) is None
+def test_what_is_not_whole_or_far_too_large_is_none() -> None:
+    """And never raises; for changed bytes see test_messages.py and test_reports.py."""
+    messages = pytest.importorskip("greenroof_ros.ros.messages", reason="it needs ROS 2")
+    whole = messages.encoder("std_msgs/msg/Float64")(-1.5e300)
+    assert read_message("/roof/level", whole) == -1.5e300
+    for length in range(len(whole)):
+        assert read_message("/roof/level", whole[:length]) is None
+        for name in ("/forecast/precipitation", "/diagnostics", "/alarms", "/clock"):
+            assert read_message(name, b"\xff" * length) is None
+    many = messages.encoder("std_msgs/msg/Float64MultiArray")(array("d", bytes(8_000_000)))
+    assert read_message("/forecast/precipitation", many) is None

@@ -1,4 +1,4 @@
-"""History of each chart line over the past week, in 20 s stretches, and the history file.
+"""Lines of the charts: the past week in 20 s stretches, with its file, and what is ahead, in steps.
 
 An unknown value is NaN; the line has a gap from this value to the next known value.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from greenroof_ros.base.files import replace_file
 from greenroof_ros.base.processes import LockedError, lock_file
 from greenroof_ros.base.standard_error import print_line
+from greenroof_ros.site.horizon import MAX_MEMBERS
 
 Values = NDArray[np.float64]
 
@@ -32,25 +34,22 @@ ROW = np.dtype([("ended", "<i8"), ("low", "<f8"), ("high", "<f8"), ("last", "<f8
 END_S = 1e-3
 """Time (s) between two points of a line at the same time, or from a point to the line's end."""
 
+AHEAD_S = 12 * 3600.0
+"""Length of the future that is shown (s)."""
+
+# A smaller flow is a rounding error of the solver (m3/s): 6 mL/min.
+_PUMPS = 1e-7
+# Maximum number of steps of a forecast or a plan, which is that of the longest look-ahead, and the
+# greatest number in either, in any unit.
+_MAX_STEPS, _MAX_VALUE = 1000, 1e9
+
 
 class History:
     """History of one value over the past week, in bounded memory."""
 
     def __init__(self, rows: NDArray[np.void] | None = None) -> None:
-        """Start with the rows of an earlier history, or with none.
-
-        Args:
-            rows: rows of the earlier history, as in :attr:`rows`.
-        """
-        kept = np.empty(0, ROW) if rows is None else rows[-MAX_STRETCHES:]
-        self._rows = np.empty(2 * MAX_STRETCHES, ROW)
-        self._count = len(kept)
-        self._rows[:self._count] = kept
-
-    @property
-    def rows(self) -> NDArray[np.void]:
-        """The stretches, oldest first, as a view that the next :meth:`add` changes."""
-        return self._rows[max(0, self._count - MAX_STRETCHES):self._count]
+        """Start with the rows of an earlier history, or with none; the oldest row is the first."""
+        self.rows = np.empty(0, ROW) if rows is None else rows
 
     def value_at(self, time_ns: int) -> float:
         """Return the last value at a time (ns since 1970); 0 if there was none yet."""
@@ -64,18 +63,15 @@ class History:
             time_ns: time of the value (ns since 1970).
             value: the value; NaN if the value is unknown from this time on.
         """
-        while self._count and self._rows["ended"][self._count - 1] > time_ns:
-            self._count -= 1
-        row = self._rows[self._count - 1] if self._count else None
+        while len(self.rows) and self.rows["ended"][-1] > time_ns:
+            self.rows = self.rows[:-1]
+        row = self.rows[-1] if len(self.rows) else None
         if row is not None and row["ended"] // STRETCH_NS == time_ns // STRETCH_NS:
             row["low"], row["high"] = np.fmin(row["low"], value), np.fmax(row["high"], value)
             row["ended"], row["last"] = time_ns, value
-            return
-        if self._count == len(self._rows):
-            self._rows[:MAX_STRETCHES] = self._rows[MAX_STRETCHES:]
-            self._count = MAX_STRETCHES
-        self._rows[self._count] = (time_ns, value, value, value)
-        self._count += 1
+        else:
+            new = np.array([(time_ns, value, value, value)], ROW)
+            self.rows = np.append(self.rows, new)[-MAX_STRETCHES:]
 
     def line(self, first: int, last: int, stretch_ns: int, gap_s: float) -> list[list[Any]]:
         """Return the line of the values from ``first`` to ``last``, inclusive.
@@ -106,11 +102,82 @@ class History:
             low = float(np.fmin.reduce(stretch["low"]))
             high = float(np.fmax.reduce(stretch["high"]))
             if low < high:
-                near_high = high - value < value - low
-                points.append([at - 2 * END_S, low if near_high else high])
-                points.append([at - END_S, high if near_high else low])
+                points += [[at - 2 * END_S, low], [at - END_S, high]]
             points.append([at, value if math.isfinite(value) else None])
         return points
+
+
+# --- what is ahead -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Steps:
+    """A forecast or a plan.
+
+    Attributes:
+        at: beginning of the first step (s since 1970).
+        ends: ends of the steps (s since 1970), shape (steps,).
+        values: of a forecast, the rain rate of each member (m/s), shape (members, steps); of a
+            plan, the mean flow (m3/s) and the level at the end (m), shape (2, steps).
+    """
+
+    at: float
+    ends: Values
+    values: Values
+
+    @property
+    def begins(self) -> Values:
+        """Beginnings of the steps (s since 1970), shape (steps,)."""
+        return np.append(self.at, self.ends[:-1])
+
+    def lengths(self, now: float) -> Values:
+        """Return the part of each step that is between now and 12 h ahead (s), shape (steps,)."""
+        until = now + AHEAD_S
+        return np.clip(self.ends, now, until) - np.clip(self.begins, now, until)
+
+    def reach(self, now: float) -> float:
+        """Return how much of the next 12 h is covered (s)."""
+        return min(float(self.ends[-1]) - now, AHEAD_S)
+
+    def line(self, values: Values, now: float, until: float) -> list[list[float]]:
+        """Return the line of values that each hold for a step, from now until a time."""
+        begins, ends = (np.clip(times, now, until) for times in (self.begins, self.ends))
+        seen = ends > begins
+        points = [*zip(begins[seen], values[seen], strict=True),
+                  *zip(ends[seen][-1:], values[seen][-1:], strict=True)]
+        return [[float(at), float(value)] for at, value in points]
+
+    def pumped(self, now: float) -> tuple[float, float, float] | None:
+        """Return what a plan pumps in the next 12 h; None if it pumps nothing.
+
+        Returns:
+            The volume (m3), the time at which pumping begins (s since 1970), and the highest level
+            that is expected at the end of a step with pumping (m).
+        """
+        (flow, level), lengths = self.values, self.lengths(now)
+        pumps = np.flatnonzero((flow > _PUMPS) & (lengths > 0))
+        if not len(pumps):
+            return None
+        begin = max(now, float(self.begins[pumps[0]]))
+        return float(flow @ lengths), begin, float(level[pumps].max())
+
+
+def read_steps(at: float, ends: Any, values: Any) -> Steps | None:
+    """Return a forecast or a plan; None if a value is impossible.
+
+    Args:
+        at: beginning of the first step (s since 1970).
+        ends: ends of the steps (s after ``at``).
+        values: see :class:`Steps`; one row needs no second dimension.
+    """
+    ends, values = np.asarray(ends, np.float64), np.atleast_2d(np.asarray(values, np.float64))
+    if (
+        values.shape[1:] != ends.shape or not 0 < len(values) <= MAX_MEMBERS
+        or not 0 < len(ends) <= _MAX_STEPS or not np.all(np.diff(ends, prepend=0.0) > 0)
+        or not np.all((values >= 0) & (values <= _MAX_VALUE)) or ends[-1] > _MAX_VALUE
+    ):
+        return None
+    return Steps(at, at + ends, values)
 
 
 # --- the file -------------------------------------------------------------------------------------
