@@ -46,7 +46,7 @@ def test_a_run_under_the_eyes_of_four_is_the_same_run(domain: int, tmp_path: Pat
         )
         page.wait_for_selector("#heading:has-text('Simulated run')")
         assert slow.recv(512)
-        killed = child_of(run)
+        killed = wait_for(lambda: child_of(run), 60, "a watcher")
         os.kill(killed, signal.SIGKILL)
         run.until_printed("the watcher has exited, and starts again in 2 s")
         wait_for(lambda: child_of(run) not in (0, killed), 60, "another watcher")
