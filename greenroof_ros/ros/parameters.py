@@ -20,9 +20,7 @@ from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.parameter_sections import read_sections
 from greenroof_ros.ros.parameter_file import check_value
-from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import MAX_HORIZON
-from greenroof_ros.site.site import Site
 
 _LONG = 2**62  # beyond any number that a node uses
 # The name of every Python type in ROS 2.
@@ -50,11 +48,6 @@ def look_ahead_parameters() -> list[Parameter]:
             "controller that uses them (lookahead); false: publish only the first member",
         ),
     ]
-
-
-def default_site() -> Site:
-    """Return the site in the default site file, for nodes without the parameter ``site_file``."""
-    return read_site(Path(str(site_file().default)))
 
 
 def type_name(parameter: Parameter) -> str:

@@ -5,7 +5,10 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import Any
 
-from greenroof_ros.ros.reports import MAX_BYTES, Status, read_statuses
+from greenroof_ros.ros.reports import Status, read_statuses
+
+# The largest message that is read (bytes): an ensemble of forecasts has some hundred thousand.
+_MAX_BYTES = 8_000_000
 
 
 def read_value(type_name: str, message: bytes) -> Any:
@@ -17,7 +20,7 @@ def read_value(type_name: str, message: bytes) -> Any:
     from greenroof_ros.ros.messages import decode_numbers, decoder  # only a graph needs ROS
 
     with suppress(Exception):  # from the middleware, or because a text is not UTF-8
-        if len(message) <= MAX_BYTES:
+        if len(message) <= _MAX_BYTES:
             is_array = type_name == "std_msgs/msg/Float64MultiArray"
             return decode_numbers(message) if is_array else decoder(type_name)(message)
     return None

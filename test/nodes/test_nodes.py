@@ -156,6 +156,8 @@ def test_what_is_refused(domain: int, tmp_path: Path, command: str) -> None:
     for file, name, old, new in (
         ("site.yaml", "slow.yaml", "tau: 1.0 ", "tau: 3.0 "),
         ("sensors.yaml", "sensors.yaml", "period: 1.0", "period: 2.6"),
+        ("sensors_mqtt.yaml", "sensors_mqtt.yaml", "", ""),
+        ("sensors_mqtt.yaml", "login.yaml", "# login: /etc", "login: /no"),
     ):
         (tmp_path / name).write_text((CONFIG / file).read_text().replace(old, new))
     (tmp_path / "wrong.yaml").write_text("/**/plant:\n  ros__parameters: {run_lenght: 4}\n")
