@@ -29,10 +29,9 @@ _KINDS = {float: "double", int: "integer", bool: "bool", str: "string", list: "s
 
 def site_file() -> Parameter:
     """Return the parameter for the site file, which is the same for all nodes of a run."""
-    default = str(default_site_file())
     return Parameter(
-        "site_file", default, meaning="path of the site file, which contains the parameters of "
-        "Table I",
+        "site_file", str(default_site_file()), meaning="path of the site file, which contains the "
+        "parameters of Table I",
     )
 
 

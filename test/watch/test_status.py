@@ -51,7 +51,7 @@ runpy.run_module("greenroof_ros", run_name="__main__", alter_sys=True)
 
 
 @pytest.mark.parametrize(("arguments", "code", "message"), [
-    (("rclpy", "status"), 3, "ROS 2 is not available: source your ROS 2, or"),
+    (("rclpy", "status"), 3, "): source your ROS 2, or"),
     (("aiohttp", "watch"), 2, "needs aiohttp: install greenroof_ros with its extra [watch]"),
     # For monitoring plug-ins 2 is an alarm.
     (("none", "status", "--namespcae"), 3, "unrecognized arguments: --namespcae; did you mean"),
