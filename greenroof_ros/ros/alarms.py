@@ -79,6 +79,7 @@ class Judge:
         # Causes first: what follows from something that is not yet an alarm is not one, either.
         for name in sorted(diagnoses, key=lambda name: name in causes):
             diagnosis, before = diagnoses[name], self.present.get(name)
+            has_lasted = wall - diagnosis.began >= diagnosis.condition.lasts
             cause = causes.get(name, "")
             alarm = replace(
                 diagnosis, sentence=_headline(diagnosis), follows=cause,
@@ -91,9 +92,7 @@ class Judge:
             elif starting and diagnosis.condition.late and not diagnosis.was_good:
                 self.missing[name] = replace(alarm, level=LEVELS[WARN])
                 continue
-            elif wall - diagnosis.began < diagnosis.condition.lasts or (
-                cause and cause not in self.present
-            ):
+            elif not has_lasted or (cause and cause not in self.present):
                 continue
             else:
                 self._number += 1
