@@ -41,7 +41,13 @@ from greenroof_ros.analysis.district.district_file import (
     Draw,
     Orifice,
 )
-from greenroof_ros.base.files import parse_yaml, read_text, read_yaml, shared_directory
+from greenroof_ros.base.files import (
+    default_site_file,
+    parse_yaml,
+    read_text,
+    read_yaml,
+    shared_directory,
+)
 from greenroof_ros.base.parameter import Parameter, parameters_of
 from greenroof_ros.controllers.outlet import PARAMETERS
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
@@ -437,9 +443,8 @@ def interlocks() -> str | None:
     if importlib.util.find_spec("rclpy") is None:
         return None
     from greenroof_ros.live import pump, weather
-    from greenroof_ros.ros.parameters import default_site
 
-    meanings, site = read_conditions(), default_site()
+    meanings, site = read_conditions(), read_site(default_site_file())
     limits = {entry.name: entry for node in (weather, pump) for entry in node.parameters(site)}
 
     def limit(name: str) -> str:
@@ -676,9 +681,9 @@ def nodes() -> str | None:
     from greenroof_ros.live import recorder as live_recorder
     from greenroof_ros.live import weather as live_weather
     from greenroof_ros.nodes import alarms, controller, plant, recorder, weather
-    from greenroof_ros.ros.parameters import default_site, type_name
+    from greenroof_ros.ros.parameters import type_name
 
-    site = default_site()
+    site = read_site(default_site_file())
     declared = {
         "plant": plant.parameters(site), "weather": weather.parameters(site),
         "recorder": recorder.parameters(site), "controllers": controller.parameters(None),

@@ -9,7 +9,7 @@ from greenroof_ros.base.command_line import Parser, command
 from greenroof_ros.bringup.start import bring_up
 from greenroof_ros.controllers.registry import EXTERNAL
 from greenroof_ros.ros.arguments import add_graph_arguments
-from greenroof_ros.ros.domain import require_ros
+from greenroof_ros.ros.domain import prepare_ros
 from greenroof_ros.simulation import screen
 from greenroof_ros.simulation.options import add_output_arguments, add_run_arguments, build_run
 from greenroof_ros.simulation.run import Run
@@ -55,6 +55,6 @@ def main() -> int:
     """Start the graph, supervise it until the run is over, and stop it."""
     arguments = make_parser().parse_args()
     run = simulated_run(arguments)
-    with require_ros():
-        from greenroof_ros.bringup.composition import run_graph
+    prepare_ros()
+    from greenroof_ros.bringup.composition import run_graph
     return bring_up(arguments, partial(run_graph, run, arguments))

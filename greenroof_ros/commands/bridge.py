@@ -65,8 +65,8 @@ def make_parser() -> Parser:
              "certificates)",
     )
     add_namespace(
-        parser, "; the namespace is also the site's name on MQTT (roof if there is no namespace), "
-            "so two sites on one broker need different namespaces",
+        parser, "namespace of the graph; it is also the site's name on MQTT (roof if there is no "
+        "namespace), so two sites on one broker need different namespaces",
     )
     return parser
 

@@ -6,7 +6,7 @@ from greenroof_ros.base.command_line import Parser, add_site, command, make_numb
 from greenroof_ros.controllers.check import check_controller
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.nodes.check_results import NODE, print_results
-from greenroof_ros.ros.domain import require_ros
+from greenroof_ros.ros.domain import prepare_ros
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import MAX_HORIZON
 
@@ -15,10 +15,8 @@ _ABOUT = (
     "its commands are finite, not negative, and the same for the same inputs, and it copes with "
     "skipped ticks, with missing forecasts and with its parameters.\n\n"
     "With --node, check a running node, in any language, for 'greenroof run --controller "
-    "external': in each tick, whatever the order of its inputs, it must publish exactly one "
-    "command to the pump and, if the site has an outlet valve, one to the valve. They must be 0 "
-    "while a level or frost is not finite, and that to the pump also in frost. The check takes the "
-    "place of all other nodes, so do not start a run. At the end, it stops the node."
+    "external'. The check takes the place of all other nodes, so do not start a run. At the end, "
+    "it stops the node."
 )
 
 
@@ -53,9 +51,9 @@ def main() -> int:
     arguments = make_parser().parse_args()
     site = read_site(arguments.site)
     if arguments.node is not None:
-        with require_ros():
-            from greenroof_ros.nodes.check import check_node
-            from greenroof_ros.nodes.check_controller import ControllerCheck
+        prepare_ros()
+        from greenroof_ros.nodes.check import check_node
+        from greenroof_ros.nodes.check_controller import ControllerCheck
         return print_results(arguments.node, check_node(
             lambda: ControllerCheck(arguments.node, site, horizon=arguments.horizon)
         ))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from greenroof_ros.base.command_line import Parser, add_site, command, make_number_type
 from greenroof_ros.nodes.check_results import NODE, print_results
-from greenroof_ros.ros.domain import require_ros
+from greenroof_ros.ros.domain import prepare_ros
 from greenroof_ros.site.file import read_site
 
 _ABOUT = (
@@ -50,9 +50,9 @@ def make_parser() -> Parser:
 def main() -> int:
     """Check the driver named on the command line."""
     arguments = make_parser().parse_args()
-    with require_ros():
-        from greenroof_ros.nodes.check import check_node
-        from greenroof_ros.nodes.check_pump import PumpCheck, describe_duration
+    prepare_ros()
+    from greenroof_ros.nodes.check import check_node
+    from greenroof_ros.nodes.check_pump import PumpCheck, describe_duration
     print(f"THE PUMP WILL RUN. The check takes {describe_duration(arguments.period)}.")
     site = read_site(arguments.site)
     code = print_results(arguments.node, check_node(lambda: PumpCheck(

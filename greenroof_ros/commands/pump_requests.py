@@ -19,7 +19,7 @@ from greenroof_ros.base.command_line import (
 )
 from greenroof_ros.base.times import parse_time, to_people
 from greenroof_ros.interface.states import PUMP
-from greenroof_ros.ros.domain import add_namespace, require_ros
+from greenroof_ros.ros.domain import add_namespace
 from greenroof_ros.ros.reports import Reports
 from greenroof_ros.watch.graph_client import (
     DIAGNOSTICS,
@@ -86,7 +86,7 @@ class PumpRequest:
                 reports.receive(time.monotonic(), 0.0, received[1])
 
         try:
-            with require_ros(), closing(GraphClient(arguments.namespace, receive)) as client:
+            with closing(GraphClient(arguments.namespace, receive)) as client:
                 print(self.request(client, arguments, reports))
         except PumpRequestError as failure:
             print(f"error: {failure}", file=sys.stderr)

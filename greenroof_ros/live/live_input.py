@@ -83,7 +83,7 @@ class LivePublishers(Publishers):
         """Number of publishers with a compatible quality of service, whose messages arrive."""
         return self._alive if self._by_lease else super().compatible
 
-    def describe_second(self, wait_s: float = 0.0) -> str:
+    def describe_second(self) -> str:
         """Return a message if there is a second or, with a lease, an incompatible publisher.
 
         If only one of two publishers is known, the middleware has miscounted after a lease expired
@@ -94,7 +94,7 @@ class LivePublishers(Publishers):
                 return incompatible
             if time.monotonic() - self._incompatible_at > DISCOVERY_S:
                 self._incompatible_at = -math.inf  # it has gone
-        return super().describe_second(wait_s)
+        return super().describe_second()
 
 
 class LiveInput(Input):

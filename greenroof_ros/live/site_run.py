@@ -25,7 +25,7 @@ from greenroof_ros.live.service_manager import notify
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed
 from greenroof_ros.results.alarm_file import read_alarms
 from greenroof_ros.results.versions import versions
-from greenroof_ros.ros.domain import lock_bringup, require_ros, ros_arguments
+from greenroof_ros.ros.domain import lock_bringup, prepare_ros, ros_arguments
 from greenroof_ros.ros.errors import describe
 from greenroof_ros.ros.parameter_file import find_value, node_parameter_files
 from greenroof_ros.simulation import summary
@@ -51,16 +51,16 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         OSError: if the directory cannot be created, or the configuration cannot be written.
     """
     namespace, nodes = arguments.namespace, site.nodes
-    with require_ros():
-        user_files = node_parameter_files(
-            arguments, {name: module for name, (module, _) in nodes.items()}, site.controller,
-            site.parameters,
-        )
-        if site.drive is not None:
-            from greenroof_ros.live.actuator import COMMAND_LIMIT  # it imports ROS
+    prepare_ros()
+    user_files = node_parameter_files(
+        arguments, {name: module for name, (module, _) in nodes.items()}, site.controller,
+        site.parameters,
+    )
+    if site.drive is not None:
+        from greenroof_ros.live.actuator import COMMAND_LIMIT  # it imports ROS
 
-            limit = find_value(user_files, f"{namespace}/{PUMP}", COMMAND_LIMIT)
-            check_command_limit(limit, site.tau, f"parameter {COMMAND_LIMIT.name} of {PUMP}")
+        limit = find_value(user_files, f"{namespace}/{PUMP}", COMMAND_LIMIT)
+        check_command_limit(limit, site.tau, f"parameter {COMMAND_LIMIT.name} of {PUMP}")
     state = arguments.state.resolve()
     with lock_bringup(namespace, state), scratch_directory(IN_MEMORY) as memory:
         (state / "log").mkdir(parents=True, exist_ok=True)

@@ -19,15 +19,13 @@ from rclpy.time import Time
 
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.standard_error import Lines
-from greenroof_ros.interface.alarm import ALARMS, ERROR, LEVELS
-from greenroof_ros.interface.conditions import Diagnosis
+from greenroof_ros.interface.alarm import ALARMS, ERROR
 from greenroof_ros.interface.states import READY
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.nodes.alarm_log import AlarmLog
 from greenroof_ros.nodes.start_list import StartList
 from greenroof_ros.ros.alarm_status import to_status
 from greenroof_ros.ros.alarms import RESTARTED, ROLE, Judge
-from greenroof_ros.ros.errors import MalformedMessageError
 from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.messages import qos_profile
 from greenroof_ros.ros.parameters import declare
@@ -72,10 +70,7 @@ class AlarmsNode(GraphNode):
         self._reports = Reports(self.get_namespace(), values["expected"].split())
         self._start = StartList(tell) if directory else None
         self._checked, self._published = time.monotonic(), -math.inf
-        topic = self.interface["/alarms"]
-        self._publisher = self.create_publisher(
-            DiagnosticArray, topic.graph_name, qos_profile(topic.qos)
-        )
+        self.open_outputs("/alarms")
         reports = self.interface["/diagnostics"]
         self.open_subscription(reports, self._receive, qos_profile(replace(
             reports.qos, reliability="best_effort", durability="volatile", depth=_DEPTH
@@ -83,10 +78,7 @@ class AlarmsNode(GraphNode):
         self.reports.state = READY
 
     def _receive(self, message: bytes) -> None:
-        try:
-            stamp_ns, statuses = read_statuses(message)
-        except Exception as error:  # from the middleware, or because a text is not UTF-8
-            raise MalformedMessageError(str(error)) from error
+        stamp_ns, statuses = read_statuses(message)
         self._reports.receive(time.monotonic(), self._now, statuses, stamp_ns)
 
     @property
@@ -122,15 +114,14 @@ class AlarmsNode(GraphNode):
             return
         diagnoses = self._reports.diagnoses(now)
         if why := os.environ.pop(RESTARTED, ""):  # only this process can report that, and once
-            found = Diagnosis.of("station_restarted", why=why)
             name = self.get_fully_qualified_name()
-            diagnoses[f"{name}: station"] = StatusDiagnosis(
-                0, name, "station", ROLE, found.code, LEVELS[ERROR], found.sentence, 0.0, began=now,
+            diagnoses[f"{name}: station"] = StatusDiagnosis.of(
+                name, "station", ROLE, "station_restarted", ERROR, 0.0, now, why=why
             )
         starting = self._reports.is_starting(now)
         changed = self._judge.update(now, self._now, diagnoses, starting=starting)
         self._log.add(changed)
-        if self._start is not None and self._start.update(now, self._judge, self._reports):
+        if self._start is not None and self._start.update(now, diagnoses, self._reports):
             self._start = None
         if changed or now - self._published >= _PUBLISH_S:
             self._published = now
@@ -147,7 +138,7 @@ class AlarmsNode(GraphNode):
                 hardware_id=self.reports.machine,
                 values=[KeyValue(key=key, value=value) for key, value in values.items()],
             ))
-        self._publisher.publish(array)
+        self.publish("/alarms", array)
 
     def on_stop(self) -> None:
         """Wait for a limited time until everything is recorded and printed."""

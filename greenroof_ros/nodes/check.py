@@ -95,24 +95,6 @@ class NodeCheck(ABC):
     def story(self) -> Story:
         """Tell what is checked; a line is told once the lines before it are."""
 
-    def run(self) -> Iterator[tuple[str, str]]:
-        """Yield each line of the story, with the problem; empty if there is none.
-
-        Raises:
-            ConfigurationError: if the node under test is not found.
-            OccupiedError: if other nodes already publish the topics that the check publishes.
-        """
-        self._join()
-        for title, act, *arguments in self.story():
-            try:
-                act(*arguments)
-                yield title, ""
-            except BrokenRuleError as error:
-                problem, ends = error.args
-                yield title, f"{problem}; nothing else was checked" if ends else problem
-                if ends:
-                    return
-
     def require(self, right: Any, problem: str, *, ends: bool = False) -> None:
         """Raise an error that describes the problem unless a condition holds.
 
@@ -138,8 +120,13 @@ class NodeCheck(ABC):
             if (info.node_name, info.node_namespace) == tested
         ]
 
-    def _join(self) -> None:
-        """Wait for the node, and open the topics; raise an error if its inputs have publishers."""
+    def join(self) -> None:
+        """Wait for the node, and open the topics.
+
+        Raises:
+            ConfigurationError: if the node under test is not found.
+            OccupiedError: if other nodes already publish the topics that the check publishes.
+        """
         needed = (*self.received, *self.required)
         self.wait(ARRIVAL_S, lambda: all(map(self._endpoints, needed)))
         if not any(map(self._endpoints, needed)):
@@ -295,11 +282,26 @@ class NodeCheck(ABC):
 
 
 def check_node(make: Callable[[], NodeCheck]) -> Iterator[tuple[str, str]]:
-    """Run ROS and the check that a function makes, and yield the results as they come."""
+    """Run ROS and the check that a function makes, and yield what comes of each line of its story.
+
+    Each line comes with the problem; empty if there is none.
+
+    Raises:
+        ConfigurationError, OccupiedError: see :meth:`NodeCheck.join`.
+    """
     Signals(interrupt=True)  # the node leaves the graph
     with ros([]):
         check = make()
         try:
-            yield from check.run()
+            check.join()
+            for title, act, *arguments in check.story():
+                try:
+                    act(*arguments)
+                    yield title, ""
+                except BrokenRuleError as error:
+                    problem, ends = error.args
+                    yield title, f"{problem}; nothing else was checked" if ends else problem
+                    if ends:
+                        break
         finally:
             check.node.destroy_node()

@@ -41,10 +41,9 @@ class ControllerCheck(NodeCheck):
                 ticks.
         """
         outputs = [COMMAND, "/outlet/command"] if site.low_outlet_valve else [COMMAND]
-        weather = ("/weather/precipitation", "/weather/evapotranspiration")
         usual = {
             CISTERN: _FULL * site.z_o, ROOF: _DRY * site.z_veg,
-            **dict.fromkeys((FROST, *self.optional, *weather), 0.0),
+            **dict.fromkeys((FROST, *self.optional), 0.0),
         }
         super().__init__(controller, site, outputs, usual)
         # The numbers in front of a forecast: no time of issue, and the ends of the steps.

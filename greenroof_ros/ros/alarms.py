@@ -24,8 +24,8 @@ RESTARTED = "GREENROOF_ROS_RESTARTED"
 """environment variable with the reason why the process of the alarms node was restarted"""
 # Devices that fall silent within this time of one another (s) do so for one reason.
 _TOGETHER_S = 15.0
-# Parts about what a node receives, which explain nothing elsewhere.
-_OF_INPUTS = "inputs", "refused"
+# The part about what a node receives, which explains nothing elsewhere.
+_INPUTS = "inputs"
 # How many alarms that are over are kept.
 _MAX_OVER = 20
 
@@ -44,9 +44,6 @@ class Judge:
     Attributes:
         present: the active alarms, by status name.
         over: the latest past alarms, latest first.
-        diagnoses: the diagnoses at the last update, by status name.
-        causes: name of the causing diagnosis for every diagnosis that follows from another
-            diagnosis.
         missing: diagnoses about nodes and values that may still arrive while the site is starting,
             by status name.
     """
@@ -55,8 +52,6 @@ class Judge:
         """Start without alarms; the first alarm will have the number after the given number."""
         self.present: dict[str, StatusDiagnosis] = {}
         self.over: deque[Alarm] = deque(maxlen=_MAX_OVER)
-        self.diagnoses: Diagnoses = {}
-        self.causes: dict[str, str] = {}
         self.missing: dict[str, Alarm] = {}
         self._number = number
 
@@ -78,13 +73,14 @@ class Judge:
                 cause no alarm.
         """
         groups = dict(_group_devices(diagnoses))
-        self.diagnoses = {**diagnoses, **{group.name: group for group in groups.values()}}
-        self.causes = find_causes(self.diagnoses, groups)
-        changed, self.missing = [*self._end(wall, now)], {}
+        diagnoses = {**diagnoses, **{group.name: group for group in groups.values()}}
+        causes = find_causes(diagnoses, groups)
+        changed, self.missing = [*self._end(wall, now, diagnoses)], {}
         # Causes first: what follows from something that is not yet an alarm is not one, either.
-        for name in sorted(self.diagnoses, key=lambda name: name in self.causes):
-            diagnosis, before = self.diagnoses[name], self.present.get(name)
-            cause = self.causes.get(name, "")
+        for name in sorted(diagnoses, key=lambda name: name in causes):
+            diagnosis, before = diagnoses[name], self.present.get(name)
+            has_lasted = wall - diagnosis.began >= diagnosis.condition.lasts
+            cause = causes.get(name, "")
             alarm = replace(
                 diagnosis, sentence=_headline(diagnosis), follows=cause,
                 since=diagnosis.since or now - (wall - diagnosis.began),
@@ -96,7 +92,7 @@ class Judge:
             elif starting and diagnosis.condition.late and not diagnosis.was_good:
                 self.missing[name] = replace(alarm, level=LEVELS[WARN])
                 continue
-            elif not self.has_lasted(wall, name) or (cause and cause not in self.present):
+            elif not has_lasted or (cause and cause not in self.present):
                 continue
             else:
                 self._number += 1
@@ -106,15 +102,10 @@ class Judge:
                 changed.append(alarm)
         return changed
 
-    def has_lasted(self, wall: float, name: str) -> bool:
-        """Return whether a diagnosis has lasted long enough to be an alarm."""
-        diagnosis = self.diagnoses[name]
-        return wall - diagnosis.began >= diagnosis.condition.lasts
-
-    def _end(self, wall: float, now: float) -> Iterator[Alarm]:
+    def _end(self, wall: float, now: float, diagnoses: Diagnoses) -> Iterator[Alarm]:
         """End the alarms whose diagnosis has ended or has been replaced by another diagnosis."""
         for name, alarm in [*self.present.items()]:
-            diagnosis = self.diagnoses.get(name)
+            diagnosis = diagnoses.get(name)
             if diagnosis is None or diagnosis.identity != alarm.identity:
                 del self.present[name]
                 # The stamp of its node may be ahead of this clock, which may also be set back.
@@ -231,11 +222,11 @@ def _rank(diagnosis: StatusDiagnosis, cause: StatusDiagnosis, senders: set[str])
         own and not cause.part,  # the node as a whole, for example if it is silent
         not part and not cause.part and {cause.node.rpartition("/")[2], cause.role} & about,
         cause.role in senders and not cause.part,
-        cause.role in senders and cause.part not in _OF_INPUTS,
+        cause.role in senders and cause.part != _INPUTS,
         # Of an interlock, another node may know more, such as the temperature in frost.
         reports_more and (own if interlock is None else part == PUMP or not own),
         # A part of the pump node that stops the pump because of that input knows more about it.
-        part == "inputs" and cause.role == PUMP and cause.part not in _OF_INPUTS
+        part == _INPUTS and cause.role == PUMP and cause.part != _INPUTS
         and not about.isdisjoint(cause.about),
     )
     return next((rank for rank, rule in enumerate(rules, start=1) if rule), 0)

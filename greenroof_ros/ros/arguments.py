@@ -7,7 +7,7 @@ from pathlib import Path
 
 from greenroof_ros.base.command_line import make_number_type
 from greenroof_ros.controllers.registry import EXTERNAL
-from greenroof_ros.ros.domain import parse_namespace
+from greenroof_ros.ros.domain import add_namespace
 
 
 def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None:
@@ -23,10 +23,9 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
         help="source of /pump/flow; external selects a pump driver that you start yourself"
         + (f" (default: {pump})" if pump else ""),
     )
-    group.add_argument(
-        "--namespace", type=parse_namespace, default="", metavar="NAME",
-        help="put the whole graph, including its clock, in the namespace /NAME, so that several "
-        "graphs can run side by side in one ROS domain (default: none)",
+    add_namespace(
+        group, "put the whole graph, including its clock, in the namespace /NAME, so that several "
+        "graphs can run side by side in one ROS domain",
     )
     if pump:
         group.add_argument(

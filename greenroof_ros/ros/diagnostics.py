@@ -23,8 +23,8 @@ from greenroof_ros.ros.messages import qos_profile
 # The levels of a diagnosis, as ROS tools know them.
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
-# Maximum length of a value on /diagnostics (characters): observers read no value longer than
-# 20,000, such as the rain events of a run of decades.
+# Maximum length of a value on /diagnostics (characters), such as the rain events of a run of
+# decades: observers read no report larger than a megabyte.
 _MAX_LENGTH = 16_000
 # How often the state is published while it does not change (s).
 _PUBLISH_S = 1.0

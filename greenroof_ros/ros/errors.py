@@ -29,7 +29,7 @@ def print_failure(error: Exception) -> tuple[str, int]:
     A traceback comes first if the error was not expected.
     """
     failure, code = explain(error)
-    if not isinstance(error, (ConfigurationError, LockstepError, OSError)):
+    if failure != str(error):
         traceback.print_exception(error)
     print(f"error: {failure}", file=sys.stderr)
     return failure, code

@@ -77,7 +77,7 @@ class GraphNode(Node):
         self.malformed = Counter[str]()
         self.interface = interface
         self.inputs: Mapping[str, Input] = {}
-        self.peers = Peers(role)
+        self.peers = Peers()
         self.tick = 0
         self.warnings: Sequence[str] = ()
         self.reports = NodeDiagnostics(self, role)

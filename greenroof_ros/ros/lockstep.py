@@ -43,7 +43,7 @@ from greenroof_ros.ros.errors import LockstepError
 from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.inputs import Input
 from greenroof_ros.ros.messages import decoder, qos_profile
-from greenroof_ros.ros.publishers import Publishers
+from greenroof_ros.ros.publishers import DISCOVERY_S, Publishers
 
 CLOCK, RUN = "/clock", "/run"
 
@@ -127,10 +127,10 @@ class LockstepNode(GraphNode):
             """Store a message, and let the node act if no other message is awaited."""
             entry.receive(message)
             if name not in awaited:
+                senders = ", ".join(self.peers.publishers[name].names(DISCOVERY_S))
                 raise self.conflict(
-                    f"{entry.name} has a second message in tick {self.tick} "
-                    f"({self.peers.publishers_of(name)}); another publisher, or a node of an "
-                    "earlier run, is in this graph"
+                    f"{entry.name} has a second message in tick {self.tick} ({senders}); another "
+                    "publisher, or a node of an earlier run, is in this graph"
                 )
             awaited.discard(name)
             if not awaited:

@@ -95,7 +95,8 @@ def encoder(type_name: str, dimensions: tuple[str, ...] = ()) -> Callable[[Any],
         type_name: ``std_msgs/msg/Float64`` for a number; ``std_msgs/msg/Float64MultiArray`` for an
             ``array("d")``, a 2-D numpy array or a :class:`WithFront` containing either (the layout
             contains the shape of an array that has more than one row); ``rosgraph_msgs/msg/Clock``
-            for nanoseconds since 1970; ``std_msgs/msg/String`` for a string.
+            for nanoseconds since 1970; ``std_msgs/msg/String`` for a string; any other type for the
+            message itself.
         dimensions: labels of the rows and columns of a 2-D array.
     """
     encoders: dict[str, Callable[[Any], bytes]] = {
@@ -104,7 +105,7 @@ def encoder(type_name: str, dimensions: tuple[str, ...] = ()) -> Callable[[Any],
         "rosgraph_msgs/msg/Clock": lambda time_ns: _CLOCK.pack(_HEADER, *divmod(time_ns, _NS)),
         "std_msgs/msg/String": lambda text: serialize_message(String(data=text)),
     }
-    return encoders[type_name]
+    return encoders.get(type_name, serialize_message)
 
 
 def decoder(type_name: str) -> Callable[[bytes], Any]:

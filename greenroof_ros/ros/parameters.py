@@ -20,9 +20,7 @@ from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.parameter_sections import read_sections
 from greenroof_ros.ros.parameter_file import check_value
-from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import MAX_HORIZON
-from greenroof_ros.site.site import Site
 
 _LONG = 2**62  # beyond any number that a node uses
 # The name of every Python type in ROS 2.
@@ -31,10 +29,9 @@ _KINDS = {float: "double", int: "integer", bool: "bool", str: "string", list: "s
 
 def site_file() -> Parameter:
     """Return the parameter for the site file, which is the same for all nodes of a run."""
-    default = str(default_site_file())
     return Parameter(
-        "site_file", default, meaning="path of the site file, which contains the parameters of "
-        "Table I",
+        "site_file", str(default_site_file()), meaning="path of the site file, which contains the "
+        "parameters of Table I",
     )
 
 
@@ -50,11 +47,6 @@ def look_ahead_parameters() -> list[Parameter]:
             "controller that uses them (lookahead); false: publish only the first member",
         ),
     ]
-
-
-def default_site() -> Site:
-    """Return the site in the default site file, for nodes without the parameter ``site_file``."""
-    return read_site(Path(str(site_file().default)))
 
 
 def type_name(parameter: Parameter) -> str:

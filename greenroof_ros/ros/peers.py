@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 
 from greenroof_ros.interface.states import ROLES
-from greenroof_ros.ros.publishers import DISCOVERY_S, Publishers
+from greenroof_ros.ros.publishers import Publishers
 
 
 class Peers:
@@ -18,14 +18,9 @@ class Peers:
         publishers: the publishers of every input, keyed by the topic's name in the interface.
     """
 
-    def __init__(self, role: str) -> None:
-        """Create the collection of peers, without inputs yet.
-
-        Args:
-            role: the node's own role in the interface.
-        """
+    def __init__(self) -> None:
+        """Create the collection of peers, without inputs yet."""
         self.publishers: dict[str, Publishers] = {}
-        self._role = role
 
     # --- who is missing ---------------------------------------------------------------------
 
@@ -39,18 +34,12 @@ class Peers:
     def _by_role(self, names: Collection[str]) -> dict[str, list[str]]:
         """Return inputs, grouped by the role that should publish each of them.
 
-        If the interface names two roles for an input (plant or pump driver), the first role that
-        publishes none of the node's other inputs is used, or else the last role.
+        If the interface names two roles for an input, the last one is meant: the flow of a pump
+        that the plant does not simulate is missing from the pump driver.
         """
-        present = {self._role} | {
-            role for name, publishers in self.publishers.items() if name not in names
-            for role in publishers.topic.publishers[:1]
-        }
         roles: dict[str, list[str]] = {}
         for name in names:
-            candidates = self.publishers[name].topic.publishers
-            role = next((role for role in candidates if role not in present), candidates[-1])
-            roles.setdefault(role, []).append(name)
+            roles.setdefault(self.publishers[name].topic.publishers[-1], []).append(name)
         return roles
 
     def describe(self, missing: Mapping[str, Iterable[str]]) -> str:
@@ -78,10 +67,6 @@ class Peers:
 
     # --- what is wrong ----------------------------------------------------------------------
 
-    def publishers_of(self, name: str) -> str:
-        """Return the names of the nodes that publish an input, as a list for a sentence."""
-        return ", ".join(self.publishers[name].names(DISCOVERY_S))
-
     def warnings(self) -> list[str]:
         """Return a sentence for every input that has incompatible publishers."""
         return [
@@ -91,7 +76,7 @@ class Peers:
 
     def describe_second(self) -> str:
         """Return a sentence about the first input with a second publisher; empty for none."""
-        for publishers in self.publishers.values():
-            if publishers.count > 1 and publishers.compatible > 1:
-                return f"{publishers.full_name} {publishers.describe_second()}"
-        return ""
+        return next((
+            f"{publishers.full_name} {second}" for publishers in self.publishers.values()
+            if (second := publishers.describe_second())
+        ), "")

@@ -70,16 +70,12 @@ class Publishers:
                 break
         return sorted(names)
 
-    def describe_second(self, wait_s: float = 0.0) -> str:
-        """Return a predicate that reports a second publisher, or "" if there is none.
-
-        Args:
-            wait_s: maximum wait for names (s), as in :meth:`names`.
-        """
+    def describe_second(self) -> str:
+        """Return a predicate that reports a second publisher, or "" if there is none."""
         count = self.count
         if count < 2 or len(self._endpoints()) < 2:
             return ""
-        names = ", ".join(self.names(wait_s))
+        names = ", ".join(self.names())
         return (
             f"has {count} publishers ({names}), but must have only one: stop the other publisher, "
             "or use another ROS_DOMAIN_ID or --namespace"

@@ -12,6 +12,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 from greenroof_ros.base.text import clean_text
@@ -19,6 +20,7 @@ from greenroof_ros.interface.alarm import ERROR, LEVELS, OK, STALE, WARN, Alarm
 from greenroof_ros.interface.conditions import Condition, Diagnosis, identity_of, read_conditions
 from greenroof_ros.interface.states import ENDED, FINISHED, PLANT, STARTING, STATES
 from greenroof_ros.interface.topics import node_names
+from greenroof_ros.ros.errors import MalformedMessageError
 
 SILENT_S = 3.5
 """silence after which a node counts as not responding (s): it may miss two reports, one a second"""
@@ -29,12 +31,9 @@ _REPLACED_S = 1.0
 # While all nodes have run for less than this (s), the site is starting: what is late may still
 # come.
 _START_S = 60.0
-MAX_BYTES = 8_000_000
-"""largest message that is read (bytes): an ensemble of forecasts has some hundred thousand"""
-# Limits to what a sender can fill: statuses in a message, values of each and characters of each
-# text; nodes, parts of each, characters of a name; topics or nodes that a diagnosis is about.
-_STATUSES, _VALUES, _TEXT = 1000, 100, 20_000
-_NODES, _PARTS, _NAME, _ABOUT = 24, 24, 160, 10
+# Limits to what a sender can fill: bytes of a message; nodes, parts of each, characters of a name;
+# topics or nodes that a diagnosis is about.
+_BYTES, _NODES, _PARTS, _NAME, _ABOUT = 1_000_000, 24, 24, 160, 10
 # The latest time of a run (ns since 1970), which is in the year 2116.
 _LAST_NS, _NS = 2**62, 1_000_000_000
 # A name that ROS allows for a node, since the name becomes part of commands that users are advised
@@ -59,23 +58,22 @@ def read_statuses(message: bytes) -> tuple[int, list[Status]]:
     """Return the time (ns) and the statuses of a ``diagnostic_msgs/msg/DiagnosticArray``.
 
     Raises:
-        Exception: if the message is incomplete, too large, or not UTF-8.
+        MalformedMessageError: if the message is incomplete, too large, or not UTF-8.
     """
     from diagnostic_msgs.msg import DiagnosticArray  # only processes that join a graph need ROS
-    from rclpy.serialization import deserialize_message
 
-    if len(message) > MAX_BYTES:
-        raise ValueError(f"has {len(message)} bytes")
-    read = deserialize_message(message, DiagnosticArray)
+    from greenroof_ros.ros.messages import deserialize
+
+    if len(message) > _BYTES:
+        raise MalformedMessageError(f"has {len(message)} bytes")
+    read = deserialize(DiagnosticArray, message)
     return read.header.stamp.sec * _NS + read.header.stamp.nanosec, [
         # An unknown level is treated as ERROR, the worst one that someone can do something about.
         Status(
-            status.name[:_TEXT], level if (level := status.level[0]) <= STALE else ERROR,
-            status.message[:_TEXT],
-            {pair.key[:_TEXT]: pair.value[:_TEXT] for pair in status.values[:_VALUES]},
-            status.hardware_id[:_TEXT],
+            status.name, level if (level := status.level[0]) <= STALE else ERROR, status.message,
+            {pair.key: pair.value for pair in status.values}, status.hardware_id,
         )
-        for status in read.status[:_STATUSES]
+        for status in read.status
     ]
 
 
@@ -92,6 +90,15 @@ class StatusDiagnosis(Alarm):
     began: float = 0.0
     was_good: bool = False
     line: str = ""
+
+    @classmethod
+    def of(
+        cls, node: str, part: str, role: str, code: str, level: int, since: float, began: float,
+        **values: float | str,
+    ) -> StatusDiagnosis:
+        """Return a diagnosis with the sentence of the conditions table, and with these values."""
+        sentence = Diagnosis.of(code, **values).sentence
+        return cls(0, node, part, role, code, LEVELS[level], sentence, since, began=began)
 
     @property
     def identity(self) -> tuple[str, str]:
@@ -135,9 +142,6 @@ class NodeReport:
     parts: dict[str, StatusDiagnosis] = field(default_factory=dict)
     # last_time and received_at of the process before, unless it reported that it ended.
     _lost: tuple[float, float] | None = field(default=None, init=False)
-    # The same of the last report that the node had rejected more values, and their topics.
-    _refused: tuple[float, float] = field(default=(0.0, -math.inf), init=False)
-    _topics: tuple[str, ...] = field(default=(), init=False)
 
     @property
     def has_ended(self) -> bool:
@@ -157,10 +161,6 @@ class NodeReport:
             died = self.values and not self.has_ended
             self._lost = (self.last_time, self.received_at) if died else None
             self.began, self.values, self.parts = wall, {}, {}
-        known = _read_counts(self.values)
-        grown = [key for key, count in _read_counts(values).items() if count > known.get(key, 0)]
-        if grown:
-            self._refused, self._topics = (now, wall), tuple(map(clean_text, grown[:_ABOUT]))
         self.state, self.values, self.received_at, self.last_time = state, values, wall, now
         reported = (self._read_part(wall, now, status) for status in parts[:_PARTS])
         self.parts = {diagnosis.part: diagnosis for diagnosis in reported}
@@ -185,15 +185,7 @@ class NodeReport:
 
     def diagnoses(self, wall: float) -> Iterator[StatusDiagnosis]:
         """Yield what is wrong with the node and its parts."""
-
-        def diagnose(
-            code: str, level: int, since: float, began: float, **values: float | str
-        ) -> StatusDiagnosis:
-            sentence = Diagnosis.of(code, **values).sentence
-            return StatusDiagnosis(
-                0, self.name, "", self.role, code, LEVELS[level], sentence, since, began=began
-            )
-
+        diagnose = partial(StatusDiagnosis.of, self.name, "", self.role)
         last = self.last_time, self.received_at
         failure, waiting = self.values.get("failure"), self.values.get("waiting")
         if self.has_ended:
@@ -211,10 +203,6 @@ class NodeReport:
             since = self.last_time - (self.received_at - self.began)
             awaits = diagnose("peers_awaited", WARN, since, self.began, peers=", ".join(about))
             yield replace(awaits, about=about)
-        if wall - self._refused[1] <= SILENT_S:
-            topics = ", ".join(self._topics)
-            refused = diagnose("values_refused", WARN, *self._refused, topics=topics)
-            yield replace(refused, part="refused", about=self._topics)
         # That of a silent node stays.
         yield from (part for part in self.parts.values() if part.level != LEVELS[OK])
 
@@ -254,9 +242,13 @@ class Reports:
                 tick.
         """
         for status in statuses:
-            values = self._values_of(status)
-            node = self._find(wall, status.name, values["role"]) if values else None
-            if values is None or node is None:
+            values, node = self._values_of(status), self.nodes.get(status.name)
+            if values is None:
+                continue
+            role = values["role"]
+            if node is None and len(self.nodes) < _NODES and role in {*node_names(), "controller"}:
+                node = self.nodes[status.name] = NodeReport(status.name, role)
+            if node is None or node.role != role:
                 continue
             parts = [part for part in statuses if part.name.startswith(f"{status.name}: ")]
             node.receive(wall, now, status.message, values, parts)
@@ -276,16 +268,6 @@ class Reports:
         role, process = values.get("role"), values.get("process")
         return values if isinstance(role, str) and isinstance(process, str) else None
 
-    def _find(self, wall: float, name: str, role: str) -> NodeReport | None:
-        """Return the node of a name and role, a new one if there is room; None if it has none."""
-        if name not in self.nodes:
-            if len(self.nodes) >= _NODES:
-                self.nodes = {key: node for key, node in self.nodes.items() if node.is_online(wall)}
-            if len(self.nodes) >= _NODES or role not in {*node_names(), "controller"}:
-                return None
-            self.nodes[name] = NodeReport(name, role)
-        return self.nodes[name] if self.nodes[name].role == role else None
-
     def excuse_silence(self, seconds: float) -> None:
         """Exclude a period without reception (s) from the silent time of all nodes."""
         for node in self.nodes.values():
@@ -296,15 +278,10 @@ class Reports:
         nodes = [node for node in self.nodes.values() if node.role == role]
         return max(nodes, key=lambda node: node.received_at, default=None)
 
-    def value(self, role: str, key: str) -> Any:
-        """Return a value in the last report of the node with a role; None if there is none."""
-        node = self.node(role)
-        return None if node is None else node.values.get(key)
-
-    def level(self, name: str) -> float | None:
-        """Return the level of a tank (m), as a node knows it; None if no node does."""
-        levels = (node.values.get(f"{name}_level") for node in self.nodes.values())
-        return next((level for level in levels if isinstance(level, (int, float))), None)
+    def value(self, key: str) -> Any:
+        """Return a value that a node last reported; None if no node reports it."""
+        values = (node.values.get(key) for node in self.nodes.values())
+        return next((value for value in values if value is not None), None)
 
     def is_starting(self, wall: float) -> bool:
         """Return True if the site is starting: its online nodes all started less than 60 s ago."""
@@ -337,13 +314,6 @@ def _read_value(text: str) -> Any:
         parse_float=lambda digits: value if math.isfinite(value := float(digits)) else None,
         parse_constant=lambda _: None,
     )
-
-
-def _read_counts(values: Mapping[str, Any]) -> dict[str, int]:
-    """Return the number of values that a node has rejected so far, by topic."""
-    refused = values.get("refused")
-    counts = refused.items() if isinstance(refused, dict) else ()
-    return {topic: count for topic, count in counts if isinstance(count, int)}
 
 
 def _read_age(text: str) -> float:

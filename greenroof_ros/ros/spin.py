@@ -17,7 +17,6 @@ from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.ros.domain import SHUTDOWN_S, prepare_ros
 from greenroof_ros.ros.errors import explain
 from greenroof_ros.ros.graph_node import GraphNode
@@ -41,17 +40,11 @@ def ros(arguments: Sequence[str]) -> Iterator[None]:
 
     Args:
         arguments: the command line, including ROS arguments.
-
-    Raises:
-        ConfigurationError: if rcl cannot parse the arguments.
     """
     prepare_ros()
-    try:
-        # Not rclpy's own handlers: after them nothing can be published, and a node that stops still
-        # has to send its last report.
-        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:
-        raise ConfigurationError(" ".join(str(error).split())) from error
+    # Not rclpy's own handlers: after them nothing can be published, and a node that stops still has
+    # to send its last report.
+    rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
     try:
         yield
     finally:

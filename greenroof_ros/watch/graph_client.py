@@ -22,10 +22,12 @@ from typing import Any
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.ros.domain import SHUTDOWN_S, join
 from greenroof_ros.ros.rclpy_internals import take_messages
-from greenroof_ros.ros.reports import MAX_BYTES, read_statuses
+from greenroof_ros.ros.reports import read_statuses
 
 # How many messages on a topic can wait for the next poll: 1 s at 60 times real time.
 _DEPTH = 64
+# The largest message that is read (bytes): an ensemble of forecasts has some hundred thousand.
+_MAX_BYTES = 8_000_000
 # For how long after joining a client still discovers nodes that were there before (s), and the
 # interval at which it looks for an answer (s).
 _DISCOVERY_S, _SPIN_S = 2.0, 0.02
@@ -49,7 +51,7 @@ def read_message(name: str, message: bytes) -> Any:
         if name in (DIAGNOSTICS, ALARMS):
             return read_statuses(message)
         kind = read_topics()[name].type
-        if len(message) <= MAX_BYTES:
+        if len(message) <= _MAX_BYTES:
             is_array = kind == "std_msgs/msg/Float64MultiArray"
             return decode_numbers(message) if is_array else decoder(kind)(message)
     return None

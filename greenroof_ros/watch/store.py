@@ -145,8 +145,8 @@ class GraphStore(Reports):
                                   if node.is_online(wall)}
                     self.reset()
                 self._began = began
-            files = (self.value(role, "site") for role in (PLANT, "controller"))
-            if (file := next((each for each in files if isinstance(each, str)), "")) != self._file:
+            site = self.value("site")
+            if (file := site if isinstance(site, str) else "") != self._file:
                 self._read_site(file)
             values = {} if plant is None else plant.values
             tick, lasted = (number_in(values, key) or 0.0 for key in ("tick", "up_s"))

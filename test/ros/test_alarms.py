@@ -154,11 +154,10 @@ def test_what_follows_from_another_one() -> None:
         "/pump: pump": wrong("frost", level=WARN), "/pump: frost": wrong("frost", level=WARN),
         "/weather: frost": wrong("freezing", "weather", WARN),
     }, "/weather: frost"),
-    # A second controller explains that there is no command, and refused values.
+    # A second controller explains that there is no command.
     ({
         "/pump: command": wrong("input_publishers"),
         "/pump: pump": wrong("command_unknown", level=WARN),
-        "/pump: refused": wrong("values_refused", level=WARN, about=("/pump/command",)),
     }, "/pump: command"),
     # A level that only its readers find wrong: the pump node knows the most about it.
     ({
