@@ -57,7 +57,6 @@ _PLAN_S = 2 * 3600.0
 _PAPERS = "Levels are judged by the parameters of the paper's site, config/site.yaml."
 # Times that a calendar contains (s since 1970).
 _FIRST, _LAST, _LAST_NS = 0.0, 4e9, 4 * 10**18
-_TWO = "two_pump_nodes", "two_processes"
 
 
 class Newest(NamedTuple):
@@ -179,8 +178,7 @@ class GraphStore(Reports):
     @property
     def two_pumps(self) -> str:
         """A warning if it is unclear which node is the pump node; otherwise empty."""
-        twins = any(alarm.role == PUMP and alarm.code in _TWO for alarm in self.present)
-        if not twins and sum(self.offered.values()) < 2:
+        if sum(self.offered.values()) < 2:
             return ""
         return (
             f"Two nodes claim to be the pump node ({', '.join(sorted(self.offered))}), so it "

@@ -269,8 +269,6 @@ def test_no_report_switches_the_stop_off(forged: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize(("offered", "alarms"), [
     ({"/pump": 1, "/second": 1}, []), ({"/pump": 2}, []),
-    ({"/pump": 1}, [alarm("/pump", "pump", "two_processes", "two processes report")]),
-    ({"/pump": 1}, [alarm("/pump: pump nodes", "pump", "two_pump_nodes", "two nodes")]),
 ])
 def test_if_two_nodes_may_be_the_pump_node_only_a_stop_is_offered(
     offered: dict[str, int], alarms: list[Status]
