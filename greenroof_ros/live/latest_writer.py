@@ -1,12 +1,19 @@
-"""Writing of values of which only the latest counts."""
+"""Writing of values of which only the latest counts, such as numbers that a live node learns."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Generic, TypeVar
 
 from greenroof_ros.base.disk import DISK
+from greenroof_ros.base.files import read_yaml, replace_text
+from greenroof_ros.base.ranges import Range
 
+_CLOSE_S = 2.0
+_FINITE = Range(-sys.float_info.max, sys.float_info.max)
 _T = TypeVar("_T")
 
 
@@ -41,3 +48,35 @@ class LatestWriter(Generic[_T]):
             self._problem = ""
         except Exception as error:  # whatever it is, the next value is still tried
             self._problem = str(error)
+
+
+class NumberFile(LatestWriter[Mapping[str, float]]):
+    """A file of named numbers.
+
+    The file is replaced as a whole, so that a power cut leaves either the old or the new file.
+    """
+
+    def __init__(self, file: Path) -> None:
+        """Store the path of the file, which need not exist yet."""
+        self._file = file
+        super().__init__(
+            lambda values: replace_text(file, json.dumps(values, indent=1), parents=True)
+        )
+
+    def read(self) -> dict[str, float]:
+        """Return the numbers in the file; an empty mapping if there is no file.
+
+        Raises:
+            ConfigurationError: if the file cannot be read, or is not a mapping of names to finite
+                numbers.
+        """
+        if not self._file.exists():
+            return {}
+        return {
+            name: _FINITE.read(value, key=name, file=self._file)
+            for name, value in read_yaml(self._file).items()  # JSON is YAML
+        }
+
+    def close(self) -> None:
+        """Wait at most two seconds until all numbers are written."""
+        DISK.wait(_CLOSE_S)

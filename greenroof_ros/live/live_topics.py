@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from greenroof_ros.interface.states import PLANT
 from greenroof_ros.interface.topics import Topic, read_topics
 
 
@@ -12,13 +13,11 @@ def read_live_topics() -> dict[str, Topic]:
     return {
         name: replace(
             topic,
-            publishers=topic.live_publishers or _drop_plant(topic.publishers),
-            subscribers=_drop_plant(topic.subscribers) + topic.live_subscribers,
+            publishers=topic.live_publishers or tuple(
+                role for role in topic.publishers if role != PLANT
+            ),
+            subscribers=topic.subscribers + topic.live_subscribers,
         )
         for name, topic in read_topics().items()
         if topic.live
     }
-
-
-def _drop_plant(roles: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(role for role in roles if role != "plant")

@@ -109,13 +109,14 @@ class LiveWeatherNode(WeatherNode, LiveNode):
         if self._file is not None:
             self._reader.do(self._file.update)
             self._reader.wait(_FIRST_READ_S)
-            self._fetcher = self._fetch(values, file) if values["fetch"] else None
+            if values["fetch"]:
+                self._fetch(values, file)
         self._rain_gauge, self._thermometer = (
             self.subscribe(name, optional=True) for name in _GAUGES
         )
         self.open_weather(site, values["horizon"])
 
-    def _fetch(self, values: dict[str, Any], file: Path) -> Fetcher:
+    def _fetch(self, values: dict[str, Any], file: Path) -> None:
         """Start fetching forecasts on a separate thread."""
         days = math.ceil(values["horizon"] / 24) + 2  # from midnight UTC; used until issue_limit
         service = Service(
@@ -123,10 +124,8 @@ class LiveWeatherNode(WeatherNode, LiveNode):
             days=min(days, MAX_DAYS), url=values["fetch_url"],
         )
         files = ForecastFiles(file, file.with_suffix(""))
-        kept = LatestWriter[IssuedForecast](files.write)
-        fetcher = Fetcher(service, kept.write, _FETCH_S)
-        fetcher.start()
-        return fetcher
+        self._fetcher = Fetcher(service, LatestWriter[IssuedForecast](files.write).write, _FETCH_S)
+        self._fetcher.start()
 
     def on_inputs(self) -> None:
         """Publish the values known now; subscribers recognize a missing value by its age."""
@@ -141,7 +140,7 @@ class LiveWeatherNode(WeatherNode, LiveNode):
             temperature = self._thermometer.value
         frost = self._unknown_frost if math.isnan(temperature) else float(temperature <= 0)
         self.publish_weather(frost, outlook, rain, evapotranspiration)
-        self._diagnose_frost(temperature, outlook is not None)
+        self._diagnose_frost(temperature)
         self._diagnose_gauge("rain gauge", self._rain_gauge)
         self._diagnose_gauge("thermometer", self._thermometer)
         if self._fetcher is not None:
@@ -184,13 +183,8 @@ class LiveWeatherNode(WeatherNode, LiveNode):
         )
         return outlook
 
-    def _diagnose_frost(self, temperature: float, forecast: bool) -> None:
-        """Report frost, or an unknown temperature.
-
-        Args:
-            temperature: air temperature (degC); NaN if unknown.
-            forecast: whether there is a forecast.
-        """
+    def _diagnose_frost(self, temperature: float) -> None:
+        """Report frost, or an unknown temperature (NaN, degC)."""
         gauge, diagnosis, level = self._thermometer, None, WARN
         if temperature <= 0:
             source = "measured" if gauge.good else "forecast"
@@ -198,7 +192,7 @@ class LiveWeatherNode(WeatherNode, LiveNode):
         elif math.isnan(temperature):
             lost = gauge.diagnosis if gauge.received else None
             why = "no thermometer reading" if lost is None else lost.sentence
-            why += ", and the forecast has no temperature column" if forecast else ", no forecast"
+            why += ", and no forecast with a temperature column"
             level, case = (ERROR, "off") if math.isnan(self._unknown_frost) else (WARN, "may_run")
             diagnosis = Diagnosis.of("temperature_unknown", case, why=why)
             if lost is not None and lost.code in AWAITED:  # it will soon be known

@@ -94,7 +94,7 @@ class RecorderNode(LockstepNode):
         Raises:
             LockstepError: if a topic has more messages.
         """
-        if self._closed or self.run is None or self.tick <= self.run.last_tick:
+        if self._closed or self.tick <= self.last_tick:
             return
         for name, queue in self._queues.items():
             if queue:

@@ -55,8 +55,7 @@ class Status:
             for key, value in self.values.items()
         }
         if self.values["code"]:
-            age = time.monotonic() - self.began
-            texts |= {"since": iso(self.since), "age_s": f"{age:.1f}"}
+            texts |= {"since": iso(self.since), "age_s": f"{time.monotonic() - self.began:.1f}"}
         return {key: text for key, text in texts.items() if text}
 
 

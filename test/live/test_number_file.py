@@ -9,7 +9,7 @@ import pytest
 from graphs import wait_for
 from refusals import refusal
 
-from greenroof_ros.live.number_file import NumberFile
+from greenroof_ros.live.latest_writer import NumberFile
 
 TOO_LONG_S = 60
 
