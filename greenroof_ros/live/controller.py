@@ -29,7 +29,7 @@ from greenroof_ros.live.latest_writer import NumberFile
 from greenroof_ros.live.levels import RECOVERY, Levels, live_parameters
 from greenroof_ros.live.live_input import LiveInput, bad_inputs
 from greenroof_ros.live.node import LiveNode, live_command
-from greenroof_ros.live.time_limit import deciding_limit
+from greenroof_ros.live.upkeep import deciding_limit
 from greenroof_ros.nodes.controller import FORECASTS, FROST, LEVELS, ControllerNode, Outputs
 from greenroof_ros.ros.diagnostics import ERROR, WARN
 from greenroof_ros.ros.parameters import declare, site_file

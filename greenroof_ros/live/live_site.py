@@ -16,7 +16,7 @@ from greenroof_ros.live.devices.exchange import CHOICE, Endpoint, read_endpoint
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS, ModbusSensor, read_sensors
 from greenroof_ros.live.pumping.state_file import GUARD, STATE_FILE
 from greenroof_ros.live.supervisor import ACTUATORS_SILENT_S, SiteProcess
-from greenroof_ros.live.time_limit import silence_limit
+from greenroof_ros.live.upkeep import silence_limit
 from greenroof_ros.live.valve import refuse_valve
 from greenroof_ros.ros.alarms import ROLE
 from greenroof_ros.ros.arguments import add_graph_arguments
@@ -190,8 +190,8 @@ def make_parser() -> Parser:
     weather.add_argument(
         "--forecast", metavar="{FILE.csv,open-meteo}",
         help="read forecasts from FILE.csv, again whenever it is replaced; open-meteo: fetch them "
-        "from Open-Meteo for the location of the site, according to the weather node's parameters "
-        "fetch_... (--node-parameters). With a thermometer, onoff and lookahead need no forecast",
+        "from Open-Meteo for the location of the site. With a thermometer, onoff and lookahead "
+        "need no forecast",
     )
     weather.add_argument(
         "--weather", choices=[EXTERNAL],

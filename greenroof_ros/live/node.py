@@ -20,11 +20,11 @@ from rclpy.executors import SingleThreadedExecutor
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.states import DriveState
 from greenroof_ros.live.boot_clock import boot_time, suspended_time
-from greenroof_ros.live.heartbeat import send_beat
 from greenroof_ros.live.levels import LIMITS, RECOVERY
 from greenroof_ros.live.live_input import LiveInput, LivePublishers, bad_inputs
 from greenroof_ros.live.live_topics import read_live_topics
 from greenroof_ros.live.pumping.input_rules import AWAITED, InputRules, LevelRule
+from greenroof_ros.live.upkeep import send_beat
 from greenroof_ros.live.valve import refuse_valve
 from greenroof_ros.ros.diagnostics import ERROR, WARN
 from greenroof_ros.ros.executable import node_command

@@ -37,8 +37,6 @@ from greenroof_ros.site.file import format_site, read_site
 # Interval at which systemd is notified (s); and how long to wait at the end until the logs and the
 # summary are written (s).
 _NOTIFY_S, _WRITTEN_S = 1.0, 5.0
-# Number of alarms in the summary.
-_NEWEST = 200
 _MAY_RUN = (
     "THE PUMP MAY BE RUNNING: now only the drive's own timeout can stop it, if it is on; check the "
     "pump, and stop it at the drive's panel or at the main switch"
@@ -188,7 +186,7 @@ def _summarize(site: LiveSite, directory: Path) -> Callable[[str, str | None], N
 
     def write(values: dict[str, Any]) -> None:
         new = [to_record(each) for each in _list_alarms(directory) if each.number > before]
-        summary.write({**values, **setting, "alarms": new[-_NEWEST:]}, directory)
+        summary.write({**values, **setting, "alarms": new}, directory)
 
     def queue(status: str, reason: str | None) -> None:
         ended = None if status == summary.RUNNING else iso(time.time())

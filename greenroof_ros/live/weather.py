@@ -68,10 +68,6 @@ def parameters(site: Site) -> list[Parameter]:
                 "empty, another program writes that file",
             among=("", *INTERFACES),
         ),
-        Parameter(
-            "fetch_model", "", meaning="Open-Meteo's name for the weather model; if empty, "
-                "Open-Meteo chooses the model",
-        ),
         Parameter("fetch_url", "", meaning="address of an Open-Meteo-compatible server; if empty, "
             "Open-Meteo's own server is used"),
         Parameter(
@@ -120,8 +116,8 @@ class LiveWeatherNode(WeatherNode, LiveNode):
         """Start fetching forecasts on a separate thread."""
         days = math.ceil(values["horizon"] / 24) + 2  # from midnight UTC; used until issue_limit
         service = Service(
-            self._site, ensemble=values["fetch"] == ENSEMBLE, model=values["fetch_model"],
-            days=min(days, MAX_DAYS), url=values["fetch_url"],
+            self._site, ensemble=values["fetch"] == ENSEMBLE, days=min(days, MAX_DAYS),
+            url=values["fetch_url"],
         )
         files = ForecastFiles(file, file.with_suffix(""))
         self._fetcher = Fetcher(service, LatestWriter[IssuedForecast](files.write).write, _FETCH_S)

@@ -112,7 +112,6 @@ class PlantNode(LockstepNode):
         self._paused = True  # the tick waits for the start, for the pace or for the recorder
         self._pace = self.create_timer(_LATE_S, self._publish_if_due, clock=STEADY)
         self._pace.cancel()
-        self._wall_s = 0.0
         self._began = self._waiting_since = time.monotonic()
 
         self.open_outputs(
@@ -175,7 +174,6 @@ class PlantNode(LockstepNode):
         self._waiting_since = time.monotonic()
         if site.tick == self._run_length:
             self._publish_flows(flows)
-            self._wall_s = time.monotonic() - self._began
             self.finish()
             return
         known_rain = rain if self._rain.good else math.nan  # unknown rain counts as wet weather
@@ -270,7 +268,8 @@ class PlantNode(LockstepNode):
 
     def summary(self) -> dict[str, Any]:
         """Return the metrics, events and duration (s of wall time) of the run."""
-        return {**self._metrics.results(self._site.state)._asdict(), "wall_s": self._wall_s}
+        wall_s = time.monotonic() - self._began
+        return {**self._metrics.results(self._site.state)._asdict(), "wall_s": wall_s}
 
 
 main = node_command(PlantNode, __doc__)

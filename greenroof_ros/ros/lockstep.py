@@ -84,7 +84,6 @@ class LockstepNode(GraphNode):
         self.last_tick = math.inf
         self._always["run_length"] = None
         self.awaited: set[str] = set()
-        self._of_tick: set[str] = set()  # names of the inputs that the node acts on
         self.result: dict[str, Any] = {}
         if role != PLANT:
             self.awaited.add(RUN)
@@ -110,7 +109,6 @@ class LockstepNode(GraphNode):
         """
         awaited, full_name = self.awaited, self.resolve_topic_name(self.interface[name].graph_name)
         entry = self.inputs[name] = Input(self.interface[name], full_name)
-        self._of_tick.add(name)
         awaited.add(name)
 
         def receive(message: bytes) -> None:
@@ -143,7 +141,7 @@ class LockstepNode(GraphNode):
             self.run, self.last_tick = run, run[1]
             self._always["run_length"] = round(self.last_tick)
             self.awaited.discard(RUN)
-            if self._of_tick and not self.awaited:
+            if self.inputs and not self.awaited:
                 self._act()
         elif run != self.run:
             raise LockstepError(
@@ -152,7 +150,7 @@ class LockstepNode(GraphNode):
 
     def _act(self) -> None:
         """Act on the inputs, and await all inputs again, for the next tick."""
-        self.awaited |= self._of_tick
+        self.awaited.update(self.inputs)
         self.tick += 1
         if (clock := self.inputs.get(CLOCK)) is not None:
             self.time_ns = clock.value

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from places import CHECKOUT
 
-from greenroof_ros.live.heartbeat import PIPE, send_beat
+from greenroof_ros.live.upkeep import PIPE, send_beat
 
 
 def test_a_heartbeat_that_is_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
