@@ -252,8 +252,6 @@ class LiveControllerNode(ControllerNode, LiveNode):
         if self._learned_file is None or not self._learned or now - self._saved_at < every:
             return
         self._saved_at = now
-        if why := self._learned_file.problem:
-            self.get_logger().warning(f"learned values of {self.get_name()} are not saved: {why}")
         self._learned_file.write(self._learned)
 
     def on_stop(self) -> None:

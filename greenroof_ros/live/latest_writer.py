@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Generic, TypeVar
 
@@ -29,25 +30,16 @@ class LatestWriter(Generic[_T]):
         Args:
             write: function that writes a value; it is called in the disk thread.
         """
-        self._problem, self._write = "", write
-
-    @property
-    def problem(self) -> str:
-        """The reason why the latest value is not being written; empty if there is no problem."""
-        return "the disk does not respond" if DISK.late else self._problem
+        self._write = write
 
     def write(self, value: _T) -> None:
-        """Queue a value for writing."""
+        """Queue a value for writing; if that fails, only the next value is tried again."""
         self._value = value
-        if not DISK.do(self._write_latest):
-            self._problem = "the queue of the disk is full"
+        DISK.do(self._write_latest)
 
     def _write_latest(self) -> None:
-        try:
+        with suppress(Exception):  # the recorder and the pump's state report a bad disk
             self._write(self._value)
-            self._problem = ""
-        except Exception as error:  # whatever it is, the next value is still tried
-            self._problem = str(error)
 
 
 class NumberFile(LatestWriter[Mapping[str, float]]):

@@ -287,10 +287,8 @@ class LiveSupervisor:
         wait = upkeep.count_restart(process.restarts, now)
         process.popen, process.failure = None, failure
         process.due = math.inf if wait is None else now + wait
-        then = f"starts again in {wait:g} s" if wait is not None else (
-            f"it has been restarted {upkeep.MAX_RESTARTS} times in the last "
-            f"{upkeep.WINDOW_S / 60:g} minutes, and stays off until the site is restarted"
-        )
+        off = "has failed too often, and stays off until the site is restarted"
+        then = off if wait is None else f"starts again in {wait:g} s"
         if is_refused or (wait is None and process is self._station):
             self._tell("\n  ".join([f"last lines of {process.name}:", *process.last_lines]))
             raise NodeFailed(f"{process.name} {failure}", code if is_refused else EXIT_FAILED)

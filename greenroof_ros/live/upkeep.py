@@ -13,9 +13,9 @@ from contextlib import suppress
 
 PIPE = "GREENROOF_ROS_HEARTBEAT"
 """environment variable with the file descriptor of the pipe's end, which does not block"""
-MAX_RESTARTS, WINDOW_S = 10, 600.0
+MAX_RESTARTS, _WINDOW_S = 10, 600.0
 """number of restarts of a process or a node allowed within a time (s)"""
-FIRST_WAIT_S, MAX_WAIT_S = 1.0, 10.0
+_FIRST_WAIT_S, MAX_WAIT_S = 1.0, 10.0
 """shortest and longest time before a restart (s)"""
 # How long a controller may take to decide (s), or the tick if that is longer; and how much longer
 # its process may be silent before the supervisor kills it. The pump stops by the command's age.
@@ -50,10 +50,10 @@ def count_restart(restarts: deque[float], now: float) -> float | None:
     Returns:
         The time; None if there have been too many restarts, so that there must be no other.
     """
-    while restarts and now - restarts[0] > WINDOW_S:
+    while restarts and now - restarts[0] > _WINDOW_S:
         restarts.popleft()
     count = len(restarts)
     if count >= MAX_RESTARTS:
         return None
     restarts.append(now)
-    return min(FIRST_WAIT_S * 2.0**count, MAX_WAIT_S)
+    return min(_FIRST_WAIT_S * 2.0**count, MAX_WAIT_S)
