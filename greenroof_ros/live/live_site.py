@@ -8,7 +8,7 @@ from typing import Any
 
 from greenroof_ros.base.command_line import Parser, add_site, make_number_type, refuse
 from greenroof_ros.controllers.registry import EXTERNAL, FOR_A_SITE
-from greenroof_ros.forecast.service import ENSEMBLE, FORECAST, OPEN_METEO
+from greenroof_ros.forecast.service import OPEN_METEO
 from greenroof_ros.interface.states import PUMP, RECORDER
 from greenroof_ros.live.devices.drive import DriveEndpoint
 from greenroof_ros.live.devices.drive_file import find_drive_file
@@ -125,8 +125,8 @@ class LiveSite:
             self.nodes["weather"] = f"{_LIVE}.weather", {
                 **common,
                 "forecast": str(state / "forecast.csv") if fetched else arguments.forecast or "",
-                **({"fetch": ENSEMBLE if kind.ensemble else FORECAST} if fetched else {}),
-                "horizon": self.parameters.get("horizon", shown), "all_members": kind.ensemble,
+                "fetch": fetched, "all_members": kind.ensemble,
+                "horizon": self.parameters.get("horizon", shown),
             }
         optional = {
             RECORDER, *(each.node for section, each in QUANTITIES.items() if section not in TANKS),

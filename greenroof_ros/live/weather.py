@@ -28,8 +28,6 @@ from greenroof_ros.forecast.live import (
 )
 from greenroof_ros.forecast.service import (
     ATTRIBUTION,
-    ENSEMBLE,
-    INTERFACES,
     MAX_DAYS,
     Fetcher,
     ForecastFiles,
@@ -63,10 +61,9 @@ def parameters(site: Site) -> list[Parameter]:
                 "replaced; empty for no forecast",
         ),
         Parameter(
-            "fetch", "", meaning="Open-Meteo API from which forecasts are fetched; they "
-                "are stored in the file that the parameter forecast names, and next to it. If "
-                "empty, another program writes that file",
-            among=("", *INTERFACES),
+            "fetch", False, meaning="whether forecasts are fetched from Open-Meteo (its ensembles, "
+                "with all_members), and stored in the file that the parameter forecast names, and "
+                "next to it; if false, another program writes that file",
         ),
         Parameter("fetch_url", "", meaning="address of an Open-Meteo-compatible server; if empty, "
             "Open-Meteo's own server is used"),
@@ -116,7 +113,7 @@ class LiveWeatherNode(WeatherNode, LiveNode):
         """Start fetching forecasts on a separate thread."""
         days = math.ceil(values["horizon"] / 24) + 2  # from midnight UTC; used until issue_limit
         service = Service(
-            self._site, ensemble=values["fetch"] == ENSEMBLE, days=min(days, MAX_DAYS),
+            self._site, ensemble=values["all_members"], days=min(days, MAX_DAYS),
             url=values["fetch_url"],
         )
         files = ForecastFiles(file, file.with_suffix(""))
