@@ -16,6 +16,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.parameter import Parameter
@@ -259,6 +260,14 @@ class LiveControllerNode(ControllerNode, LiveNode):
         self._save_learned(0.0)
         if self._learned_file is not None:
             self._learned_file.close()
+
+    def progress(self) -> dict[str, Any]:
+        """Return the changed parameters, and the levels (m), which bringup shows at the start."""
+        levels = {"cistern_level": self._cistern, "roof_level": self._roof}
+        return {
+            **super().progress(),
+            **{name: entry.value if entry.good else None for name, entry in levels.items()},
+        }
 
 
 main = live_command(LiveControllerNode, __doc__, "--controller")
