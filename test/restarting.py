@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 
 from greenroof_ros.bringup.live import main
-from greenroof_ros.live import restarts
+from greenroof_ros.live import upkeep
 
 if __name__ == "__main__":
-    restarts.MAX_RESTARTS = int(sys.argv.pop(1))
+    upkeep.MAX_RESTARTS = int(sys.argv.pop(1))
     main()

@@ -24,8 +24,6 @@ def make_parser() -> Parser:
         epilog="examples:\n"
         "  greenroof run --controller lookahead --initial high-low --horizon 12\n"
         "  greenroof run --weather mine.csv --start 2024-06-01 --hours 24\n"
-        "  greenroof run --namespace site1 --site site1.yaml\n"
-        "  greenroof run --speed 60 --no-record\n"
         "  greenroof run --controller external    # your node runs alongside it\n\n"
         "exit codes: 0 done, 1 a node failed, 2 bad usage or configuration, or an error in a "
         "controller's code, 3 a graph is already running, 130 interrupted",

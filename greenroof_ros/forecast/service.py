@@ -36,7 +36,6 @@ from greenroof_ros.weather.records import HOUR, make_hours
 
 OPEN_METEO = "open-meteo"
 """name of the service, given in place of a file of forecasts"""
-FORECAST, ENSEMBLE = INTERFACES = ("forecast", "ensemble")
 MAX_DAYS = 16
 """range of the interface "forecast" (days)"""
 ATTRIBUTION = "forecasts by Open-Meteo.com, CC BY 4.0"

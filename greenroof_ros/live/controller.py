@@ -30,7 +30,7 @@ from greenroof_ros.live.levels import RECOVERY, Levels, live_parameters
 from greenroof_ros.live.live_input import LiveInput, bad_inputs
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.live.number_file import NumberFile
-from greenroof_ros.live.time_limit import deciding_limit
+from greenroof_ros.live.upkeep import deciding_limit
 from greenroof_ros.nodes.controller import FORECASTS, FROST, LEVELS, ControllerNode, Outputs
 from greenroof_ros.ros.diagnostics import ERROR, WARN
 from greenroof_ros.ros.parameters import declare, site_file
@@ -121,9 +121,6 @@ class LiveControllerNode(ControllerNode, LiveNode):
         with self._controllers_code(_STARTING_S):
             self.make_controller()
 
-    def _time_in_words(self) -> str:
-        return to_people(from_epoch_ns(self.time_ns).replace(microsecond=0))
-
     # --- the controller's code ----------------------------------------------------------------
 
     @contextmanager
@@ -177,7 +174,9 @@ class LiveControllerNode(ControllerNode, LiveNode):
             command = self._stand_in.command(*levels, (), ()) if allowed else 0.0
         if command and (self._quiet or held or not self.good):
             command = 0.0
-        self._expect_movement()
+        # An unknown flow counts as 0, since the pump may be stopped: a constant level is then not
+        # frozen.
+        self._levels.expect(self._flow.value if self._flow.good else 0.0)
         return command, outputs
 
     def _command_by_controller(self, allowed: bool) -> tuple[float, Outputs, bool]:
@@ -192,7 +191,8 @@ class LiveControllerNode(ControllerNode, LiveNode):
         decides = allowed and self._may_use_forecast
         if decides and self._stand_in_since and not is_new:
             self.make_controller()
-        set_optional(self.controller, gauge_rain=self._measured_rain())
+        measured = self._gauge.value if self._gauge.good else 0.0
+        set_optional(self.controller, gauge_rain=measured)
         try:
             command, outputs = self.decide(decides)
         except ControllerError:
@@ -205,19 +205,6 @@ class LiveControllerNode(ControllerNode, LiveNode):
         self._learned = {name: float(value) for name, value in learned.items()}
         return command, outputs, decides
 
-    def _expect_movement(self) -> None:
-        """Set the level changes expected in a tick, based on the pump's flow.
-
-        An unknown flow is treated as 0, since the pump may be stopped; a constant level then does
-        not count as frozen.
-        """
-        self._levels.expect(self._flow.value if self._flow.good else 0.0)
-
-    def _measured_rain(self) -> float:
-        """Return the rain from the gauge (m/s); 0 without a valid reading."""
-        rain: float = self._gauge.value if self._gauge.good else 0.0
-        return rain
-
     @property
     def _may_use_forecast(self) -> bool:
         """Whether the controller has the forecasts that it needs, if it needs any."""
@@ -229,42 +216,34 @@ class LiveControllerNode(ControllerNode, LiveNode):
     # --- the stand-in -------------------------------------------------------------------------
 
     def _update_stand_in(self) -> None:
-        """Switch to on/off control once the controller has failed to decide for too long."""
+        """Switch to on/off control once the controller has failed to decide for too long.
+
+        A failure and a problem with the forecasts are reported. A controller that can do without a
+        forecast continues to issue commands; if the site never had a forecast, nothing is reported.
+        """
         now = time.monotonic()
         if not self._failure and self._may_use_forecast:
             self._lacking_since, self._stand_in_since = math.inf, ""
         else:
             self._lacking_since = min(self._lacking_since, now)
             if not self._stand_in_since and now - self._lacking_since >= self._stand_in_after:
-                self._stand_in_since = self._time_in_words()
-        self._diagnose_failure()
-        self._diagnose_forecast()
-
-    def _diagnose_failure(self) -> None:
-        since = self._stand_in_since
-        if self._failure:
-            case, level = ("onoff", WARN) if since else ("stops", ERROR)
-            diagnosis = Diagnosis.of("controller_failed", case, why=self._failure, since=since)
-            self.reports.diagnose("command", diagnosis, level=level)
-        elif "command" in self.reports.parts:
-            self.reports.diagnose("command", None, "the controller is in command again")
-
-    def _diagnose_forecast(self) -> None:
-        """Report a problem with the forecasts.
-
-        A controller that can do without a forecast continues to issue commands; if the site never
-        had a forecast, nothing is reported.
-        """
-        can_use = "horizon" in self._choice.parameters and self._rain.received
-        if not (can_use or self._choice.needs_forecast):
-            return
-        bad, since = self._find_bad_forecast(), self._stand_in_since
-        diagnosis = bad and Diagnosis.of(
-            "no_forecast", "onoff" if since else "without", since=since, problem=bad.sentence,
-            topic=bad.values["topic"],
-        )
-        cause = bad.code if bad else ""
-        self.reports.diagnose("forecast", diagnosis, "the forecast is valid", WARN, cause)
+                began = from_epoch_ns(self.time_ns).replace(microsecond=0)
+                self._stand_in_since = to_people(began)
+        since, bad, choice = self._stand_in_since, self._find_bad_forecast(), self._choice
+        if self._failure or "command" in self.reports.parts:
+            failed = Diagnosis.of(
+                "controller_failed", "onoff" if since else "stops", why=self._failure, since=since
+            ) if self._failure else None
+            self.reports.diagnose(
+                "command", failed, "the controller is in command again", WARN if since else ERROR
+            )
+        if choice.needs_forecast or ("horizon" in choice.parameters and self._rain.received):
+            lacking = bad and Diagnosis.of(
+                "no_forecast", "onoff" if since else "without", since=since, problem=bad.sentence,
+                topic=bad.values["topic"],
+            )
+            cause = bad.code if bad else ""
+            self.reports.diagnose("forecast", lacking, "the forecast is valid", WARN, cause)
 
     # --- what is kept and reported ------------------------------------------------------------
 
@@ -274,8 +253,6 @@ class LiveControllerNode(ControllerNode, LiveNode):
         if self._learned_file is None or not self._learned or now - self._saved_at < every:
             return
         self._saved_at = now
-        if why := self._learned_file.problem:
-            self.get_logger().warning(f"learned values of {self.get_name()} are not saved: {why}")
         self._learned_file.write(self._learned)
 
     def on_stop(self) -> None:
@@ -285,10 +262,10 @@ class LiveControllerNode(ControllerNode, LiveNode):
             self._learned_file.close()
 
     def progress(self) -> dict[str, Any]:
-        """Return the changed parameters, and the values that bringup shows."""
+        """Return the changed parameters, and the levels (m), which bringup shows at the start."""
         levels = {"cistern_level": self._cistern, "roof_level": self._roof}
         return {
-            **super().progress(), "command": self.command,
+            **super().progress(),
             **{name: entry.value if entry.good else None for name, entry in levels.items()},
         }
 

@@ -41,13 +41,12 @@ LIMITS = {
     )
     for topic in read_topics().values() if (age := topic.max_age) is not None
 }
-_LEVEL = LIMITS["/roof/level"]
 
 
 def live_parameters(topics: Iterable[str]) -> list[Parameter]:
     """Return the parameters of a live node that acts on the given topics."""
     limits = dict.fromkeys(LIMITS[topic] for topic in topics)
-    of_levels = [_FROZEN_MOVEMENT, _JUMP_TOLERANCE] if _LEVEL in limits else []
+    of_levels = [_FROZEN_MOVEMENT, _JUMP_TOLERANCE] if LIMITS["/roof/level"] in limits else []
     return [*limits, RECOVERY, *of_levels]
 
 

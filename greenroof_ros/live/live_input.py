@@ -4,24 +4,23 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.topics import Topic
 from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.pumping.input_rules import AWAITED, InputRules
 from greenroof_ros.ros.inputs import Input
-from greenroof_ros.ros.messages import qos_profile
 from greenroof_ros.ros.publishers import DISCOVERY_S, Publishers
 
 # How many messages on a topic can wait for the recorder while it or the machine is busy.
 _RECORDED_DEPTH = 1000
+_UNKNOWN = "unknown"
 
 
 class LivePublishers(Publishers):
@@ -44,20 +43,13 @@ class LivePublishers(Publishers):
             recorded: whether the node only records the topic, and must not miss a message.
         """
         super().__init__(node, topic, replace(
-            topic.qos, durability="volatile",
+            topic.qos, durability="volatile", depth=_RECORDED_DEPTH if recorded else 1,
             # Every message on a topic with a lease restarts a timer in every reader.
             lease_s=math.inf if recorded else topic.qos.lease_s,
         ), optional=optional or recorded)
         self._by_lease = math.isfinite(self.required.lease_s)
-        self._depth = _RECORDED_DEPTH if recorded else 1
         self._alive = 0  # counted only if there is a lease
         self._incompatible_at = -math.inf  # when the middleware last reported an incompatible one
-
-    def profile(self) -> QoSProfile:
-        """Return the quality of service of the subscription, which requests no past messages."""
-        profile = qos_profile(self.required)
-        profile.depth = self._depth
-        return profile
 
     def events(self) -> SubscriptionEventCallbacks | None:
         """Return the subscription's event callbacks, which count publishers if there is a lease."""
@@ -119,7 +111,7 @@ class LiveInput(Input):
         super().__init__(publishers.topic, publishers.full_name)
         self.publishers = publishers
         self.rules = rules
-        self.received = self._unknown = False
+        self.received = False
         self.check()
 
     @property
@@ -129,11 +121,11 @@ class LiveInput(Input):
 
     def receive(self, message: bytes) -> None:
         """Receive the value of a message, or 0 if the value must be rejected, and check it."""
-        self.received, self._unknown = True, False
+        self.received = True
         super().receive(message)
         refused = None
         if self.refusal:
-            case = "unknown" if self._unknown else "refused"
+            case = "unknown" if self.refusal == _UNKNOWN else "refused"
             refused = Diagnosis.of("input_refused", case, why=self.refusal)
         self.rules.receive(boot_time(), self.value, refused)
         self.check()
@@ -157,33 +149,18 @@ class LiveInput(Input):
         super()._refuse(value, why)
         if self.topic.may_be_unknown and math.isnan(value):
             self.refused -= 1  # its publisher does not know it, which is no fault
-            self.refusal, self._unknown = "unknown", True
+            self.refusal = _UNKNOWN
 
 
 def bad_inputs(inputs: Iterable[LiveInput]) -> Diagnosis | None:
-    """Return a joint diagnosis of the invalid inputs, with the code of the worst input.
+    """Return a joint diagnosis of the invalid inputs, with the code and values of the worst.
 
     The worst input is the first that violates a rule or, if none does, the first that is awaited.
     """
     diagnoses = [diagnosis for entry in inputs if (diagnosis := entry.diagnosis) is not None]
-    worst = min(diagnoses, key=lambda each: each.code in AWAITED, default=None)
-    return join_diagnoses(diagnoses, worst)
-
-
-def join_diagnoses(
-    diagnoses: Sequence[Diagnosis], worst: Diagnosis | None = None
-) -> Diagnosis | None:
-    """Merge diagnoses into one with the code and values of the worst; return None if given none.
-
-    Args:
-        diagnoses: the diagnoses, in the order of their sentences.
-        worst: the worst of the diagnoses; None if it is the first.
-    """
     if not diagnoses:
         return None
-    topics = {str(topic): None for each in diagnoses if (topic := each.values.get("topic"))}
-    worst = worst or diagnoses[0]
-    return replace(
-        worst, text="; ".join(each.sentence for each in diagnoses),
-        values={**worst.values, **({"topics": " ".join(topics)} if topics else {})},
-    )
+    worst = min(diagnoses, key=lambda each: each.code in AWAITED)
+    topics = " ".join(dict.fromkeys(str(each.values["topic"]) for each in diagnoses))
+    text = "; ".join(each.sentence for each in diagnoses)
+    return replace(worst, text=text, values={**worst.values, "topics": topics})

@@ -8,14 +8,15 @@ from typing import Any
 
 from greenroof_ros.base.command_line import Parser, add_site, make_number_type, refuse
 from greenroof_ros.controllers.registry import EXTERNAL, FOR_A_SITE
-from greenroof_ros.forecast.service import ENSEMBLE, FORECAST, OPEN_METEO
+from greenroof_ros.forecast.service import OPEN_METEO
 from greenroof_ros.interface.states import PUMP, RECORDER
 from greenroof_ros.live.devices.drive import DriveEndpoint
+from greenroof_ros.live.devices.drive_file import find_drive_file
+from greenroof_ros.live.devices.exchange import CHOICE, Endpoint, read_endpoint
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS, ModbusSensor, read_sensors
-from greenroof_ros.live.drive_choice import add_drive_arguments, read_drive_choice
 from greenroof_ros.live.pumping.state_file import GUARD, STATE_FILE
 from greenroof_ros.live.supervisor import ACTUATORS_SILENT_S, SiteProcess
-from greenroof_ros.live.time_limit import silence_limit
+from greenroof_ros.live.upkeep import silence_limit
 from greenroof_ros.live.valve import refuse_valve
 from greenroof_ros.ros.alarms import ROLE
 from greenroof_ros.ros.arguments import add_graph_arguments
@@ -38,6 +39,7 @@ class LiveSite:
         controller: the chosen controller.
         parameters: all parameters of the controller.
         drive: the pump's drive; None if the user's own node runs the pump.
+        drive_at: address of the drive; None if there is none.
         tau: duration of the site's tick (s).
         forecast: forecast file, or ``open-meteo`` to fetch forecasts; None if there is no forecast
             or the user runs the weather node.
@@ -58,8 +60,12 @@ class LiveSite:
         self.tau = site.tau
         self.controller, given = read_controller(arguments)
         self.parameters = self.controller.complete_parameters(site, given)
-        self.drive = read_drive_choice(arguments)
-        endpoint = self.drive.read() if self.drive is not None else None
+        drive = _read_drive(arguments)
+        self.drive_at = drive.get("address")
+        self.drive: Endpoint | None = None
+        if drive:
+            path, at, *broker = drive.values()
+            self.drive = read_endpoint(Path(path), at, "--drive-at", *broker)
         sensors: dict[str, Any] = {}
         if arguments.sensors not in (None, EXTERNAL):
             arguments.sensors = str(Path(arguments.sensors).resolve())
@@ -70,7 +76,7 @@ class LiveSite:
         has_forecast, has_weather = arguments.forecast is not None, arguments.weather is None
         for option, is_missing in {
             "--sensors": arguments.sensors is None,
-            "--drive, or --pump external": endpoint is None and not arguments.pump,
+            "--drive, or --pump external": not drive and not arguments.pump,
             "--forecast, or a controller without a forecast, such as onoff":
                 has_weather and not has_forecast and self.controller.needs_forecast,
             "--forecast, or a thermometer, which shows frost":
@@ -82,8 +88,8 @@ class LiveSite:
             (has_forecast and arguments.forecast != OPEN_METEO
              and not arguments.forecast.lower().endswith(".csv"), "--forecast",
              arguments.forecast, "must be a FILE.csv, which is read again whenever it is replaced"),
-            (isinstance(endpoint, DriveEndpoint) and endpoint.address.line and any(
-                sensor.place.connection == endpoint.address.connection
+            (isinstance(self.drive, DriveEndpoint) and self.drive.address.line and any(
+                sensor.place.connection == self.drive.address.connection
                 for sensor in sensors.values() if isinstance(sensor, ModbusSensor)
              ), "--drive-at", arguments.drive_at,
              "is also the serial line of a sensor, but only one program can open a serial line: "
@@ -91,7 +97,6 @@ class LiveSite:
         )
         self.forecast: str | None = arguments.forecast
         of_sensors = [getattr(each, key, "") for each in sensors.values() for key in _BROKER_FILES]
-        drive = {} if self.drive is None else vars(self.drive)
         named = drive.get("drive"), *(drive.get(f"broker_{key}") for key in _BROKER_FILES)
         self.files = [
             Path(file) for file in (sensors and arguments.sensors, *named, *of_sensors) if file
@@ -120,8 +125,8 @@ class LiveSite:
             self.nodes["weather"] = f"{_LIVE}.weather", {
                 **common,
                 "forecast": str(state / "forecast.csv") if fetched else arguments.forecast or "",
-                **({"fetch": ENSEMBLE if kind.ensemble else FORECAST} if fetched else {}),
-                "horizon": self.parameters.get("horizon", shown), "all_members": kind.ensemble,
+                "fetch": fetched, "all_members": kind.ensemble,
+                "horizon": self.parameters.get("horizon", shown),
             }
         optional = {
             RECORDER,
@@ -140,6 +145,25 @@ class LiveSite:
             SiteProcess(name, words, logs, limit),
             SiteProcess(STATION, station, logs, limit),
         )
+
+
+def _read_drive(arguments: argparse.Namespace) -> dict[str, str]:
+    """Return the pump node's parameters of the drive (CHOICE); empty if there is no drive.
+
+    Raises:
+        ConfigurationError: if the drive file does not exist, or the options are inconsistent.
+    """
+    drive, at = arguments.drive, arguments.drive_at
+    refuse(
+        (bool(drive) != bool(at), "--drive", drive,
+         "and --drive-at (tcp://192.168.0.20:502, /dev/ttyUSB0, mqtt://...) require each other"),
+        (drive and arguments.pump == EXTERNAL, "--pump", EXTERNAL,
+         "assigns the pump to your own node, but --drive to the pump node; use only one of them"),
+    )
+    files = arguments.broker_login, arguments.broker_authority
+    absolute = [str(Path(file).resolve()) if file else "" for file in files]
+    values = [str(find_drive_file(drive).resolve()), at, *absolute] if drive else []
+    return {parameter.name: value for parameter, value in zip(CHOICE, values, strict=False)}
 
 
 def make_parser() -> Parser:
@@ -167,8 +191,8 @@ def make_parser() -> Parser:
     weather.add_argument(
         "--forecast", metavar="{FILE.csv,open-meteo}",
         help="read forecasts from FILE.csv, again whenever it is replaced; open-meteo: fetch them "
-        "from Open-Meteo for the location of the site, according to the weather node's parameters "
-        "fetch_... (--node-parameters). With a thermometer, onoff and lookahead need no forecast",
+        "from Open-Meteo for the location of the site. With a thermometer, onoff and lookahead "
+        "need no forecast",
     )
     weather.add_argument(
         "--weather", choices=[EXTERNAL],
@@ -190,5 +214,12 @@ def make_parser() -> Parser:
         "disk space for it at the start (default: %(default)g MB)",
     )
     add_graph_arguments(parser)
-    add_drive_arguments(parser)
+    group = parser.add_argument_group(
+        "the drive", "The pump node runs a drive over Modbus, or a relay over MQTT.")
+    options = {
+        "--drive": "{NAME,FILE}", "--drive-at": "ADDRESS", "--broker-login": "FILE",
+        "--broker-authority": "FILE",
+    }
+    for parameter, (option, metavar) in zip(CHOICE, options.items(), strict=True):
+        group.add_argument(option, default="", metavar=metavar, help=parameter.meaning)
     return parser

@@ -8,17 +8,13 @@ from greenroof_ros.interface.topics import Topic, read_topics
 
 
 def read_live_topics() -> dict[str, Topic]:
-    """Return the topics of a live graph, which has no plant."""
+    """Return the topics of a live graph, with the roles that replace the plant."""
     return {
         name: replace(
             topic,
-            publishers=topic.live_publishers or _drop_plant(topic.publishers),
-            subscribers=_drop_plant(topic.subscribers) + topic.live_subscribers,
+            publishers=topic.live_publishers or topic.publishers,
+            subscribers=topic.subscribers + topic.live_subscribers,
         )
         for name, topic in read_topics().items()
         if topic.live
     }
-
-
-def _drop_plant(roles: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(role for role in roles if role != "plant")

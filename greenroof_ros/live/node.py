@@ -20,16 +20,16 @@ from rclpy.executors import SingleThreadedExecutor
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.interface.states import DriveState
 from greenroof_ros.live.boot_clock import boot_time, suspended_time
-from greenroof_ros.live.heartbeat import send_beat
 from greenroof_ros.live.levels import LIMITS, RECOVERY
 from greenroof_ros.live.live_input import LiveInput, LivePublishers, bad_inputs
 from greenroof_ros.live.live_topics import read_live_topics
 from greenroof_ros.live.pumping.input_rules import AWAITED, InputRules, LevelRule
+from greenroof_ros.live.upkeep import send_beat
 from greenroof_ros.live.valve import refuse_valve
 from greenroof_ros.ros.diagnostics import ERROR, WARN
 from greenroof_ros.ros.executable import node_command
 from greenroof_ros.ros.graph_node import GraphNode
-from greenroof_ros.ros.messages import decoder
+from greenroof_ros.ros.messages import decoder, qos_profile
 from greenroof_ros.ros.reports import PAUSE_S
 from greenroof_ros.ros.spin import start_receiving
 from greenroof_ros.site.site import Site
@@ -134,9 +134,8 @@ class LiveNode(GraphNode):
 
     def _open(self, publishers: LivePublishers, callback: Callable[[bytes], None]) -> None:
         self.peers.publishers[publishers.topic.name] = publishers
-        self.open_subscription(
-            publishers.topic, callback, publishers.profile(), publishers.events()
-        )
+        profile = qos_profile(publishers.required)  # it requests no past messages
+        self.open_subscription(publishers.topic, callback, profile, publishers.events())
 
     # --- running ----------------------------------------------------------------------------
 

@@ -31,9 +31,8 @@ from greenroof_ros.site.site import Site
 
 # A file of the bag is neither larger than this nor than a tenth of the whole bag.
 _FILE_BYTES, _MB = 100e6, 1e6
-# Interval at which the node checks whether a flush is due, and how long it waits for the disk at
-# its end (s).
-_UPDATE_S, _WRITTEN_S = 1.0, 4.0
+# How long the node waits for the disk at its end (s).
+_WRITTEN_S = 4.0
 # Interval at which a report on /diagnostics that shows no change is recorded (s).
 _UNCHANGED_S = 10.0
 _DIAGNOSTICS = "/diagnostics"
@@ -99,7 +98,6 @@ class LiveRecorderNode(LiveNode):
             total_bytes=int(total),
         )
         self._recorded: Recorded = {}
-        self._updated_at = time.monotonic()
         for name, topic in topics.items():
             self.record(topic.name, partial(self._queue, name))
 
@@ -112,13 +110,14 @@ class LiveRecorderNode(LiveNode):
 
     def on_timer(self, now: float) -> None:
         """Flush the bag if a flush is due, and report the state of the recording."""
-        if now - self._updated_at > _UPDATE_S:
-            self._updated_at = now
-            DISK.do(partial(self._bag.flush_if_due, now))
+        DISK.do(self._flush_if_due)
         directory = self._bag.directory
         why = f"{directory}: the disk does not respond" if DISK.late else self._bag.problem
         diagnosis = Diagnosis.if_any("not_recorded", why)
         self.reports.diagnose("recording", diagnosis, f"recording to {directory}")
+
+    def _flush_if_due(self) -> None:
+        self._bag.flush_if_due(time.monotonic())
 
     def progress(self) -> dict[str, Any]:
         """Return the bag's path."""

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import os
+import socket
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
@@ -19,10 +21,10 @@ from greenroof_ros.base.standard_error import print_line
 from greenroof_ros.base.times import iso
 from greenroof_ros.interface.alarm import Alarm, to_record
 from greenroof_ros.interface.states import PUMP
+from greenroof_ros.live.devices.exchange import DriveInUseError, Endpoint, stop_drive
 from greenroof_ros.live.live_site import LiveSite
 from greenroof_ros.live.pumping.limits import check_command_limit
-from greenroof_ros.live.service_manager import notify
-from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed
+from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, StopDrive
 from greenroof_ros.results.alarm_file import read_alarms
 from greenroof_ros.results.versions import versions
 from greenroof_ros.ros.domain import lock_bringup, prepare_ros, ros_arguments
@@ -35,8 +37,10 @@ from greenroof_ros.site.file import format_site, read_site
 # Interval at which systemd is notified (s); and how long to wait at the end until the logs and the
 # summary are written (s).
 _NOTIFY_S, _WRITTEN_S = 1.0, 5.0
-# Number of alarms in the summary.
-_NEWEST = 200
+_MAY_RUN = (
+    "THE PUMP MAY BE RUNNING: now only the drive's own timeout can stop it, if it is on; check the "
+    "pump, and stop it at the drive's panel or at the main switch"
+)
 
 
 def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) -> int:
@@ -73,7 +77,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         supervisor = LiveSupervisor(
             *site.processes,
             ros_arguments(map(files.copy_of, [parameters, *user_files]), namespace),
-            site.drive.stopper() if site.drive is not None else None, _tell, files.write,
+            make_stopper(site.drive) if site.drive is not None else None, _tell, files.write,
         )
         try:
             write(summary.RUNNING, None)
@@ -81,6 +85,43 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         except Exception as error:  # whatever the error, the summary must not state "running"
             signals.ignore()
             return _end(write, supervisor.may_run, error)
+
+
+def make_stopper(drive: Endpoint) -> StopDrive:
+    """Return a function that stops a drive without the pump node.
+
+    A drive that another program controls is left alone. A drive that nobody has reached runs no
+    pump: its own timeout would have stopped a pump that was left on before.
+    """
+    drive.connection()  # load its library now, since the disk may hang when it is needed
+
+    def stop(pump_node: int, reached: bool) -> tuple[bool, str]:
+        try:
+            status = stop_drive(drive, driver=pump_node)
+        except DriveInUseError as error:
+            return True, (
+                f"another program (process {error.holder}) controls the drive, and the pump "
+                "may be running: the drive is left to that program"
+            )
+        except Exception as error:  # whatever the error, someone must check the pump
+            warning = _MAY_RUN if reached else "the drive has not responded since the start"
+            return reached, f"bringup could not stop the drive: {error}; {warning}"
+        message = f"bringup commanded the drive to stop; the drive then reported: {status}"
+        return not status.at_rest, message if status.at_rest else f"{message}; {_MAY_RUN}"
+
+    return stop
+
+
+def notify(line: str) -> None:
+    """Send a line, such as ``READY=1``, to systemd if systemd started this process."""
+    path = os.environ.get("NOTIFY_SOCKET")
+    if not path:
+        return
+    address = f"\0{path[1:]}" if path.startswith("@") else path  # an abstract socket
+    # A service manager that restarts or is slow must not stop the process that it watches.
+    with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+        sender.setblocking(False)
+        sender.sendto(line.encode(), address)
 
 
 def _tell(text: str) -> None:
@@ -137,18 +178,15 @@ def _summarize(site: LiveSite, directory: Path) -> Callable[[str, str | None], N
         "controller": site.controller.name,
         "parameters": replace_infinity(site.parameters),
         "forecast": site.forecast,
-        "drive_at": site.drive and site.drive.address,
+        "drive_at": site.drive_at,
         "versions": versions(),
     }
 
     before = max((alarm.number for alarm in _list_alarms(directory)), default=0)
 
     def write(values: dict[str, Any]) -> None:
-        new = [alarm for alarm in _list_alarms(directory) if alarm.number > before]
-        summary.write(
-            {**values, **setting, "alarms": [to_record(alarm) for alarm in new[-_NEWEST:]]},
-            directory,
-        )
+        new = [to_record(each) for each in _list_alarms(directory) if each.number > before]
+        summary.write({**values, **setting, "alarms": new}, directory)
 
     def queue(status: str, reason: str | None) -> None:
         ended = None if status == summary.RUNNING else iso(time.time())

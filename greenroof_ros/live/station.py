@@ -14,6 +14,7 @@ from greenroof_ros.ros import begin_node
 begin_node(__name__)
 
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -22,8 +23,8 @@ from greenroof_ros.base.command_line import command
 from greenroof_ros.base.standard_error import Lines
 from greenroof_ros.live.node import LiveNode, spin
 from greenroof_ros.live.recorder import LiveRecorderNode
-from greenroof_ros.live.restarts import Restarts
 from greenroof_ros.live.sensors import sensor_makers
+from greenroof_ros.live.upkeep import count_restart
 from greenroof_ros.live.weather import LiveWeatherNode
 from greenroof_ros.nodes.alarms import AlarmsNode
 from greenroof_ros.ros.errors import print_failure
@@ -44,12 +45,12 @@ def keep_nodes(
         check: function that is called at least 20 times a second and may raise an exception.
     """
     made: dict[LiveNode | AlarmsNode, Make] = dict(zip(nodes, makers, strict=True))
-    restarts = {make: Restarts() for make in makers}
+    restarts = {make: deque[float]() for make in makers}
     due: dict[Make, float] = {}  # when a node is made again (steady clock, s)
 
     def postpone(make: Make) -> bool:
         """Set when a node is made again; return False if it has failed too often."""
-        wait = restarts[make].wait(time.monotonic())
+        wait = count_restart(restarts[make], time.monotonic())
         if wait is not None:
             due[make] = time.monotonic() + wait
         return wait is not None

@@ -22,9 +22,7 @@ from typing import IO, cast
 from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, EXIT_OCCUPIED, EXIT_USAGE
 from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.processes import child_environment
-from greenroof_ros.live import restarts
-from greenroof_ros.live.heartbeat import PIPE
-from greenroof_ros.live.restarts import Restarts
+from greenroof_ros.live import upkeep
 from greenroof_ros.ros.alarms import RESTARTED
 from greenroof_ros.ros.domain import LEASE
 
@@ -71,6 +69,7 @@ class SiteProcess:
         silence_s: how long it may be silent (s).
         popen: the running process as far as known; None if it is not running.
         pid: its last process id.
+        restarts: times of its recent restarts (steady clock, s).
         due: time of its next start (steady clock, s); infinite if it stays off.
         silent_at: time at which it will count as hung without another heartbeat (steady clock, s).
         beats: whether it has ever sent a heartbeat.
@@ -90,7 +89,8 @@ class SiteProcess:
         """
         self.name, self.words, self.silence_s = name, words, silence_s
         self.popen: subprocess.Popen[bytes] | None = None
-        self.pid, self.due, self.silent_at, self.restarts = 0, 0.0, 0.0, Restarts()
+        self.pid, self.due, self.silent_at = 0, 0.0, 0.0
+        self.restarts = deque[float]()
         self.beats = self.reached = False
         self.failure = ""
         self.last_lines: deque[str] = deque(maxlen=_LAST_LINES)
@@ -213,8 +213,8 @@ class LiveSupervisor:
                 [sys.executable, "-m", *process.words, *self._ros_arguments],
                 stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
                 env={
-                    **child_environment(), **additions, LEASE: _LIVE_LEASE_S, PIPE: str(writing),
-                    RESTARTED: process.failure,
+                    **child_environment(), **additions, LEASE: _LIVE_LEASE_S,
+                    upkeep.PIPE: str(writing), RESTARTED: process.failure,
                     "PYTHONFAULTHANDLER": "1",  # so that a crash in compiled code shows its place
                 },
                 pass_fds=[writing], start_new_session=True,
@@ -271,7 +271,7 @@ class LiveSupervisor:
             if message != self._stop_message:
                 self._tell(f"{self._actuators.name}: did not stop the drive; {message}")
             self._stopping, self._stop_message = None, message
-            self._stop_again_at = now + restarts.MAX_WAIT_S if may_run else math.inf
+            self._stop_again_at = now + upkeep.MAX_WAIT_S if may_run else math.inf
         if now >= self._stop_again_at and self._actuators.popen is None:
             self._begin_stop()  # nobody else stops it
 
@@ -284,13 +284,11 @@ class LiveSupervisor:
         self.read(0.0)  # its last lines and heartbeats
         code = EXIT_FAILED if process.popen is None else process.popen.returncode
         is_refused = code in (EXIT_USAGE, EXIT_OCCUPIED) and not self.ready
-        wait = process.restarts.wait(now)
+        wait = upkeep.count_restart(process.restarts, now)
         process.popen, process.failure = None, failure
         process.due = math.inf if wait is None else now + wait
-        then = f"starts again in {wait:g} s" if wait is not None else (
-            f"it has been restarted {restarts.MAX_RESTARTS} times in the last "
-            f"{restarts.WINDOW_S / 60:g} minutes, and stays off until the site is restarted"
-        )
+        off = "has failed too often, and stays off until the site is restarted"
+        then = off if wait is None else f"starts again in {wait:g} s"
         if is_refused or (wait is None and process is self._station):
             self._tell("\n  ".join([f"last lines of {process.name}:", *process.last_lines]))
             raise NodeFailed(f"{process.name} {failure}", code if is_refused else EXIT_FAILED)

@@ -27,8 +27,6 @@ from greenroof_ros.forecast.live import (
 )
 from greenroof_ros.forecast.service import (
     ATTRIBUTION,
-    ENSEMBLE,
-    INTERFACES,
     MAX_DAYS,
     Fetcher,
     ForecastFiles,
@@ -62,14 +60,9 @@ def parameters(site: Site) -> list[Parameter]:
                 "replaced; empty for no forecast",
         ),
         Parameter(
-            "fetch", "", meaning="Open-Meteo API from which forecasts are fetched; they "
-                "are stored in the file that the parameter forecast names, and next to it. If "
-                "empty, another program writes that file",
-            among=("", *INTERFACES),
-        ),
-        Parameter(
-            "fetch_model", "", meaning="Open-Meteo's name for the weather model; if empty, "
-                "Open-Meteo chooses the model",
+            "fetch", False, meaning="whether forecasts are fetched from Open-Meteo (its ensembles, "
+                "with all_members), and stored in the file that the parameter forecast names, and "
+                "next to it; if false, another program writes that file",
         ),
         Parameter("fetch_url", "", meaning="address of an Open-Meteo-compatible server; if empty, "
             "Open-Meteo's own server is used"),
@@ -108,25 +101,25 @@ class LiveWeatherNode(WeatherNode, LiveNode):
         if self._file is not None:
             self._reader.do(self._file.update)
             self._reader.wait(_FIRST_READ_S)
-            self._fetcher = self._fetch(values, file) if values["fetch"] else None
+            if values["fetch"]:
+                self._fetch(values, file)
         self._rain_gauge, self._thermometer = (
             self.subscribe(name, optional=True) for name in _GAUGES
         )
         self.open_weather(site, values["horizon"])
 
-    def _fetch(self, values: dict[str, Any], file: Path) -> Fetcher:
+    def _fetch(self, values: dict[str, Any], file: Path) -> None:
         """Start fetching forecasts on a separate thread."""
         days = math.ceil(values["horizon"] / 24) + 2  # from midnight UTC; used until issue_limit
         service = Service(
-            self._site, ensemble=values["fetch"] == ENSEMBLE, model=values["fetch_model"],
-            days=min(days, MAX_DAYS), url=values["fetch_url"],
+            self._site, ensemble=values["all_members"], days=min(days, MAX_DAYS),
+            url=values["fetch_url"],
         )
         files = ForecastFiles(file, file.with_suffix(""))
-        fetcher = Fetcher(
+        self._fetcher = Fetcher(
             service, lambda issue: DISK.do(partial(files.write, issue)), _FETCH_S
         )
-        fetcher.start()
-        return fetcher
+        self._fetcher.start()
 
     def on_inputs(self) -> None:
         """Publish the values known now; subscribers recognize a missing value by its age."""
@@ -141,7 +134,7 @@ class LiveWeatherNode(WeatherNode, LiveNode):
             temperature = self._thermometer.value
         frost = self._unknown_frost if math.isnan(temperature) else float(temperature <= 0)
         self.publish_weather(frost, outlook, rain, evapotranspiration)
-        self._diagnose_frost(temperature, outlook is not None)
+        self._diagnose_frost(temperature)
         self._diagnose_gauge("rain gauge", self._rain_gauge)
         self._diagnose_gauge("thermometer", self._thermometer)
         if self._fetcher is not None:
@@ -184,13 +177,8 @@ class LiveWeatherNode(WeatherNode, LiveNode):
         )
         return outlook
 
-    def _diagnose_frost(self, temperature: float, forecast: bool) -> None:
-        """Report frost, or an unknown temperature.
-
-        Args:
-            temperature: air temperature (degC); NaN if unknown.
-            forecast: whether there is a forecast.
-        """
+    def _diagnose_frost(self, temperature: float) -> None:
+        """Report frost, or an unknown temperature (NaN, degC)."""
         gauge, diagnosis, level = self._thermometer, None, WARN
         if temperature <= 0:
             source = "measured" if gauge.good else "forecast"
@@ -198,7 +186,7 @@ class LiveWeatherNode(WeatherNode, LiveNode):
         elif math.isnan(temperature):
             lost = gauge.diagnosis if gauge.received else None
             why = "no thermometer reading" if lost is None else lost.sentence
-            why += ", and the forecast has no temperature column" if forecast else ", no forecast"
+            why += ", and no forecast with a temperature column"
             level, case = (ERROR, "off") if math.isnan(self._unknown_frost) else (WARN, "may_run")
             diagnosis = Diagnosis.of("temperature_unknown", case, why=why)
             if lost is not None and lost.code in AWAITED:  # it will soon be known

@@ -23,7 +23,7 @@ from greenroof_ros.base.errors import ConfigurationError, OccupiedError
 from greenroof_ros.base.processes import Signals
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.ros import messages
-from greenroof_ros.ros.lockstep import CLOCK, RUN, RunIdentity
+from greenroof_ros.ros.lockstep import CLOCK, RUN
 from greenroof_ros.ros.publishers import name_owner
 from greenroof_ros.ros.spin import ros
 from greenroof_ros.site.site import Site
@@ -145,7 +145,7 @@ class NodeCheck(ABC):
         self._publishers = {topic: self.open(topic) for topic in (RUN, CLOCK, *self.usual)}
         # The identity is fixed, so a node can be checked twice.
         speed = self.site.tau / self.period if self.period else 0.0
-        self.publish(RUN, array("d", RunIdentity(0.0, _LAST_TICK, speed)))
+        self.publish(RUN, array("d", [0.0, _LAST_TICK, speed]))
         self.wait(_DISCOVERY_S)
 
     def match_topics(self) -> None:

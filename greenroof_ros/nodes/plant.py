@@ -17,9 +17,6 @@ import time
 from array import array
 from typing import Any
 
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
-
 from greenroof_ros.base.errors import OccupiedError
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import DEFAULT_START, epoch_ns, read_start
@@ -33,9 +30,10 @@ from greenroof_ros.physics.virtual_site import VirtualSite
 from greenroof_ros.results.metrics import Metrics
 from greenroof_ros.ros.errors import LockstepError
 from greenroof_ros.ros.executable import node_command
-from greenroof_ros.ros.lockstep import CLOCK, RUN, LockstepNode, RunIdentity
+from greenroof_ros.ros.lockstep import CLOCK, RUN, LockstepNode
 from greenroof_ros.ros.messages import decoder
 from greenroof_ros.ros.parameters import declare, site_file
+from greenroof_ros.ros.spin import STEADY
 from greenroof_ros.site.site import Site
 
 # How far the plant may be ahead of the ticks that the recorder has flushed (ticks).
@@ -44,9 +42,6 @@ _AHEAD = 32
 _START_LIMIT_S = 30.0
 # If a tick is late by more than this (s), the delay is not made up.
 _LATE_S = 1.0
-_PUBLISHED = "tick", "cistern_level", "roof_level"
-# A clock that is not affected when the system's clock is set.
-_STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 
 def parameters(site: Site) -> list[Parameter]:
@@ -111,14 +106,12 @@ class PlantNode(LockstepNode):
         self._metrics = Metrics(
             site, self._run_length, start_ns / 1e9, values[WITHOUT_RAIN.name]
         )
-        # The tick that was published last, and its levels.
-        self._published = dict(zip(_PUBLISHED, (0, *self._site.observe()), strict=True))
+        self._published: dict[str, float] = {}  # the last published tick, and its levels (m)
         # How many ticks the recorder has flushed; without a recorder, it does not matter.
         self._written: float = 0 if values["record"] else math.inf
         self._paused = True  # the tick waits for the start, for the pace or for the recorder
-        self._pace = self.create_timer(_LATE_S, self._publish_if_due, clock=_STEADY)
+        self._pace = self.create_timer(_LATE_S, self._publish_if_due, clock=STEADY)
         self._pace.cancel()
-        self._wall_s = 0.0
         self._began = self._waiting_since = time.monotonic()
 
         self.open_outputs(
@@ -142,8 +135,7 @@ class PlantNode(LockstepNode):
             decode = decoder(self.interface["/recorder/written"].type)
             self.open("/recorder/written", lambda message: self._on_written(decode(message)))
         identity = float(secrets.randbits(53))  # a double holds it exactly
-        run = RunIdentity(identity, self._run_length, values["speed"])
-        self.publish(RUN, array("d", run))
+        self.publish(RUN, array("d", [identity, self._run_length, values["speed"]]))
 
     # --- the ticks ----------------------------------------------------------------------------
 
@@ -152,7 +144,7 @@ class PlantNode(LockstepNode):
         now = site.time_ns
         self.publish(CLOCK, now)
         cistern, roof = site.observe()
-        self._published = dict(zip(_PUBLISHED, (site.tick, cistern, roof), strict=True))
+        self._published = {"tick": site.tick, "cistern_level": cistern, "roof_level": roof}
         self.publish("/cistern/level", cistern)
         self.publish("/roof/level", roof)
         self._paused = False
@@ -182,7 +174,6 @@ class PlantNode(LockstepNode):
         self._waiting_since = time.monotonic()
         if site.tick == self._run_length:
             self._publish_flows(flows)
-            self._wall_s = time.monotonic() - self._began
             self.finish()
             return
         known_rain = rain if self._rain.good else math.nan  # unknown rain counts as wet weather
@@ -277,7 +268,8 @@ class PlantNode(LockstepNode):
 
     def summary(self) -> dict[str, Any]:
         """Return the metrics, events and duration (s of wall time) of the run."""
-        return {**self._metrics.results(self._site.state)._asdict(), "wall_s": self._wall_s}
+        wall_s = time.monotonic() - self._began
+        return {**self._metrics.results(self._site.state)._asdict(), "wall_s": wall_s}
 
 
 main = node_command(PlantNode, __doc__)

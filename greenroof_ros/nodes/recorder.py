@@ -66,7 +66,6 @@ class RecorderNode(LockstepNode):
         self._closed = False
         self.open_outputs("/recorder/written")
         self._queues: dict[str, deque[bytes]] = {topic.name: deque() for topic in topics}
-        self._every_queue = self._queues.values()
         for topic in topics:
             self.open(topic.name, partial(self._receive, topic.name, decoder(topic.type)))
 
@@ -80,9 +79,9 @@ class RecorderNode(LockstepNode):
         if self._closed:
             raise self._superfluous(name)
         self._queues[name].append(message)
-        while all(self._every_queue):
+        while all(queues := self._queues.values()):
             now = decode_clock(self._queues[CLOCK][0])
-            self._save(self._bag.write_tick, now, [queue.popleft() for queue in self._every_queue])
+            self._save(self._bag.write_tick, now, [queue.popleft() for queue in queues])
             self.tick, self.time_ns = self._bag.written, now
             if self._bag.safe == self.tick:
                 self._report_written()
@@ -94,7 +93,7 @@ class RecorderNode(LockstepNode):
         Raises:
             LockstepError: if a topic has more messages.
         """
-        if self._closed or self.run is None or self.tick <= self.run.last_tick:
+        if self._closed or self.tick <= self.last_tick:
             return
         for name, queue in self._queues.items():
             if queue:

@@ -55,8 +55,7 @@ class Status:
             for key, value in self.values.items()
         }
         if self.values["code"]:
-            age = time.monotonic() - self.began
-            texts |= {"since": iso(self.since), "age_s": f"{age:.1f}"}
+            texts |= {"since": iso(self.since), "age_s": f"{time.monotonic() - self.began:.1f}"}
         return {key: text for key, text in texts.items() if text}
 
 
@@ -73,7 +72,7 @@ class NodeDiagnostics:
 
     Attributes:
         state: the node's state.
-        parts: states of the node's parts, by their names.
+        parts: states of the node's parts, by their names; that of the node itself has no name.
         values: the values last reported.
         machine: the name of this machine.
         hardware: device to which the parts belong; empty if they belong to the computer itself.
@@ -91,9 +90,8 @@ class NodeDiagnostics:
         self.machine = socket.gethostname()
         self.hardware = ""
         self.values: Mapping[str, Any] = {}
-        self.parts: dict[str, Status] = {}
+        self.parts = {"": _follow(None, OK, STARTING, {"code": ""})}
         self.urgent = False
-        self._own = _follow(None, OK, STARTING, {"code": ""})
         self._node = node
         self._role = role
         self._process = f"{self.machine} {os.getpid()}"  # it changes at a restart
@@ -145,10 +143,9 @@ class NodeDiagnostics:
             level, code = ERROR, "node_failed"
         elif values["warnings"]:
             level, code = WARN, "input_publishers"
-        own = self._own = _follow(self._own, level, self.state, {"code": code})
-        statuses = {"": own, **self.parts}
+        own = self.parts[""] = _follow(self.parts[""], level, self.state, {"code": code})
         shown = self.state, [
-            (part, status.level, identity_of(status.values)) for part, status in statuses.items()
+            (part, status.level, identity_of(status.values)) for part, status in self.parts.items()
         ]
         now = time.monotonic()
         if shown == self._published and now - self._published_at < _PUBLISH_S:
@@ -159,7 +156,7 @@ class NodeDiagnostics:
             **({"code": code, "since": iso(own.since)} if code else {}), **values,
         }.items()}
         name, array = self._node.get_fully_qualified_name(), DiagnosticArray()
-        for part, status in statuses.items():
+        for part, status in self.parts.items():
             texts = status.list_texts() if part else own_texts
             array.status.append(DiagnosticStatus(
                 level=status.level, name=f"{name}: {part}" if part else name,

@@ -42,7 +42,6 @@ class Input:
         self.refused = 0
         self._decode = decoder(self.topic.type)
         self._is_array = "Array" in topic.type
-        self._low, self._high = self.topic.low, self.topic.high
 
     @property
     def good(self) -> bool:
@@ -51,7 +50,7 @@ class Input:
 
     def receive(self, message: bytes) -> None:
         """Store the value of a message, or 0 or no numbers if the value has to be rejected."""
-        low, high = self._low, self._high
+        low, high = self.topic.low, self.topic.high
         try:
             value = self._decode(message)
         except MalformedMessageError as error:

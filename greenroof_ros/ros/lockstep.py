@@ -30,9 +30,9 @@ is used only to end a run that hangs.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 from rclpy.duration import Duration
 
@@ -48,20 +48,6 @@ from greenroof_ros.ros.publishers import DISCOVERY_S, Publishers
 CLOCK, RUN = "/clock", "/run"
 
 
-class RunIdentity(NamedTuple):
-    """The data that the nodes of a run share, published by the plant on ``/run``.
-
-    Attributes:
-        identity: a random number chosen by the plant.
-        last_tick: the number N of the last tick.
-        speed: simulated time divided by wall time; 0 for as fast as possible.
-    """
-
-    identity: float
-    last_tick: float
-    speed: float
-
-
 class LockstepNode(GraphNode):
     """A node of a simulated graph, which acts in lockstep and ends with the run.
 
@@ -71,7 +57,10 @@ class LockstepNode(GraphNode):
     its time.
 
     Attributes:
-        run: the run that the node takes part in; None until the plant has published it.
+        run: what the plant has published on ``/run``: a random number, the number N of the last
+            tick, and the simulated time divided by the wall time (0 for as fast as possible); empty
+            until then.
+        last_tick: the number N of the last tick; infinite until it is known.
         awaited: names of the inputs that have not yet received their message of this tick.
         result: values that the node adds to the summary of the run; empty until the run is over.
         time_ns: the simulated time (ns since 1970); 0 before the first tick.
@@ -91,15 +80,15 @@ class LockstepNode(GraphNode):
         """
         super().__init__(name, role, read_topics())
         self.inputs: dict[str, Input] = {}
-        self.run: RunIdentity | None = None
+        self.run: Sequence[float] = ()
+        self.last_tick = math.inf
         self._always["run_length"] = None
         self.awaited: set[str] = set()
-        self._of_tick: set[str] = set()  # names of the inputs that the node acts on
         self.result: dict[str, Any] = {}
         if role != PLANT:
             self.awaited.add(RUN)
             decode = decoder(self.interface[RUN].type)
-            self.open(RUN, lambda message: self._join(RunIdentity(*decode(message))))
+            self.open(RUN, lambda message: self._join(tuple(decode(message))))
 
     # --- to override ------------------------------------------------------------------------
 
@@ -120,7 +109,6 @@ class LockstepNode(GraphNode):
         """
         awaited, full_name = self.awaited, self.resolve_topic_name(self.interface[name].graph_name)
         entry = self.inputs[name] = Input(self.interface[name], full_name)
-        self._of_tick.add(name)
         awaited.add(name)
 
         def receive(message: bytes) -> None:
@@ -148,12 +136,12 @@ class LockstepNode(GraphNode):
 
     # --- running ----------------------------------------------------------------------------
 
-    def _join(self, run: RunIdentity) -> None:
-        if self.run is None:
-            self.run = run
-            self._always["run_length"] = round(run.last_tick)
+    def _join(self, run: Sequence[float]) -> None:
+        if not self.run:
+            self.run, self.last_tick = run, run[1]
+            self._always["run_length"] = round(self.last_tick)
             self.awaited.discard(RUN)
-            if self._of_tick and not self.awaited:
+            if self.inputs and not self.awaited:
                 self._act()
         elif run != self.run:
             raise LockstepError(
@@ -162,12 +150,12 @@ class LockstepNode(GraphNode):
 
     def _act(self) -> None:
         """Act on the inputs, and await all inputs again, for the next tick."""
-        self.awaited |= self._of_tick
+        self.awaited.update(self.inputs)
         self.tick += 1
         if (clock := self.inputs.get(CLOCK)) is not None:
             self.time_ns = clock.value
         self.on_inputs()
-        if self.run is not None and self.tick > self.run.last_tick:
+        if self.tick > self.last_tick:
             self.awaited.clear()  # any further message ends the run
             self.finish()
 
@@ -205,7 +193,7 @@ class LockstepNode(GraphNode):
         """
         plant_ended = CLOCK in self.peers.publishers and not self.peers.publishers[CLOCK].count
         if not self.finished:
-            if self.run is not None and plant_ended:
+            if self.run and plant_ended:
                 raise LockstepError("the plant has stopped, which ends the run")
             return False
         return self.all_arrived() and (self.role == PLANT or plant_ended)

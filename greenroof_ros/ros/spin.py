@@ -28,8 +28,8 @@ _CHECK_S = 0.05
 # Interval of the reports while nodes close their files and connections, and the longest time for
 # which they report this (s): a pump takes up to 38 s to come to a standstill.
 _REPORT_S, _MAX_STOP_S = 0.25, 45.0
-# A clock that is not affected when the system's clock is set.
-_STEADY = Clock(clock_type=ClockType.STEADY_TIME)
+STEADY = Clock(clock_type=ClockType.STEADY_TIME)
+"""a clock that is not affected when the system's clock is set"""
 
 
 @contextmanager
@@ -81,7 +81,7 @@ def spin(nodes: Sequence[LockstepNode], may_end: Callable[[], bool]) -> None:
         start_receiving(executor, node)
     # The timeout alone is not enough: while messages are waiting, rclpy's fast executor does not
     # return.
-    nodes[0].create_timer(_CHECK_S, stop, clock=_STEADY)
+    nodes[0].create_timer(_CHECK_S, stop, clock=STEADY)
     while not may_end():
         # With a timeout, since without one rclpy's fast executor fires no timers.
         executor.spin_until_future_complete(pause, timeout_sec=_CHECK_S)

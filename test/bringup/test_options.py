@@ -19,10 +19,10 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.bringup.simulated import make_parser, simulated_run
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.live.devices.drive_file import find_drive_file
-from greenroof_ros.live.devices.exchange import acquire_drive_lock
-from greenroof_ros.live.drive_choice import DriveChoice
+from greenroof_ros.live.devices.exchange import acquire_drive_lock, read_endpoint
 from greenroof_ros.live.live_site import LiveSite
 from greenroof_ros.live.live_site import make_parser as live_site_parser
+from greenroof_ros.live.site_run import make_stopper
 from greenroof_ros.ros.domain import lock_bringup
 from greenroof_ros.ros.parameter_file import node_parameter_files
 
@@ -177,8 +177,8 @@ def test_a_parameter_that_would_have_no_effect(tmp_path: Path, text: str) -> Non
 def test_a_drive_of_another_program_is_left_to_it() -> None:
     """As at the end of a second bringup that was started with the same drive by mistake."""
     with closing(Wire(acs880())) as wire:
-        choice = DriveChoice(str(find_drive_file("abb_acs880")), wire.gateway)
-        driver, stop = acquire_drive_lock(choice.read()), choice.stopper()
+        drive = read_endpoint(find_drive_file("abb_acs880"), wire.gateway, "at")
+        driver, stop = acquire_drive_lock(drive), make_stopper(drive)
         may_run, message = stop(1, True)
         assert may_run and message.startswith(f"another program (process {os.getpid()}) controls")
         assert wire.connections == 0
@@ -190,9 +190,9 @@ def test_a_drive_of_another_program_is_left_to_it() -> None:
 
 def test_only_a_drive_that_was_reached_may_run_on() -> None:
     """Its own timeout stops what was left on before; a cable that was never there warns no one."""
-    choice = DriveChoice(str(find_drive_file("abb_acs880")), "tcp://127.0.0.1:9")
+    drive = read_endpoint(find_drive_file("abb_acs880"), "tcp://127.0.0.1:9", "at")
     for reached in (False, True):
-        may_run, message = choice.stopper()(1, reached)
+        may_run, message = make_stopper(drive)(1, reached)
         assert (may_run, "THE PUMP MAY BE RUNNING" in message) == (reached, reached)
 
 

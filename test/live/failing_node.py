@@ -11,7 +11,7 @@ import sys
 import time
 from functools import partial
 
-from greenroof_ros.live import restarts, station
+from greenroof_ros.live import station, upkeep
 from greenroof_ros.live.node import LiveNode, spin
 from greenroof_ros.nodes.alarms import AlarmsNode
 from greenroof_ros.ros.executable import run_nodes
@@ -43,6 +43,6 @@ kind = sys.argv[1]
 sys.argv[1:] = ["--ros-args"]
 if kind == "alone":
     sys.exit(run_nodes(partial(Failing, 3.0), spin))
-restarts.MAX_WAIT_S, restarts.MAX_RESTARTS = 0.5, 2
+upkeep.MAX_WAIT_S, upkeep.MAX_RESTARTS = 0.5, 2
 makers = [partial(Failing, 0.0) if kind == "station" else FailingAlarms, Working]
 sys.exit(run_nodes(lambda: [make() for make in makers], partial(station.keep_nodes, makers)))

@@ -17,7 +17,7 @@ from typing import Any
 from graphs import environment, wait_for
 from ros_rig import Observer
 
-from greenroof_ros.live.heartbeat import PIPE
+from greenroof_ros.live.upkeep import PIPE
 
 
 class Run:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from places import CHECKOUT
 
-from greenroof_ros.live.heartbeat import PIPE, send_beat
+from greenroof_ros.live.upkeep import PIPE, send_beat
 
 
 def test_a_heartbeat_that_is_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -33,7 +33,7 @@ def test_a_full_socket_of_systemd(tmp_path: Path) -> None:
     path = tmp_path / "notify"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
         receiver.bind(str(path))
-        code = "from greenroof_ros.live.service_manager import notify\n" \
+        code = "from greenroof_ros.live.site_run import notify\n" \
             "for _ in range(10_000): notify('WATCHDOG=1')"
         subprocess.run(
             [sys.executable, "-c", code], env={"NOTIFY_SOCKET": str(path)}, timeout=300, check=True,

@@ -590,7 +590,7 @@ def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> No
     frost, forecast = site.listen("/weather/frost"), site.listen("/forecast/precipitation")
     part = "/weather: forecast service"
     options = {
-        "forecast": file, "fetch": "ensemble", "fetch_url": f"{service.address}/v1/ensemble",
+        "forecast": file, "fetch": "true", "fetch_url": f"{service.address}/v1/ensemble",
         "horizon": 24.0, "all_members": "true",
     }
     with site.live("weather", **options, unknown_frost_may_pump="true"):
@@ -617,7 +617,7 @@ def test_a_fetched_forecast_needs_no_disk(site: Site) -> None:
     frost, forecast = site.listen("/weather/frost"), site.listen("/forecast/precipitation")
     disk = site.cwd / "disk"
     options = {
-        "forecast": disk / "forecast.csv", "fetch": "forecast",
+        "forecast": disk / "forecast.csv", "fetch": "true",
         "fetch_url": f"{service.address}/v1/forecast",
     }
     with site.live("weather", **options), disk_that_hangs(disk) as hang:

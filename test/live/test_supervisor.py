@@ -15,7 +15,7 @@ from graphs import alive, wait_for
 from places import CHECKOUT
 
 from greenroof_ros.base.disk import DISK
-from greenroof_ros.live import restarts
+from greenroof_ros.live import upkeep
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, SiteProcess
 
 TOO_LONG_S = 60
@@ -172,8 +172,8 @@ def test_a_pump_node_that_fails_again_and_again_stays_off(
     make_site: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The others live on. The drive is stopped until that succeeds, as nobody else stops it."""
-    monkeypatch.setattr(restarts, "MAX_RESTARTS", 1)
-    monkeypatch.setattr(restarts, "MAX_WAIT_S", 0.5)
+    monkeypatch.setattr(upkeep, "MAX_RESTARTS", 1)
+    monkeypatch.setattr(upkeep, "MAX_WAIT_S", 0.5)
     site = make_site("fails", "controller", "station")
     site.may_run = True
     site.until(lambda: len(site.starts("fails")) == 2 and len(site.stops) >= 5)
@@ -183,8 +183,8 @@ def test_a_pump_node_that_fails_again_and_again_stays_off(
     assert tried <= len(site.stops) <= tried + 1 and len(site.starts("fails")) == 2
     assert site.told[0] == "pump: ended (exit code 1); starts again in 0.5 s"
     assert (
-        "pump: ended (exit code 1); it has been restarted 1 times in the last 10 minutes, and "
-        "stays off until the site is restarted"
+        "pump: ended (exit code 1); has failed too often, and stays off until the site is "
+        "restarted"
     ) in site.told
     assert alive(site.pid("controller")) and alive(site.pid("station"))
 
@@ -203,7 +203,7 @@ def test_without_the_station_the_site_ends(
     make_site: Make, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """It has the alarms node, and is told why it was restarted."""
-    monkeypatch.setattr(restarts, "MAX_RESTARTS", 1)
+    monkeypatch.setattr(upkeep, "MAX_RESTARTS", 1)
     site = make_site()
     heard: list[str] = []
     monkeypatch.setattr(site.supervisor, "_tell", heard.append)

@@ -8,7 +8,7 @@ from contextlib import suppress
 import pytest
 
 from greenroof_ros.base.errors import HangError
-from greenroof_ros.live.time_limit import deciding_limit, silence_limit
+from greenroof_ros.live.upkeep import deciding_limit, silence_limit
 from greenroof_ros.ros.watchdog import time_limit
 
 
