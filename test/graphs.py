@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -140,8 +140,11 @@ def wait_for(condition: Callable[[], Any], seconds: float, event: str) -> Any:
 
 def children_of(pid: int) -> list[int]:
     """Return the processes that the threads of a process have started."""
-    files = Path(f"/proc/{pid}/task").glob("*/children")
-    return [int(child) for file in files for child in file.read_text().split()]
+    children = list[int]()
+    for file in Path(f"/proc/{pid}/task").glob("*/children"):
+        with suppress(OSError):  # the thread has just ended
+            children += map(int, file.read_text().split())
+    return children
 
 
 class Process:

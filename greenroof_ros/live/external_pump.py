@@ -66,6 +66,7 @@ class ExternalPumpNode(ActuatorNode):
         self._hold_sent, self._sent_at = 0.0, -math.inf
         self._driver: Client | None = None  # the driver's own service to stop it
         self._told = False  # whether the driver was last told to stop
+        self._lost = False  # whether the driver was lost at the last step
         self._command, self._flow = self.subscribe(COMMAND), self.subscribe(FLOW)
         self.open_outputs(_HOLD, STATE)
         self.discard_evidence()
@@ -109,8 +110,11 @@ class ExternalPumpNode(ActuatorNode):
         if hold != self._hold_sent or now - self._sent_at >= _HOLD_S:
             self._hold_sent, self._sent_at = hold, now
             self.publish(_HOLD, hold)
-        self._told = self._told and lost is None  # it may have been started again
-        self._tell_driver(bool(active.keys() - {"driver_lost", "two_pumps"}))
+        stop = bool(active.keys() - {"driver_lost", "two_pumps"})
+        if self._lost and lost is None and stop:
+            self._told = False  # it may have been started again
+        self._lost = lost is not None
+        self._tell_driver(stop)
         runs = share is not None and share > RUNNING_SHARE
         state = "running" if runs else "off"
         why = f"the command is {command:g}" if self._command.good else "no valid command arrives"

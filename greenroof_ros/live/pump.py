@@ -213,6 +213,10 @@ class PumpNode(ActuatorNode):
         }
         if values["flow"] is None and status is not None:
             values["flow"] = status.flow
+        # A pump that turns backwards is no fault of the drive that could be acknowledged.
+        resetting = now < self._resetting_until and (
+            status is None or status.speed is None or status.speed >= -STANDSTILL
+        )
         return Observation(
             **values,
             displacements=self._levels.displacements,
@@ -221,7 +225,7 @@ class PumpNode(ActuatorNode):
             # A fault that is being acknowledged does not count.
             reasons=[
                 reason for reason in self._reasons(snapshot, now)
-                if now >= self._resetting_until or reason.code not in ("runs_on", "drive_fault")
+                if not resetting or reason.code not in ("runs_on", "drive_fault")
             ],
         )
 

@@ -217,8 +217,8 @@ class _StartedFiles:
     Nodes read copies, since the originals may be edited. Only the forecast, which is replaced in
     place, and the controller's code are read from their original paths. The copies are stored in
     memory, since the disk may be full after a power cut, with no one there to free space. A
-    clean-up program may remove the copies, as may systemd when their user logs out, so missing
-    copies are written again before every start of a node.
+    clean-up program may remove the copies, as may systemd when their user logs out, so missing or
+    damaged copies are written again before every start of a node.
 
     Attributes:
         site: the content of the site file, without references to other files.
@@ -252,10 +252,13 @@ class _StartedFiles:
             OSError: if the copies cannot be written.
         """
         for copy, (content, mode) in self._copies.items():
-            if not copy.exists():
-                with add_path_to_errors(self._directory):
-                    copy.parent.mkdir(parents=True, exist_ok=True)
-                    with open(copy, "wb", opener=partial(os.open, mode=mode)) as stream:
-                        stream.write(content)
+            with suppress(OSError):
+                if copy.read_bytes() == content:
+                    continue
+            with add_path_to_errors(self._directory):
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                copy.unlink(missing_ok=True)
+                with open(copy, "wb", opener=partial(os.open, mode=mode)) as stream:
+                    stream.write(content)
         self._directory.chmod(0o755)  # the page may run as another user
         return {COPIES: str(self._directory)}

@@ -45,6 +45,7 @@ def keep_nodes(
         check: function that is called at least 20 times a second and may raise an exception.
     """
     made: dict[LiveNode | AlarmsNode, Make] = dict(zip(nodes, makers, strict=True))
+    required = {make for node, make in made.items() if isinstance(node, AlarmsNode)}
     restarts = {make: deque[float]() for make in makers}
     due: dict[Make, float] = {}  # when a node is made again (steady clock, s)
 
@@ -60,7 +61,8 @@ def keep_nodes(
         nodes.remove(node)
         end_nodes([node], failure)
         node.destroy_node()
-        if not postpone(made.pop(node)) and isinstance(node, AlarmsNode):
+        make = made.pop(node)
+        if not postpone(make) and make in required:
             raise error  # without it, nobody reports an alarm
 
     def make_due() -> None:
@@ -71,7 +73,8 @@ def keep_nodes(
                 node = make()
             except Exception as error:
                 print_failure(error)
-                postpone(make)
+                if not postpone(make) and make in required:
+                    raise
             else:
                 made[node] = make
                 nodes.append(node)

@@ -25,6 +25,7 @@ from greenroof_ros.base.processes import child_environment
 from greenroof_ros.live import upkeep
 from greenroof_ros.ros.alarms import RESTARTED
 from greenroof_ros.ros.domain import LEASE
+from greenroof_ros.ros.reports import PAUSE_S
 
 # How long to wait for a process to end before it is killed (s). The actuators are given longer:
 # they wait until the pump is stopped, while the speed falls.
@@ -158,6 +159,7 @@ class LiveSupervisor:
         self._stopping: Future[tuple[bool, str]] | None = None
         self._stop_message, self._stop_again_at = "", math.inf
         self._selector = selectors.DefaultSelector()
+        self._updated_at = time.monotonic()
 
     def end(self) -> None:
         """End all processes: the actuators first, and the station last, which completes the bag.
@@ -246,15 +248,18 @@ class LiveSupervisor:
     def update(self) -> None:
         """Start what is due, and restart what failed; called repeatedly, each time after a read.
 
-        Heartbeats wait in their pipes while this process is stopped, so that no other then counts
-        as silent.
+        After a pause of this process, in which the others may have been paused too, none of them
+        counts as silent yet.
 
         Raises:
             NodeFailed: if the station was restarted too often, or if a process ended because of
                 invalid parameters or another graph before all processes were ready.
         """
         now = time.monotonic()
+        paused, self._updated_at = now - self._updated_at > PAUSE_S, now
         for process in self._processes:
+            if paused:
+                process.silent_at = max(process.silent_at, now + process.silence_s)
             if process.popen is not None:
                 if failure := _find_failure(process.popen, now >= process.silent_at):
                     self._handle_failure(process, failure, now)

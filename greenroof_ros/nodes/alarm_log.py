@@ -45,8 +45,10 @@ class AlarmLog:
         self._tell, self._file = tell, file
         self._alarms: dict[int, Alarm] = {}
         self._problem = ""  # why all alarms must be written anew; empty if a line may be added
+        self._given_up = False  # whether reading the file took too long
         self._write_all = partial(self._write, None)  # the same object, so that it is queued once
         if file is not None and not (_DISK.do(self._resume) and _DISK.wait(_RESUMED_S)):
+            self._given_up = True
             tell(f"warning: {file}: the disk does not respond{_NOT_SHOWN}")
         self.last_number = max(self._alarms, default=0)
 
@@ -56,13 +58,16 @@ class AlarmLog:
         if file is None or not file.is_file():
             return
         try:
-            for alarm in read_alarms(file.parent):
-                ended = began if alarm.ended is None else alarm.ended
-                self._alarms[alarm.number] = replace(alarm, ended=ended)
+            read = {
+                alarm.number: replace(alarm, ended=began if alarm.ended is None else alarm.ended)
+                for alarm in read_alarms(file.parent)
+            }
         except (OSError, ValueError) as error:
             self._tell(f"warning: {error}{_NOT_SHOWN}")
         else:
-            self._write_all()
+            if not self._given_up:  # later, it would replace alarms of the same numbers
+                self._alarms.update(read)
+                self._write_all()
 
     def add(self, changed: Iterable[Alarm]) -> None:
         """Print and store alarms; a new level or cause is stored but not printed."""

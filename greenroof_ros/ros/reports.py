@@ -279,8 +279,9 @@ class Reports:
         return max(nodes, key=lambda node: node.received_at, default=None)
 
     def value(self, key: str) -> Any:
-        """Return a value that a node last reported; None if no node reports it."""
-        values = (node.values.get(key) for node in self.nodes.values())
+        """Return a value that a node last reported, the latest one; None if no node reports it."""
+        latest = sorted(self.nodes.values(), key=lambda node: -node.received_at)
+        values = (node.values.get(key) for node in latest)
         return next((value for value in values if value is not None), None)
 
     def is_starting(self, wall: float) -> bool:

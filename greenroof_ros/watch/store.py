@@ -66,11 +66,15 @@ class Newest(NamedTuple):
         time: time of the value (s since 1970).
         value: the value; None if it is implausible or its publisher does not know it.
         received_at: when it was received (steady clock, s).
+        gap: time since the value before it (s).
+        usual: the shorter one of the last two gaps (s).
     """
 
     time: float
     value: float | None
     received_at: float
+    gap: float = math.inf
+    usual: float = 0.0
 
 
 class GraphStore(Reports):
@@ -277,14 +281,18 @@ class GraphStore(Reports):
         known = math.isfinite(value) and entry.low <= value <= entry.high
         if topic == FLOW:  # the pump node publishes 0 for an unknown flow
             known = known and self.pump_values.get("flow", value) is not None
-        self.newest[topic] = Newest(at, value + 0.0 if known else None, self.wall)  # no minus zero
+        gap = self.wall - before.received_at if before else math.inf
+        usual = min(gap, before.gap, HOLDS_S) if before else 0.0
+        shown = value + 0.0 if known else None  # no minus zero
+        self.newest[topic] = Newest(at, shown, self.wall, gap, usual)
         for name, line in LINES.items():
             if line == topic:
                 self.past[name].add(time_ns, value if known else math.nan)
         if topic == FLOW and before and before.value:
             passed = at - before.time
             total = self.past[GIVEN].value_at(time_ns) + before.value * passed
-            if 0 < passed <= HOLDS_S:
+            holds = max(_STALE_S, TICKS * self.site.tau) if self.mode == "live" else HOLDS_S
+            if 0 < passed <= holds:
                 self.past[GIVEN].add(time_ns, total)
 
     def present_value(self, topic: str) -> float | None:
@@ -299,7 +307,7 @@ class GraphStore(Reports):
             limit = limit if age is None else age.default
         elif self.factor > 0:
             limit /= self.factor
-        overdue = self.wall - newest.received_at > max(_STALE_S, limit)
+        overdue = self.wall - newest.received_at > max(_STALE_S, limit, TICKS * newest.usual)
         return None if overdue or self.gone_since is not None else newest.value
 
     @property

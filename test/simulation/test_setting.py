@@ -149,7 +149,7 @@ def examples() -> list[str]:
     alone = [line for line in found if not re.search(
         r"--(weather|site|drive|drive-at|ros-args) |external", line
     )]
-    assert len(alone) >= 5
+    assert len(alone) >= 4
     return alone
 
 

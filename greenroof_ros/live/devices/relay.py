@@ -173,7 +173,8 @@ class RelayLine:
                     return value
         if not self.connected:
             raise self.error("connection", f"the connection was closed: {self._closed_by}")
-        raise self.error("answer", f"no valid reply with {question.path} within {_ANSWER_S:g} s")
+        # Not "answer": the reply may still come, so only a new connection counts right again.
+        raise self.error("connection", f"no valid reply with {question.path} within {_ANSWER_S:g} s")
 
     def error(self, kind: str, problem: str) -> DriveError:
         """Return an error that names the relay and the problem."""

@@ -32,6 +32,7 @@ class Dose:
         volume: requested volume (m3).
         age: time since the request, or, once the dose is over, since its end (s).
         delivered: volume delivered so far (m3).
+        begun: whether the pump was ever on for it.
         over: ``done`` or ``ended``; empty until the dose is over.
         why: what the pump is doing for the dose, or why the dose is waiting or has ended.
     """
@@ -40,6 +41,7 @@ class Dose:
     volume: float
     age: float = 0.0
     delivered: float = 0.0
+    begun: bool = False
     over: str = ""
     why: str = ""
 
@@ -135,7 +137,7 @@ class Doses:
         dose.delivered += delivered
         if dose.delivered >= dose.volume:
             self.end("all of it was delivered", DONE)
-        elif not dose.delivered and dose.age > EXPIRES_S:
+        elif not dose.begun and dose.age > EXPIRES_S:
             self.end(f"it could not be started within {EXPIRES_S:g} s: {dose.why}")
 
     def share(self, max_flow: float) -> float:

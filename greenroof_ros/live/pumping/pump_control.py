@@ -215,5 +215,5 @@ class PumpControl:
         else:
             request = pulses.speed(share, level)
         if dose is not None:
-            dose.why = why
+            dose.why, dose.begun = why, dose.begun or request is not None
         return request, why

@@ -256,6 +256,8 @@ class StateFile:
             DISK.do(self._write)
             if DISK.late:
                 self.problem = f"{self.file} could not be written within {PATIENCE_S:g} s"
+                if self._written is self._latest:  # it has just been written
+                    self.problem = ""
 
     def flush(self, within: float = _WAIT_S) -> str:
         """Write the state, and return the reason if it is not on the disk, or else an empty text.
