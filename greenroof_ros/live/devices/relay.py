@@ -174,7 +174,8 @@ class RelayLine:
         if not self.connected:
             raise self.error("connection", f"the connection was closed: {self._closed_by}")
         # Not "answer": the reply may still come, so only a new connection counts right again.
-        raise self.error("connection", f"no valid reply with {question.path} within {_ANSWER_S:g} s")
+        problem = f"no valid reply with {question.path} within {_ANSWER_S:g} s"
+        raise self.error("connection", problem)
 
     def error(self, kind: str, problem: str) -> DriveError:
         """Return an error that names the relay and the problem."""
