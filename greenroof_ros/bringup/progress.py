@@ -26,9 +26,10 @@ class RunProgress(ProgressBar):
 
     def warn(self, warnings: Iterable[str]) -> None:
         """Print the warnings that have not been printed yet, above the bar."""
-        for text in set(warnings) - self._warned:
-            self._warned.add(text)
-            self.print_line(f"warning: {text}")
+        for text in warnings:
+            if text not in self._warned:
+                self._warned.add(text)
+                self.print_line(f"warning: {text}")
 
     def show_tick(
         self, tick: int, cistern_level: float, roof_level: float, command: float

@@ -253,6 +253,8 @@ class LiveControllerNode(ControllerNode, LiveNode):
         if self._learned_file is None or not self._learned or now - self._saved_at < every:
             return
         self._saved_at = now
+        if problem := self._learned_file.problem:
+            self.get_logger().warning(f"learned values are not saved: {problem}")
         self._learned_file.write(self._learned)
 
     def on_stop(self) -> None:

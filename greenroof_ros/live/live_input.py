@@ -99,7 +99,7 @@ class LiveInput(Input):
         received: whether any message has been received.
     """
 
-    diagnosis: Diagnosis | None = Diagnosis("input_waiting")
+    diagnosis: Diagnosis | None
 
     def __init__(self, publishers: LivePublishers, rules: InputRules) -> None:
         """Initialize without a value.

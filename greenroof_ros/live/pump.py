@@ -27,7 +27,7 @@ from rcl_interfaces.srv import SetParametersAtomically
 
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.live.actuator import FLOW, STATE, STATE_FILE, ActuatorNode, read_fields
+from greenroof_ros.live.actuator import COMMAND, FLOW, STATE, STATE_FILE, ActuatorNode, read_fields
 from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.devices.drive_file import LIMIT_S, MAX_RAMP_S, find_drive_file
 from greenroof_ros.live.devices.exchange import (
@@ -55,8 +55,8 @@ _MIN_SPEED = 0.05
 _OWN = (
     *CHOICE,
     Parameter(
-        "drive_timeout_limit", 10.0, "s", 0.1, 60.0, "maximum permitted value of the drive's own "
-            "communication timeout",
+        "drive_timeout_limit", LIMIT_S, "s", 0.1, 60.0, "maximum permitted value of the drive's "
+            "own communication timeout",
     ),
     Parameter(
         "local_settings_stop_the_pump", False, meaning="confirmation that the drive has been set "
@@ -68,7 +68,7 @@ _OWN = (
 # Topics of the inputs, by the fields of Observation; the pump can run without a flow. The code of
 # the interlock while another input is unknown is its name with _unknown.
 _INPUTS = {
-    "command": "/pump/command",
+    "command": COMMAND,
     "cistern_level": "/cistern/level",
     "roof_level": "/roof/level",
     "frost": "/weather/frost",

@@ -246,7 +246,7 @@ class _StartedFiles:
         return Path(f"{self._directory}{file.absolute()}")
 
     def write(self) -> dict[str, str]:
-        """Write the copies that are missing, and return the environment that names them.
+        """Write the copies that are missing or damaged; return the environment that names them.
 
         Raises:
             OSError: if the copies cannot be written.

@@ -228,6 +228,7 @@ class Setting(Question):
 
     value: str = entry("required value, in JSON notation")
 
+
 @dataclass(frozen=True, kw_only=True)
 class Timer(Question):
     """The relay's own timer, which switches the relay off: its communication timeout."""

@@ -194,14 +194,13 @@ class DriveExchange(DeviceThread):
     requested, the drive stays off until `request_speed` requests off. The caller, which limits the
     number of starts, decides when to start the drive again.
 
-    The connection is lost after two rounds without a valid answer, or if it is closed. If *stop* is
-    rejected on two connections, or the drive has not been seen to obey *stop* for `LIMIT_S` (its
-    speed does not fall or is unknown, or it closes each connection), or water flows although it
-    reports standstill, a silence
-    follows: nothing is sent for the longest timeout that the drive may have, which then stops the
-    drive; any message might restart that timeout. `stop` ends a silence early. `close` may be
-    called at any time, and stops the drive. From the first connection until `close`, no other
-    program on this machine can use the drive.
+    The connection is lost after two rounds without a valid answer, or if it is closed. A silence
+    follows if *stop* is rejected on two connections, if the drive has not been seen to obey *stop*
+    for `LIMIT_S` (its speed does not fall or is unknown, or it closes each connection), or if water
+    flows although it reports standstill: nothing is sent for the longest timeout that the drive may
+    have, which then stops the drive; any message might restart that timeout. `stop` ends a silence
+    early. `close` may be called at any time, and stops the drive. From the first connection until
+    `close`, no other program on this machine can use the drive.
 
     Attributes:
         endpoint: the drive.
@@ -376,7 +375,7 @@ class DriveExchange(DeviceThread):
         self._update(connected=False, status=status, read_at=boot_time())
         self._drive.line.close()
 
-    def _handle_failure(self, error: Exception, problem: str) -> None:
+    def _handle_failure(self, problem: str) -> None:
         """Close the connection; begin a silence, schedule the next attempt or end the thread."""
         now, fall = time.monotonic(), self._fall
         if self._requested[0] is not None:

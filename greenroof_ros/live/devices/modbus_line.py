@@ -435,7 +435,7 @@ class DeviceThread(ABC):
         """
 
     @abstractmethod
-    def _handle_failure(self, error: Exception, problem: str) -> None:
+    def _handle_failure(self, problem: str) -> None:
         """Handle a failed step, and close the connection."""
 
     def _work(self) -> None:
@@ -448,7 +448,7 @@ class DeviceThread(ABC):
                     problem = f"{self._name} failed: {error!r}"
                     logging.getLogger(__name__).exception("%s failed", self._name)
                 with suppress(OSError):  # a connection that cannot be closed
-                    self._handle_failure(error, problem)
+                    self._handle_failure(problem)
 
     def _pause(self, seconds: float) -> None:
         """Wait for a given time (s), or until the thread is woken."""

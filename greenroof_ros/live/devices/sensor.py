@@ -299,7 +299,7 @@ class ModbusReader(Reader, DeviceThread):
             now, period = time.monotonic(), sensor.period
             self._due = self._due + period if self._due + period > now else now + period
 
-    def _handle_failure(self, error: Exception, problem: str) -> None:
+    def _handle_failure(self, problem: str) -> None:
         self.fail(problem)
 
 
