@@ -13,8 +13,8 @@ Readers that are discovered late receive the earlier messages, since topics are 
 a history depth of 64, and the plant is at most 32 ticks ahead of the recorder. The following faults
 end a run:
 
-- a message that does not arrive within the peer limit (or, before the first responses, within the
-  start limit); the plant detects this fault, and names the topics that it is waiting for;
+- a message that does not arrive within the peer limit (before the first responses: within 30 s, if
+  that is longer); the plant detects this fault, and names the topics that it is waiting for;
 - a second publisher, or a second message before the node has acted;
 - a second message after the node has acted. This message counts for the next tick, and is detected
   when the actual message of the next tick arrives; after the last tick, any message ends the run.

@@ -60,7 +60,8 @@ _RETRY_S = 0.5
 # For how long a document is current (s).
 _CURRENT_S = 0.5
 
-_STATE, _CHARTS = _DOCUMENTS = "/state", "/charts"
+_CHARTS = "/charts"
+_DOCUMENTS = "/state", _CHARTS
 
 _Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
