@@ -19,7 +19,7 @@ from greenroof_ros.watch.foxglove_server import FoxgloveServer
 from greenroof_ros.watch.listening import (
     LOOPBACK,
     PORTS,
-    is_loopback,
+    Listener,
     listen,
     new_token,
     read_token,
@@ -123,11 +123,11 @@ def _find_past_file(namespace: str) -> Path:
     return state_directory() / f"watch_{'.'.join(place)}.npz"
 
 
-def _print_address(url: str, host: str, port: int | None, *, release: bool) -> None:
+def _print_address(listener: Listener, token: str, port: int | None, *, release: bool) -> None:
     """Print the page's address, and warnings about what it allows other people to do."""
-    if port is None and f":{PORTS[0]}/" not in url:
+    if port is None and f":{PORTS[0]}/" not in listener.url:
         print(f"port {PORTS[0]} is in use, perhaps by another watcher", file=sys.stderr)
-    if not is_loopback(host):
+    if not listener.is_loopback:
         print(
             "anyone who has the address, including its token, can view the page and stop the "
             "pump; the connection is not encrypted", file=sys.stderr,
@@ -137,7 +137,7 @@ def _print_address(url: str, host: str, port: int | None, *, release: bool) -> N
             "anyone who has the address, including its token, can release the pump, and can "
             "request a dose if the site file allows doses", file=sys.stderr,
         )
-    print(url, flush=True)
+    print(listener.url + (f"#token={token}" if token else ""), flush=True)
 
 
 @command
@@ -158,10 +158,10 @@ def main() -> None:
         from greenroof_ros.watch.server import PageServer
     except ModuleNotFoundError as error:
         raise ConfigurationError(f"needs {error.name}: {describe_extra('watch')}") from error
-    host, port = arguments.host or LOOPBACK, arguments.port
+    listener = listen(arguments.host or LOOPBACK, arguments.port)
     # Releasing always needs a token, since behind a proxy every request comes from this machine.
-    needed = store.allow_release or not is_loopback(host)
-    token = new_token() if needed else None
+    needed = store.allow_release or not listener.is_loopback
+    token = new_token() if needed else ""
     if arguments.token_file is not None:
         token = read_token(arguments.token_file)
     signals = Signals()
@@ -169,7 +169,5 @@ def main() -> None:
         suppress(InterruptedRun),
         Feed(store, _find_past_file(arguments.namespace)) as feed,
     ):
-        listener = listen(host, port)
-        url = listener.url + (f"#token={token}" if token else "")
-        _print_address(url, host, port, release=store.allow_release)
-        PageServer(store, feed, listener, token).serve(signals)
+        _print_address(listener, token, arguments.port, release=store.allow_release)
+        PageServer(store, feed, listener, token or None).serve(signals)

@@ -15,7 +15,7 @@ from dataclasses import asdict
 from typing import Any
 
 from greenroof_ros.base.text import number_of
-from greenroof_ros.interface.alarm import Alarm, advise
+from greenroof_ros.interface.alarm import advise
 from greenroof_ros.interface.conditions import command_for
 from greenroof_ros.interface.states import PUMP
 from greenroof_ros.watch import words
@@ -42,6 +42,10 @@ _NOTHING = (
 )
 _UNKNOWN = "Some values are unknown: check that the sensors and programs are running."
 _WELDED = "Water is leaving the cistern although the pump is off. Open the main switch."
+_START = (
+    "Start it with: sudo systemctl start greenroof, if it is a service, or else with: {live} and "
+    "its options. If the pump is still turning, stop it at its drive's panel or at the main switch."
+)
 _GO_AND_SEE = "Go and see; if the pump is turning, stop it at its drive's panel or the main switch."
 
 _LOCK_OUT = (
@@ -69,15 +73,11 @@ def make_document(store: GraphStore, wall: float) -> dict[str, Any]:
     with store.lock:
         store.wall = wall
         tiles, rows, stop = make_tiles(store), _list_alarms(store), describe_stop(store)
-        summary, step = _summarize(store, tiles, rows, stop)
-        factor, simulated = store.factor, store.mode == "simulated"
+        summary, step = _summarize(store, tiles, rows)
         local = store.local(store.now)
         return {
-            "heading": _HEADINGS[store.mode] + (
-                f", {factor:.3g} times real time" if simulated and factor > 0 else ""
-            ),
-            "mode": store.mode, "namespace": store.namespace, "contact": store.site.contact or "",
-            "known": store.alarms_known,
+            "heading": _HEADINGS[store.mode], "mode": store.mode, "known": store.alarms_known,
+            "namespace": store.namespace, "contact": store.site.contact or "",
             "time": {
                 "now": int(store.now) or None,
                 "zone": store.site.time_zone or local.isoformat()[-6:],
@@ -91,15 +91,12 @@ def make_document(store: GraphStore, wall: float) -> dict[str, Any]:
 
 
 def _list_notes(store: GraphStore) -> list[str]:
-    missing = [
-        f"{words.name_source(alarm.name, alarm.role)}: {alarm.sentence}."
-        for alarm in store.alarms if not alarm.number
-    ]
+    missing = filter(lambda alarm: not alarm.number, store.alarms)
     weather = store.node("weather")
     source = "" if weather is None else words.text_of(weather.values, "forecast_by")
     is_fast = store.mode == "simulated" and store.factor > FASTEST
     return [
-        *(["The site is starting. Still missing:", *missing] if missing else []),
+        *(f"Still missing: {words.describe_alarm(alarm)}." for alarm in missing),
         *filter(None, [store.site_note, _TOO_FAST if is_fast else "", source]),
     ]
 
@@ -114,34 +111,24 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
     counts as stopped if it is held and at standstill; a hold alone only means that the pump should
     be stopped. ``actions`` contains the question to ask before each action.
     """
-    two, pump = store.two_pumps, store.node(PUMP)
-    here = pump is not None and pump.is_online(store.wall) and not two
-    values = store.pump_values if here else {}
+    pump = store.pump
+    values = pump.values if pump is not None and pump.is_online(store.wall) else {}
     hold = _describe_hold(store, values)
     at_rest = values.get("at_rest") is True and not store.runs_on
-    off = at_rest and values.get("pump_state") in ("off", "held", "fault")
-    warning = two
-    if hold and not at_rest:
-        warning = (
-            "The stop was accepted, but the pump is still turning, or it is unknown whether it has "
-            "stopped. If it does not stop within seconds, stop it at its drive's panel."
-        )
     dose = _describe_dose(store, values)
     fault = words.text_of(values, "fault")
-    possible = {
-        "release": (hold and at_rest, _RELEASE),
-        "clear": (fault and not values.get("no_clear") and at_rest,
-                  f"The fault is cleared: {fault}. {_RELEASE}"),
-        "dose": (dose["max"] is not None and not values.get("no_dose"), _DOSE),
-    }
+    actions = {"stop": _STOP}
+    if store.allow_release:
+        if hold and at_rest:
+            actions["release"] = _RELEASE
+        if fault and not values.get("no_clear") and at_rest:
+            actions["clear"] = f"The fault is cleared: {fault}. {_RELEASE}"
+        if dose["max"] is not None and not values.get("no_dose"):
+            actions["dose"] = _DOSE
     return {
         "possible": bool(store.offered), "hold": hold, "stopped": bool(hold) and at_rest,
-        "warning": warning, "dose": dose,
-        "label": "Keep the pump off" if off else "Stop the pump",
-        "actions": {"stop": _STOP, **{
-            name: question for name, (is_possible, question) in possible.items()
-            if is_possible and store.allow_release
-        }},
+        "dose": dose, "actions": actions,
+        "label": "Keep the pump off" if at_rest else "Stop the pump",
     }
 
 
@@ -160,27 +147,25 @@ def _describe_hold(store: GraphStore, values: Mapping[str, Any]) -> str:
 
 def _describe_dose(store: GraphStore, values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the latest dose in words, the limits of a dose, and why none is possible now."""
-    least, largest = words.number_in(values, "min_dose") or 0.0, words.number_in(values, "max_dose")
-    if not store.allow_release:
-        largest = None
     last = values.get("dose")
     dose = last if isinstance(last, dict) else {}
-    runs = bool(dose) and not dose.get("over")
+    runs, largest = bool(dose) and not dose.get("over"), words.number_in(values, "max_dose")
+    told = store.allow_release and largest is not None and not runs
     return {
-        "text": _write_dose(dose, words.number_in(values, "flow")), "min": least, "max": largest,
-        "refusal": "" if runs or largest is None else words.text_of(values, "no_dose"),
+        "text": _write_dose(dose, words.number_in(values, "flow")),
+        "min": words.number_in(values, "min_dose") or 0.0, "max": largest,
+        "refusal": words.text_of(values, "no_dose") if told else "",
     }
 
 
 def _write_dose(dose: Mapping[str, Any], flow: float | None) -> str:
-    """Write the progress or the outcome of a dose: ``A dose: 12 of 20 L, 4 min left.``."""
+    """Write the progress or the outcome of a dose: ``A dose: 12 L of 20 L, 4 min left.``."""
     if dose.get("over"):
-        return f"{words.capitalize(words.text_of(dose, 'sentence'))}."
+        return f"The latest dose: {words.text_of(dose, 'sentence')}."
     volume, delivered = words.number_in(dose, "volume"), words.number_in(dose, "delivered")
     if volume is None or delivered is None:
         return ""
-    given = words.write_number(delivered, "", 0, 1e3)
-    progress = f"A dose: {given} of {words.write_litres(volume)}"
+    progress = f"A dose: {words.write_litres(delivered)} of {words.write_litres(volume)}"
     if not flow or flow < 0:
         return f"{progress}; it is waiting."
     return f"{progress}, {max(1, math.ceil((volume - delivered) / flow / 60))} min left."
@@ -193,37 +178,22 @@ def _list_alarms(store: GraphStore) -> list[dict[str, Any]]:
     """Return the present alarms as they are published, the most important one first.
 
     An alarm that follows from another one is left out. If the site's program as a whole no longer
-    runs, that is the only alarm.
+    runs, that is all that is known.
     """
-    if (gone := store.gone_since) is not None:
-        what = "the site's program no longer runs"
-        space = f" --namespace {store.namespace.strip('/')}" if store.namespace else ""
-        alarm = Alarm(1, "/site", "", "site", "not_heard", "stale", what, gone)
-        return [_make_row(store, alarm) | {
-            "do": words.complete_commands(
-                "Start it with: sudo systemctl start greenroof, if it is a service, or else with: "
-                f"greenroof live{space} and its options. If the pump is still turning, stop it at "
-                "its drive's panel or at the main switch."
-            ),
-        }]
-
-    def order(alarm: Alarm) -> tuple[bool, int, bool, float]:
-        # The pump node comes first (without it, no one knows whether the pump runs), then its
-        # state; other devices come last.
-        rank = {(PUMP, ""): 0, (PUMP, PUMP): 1}.get((alarm.role, alarm.part), 2)
-        return not alarm.role, rank, not alarm.is_serious, -alarm.since
-
-    present = sorted(store.present, key=order)
-    return [_make_row(store, alarm) for alarm in present if not alarm.follows]
-
-
-def _make_row(store: GraphStore, alarm: Alarm) -> dict[str, Any]:
-    return {
-        "id": alarm.name, "name": words.name_source(alarm.name, alarm.role), "code": alarm.code,
+    if store.gone_since is not None:
+        return []
+    # The pump node comes first (without it, no one knows whether the pump runs), then its state.
+    ranks = {(PUMP, ""): 0, (PUMP, PUMP): 1}
+    present = [alarm for alarm in store.present if not alarm.follows]
+    present.sort(key=lambda alarm: (
+        ranks.get((alarm.role, alarm.part), 2), not alarm.is_serious, -alarm.since
+    ))
+    return [{
+        "id": alarm.name, "name": words.name_of(alarm), "code": alarm.code,
         "level": "error" if alarm.is_serious else "warn", "what": alarm.sentence,
         "do": words.complete_commands(advise(alarm.code, alarm.role, alarm.node)),
         "since": alarm.since, "since_text": store.time_text(alarm.since),
-    }
+    } for alarm in present]
 
 
 def _list_events(store: GraphStore) -> list[dict[str, Any]]:
@@ -231,7 +201,7 @@ def _list_events(store: GraphStore) -> list[dict[str, Any]]:
     alarms = [alarm for alarm in store.alarms if alarm.number and not alarm.follows]
     events = []
     for alarm in sorted(alarms, key=lambda alarm: alarm.since, reverse=True):
-        what = f"{words.name_source(alarm.name, alarm.role)}: {alarm.sentence}"
+        what = words.describe_alarm(alarm)
         if alarm.ended is not None:
             what += f", until {store.time_text(alarm.ended)}"
         events.append({"at_text": store.time_text(alarm.since), "what": what})
@@ -242,7 +212,7 @@ def _list_events(store: GraphStore) -> list[dict[str, Any]]:
 
 
 def _summarize(
-    store: GraphStore, tiles: dict[str, Tile], rows: list[dict[str, Any]], stop: dict[str, Any]
+    store: GraphStore, tiles: dict[str, Tile], rows: list[dict[str, Any]]
 ) -> tuple[dict[str, str], str]:
     """Return the sentence on the state of the site, with its level, and the next step."""
     roof, pump = tiles["roof"], tiles["pump"]
@@ -257,18 +227,15 @@ def _summarize(
         and (roof["state"] == "good" or is_watered)
         and pump["state"] not in ("unknown", "fault", "held")
     ) else "warn"
-    if serious or stop["warning"] or pump["state"] == "alarm":
+    if serious or gone is not None or pump["state"] == "alarm":
         level = "error"
     counts = (len(serious), "alarm"), (len(rows) - len(serious), "warning")
     word = ", ".join(number_of(count, name) for count, name in counts if count)
     word = word or ("All is well" if level == "ok" else "")
     if not known and gone is None:
         word = "Whether there are alarms is unknown"
-    # The advice on the first alarm. A hold is intentional, so beside it a warning does not count.
-    step = next((
-        row["do"] for row in rows
-        if row["code"] != "hold" and (row in serious or not stop["hold"])
-    ), "")
+    # The advice on the first alarm; of a hold, which is intentional, the box states more.
+    step = next((row["do"] for row in rows if row["code"] != "hold"), "")
     unknown = any(tiles[name]["state"] == "unknown" for name in ("roof", "cistern", "pump"))
     worst = f"{serious[0]['name']}: {serious[0]['what']}" if serious else ""
     if worst and serious[0]["name"] != "Pump":
@@ -278,12 +245,12 @@ def _summarize(
         (store.mode == "none", "No run or site has been found.", _NOTHING),
         (store.mode == "ended", "The run has ended, and its last state is shown.", step),
         (gone is not None, "The site's program has not run since "
-         f"{store.time_text(gone or 0.0)}; nobody waters the roof.", step),
+         f"{store.time_text(gone or 0.0)}; nobody waters the roof.", words.complete_commands(
+             _START.format(live=command_for(f"{store.namespace}/site", "live")))),
         (store.runs_on, _WELDED, step),
         (pump["state"] == "alarm", "The pump may be running.", step if serious else _GO_AND_SEE),
         (worst, f"{worst}.", step),
-        (stop["warning"] or step, now, step),
-        (True, now, _UNKNOWN if unknown and not starting else "Nothing to do."),
+        (True, now, step or (_UNKNOWN if unknown and not starting else "Nothing to do.")),
     )
     sentence, step = next((sentence, step) for case, sentence, step in cases if case)
     word = " ".join(filter(None, (word and f"{word}.", starting)))
@@ -296,11 +263,10 @@ def _advise(store: GraphStore, step: str, stop: dict[str, Any]) -> str:
     release = ""
     if "release" in stop["actions"]:
         release = "If it may run again, release it with the button below."
-    elif stop["stopped"] and (pump := store.node(PUMP)) is not None:
+    elif stop["stopped"] and (pump := store.pump) is not None:
         command = words.complete_commands(command_for(pump.name, "release"))
         release = f"If it may run again, release it with: {command}"
-    done = stop["warning"] or stop["hold"] or stop["dose"]["text"]
-    return " ".join(filter(None, (done, step, release)))
+    return " ".join(filter(None, (stop["hold"] or stop["dose"]["text"], step, release)))
 
 
 # --- the charts -----------------------------------------------------------------------------------

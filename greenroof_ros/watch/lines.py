@@ -9,7 +9,6 @@ import math
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -203,7 +202,7 @@ def read_histories(file: Path) -> dict[str, History]:
     """Return the histories in a file; print why if the file cannot be read or is damaged."""
     rows: dict[str, NDArray[np.void]] = {}
     try:
-        with np.load(BytesIO(file.read_bytes()), allow_pickle=False) as content:
+        with np.load(file, allow_pickle=False) as content:
             rows = {name: content[name] for name in content if content[name].dtype == ROW}
         if not all(each.ndim == 1 and np.all(np.diff(each["ended"]) > 0) for each in rows.values()):
             raise ValueError("its values are not plausible")

@@ -23,7 +23,7 @@ from greenroof_ros.interface.alarm import Alarm
 from greenroof_ros.interface.states import PLANT, PUMP
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.ros.alarm_status import read_status
-from greenroof_ros.ros.reports import Reports, Status
+from greenroof_ros.ros.reports import NodeReport, Reports, Status
 from greenroof_ros.site.file import read_site
 from greenroof_ros.watch.lines import History, Steps, read_steps
 from greenroof_ros.watch.words import number_in
@@ -56,7 +56,7 @@ _GONE_S = 10.0
 _PLAN_S = 2 * 3600.0
 _PAPERS = "Levels are judged by the parameters of the paper's site, config/site.yaml."
 # Times that a calendar contains (s since 1970).
-_FIRST, _LAST, _LAST_NS = 0.0, 4e9, 4 * 10**18
+_FIRST, _LAST = 0.0, 4e9
 
 
 class Newest(NamedTuple):
@@ -66,15 +66,11 @@ class Newest(NamedTuple):
         time: time of the value (s since 1970).
         value: the value; None if it is implausible or its publisher does not know it.
         received_at: when it was received (steady clock, s).
-        gap: time since the value before it (s).
-        usual: the shorter one of the last two gaps (s).
     """
 
     time: float
     value: float | None
     received_at: float
-    gap: float = math.inf
-    usual: float = 0.0
 
 
 class GraphStore(Reports):
@@ -174,21 +170,14 @@ class GraphStore(Reports):
                 self.site, self.site_note = read_site(Path(file)), ""
 
     @property
-    def pump_values(self) -> Mapping[str, Any]:
-        """The values that the pump node last reported; empty if it never has."""
-        pump = self.node(PUMP)
-        return {} if pump is None else pump.values
+    def pump(self) -> NodeReport | None:
+        """The last report of the pump node; None if there is none, or if several may be it."""
+        return self.node(PUMP) if sum(self.offered.values()) < 2 else None
 
     @property
-    def two_pumps(self) -> str:
-        """A warning if it is unclear which node is the pump node; otherwise empty."""
-        if sum(self.offered.values()) < 2:
-            return ""
-        return (
-            f"Two nodes claim to be the pump node ({', '.join(sorted(self.offered))}), so it "
-            "is unknown which of them controls the pump. A stop is sent to all of them; no other "
-            "request is sent from here. Shut down the node that should not be running."
-        )
+    def pump_values(self) -> Mapping[str, Any]:
+        """The values that the pump node last reported; empty if it never has."""
+        return {} if self.pump is None else self.pump.values
 
     # --- alarms ---------------------------------------------------------------------------------
 
@@ -281,18 +270,15 @@ class GraphStore(Reports):
         known = math.isfinite(value) and entry.low <= value <= entry.high
         if topic == FLOW:  # the pump node publishes 0 for an unknown flow
             known = known and self.pump_values.get("flow", value) is not None
-        gap = self.wall - before.received_at if before else math.inf
-        usual = min(gap, before.gap, HOLDS_S) if before else 0.0
         shown = value + 0.0 if known else None  # no minus zero
-        self.newest[topic] = Newest(at, shown, self.wall, gap, usual)
+        self.newest[topic] = Newest(at, shown, self.wall)
         for name, line in LINES.items():
             if line == topic:
                 self.past[name].add(time_ns, value if known else math.nan)
         if topic == FLOW and before and before.value:
             passed = at - before.time
             total = self.past[GIVEN].value_at(time_ns) + before.value * passed
-            holds = max(_STALE_S, TICKS * self.site.tau) if self.mode == "live" else HOLDS_S
-            if 0 < passed <= holds:
+            if 0 < passed <= max(_STALE_S, TICKS * self.site.tau):
                 self.past[GIVEN].add(time_ns, total)
 
     def present_value(self, topic: str) -> float | None:
@@ -307,16 +293,16 @@ class GraphStore(Reports):
             limit = limit if age is None else age.default
         elif self.factor > 0:
             limit /= self.factor
-        overdue = self.wall - newest.received_at > max(_STALE_S, limit, TICKS * newest.usual)
+        overdue = self.wall - newest.received_at > max(_STALE_S, limit)
         return None if overdue or self.gone_since is not None else newest.value
 
     @property
     def plan(self) -> Steps | None:
         """The controller's plan; None if there is none, or if it is too old."""
         plan = self._plan
-        if plan is None or self.now > min(float(plan.ends[-1]), plan.at + _PLAN_S):
+        if plan is None or self.gone_since is not None:
             return None
-        return None if self.gone_since is not None else plan
+        return plan if self.now <= min(float(plan.ends[-1]), plan.at + _PLAN_S) else None
 
     # --- time -----------------------------------------------------------------------------------
 
@@ -341,7 +327,7 @@ class GraphStore(Reports):
     def given_since(self, begin: float) -> float:
         """Return the volume pumped since a time (s since 1970, m3), as far as it is known."""
         given = self.past[GIVEN]
-        return given.value_at(_LAST_NS) - given.value_at(round(begin * 1e9))
+        return given.value_at(round(self.now * 1e9)) - given.value_at(round(begin * 1e9))
 
     def local(self, at: float) -> datetime:
         """Return a time (s since 1970) on the site's clock."""

@@ -87,7 +87,7 @@ def _find_doubt(store: GraphStore, topic: str) -> str:
     if store.gone_since is not None or not found:
         return ""
     first = min(found, key=lambda alarm: (bool(alarm.follows), alarm.role not in publishers))
-    return f"{words.name_source(first.name, first.role)}: {first.sentence}"
+    return words.describe_alarm(first)
 
 
 # --- levels and weather ---------------------------------------------------------------------------
@@ -129,12 +129,9 @@ def _make_temperature_tile(store: GraphStore) -> Tile:
     source = "measured" if measured else "according to the forecast"
     return _make_tile(
         store, "Temperature", _THERMOMETER if measured else _FROST,
-        lambda *_: (state, _join(source, stops)), None if measured else _write_frost,
+        lambda *_: (state, _join(source, stops)),
+        None if measured else lambda frost: "0 °C or below" if frost else "above 0 °C",
     )
-
-
-def _write_frost(frost: float) -> str:
-    return "0 °C or below" if frost else "above 0 °C"
 
 
 def _write_coming_rain(store: GraphStore) -> str:
@@ -156,7 +153,7 @@ def _make_pump_tile(store: GraphStore) -> Tile:
 
     The state is ``alarm`` if the pump might be turning unnoticed.
     """
-    node, values = store.node(PUMP), store.pump_values
+    node, values = store.pump, store.pump_values
     state, why = _read_pump_state(store)
     lost = node is not None and store.mode != "ended" and not node.is_online(store.wall)
     at_rest = values.get("at_rest")
@@ -179,8 +176,6 @@ def _make_pump_tile(store: GraphStore) -> Tile:
 
 def _read_pump_state(store: GraphStore) -> tuple[str, str]:
     """Return the pump's state and the reason; in a simulation, derive both if not reported."""
-    if store.two_pumps:
-        return words.UNKNOWN, ""
     values = store.pump_values
     if state := words.text_of(values, "pump_state"):
         # Of a hold, the page states more, and in the site's time.
@@ -189,7 +184,7 @@ def _read_pump_state(store: GraphStore) -> tuple[str, str]:
         why = words.text_of(values, "pump_why").removeprefix(told).lstrip("; ")
         return state if state in PUMP_STATES else words.UNKNOWN, why
     if store.mode == "live":
-        return words.UNKNOWN, "the pump node is not responding"
+        return words.UNKNOWN, "no pump node, or more than one, is responding"
     flow = store.newest.get(FLOW)
     if flow is None or flow.value is None:
         return words.UNKNOWN, ""

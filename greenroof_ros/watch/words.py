@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import sys
@@ -12,7 +11,9 @@ from shutil import which
 from typing import Any
 
 from greenroof_ros.base.text import clean_text
+from greenroof_ros.interface.alarm import Alarm
 from greenroof_ros.interface.topics import Display, read_topics
+from greenroof_ros.ros.alarms import name_source
 
 UNKNOWN = "unknown"
 # A command in an advice, rather than the service of that name.
@@ -20,7 +21,7 @@ _COMMAND = re.compile(r"\bgreenroof(?= (?:live|release|reset|watch)\b)")
 
 
 def write_number(value: float, unit: str, decimals: int, factor: float = 1.0) -> str:
-    """Write a number with its unit, such as ``45.3 mm``; *unknown* from 1e12.
+    """Write a number with its unit, such as ``45.3 mm``.
 
     Args:
         value: value in its SI unit.
@@ -28,8 +29,6 @@ def write_number(value: float, unit: str, decimals: int, factor: float = 1.0) ->
         decimals: number of decimals to show.
         factor: factor that converts the SI unit to the unit to show.
     """
-    if not math.isfinite(value) or abs(value * factor) >= 1e12:
-        return UNKNOWN
     text = f"{value * factor:.{decimals}f}"
     text = text.removeprefix("-") if float(text) == 0 else text
     return f"{text} {unit}" if unit else text
@@ -65,20 +64,14 @@ def number_in(values: Mapping[str, Any], key: str) -> float | None:
     return value if isinstance(value, (int, float)) else None
 
 
-def capitalize(text: str) -> str:
-    """Return a text that begins with a capital letter."""
-    return f"{text[:1].upper()}{text[1:]}"
+def describe_alarm(alarm: Alarm) -> str:
+    """Return an alarm with its source: ``Roof sensor: no answer`` for ``/roof_sensor: sensor``."""
+    return f"{name_of(alarm)}: {alarm.sentence}"
 
 
-def name_source(status: str, role: str = "") -> str:
-    """Return a plain name for the source of a status: ``Roof sensor`` for ``/roof_sensor: x``.
-
-    Args:
-        status: name of the status.
-        role: role of the node, which is the name of a controller; empty if it has none.
-    """
-    name = "controller" if role == "controller" else status.partition(": ")[0].rpartition("/")[2]
-    return capitalize(name.replace("_", " "))
+def name_of(alarm: Alarm) -> str:
+    """Return a plain name for the source of an alarm; that of any controller is ``Controller``."""
+    return name_source("controller" if alarm.role == "controller" else alarm.name)
 
 
 def complete_commands(text: str) -> str:

@@ -104,7 +104,7 @@ const situation = () => JSON.stringify([Object.keys(state?.stop.actions ?? {}), 
 const showBox = () => {
   const old = answer && (answer.failed ? answer.situation !== situation() : heard - answer.at > REPORTED);
   if (old) answer = null;
-  byId("box").classList.toggle("failed", Boolean(answer?.failed || state?.stop.warning));
+  byId("box").classList.toggle("failed", Boolean(answer?.failed));
   setText("box", answer?.text ?? state?.advice ?? "");
 };
 
