@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 import re
 import time
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import pytest
-from brokers import Mosquitto, Talker, mosquitto, needs_mosquitto
+from brokers import Talker, mosquitto, needs_mosquitto
 from commands import run_command
 from graphs import Process, environment, wait_for
 from page_inputs import SECOND, START, add_plan, add_values, alarm, fail, store
@@ -150,12 +149,6 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         wait_for(lambda: heard.last(availability) == "offline", 60, "its last word")
 
 
-def bridging(broker: Mosquitto) -> AbstractContextManager[None]:
-    """Run a bridge in this process, without a graph."""
-    graph = store("live")
-    return running(Bridge(graph, Feed(graph), parse_broker(broker.address, "broker")).run)
-
-
 @needs_mosquitto
 def test_a_stop_is_requested_until_it_is_answered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
@@ -176,7 +169,11 @@ def test_a_stop_is_requested_until_it_is_answered(
     monkeypatch.setattr("greenroof_ros.watch.bridge._POLL_S", 0.05)
     monkeypatch.setattr("greenroof_ros.watch.bridge.make_document", fail)
     monkeypatch.setattr(Feed, "request_action", request_action)
-    with mosquitto(tmp_path) as broker, Talker(broker) as heard, bridging(broker):
+    graph = store("live")
+    with (
+        mosquitto(tmp_path) as broker, Talker(broker) as heard,
+        running(Bridge(graph, Feed(graph), parse_broker(broker.address, "broker")).run),
+    ):
         wait_for(lambda: heard.last("greenroof/roof/availability"), 60, "a message")
         for left in (2, 0):
             heard.publish("greenroof/roof/stop", "STOP")
@@ -186,24 +183,3 @@ def test_a_stop_is_requested_until_it_is_answered(
     said = capfd.readouterr().err
     assert "MQTT: no pump node" in said and "MQTT: the disk is full" in said
     assert "MQTT: held" in said and "ZeroDivisionError: a bug" in said
-
-
-@needs_mosquitto
-def test_what_others_publish_on_its_topics_is_replaced(tmp_path: Path) -> None:
-    """When it connects, and that it is online, also later: another bridge may have ended."""
-    own = {"greenroof/roof/availability": "online", **make_discovery("roof")}
-    with mosquitto(tmp_path) as broker, Talker(broker) as heard:
-
-        def is_restored() -> bool:
-            with Talker(broker) as late:
-                time.sleep(0.5)
-            return {topic: text for _, topic, text, kept in late.received if kept} == own
-
-        for topic in own:
-            heard.publish(topic, "garbage", retain=True)
-        with bridging(broker):
-            wait_for(is_restored, 60, "its own messages")
-            with bridging(broker):
-                time.sleep(2.0)
-            wait_for(is_restored, 60, "that one of them is there")
-        wait_for(lambda: heard.last("greenroof/roof/availability") == "offline", 60, "the end")

@@ -27,9 +27,8 @@ import aiohttp
 from test_feed import recorded
 
 URL = re.compile(r"ws://127\.0\.0\.1:(\d+)\n")
-# Kinds of binary frames, and what is before a message: its subscription and its time.
-MESSAGE, TIME = 1, 2
-HEAD, NUMBER = struct.Struct("<BIQ"), struct.Struct("<4xd")
+# A binary frame with a message: its kind, subscription and time (ns), and then the message.
+MESSAGE, HEAD, NUMBER = 1, struct.Struct("<BIQ"), struct.Struct("<4xd")
 
 
 def port_of(read: Callable[[], str]) -> int:
@@ -37,37 +36,27 @@ def port_of(read: Callable[[], str]) -> int:
     return int(wait_for(lambda: URL.search(read()), 60, "an address")[1])
 
 
-def receive(port: int, topic: str, number: int) -> tuple[dict[str, Any], list[tuple[int, float]]]:
-    """Subscribe as a viewer does; return a topic's channel, and some values with their times."""
-    found: list[tuple[int, float]] = []
-
-    async def run() -> dict[str, Any]:
-        async with (
-            aiohttp.ClientSession() as session,
-            session.ws_connect(f"ws://127.0.0.1:{port}", protocols=["foxglove.sdk.v1"]) as socket,
-        ):
-            assert json.loads(await socket.receive_str())["capabilities"] == ["time"]
-            channels: dict[str, dict[str, Any]] = {}
-            while len(channels) < len(read_topics()):
-                for channel in json.loads(await socket.receive_str())["channels"]:
-                    channels[channel["topic"]] = channel
-            number_of_channel = channels[topic]["id"]
-            await socket.send_json({"op": "subscribe", "subscriptions": [
-                {"id": number_of_channel, "channelId": number_of_channel}
-            ]})
-            newest = 0
-            while len(found) < number:
-                frame = await socket.receive()
-                if frame.type is aiohttp.WSMsgType.BINARY and frame.data[0] == TIME:
-                    before, (newest,) = newest, struct.unpack_from("<Q", frame.data, 1)
-                    assert newest >= before
-                elif frame.type is aiohttp.WSMsgType.BINARY:
-                    kind, channel, time_ns = HEAD.unpack_from(frame.data)
-                    assert (kind, channel) == (MESSAGE, number_of_channel)
-                    found.append((time_ns, *NUMBER.unpack(frame.data[HEAD.size:])))
-            return channels[topic]
-
-    return asyncio.run(run()), found
+async def receive(port: int, topic: str, number: int) -> tuple[dict[str, Any], dict[int, float]]:
+    """Subscribe as a viewer does; return a topic's channel, and some values by their times (ns)."""
+    channels, found = dict[str, dict[str, Any]](), dict[int, float]()
+    async with (
+        aiohttp.ClientSession() as session,
+        session.ws_connect(f"ws://127.0.0.1:{port}", protocols=["foxglove.sdk.v1"]) as socket,
+    ):
+        assert json.loads(await socket.receive_str())["capabilities"] == ["time"]
+        while len(channels) < len(read_topics()):
+            for channel in json.loads(await socket.receive_str())["channels"]:
+                channels[channel["topic"]] = channel
+        channel = channels[topic]
+        await socket.send_json({
+            "op": "subscribe", "subscriptions": [{"id": 7, "channelId": channel["id"]}]
+        })
+        while len(found) < number:
+            frame = await socket.receive()
+            if frame.type is aiohttp.WSMsgType.BINARY and frame.data[0] == MESSAGE:
+                _, _, time_ns = HEAD.unpack_from(frame.data)
+                (found[time_ns],) = NUMBER.unpack(frame.data[HEAD.size:])
+    return channel, found
 
 
 def test_a_client_receives_the_roofs_level_as_in_the_bag(domain: int, tmp_path: Path) -> None:
@@ -79,7 +68,7 @@ def test_a_client_receives_the_roofs_level_as_in_the_bag(domain: int, tmp_path: 
     port = port_of(run.stderr)
     (server,) = children_of(run.process.pid)
     assert tcp_addresses_of(server) == {"0100007F"}
-    channel, found = receive(port, "/site1/roof/level", 40)
+    channel, found = asyncio.run(receive(port, "/site1/roof/level", 40))
     assert (channel["encoding"], channel["schemaName"], channel["schemaEncoding"]) == (
         "cdr", "std_msgs/msg/Float64", "ros2msg"
     )
@@ -87,7 +76,7 @@ def test_a_client_receives_the_roofs_level_as_in_the_bag(domain: int, tmp_path: 
     assert run.wait(120) == 130
     assert not alive(server)
     bag = recorded(tmp_path / "run")["/site1/roof/level"]
-    for time_ns, value in found:  # at its tick, or at the one before or after it
+    for time_ns, value in found.items():  # at its tick, or at the one before or after it
         assert value in {each for at, each in bag.items() if abs(at - time_ns) <= 20e9}
 
 
