@@ -82,18 +82,28 @@ def pump_says(graph: GraphStore, wall: float, text: str, **said: Any) -> None:
 # --- tiles ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "level", "expected"), [
-    ("roof", 0.04566, ("45.7 mm", "good", "at its target")),
-    ("roof", -0.0, ("0.0 mm", "low", "45.7 mm below its target")),
-    ("cistern", 2.5, ("2500 mm", "good", "43.8 m³ above the suction level can be pumped")),
-    ("cistern", 0.75, ("750 mm", "low",
-                       "too low for the pump, since it is not above the suction level")),
-    ("cistern", 3.01, ("3010 mm", "high", "above its overflow, so water is running to the sewer")),
-    ("roof", math.nan, ("unknown", "unknown", "the value is impossible")),
+@pytest.mark.parametrize(("values", "name", "expected"), [
+    ({"roof_level": 0.04566}, "roof", ("45.7 mm", "good", "at its target")),
+    ({"roof_level": -0.0}, "roof", ("0.0 mm", "low", "45.7 mm below its target")),
+    ({"roof_level": math.nan}, "roof", ("unknown", "unknown", "the value is impossible")),
+    ({}, "cistern", ("2500 mm", "good", "43.8 m³ above the suction level can be pumped")),
+    ({"cistern_level": 0.75}, "cistern", (
+        "750 mm", "low", "too low for the pump, since it is not above the suction level"
+    )),
+    ({"cistern_level": 3.01}, "cistern", (
+        "3010 mm", "high", "above its overflow, so water is running to the sewer"
+    )),
+    ({}, "temperature", ("above 0 °C", "good", "according to the forecast")),
+    ({"weather_frost": math.nan}, "temperature", ("unknown", "unknown", "")),
+    ({"weather_frost": 1.0, "gauge_temperature": -1.5}, "temperature", (
+        "-1.5 °C", "cold", "measured; the pump stays off until it is above 0 °C"
+    )),
 ])
-def test_levels(name: str, level: float, expected: tuple[str, str, str]) -> None:
+def test_levels_and_temperature(
+    values: dict[str, float], name: str, expected: tuple[str, str, str]
+) -> None:
     """The roof's band is 5 % of the target of 45.7 mm."""
-    assert tile_of(watched(**{f"{name}_level": level}), name) == expected
+    assert tile_of(watched("live", **values), name) == expected
 
 
 @pytest.mark.parametrize(("values", "state", "word", "advice"), [
@@ -171,17 +181,6 @@ def test_what_was_given_and_how_long_the_cistern_lasts() -> None:
         assert tile_of(graph, "watering")[2] == f"given: {given}"
         days = "enough for 875 days at the use of the past 1 day"
         assert (days in tile_of(graph, "cistern")[2]) == (now == 129_600)
-
-
-@pytest.mark.parametrize(("measured", "frost", "value", "sentence"), [
-    (-1.5, 1.0, "-1.5 °C", "measured; the pump stays off until it is above 0 °C"),
-    (None, 0.0, "above 0 °C", "according to the forecast"),
-    (None, math.nan, "unknown", ""),  # its publisher does not know it
-])
-def test_the_temperature(measured: float | None, frost: float, value: str, sentence: str) -> None:
-    more = {} if measured is None else {"gauge_temperature": measured}
-    graph = watched("live", weather_frost=frost, **more)
-    assert tile_of(graph, "temperature")[::2] == (value, sentence)
 
 
 # --- what is old, and what is doubted ---------------------------------------------------------
@@ -434,20 +433,6 @@ def test_old_alarms_mean_that_the_sites_program_no_longer_runs() -> None:
     add_values(graph, 61, 62, QUIET)
     summary = shown(graph, 111.0)["tiles"]["summary"]
     assert (summary["word"], summary["level"]) == ("Whether there are alarms is unknown.", "warn")
-
-
-def test_before_and_after_a_run() -> None:
-    graph = GraphStore("/site1")
-    document = shown(graph, 5.0)
-    assert (document["namespace"], document["time"]["now"]) == ("/site1", None)
-    assert document["tiles"].pop("summary")["sentence"] == "No run or site has been found."
-    assert {tile["state"] for tile in document["tiles"].values()} == {"unknown"}
-    assert not any(make_series(graph, 12)["lines"].values())
-    ended = shown(watched("ended"))["tiles"]["summary"]["sentence"]
-    assert ended.startswith("The run has ended")
-    graph = watched()
-    graph.factor = 120.0
-    assert shown(graph)["notes"][0].startswith("This run is faster than 60 times real time")
 
 
 # --- charts ---------------------------------------------------------------------------------------

@@ -58,9 +58,7 @@ class Pump:
 @pytest.fixture
 def pump(monkeypatch: pytest.MonkeyPatch) -> Pump:
     pump = Pump()
-    monkeypatch.setattr(
-        Feed, "request_action", lambda _, *given, **more: pump.request_action(*given, **more)
-    )
+    monkeypatch.setattr(Feed, "request_action", pump.request_action)
     return pump
 
 

@@ -127,24 +127,20 @@ def test_beyond_loopback_and_to_release_it_needs_its_token(domain: int, tmp_path
     Then the page's address survives a restart, and it needs the token on loopback, too.
     """
     (port,), file, tokens = free_ports(1), tmp_path / "token", []
-    previous = os.umask(0)  # inherited: the file is private all the same
-    try:
-        for options, warning in (
-            (("--host", "0.0.0.0", "--token-file", file.name), "can view the page and stop"),
-            (("--allow-release",), "can release the pump"), (("--token-file", file.name), ""),
-        ):
-            process = Process(domain, "watch", *options, "--port", str(port), cwd=tmp_path)
-            url = wait_for(process.stdout, 60, "an address")
-            token = re.fullmatch(rf"http://[^/]+:{port}/#token=([\w-]{{32}})\n", url)
-            assert token and warning in process.stderr(), url
-            tokens.append(token[1])
-            host = "a.name" if "--host" in options else "localhost"
-            for headers, status in (({}, 401), ({"Authorization": f"Bearer {token[1]}"}, 200)):
-                answer = request(port, "POST", "/stop", host=host, X_Greenroof="1", **headers)
-                assert answer.status == status
-            end(process)
-    finally:
-        os.umask(previous)
+    for options, warning in (
+        (("--host", "0.0.0.0", "--token-file", file.name), "can view the page and stop"),
+        (("--allow-release",), "can release the pump"), (("--token-file", file.name), ""),
+    ):
+        process = Process(domain, "watch", *options, "--port", str(port), cwd=tmp_path)
+        url = wait_for(process.stdout, 60, "an address")
+        token = re.fullmatch(rf"http://[^/]+:{port}/#token=([\w-]{{32}})\n", url)
+        assert token and warning in process.stderr(), url
+        tokens.append(token[1])
+        host = "a.name" if "--host" in options else "localhost"
+        for headers, status in (({}, 401), ({"Authorization": f"Bearer {token[1]}"}, 200)):
+            answer = request(port, "POST", "/stop", host=host, X_Greenroof="1", **headers)
+            assert answer.status == status
+        end(process)
     assert tokens[0] == tokens[2] == file.read_text().strip() != tokens[1]
     assert file.stat().st_mode & 0o777 == 0o600
 
@@ -205,8 +201,8 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
     assert page and not alive(page)
 
 
-# Clients that send nothing, half a request or many requests, read no answer, and connect again soon
-# after they were dropped.
+# Clients that send nothing or many requests, read no answer, and connect again soon after they were
+# dropped.
 ATTACK = """
 import asyncio, os, sys
 
@@ -225,8 +221,8 @@ async def attack(data):
 async def main():
     paths = ("/uPlot.js", "/state", "/charts?hours=168", "/nowhere")
     requests = [f"GET {path} HTTP/1.1\\r\\nHost: localhost\\r\\n\\r\\n".encode() for path in paths]
-    requests += [b"", b"GET / HT"]
-    await asyncio.gather(*(attack(requests[i % 6]) for i in range(1300)))
+    requests += [b""]
+    await asyncio.gather(*(attack(requests[i % 5]) for i in range(1300)))
 
 os.nice(19)
 asyncio.run(main())
@@ -252,6 +248,7 @@ def test_1300_hostile_clients_keep_no_stop_away(domain: int, tmp_path: Path) -> 
         )
         try:
             time.sleep(5.0)
+            assert len(files_of(page.process.pid)) < 200  # of 128 connections, and others
             for wait in (1.5, *[0.0] * 9):
                 begun = time.monotonic()
                 pump.answers.clear()
