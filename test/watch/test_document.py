@@ -12,21 +12,20 @@ import pytest
 from page_inputs import (
     HELD,
     HOLD,
-    OK,
     SECOND,
     START,
-    WARN,
     add_forecast,
     add_plan,
     add_values,
     alarm,
     node,
-    pump_report,
+    pump,
     rows,
     store,
 )
 from paper import PAPER_SITE
 
+from greenroof_ros.interface.alarm import OK, WARN
 from greenroof_ros.interface.conditions import read_conditions
 from greenroof_ros.ros.reports import Status
 from greenroof_ros.watch import words
@@ -76,7 +75,7 @@ def line_of(graph: GraphStore, name: str, hours: int = 3) -> list[list[Any]]:
 def pump_says(graph: GraphStore, wall: float, text: str, **said: Any) -> None:
     """Have the pump node report its state; it offers its service for a hold."""
     graph.offered = {"/pump": 1}
-    graph.add_statuses(wall, 0, node("/pump", "pump", **pump_report(text), **said))
+    graph.add_statuses(wall, 0, pump(text, **said))
 
 
 # --- tiles ------------------------------------------------------------------------------------
@@ -306,7 +305,7 @@ FROST = "the pump may not run: there is frost"
 def test_what_else_may_be_done_here(said: dict[str, Any], actions: set[str], refusal: str) -> None:
     """Only if it was allowed, and while the pump node responds."""
     graph = watched()
-    pump_says(graph, 100.0, "held: stopped", **{"at_rest": True, **said})
+    pump_says(graph, 100.0, "held: stopped", **said)
     assert shown(graph)["stop"]["actions"].keys() == {"stop"}
     graph.allow_release = True
     stop = shown(graph)["stop"]
@@ -346,7 +345,7 @@ WELDED = alarm("/pump: pump", "pump", "runs_on", "the flow meter has shown a flo
     # Backwards: known to turn. The drive's own timeout. Your own driver. As intended.
     ([], "fault: why", {"at_rest": False, "speed": -0.5, "flow": None}, "fault", ""),
     ([], "off: why", {"at_rest": True, "speed": None, "flow": None}, "off", ""),
-    ([], "running: why", {"flow": 1e-3}, "running", ""),
+    ([], "running: why", {"at_rest": None, "flow": 1e-3}, "running", ""),
     ([], "held: quiet hours are in force", {"at_rest": True, "flow": 0.0}, "off", ""),
 ])
 def test_what_is_known_of_the_pump(

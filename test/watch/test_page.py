@@ -15,25 +15,23 @@ import pytest
 from browsers import started_browser
 from graphs import wait_for
 from page_inputs import (
-    ERROR,
     HELD,
     HOLD,
     SECOND,
     START,
-    WARN,
     add_forecast,
     add_plan,
     add_values,
     alarm,
     fail,
-    node,
-    pump_report,
+    pump,
     store,
 )
 from page_server import served
 from peers import repeating
 from places import CONFIG
 
+from greenroof_ros.interface.alarm import WARN
 from greenroof_ros.ros.reports import Status
 from greenroof_ros.site.file import read_site
 from greenroof_ros.watch.document import make_document, make_series
@@ -45,6 +43,7 @@ SITE = replace(read_site(CONFIG / "site.yaml"), contact=CONTACT)
 HOSTILE = "<img src=x onerror=hacked=1><script>hacked=2</script>\x00\x1b[31m\u202e" + "A" * 5000
 LONG_MS = 60_000  # the machine may be busy
 CANNOT = "cannot solve its program"
+MPC = alarm("/mpc: program", "controller", "controller_failed", CANNOT)
 
 Open = Callable[..., Any]
 
@@ -54,15 +53,6 @@ def browser() -> Iterator[Any]:
     """A headless browser; a stop request reports at once that no graph was joined."""
     with started_browser() as started:
         yield started
-
-
-def pump(state: str = "off: the command is 0", **values: Any) -> list[Status]:
-    return node("/pump", "pump", **pump_report(state), **{"at_rest": True, **values})
-
-
-def mpc(level: int = ERROR, what: str = CANNOT) -> Status:
-    """Return an alarm of the controller."""
-    return alarm("/mpc: program", "controller", "controller_failed", what, level)
 
 
 @contextmanager
@@ -206,8 +196,8 @@ def test_hostile_texts_are_texts_and_it_fits_every_width(open_page: Open) -> Non
     watched = site_watched("simulated")
     watched.site_note = HOSTILE
     page = open_page(watched, [
-        mpc(what=HOSTILE), *pump(f"fault: {HOSTILE}"),
-        *(alarm(f"{HOSTILE}{i}", "x", HOSTILE, HOSTILE, fault=HOSTILE) for i in range(50)),
+        *pump(f"fault: {HOSTILE}"),
+        *(alarm(f"{HOSTILE}{i}", "x", HOSTILE, HOSTILE) for i in range(50)),
     ])
     for place in ("#alarms li > span", "[data-key=pump] .sentence", "#events li", "#notes li"):
         until_shown(page, place, "<script>")
@@ -229,7 +219,7 @@ def test_alarms_are_listed_and_seen_by_word_sign_and_colour(open_page: Open) -> 
     weather = alarm("/weather: forecast", "weather", "input_silent", "its forecast is old", WARN)
     over = alarm("/mpc: program", "controller", "controller_failed", CANNOT, 0,
                  ended="2021-07-20T05:00:45+00:00")
-    said = [weather, mpc()]
+    said = [weather, MPC]
     page = open_page(watched, said)
     until_shown(page, "#alarms li", CANNOT)
     first, second = (row["do"] for row in document_of(watched)["alarms"])

@@ -17,9 +17,11 @@ from typing import Any
 
 import pytest
 from graphs import wait_for
-from page_inputs import SECOND, fail, node, pump_report
+from page_inputs import SECOND, fail
+from page_inputs import pump as pump_says
 from page_server import read_state, request, served
 
+from greenroof_ros.base.standard_error import LINES
 from greenroof_ros.watch import server
 from greenroof_ros.watch.document import make_document
 from greenroof_ros.watch.feed import Feed
@@ -67,9 +69,8 @@ def watched() -> GraphStore:
     """A store in which everything may be requested of a pump that is held and at rest."""
     store = GraphStore()
     store.wall = time.monotonic()
-    store.add_statuses(time.monotonic() + 1e6, 0, node(
-        "/pump", "pump", **pump_report("held: x"), at_rest=True, hold={"owner": "x"},
-        fault="slow", no_clear="", max_dose=1.0, no_dose="",
+    store.add_statuses(time.monotonic() + 1e6, 0, pump_says(
+        "held: x", hold={"owner": "x"}, fault="slow", no_clear="", max_dose=1.0, no_dose="",
     ))
     return store
 
@@ -259,6 +260,7 @@ def test_a_document_that_cannot_be_made_is_reported(
     port: int, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """Rather than an old one being sent; the stop and the other document go on."""
+    monkeypatch.setattr(LINES, "_kinds", {})  # nothing was printed in the last minute
     monkeypatch.setattr(server, "make_series", fail)
     answer = request(port, "GET", "/charts?hours=12")
     assert (answer.status, answer.json()["sentence"]) == (500, "ZeroDivisionError: a bug")

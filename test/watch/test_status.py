@@ -9,10 +9,11 @@ from pathlib import Path
 import pytest
 from commands import run_command
 from graphs import environment
-from page_inputs import WARN, add_values, alarm, node, pump_report, store
+from page_inputs import add_values, alarm, pump, store
 from paper import PAPER_SITE
 
 from greenroof_ros.commands.status import _judge, _write_lines
+from greenroof_ros.interface.alarm import WARN
 from greenroof_ros.watch.document import make_document
 
 
@@ -55,7 +56,7 @@ def test_it_gives_the_pages_words() -> None:
         "live", PAPER_SITE, alarm("/roof_sensor: sensor", "roof_sensor", "sensor_lost", lost),
         *(alarm(f"/pump: {number}", "pump", "x", "odd", WARN) for number in range(30)),
     )
-    graph.add_statuses(100.0, 0, node("/pump", "pump", at_rest=True, **pump_report("held: frost")))
+    graph.add_statuses(100.0, 0, pump("held: frost"))
     page = make_document(graph, 100.0)
     lines = _write_lines(page, _judge(page))
     assert (_judge(page), len(lines)) == (2, 15) and all(map(str.isprintable, lines))
@@ -71,7 +72,7 @@ def test_an_unknown_value_is_an_alarm_at_a_live_site(mode: str, code: int) -> No
     """Even if there is no alarm about it, and even if the rest is well."""
     graph = store(mode)
     add_values(graph, 59, 60, {"/roof/level": 0.0457, "/cistern/level": 2.5, "/pump/command": 0.0})
-    graph.add_statuses(100.0, 0, node("/pump", "pump", at_rest=True, **pump_report("off: x")))
+    graph.add_statuses(100.0, 0, pump("off: x"))
     assert _judge(make_document(graph, 100.0)) == 0
     for name in ("roof", "cistern", "pump", "watering"):
         page = make_document(graph, 100.0)
