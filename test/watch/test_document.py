@@ -259,21 +259,6 @@ def test_a_pump_is_stopped_if_it_is_held_and_at_rest(
     assert document["tiles"]["pump"]["value"] == ("unknown" if at_rest else "may be running")
 
 
-@pytest.mark.parametrize("forged", [
-    {"name": "/other", "process": "host 2"}, {"process": "host 2"}, {"state": "ended"},
-    {"hold": HOLD, "at_rest": True},
-    {"at_rest": 7, "hold": 7, "fault": 7, "max_dose": "x", "pump_state": 7},
-])
-def test_no_report_switches_the_stop_off(forged: dict[str, Any]) -> None:
-    """A second pump node, one that claims to have ended or to be held, or impossible values."""
-    graph = watched("live")
-    for wall in (100.0, 100.2, 100.4):
-        pump_says(graph, wall, "running: as commanded", at_rest=False)
-        said = {"name": "/pump", "process": "host 1", "state": "ready", **forged}
-        graph.add_statuses(wall, 0, node(said.pop("name"), "pump", **said))
-        assert shown(graph, wall)["stop"]["possible"]
-
-
 @pytest.mark.parametrize("offered", [{"/pump": 1, "/second": 1}, {"/pump": 2}])
 def test_if_two_nodes_may_be_the_pump_node_only_a_stop_is_offered(offered: dict[str, int]) -> None:
     """By their services, which are more than reports."""

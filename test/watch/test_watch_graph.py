@@ -100,10 +100,12 @@ _STATUSES = st.builds(
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(st.booleans(), st.lists(_STATUSES, max_size=4)), max_size=4))
-def test_nothing_that_is_reported_raises(messages: list[tuple[bool, list[Status]]]) -> None:
+def test_nothing_that_is_reported_raises_or_switches_the_stop_off(
+    messages: list[tuple[bool, list[Status]]]
+) -> None:
     """And everything shown can be printed, and sent as JSON in UTF-8."""
     store, wall = GraphStore(), 0.0
-    store.allow_release = True
+    store.allow_release, store.offered = True, {"/pump": 1}
     for are_alarms, statuses in messages:
         wall += 0.5
         store.add_statuses(wall, START, statuses)
@@ -112,6 +114,7 @@ def test_nothing_that_is_reported_raises(messages: list[tuple[bool, list[Status]
         store.update(wall, START / 1e9)
         document = make_document(store, wall)
         json.dumps(document, allow_nan=False).encode()
+        assert document["stop"]["possible"] and "stop" in document["stop"]["actions"]
         for row in document["alarms"]:
             assert (row["id"] + row["what"] + row["do"]).isprintable()
             assert len(row["what"]) <= 501
