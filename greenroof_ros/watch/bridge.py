@@ -45,10 +45,9 @@ class Bridge:
     retained, since a client that connects later would mistake an old value for a current one. A
     stop that the broker has retained is ignored, since it would stop the pump again each time the
     bridge connects. While connected, the bridge obeys every stop, and requests it again until the
-    pump node has confirmed or refused it. MQTT 3.1.1 does not tell a
-    connected subscriber whether a message was sent as a retained message, and a stop that a person
-    has requested must be obeyed. The broker does not queue stop requests while the bridge is
-    disconnected.
+    pump node has confirmed or refused it. MQTT 3.1.1 does not tell a connected subscriber whether a
+    message was sent as a retained message, and a stop that a person has requested must be obeyed.
+    The broker does not queue stop requests while the bridge is disconnected.
 
     When the bridge connects, it replaces what others have left in its retained messages.
     """

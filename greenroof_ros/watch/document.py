@@ -20,7 +20,7 @@ from greenroof_ros.interface.conditions import command_for
 from greenroof_ros.interface.states import PUMP
 from greenroof_ros.watch import words
 from greenroof_ros.watch.lines import AHEAD_S, END_S, STRETCH_NS
-from greenroof_ros.watch.store import FASTEST, HOLDS_S, LINES, TICKS, GraphStore
+from greenroof_ros.watch.store import FASTEST, GAP_S, LINES, TICKS, GraphStore
 from greenroof_ros.watch.tiles import Tile, make_tiles
 
 # How much of the past the charts can show (h), and the approximate number of stretches in a line.
@@ -293,7 +293,7 @@ def make_series(store: GraphStore, hours: float) -> dict[str, Any]:
         oldest = [each.rows["ended"][0] for each in past.values() if len(each.rows)]
         first = max(last - round(hours * 3.6e12), int(min(oldest, default=last)))
         stretch = STRETCH_NS * max(1, -(-(last - first) // (STRETCH_NS * _POINTS)))
-        gap = max(HOLDS_S, TICKS * site.tau, 2 * stretch / 1e9)
+        gap = max(GAP_S, TICKS * site.tau, 2 * stretch / 1e9)
         lines = {name: each.line(first, last, stretch, gap) for name, each in past.items()}
         ahead = [float(steps.ends[-1]) for steps in (plan, forecast) if steps is not None]
         begin = first / 1e9

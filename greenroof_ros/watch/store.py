@@ -45,8 +45,8 @@ GIVEN = "given"
 # Speed of the fastest run, in multiples of real time, whose values are shown: 60, and some jitter.
 FASTEST = 90.0
 # A value is stale after this many ticks, or after the age at which readers no longer use it, but at
-# the earliest after the second number (s). A flow holds for at most the third number (s).
-TICKS, _STALE_S, HOLDS_S = 3, 5.0, 600.0
+# the earliest after the second number (s). A line of the charts has a gap after the third one (s).
+TICKS, _STALE_S, GAP_S = 3, 5.0, 600.0
 # Alarms older than this mean that the program of the site no longer runs (s): they are published
 # once a second, and a process that died is back within a few seconds.
 ALARMS_OLD_S = 10.0
