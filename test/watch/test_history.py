@@ -11,6 +11,7 @@ from page_inputs import SECOND, START
 
 from greenroof_ros.watch.lines import (
     MAX_STRETCHES,
+    ROW,
     STRETCH_NS,
     History,
     read_histories,
@@ -56,10 +57,14 @@ def test_what_is_unknown_is_a_gap_and_a_short_run_is_none() -> None:
 
 
 def test_a_week_is_kept_and_memory_is_bounded() -> None:
-    """Of the values every 20 s."""
-    count = MAX_STRETCHES + 100
-    history = filled(20 * np.arange(count), np.arange(float(count)))
-    assert [value for _, value in shown(history)] == list(range(100, count))
+    """Of values every 20 s, the oldest go."""
+    rows = np.zeros(MAX_STRETCHES, ROW)
+    rows["ended"] = START + STRETCH_NS * np.arange(MAX_STRETCHES)
+    history = History(rows)
+    for number in range(100):
+        history.add(START + STRETCH_NS * (MAX_STRETCHES + number), 1.0)
+    assert len(history.rows) == MAX_STRETCHES
+    assert history.rows["ended"][0] == START + 100 * STRETCH_NS
 
 
 def test_the_file_is_read_as_it_was_written_and_any_damage_is_refused_or_plausible(
