@@ -120,14 +120,16 @@ def name_source(name: str) -> str:
 
 
 def _headline(diagnosis: StatusDiagnosis) -> str:
-    """Return the sentence of a diagnosis in an operator's words, if the table has one."""
+    """Return the headline of a diagnosis, in an operator's words."""
     topics = read_topics()
     labels = [
         display.label.lower() for name in diagnosis.about
         if name in topics and (display := topics[name].display) is not None
     ]
-    headline = diagnosis.condition.headline.format(inputs=" or ".join(labels) or "value")
-    return headline or diagnosis.sentence
+    condition = diagnosis.condition
+    return (condition.headline or condition.meaning).format(
+        inputs=" or ".join(labels) or "value", sentence=diagnosis.sentence
+    )
 
 
 # --- causes ---------------------------------------------------------------------------------------
