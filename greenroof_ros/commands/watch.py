@@ -16,6 +16,7 @@ from greenroof_ros.ros.arguments import add_foxglove
 from greenroof_ros.ros.domain import add_namespace
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.foxglove_server import FoxgloveServer
+from greenroof_ros.watch.lines import read_last_seen
 from greenroof_ros.watch.listening import (
     LOOPBACK,
     PORTS,
@@ -117,7 +118,7 @@ def _refuse_wrong(arguments: argparse.Namespace) -> None:
             )
 
 
-def _find_past_file(namespace: str) -> Path:
+def find_past_file(namespace: str) -> Path:
     """Return the history file for this domain and namespace, whose names contain no dot."""
     place = [os.environ.get("ROS_DOMAIN_ID") or "0", *filter(None, namespace.split("/"))]
     return state_directory() / f"watch_{'.'.join(place)}.npz"
@@ -154,6 +155,8 @@ def main() -> None:
         return
     store = GraphStore(arguments.namespace)
     store.allow_release = arguments.allow_release
+    past_file = find_past_file(arguments.namespace)
+    store.seen_at = read_last_seen(past_file)
     try:
         from greenroof_ros.watch.server import PageServer
     except ModuleNotFoundError as error:
@@ -167,7 +170,7 @@ def main() -> None:
     signals = Signals()
     with (
         suppress(InterruptedRun),
-        Feed(store, _find_past_file(arguments.namespace)) as feed,
+        Feed(store, past_file) as feed,
     ):
         _print_address(listener, token, arguments.port, release=store.allow_release)
         PageServer(store, feed, listener, token or None).serve(signals)

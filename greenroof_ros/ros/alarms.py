@@ -119,6 +119,17 @@ def name_source(name: str) -> str:
     return name.partition(": ")[0].rpartition("/")[2].replace("_", " ").capitalize()
 
 
+def describe_alarm(alarm: Alarm) -> str:
+    """Return an alarm with its source, as all that shows alarms does: ``Roof sensor: no answer``.
+
+    The source of any controller is ``Controller``. The alarms node itself is not named as a source.
+    """
+    if alarm.role == ROLE:
+        return alarm.sentence[:1].upper() + alarm.sentence[1:]
+    source = name_source("controller" if alarm.role == "controller" else alarm.name)
+    return f"{source}: {alarm.sentence}"
+
+
 def _headline(diagnosis: StatusDiagnosis) -> str:
     """Return the headline of a diagnosis, in an operator's words."""
     topics = read_topics()

@@ -14,10 +14,11 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from greenroof_ros.base.text import number_of
+from greenroof_ros.base.text import clean_text, number_of
 from greenroof_ros.interface.alarm import advise
 from greenroof_ros.interface.conditions import command_for
 from greenroof_ros.interface.states import PUMP
+from greenroof_ros.ros.alarms import describe_alarm
 from greenroof_ros.watch import words
 from greenroof_ros.watch.lines import AHEAD_S, END_S, STRETCH_NS
 from greenroof_ros.watch.store import FASTEST, GAP_S, LINES, TICKS, GraphStore
@@ -46,12 +47,9 @@ _START = (
     "Start it with: sudo systemctl start greenroof, if it is a service, or else with: {live} and "
     "its options. If the pump is still turning, stop it at its drive's panel or at the main switch."
 )
-_GO_AND_SEE = "Go and see; if the pump is turning, stop it at its drive's panel or the main switch."
+_GO_AND_SEE = "Go and see whether the pump is stopped. If not, use its panel or the main switch."
 
-_LOCK_OUT = (
-    "Anyone working on the pump must lock it out at the pump itself; this page does not lock it "
-    "out."
-)
+_LOCK_OUT = "Anyone working on the pump must lock it out at the pump itself."
 _STOP = f"A stop holds the pump off until someone releases it. {_LOCK_OUT}"
 _RELEASE = (
     "The pump then starts automatically when the controller requires it and nothing else keeps it "
@@ -63,15 +61,15 @@ _DOSE = (
 )
 
 
-def make_document(store: GraphStore, wall: float) -> dict[str, Any]:
+def make_document(store: GraphStore, steady: float) -> dict[str, Any]:
     """Return the document for the page and the status command, in plain text.
 
     Args:
         store: state of the graph.
-        wall: current time (steady clock, s).
+        steady: current time (steady clock, s).
     """
     with store.lock:
-        store.wall = wall
+        store.steady = steady
         tiles, rows, stop = make_tiles(store), _list_alarms(store), describe_stop(store)
         summary, step = _summarize(store, tiles, rows)
         local = store.local(store.now)
@@ -85,18 +83,17 @@ def make_document(store: GraphStore, wall: float) -> dict[str, Any]:
             },
             "frost": store.present_value("/weather/frost"),
             "tiles": {**tiles, "summary": summary},
-            "advice": _advise(store, step, stop), "stop": stop, "alarms": rows[:_MAX_ROWS],
-            "events": _list_events(store)[:_MAX_ROWS], "notes": _list_notes(store),
+            "advice": _advise(store, tiles["pump"], step, stop), "stop": stop,
+            "alarms": rows[:_MAX_ROWS], "events": _list_events(store)[:_MAX_ROWS],
+            "notes": _list_notes(store),
         }
 
 
 def _list_notes(store: GraphStore) -> list[str]:
-    missing = filter(lambda alarm: not alarm.number, store.alarms)
-    weather = store.node("weather")
-    source = "" if weather is None else words.text_of(weather.values, "forecast_by")
+    source = clean_text(str(store.value("forecast_by") or ""))
     is_fast = store.mode == "simulated" and store.factor > FASTEST
     return [
-        *(f"Still missing: {words.describe_alarm(alarm)}." for alarm in missing),
+        *(f"Still missing: {describe_alarm(each)}." for each in store.present if not each.number),
         *filter(None, [store.site_note, _TOO_FAST if is_fast else "", source]),
     ]
 
@@ -112,7 +109,7 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
     be stopped. ``actions`` contains the question to ask before each action.
     """
     pump = store.pump
-    values = pump.values if pump is not None and pump.is_online(store.wall) else {}
+    values = pump.values if pump is not None and pump.is_online(store.steady) else {}
     hold = _describe_hold(store, values)
     at_rest = values.get("at_rest") is True and not store.runs_on
     dose = _describe_dose(store, values)
@@ -177,20 +174,17 @@ def _write_dose(dose: Mapping[str, Any], flow: float | None) -> str:
 def _list_alarms(store: GraphStore) -> list[dict[str, Any]]:
     """Return the present alarms as they are published, the most important one first.
 
-    An alarm that follows from another one is left out. If the site's program as a whole no longer
-    runs, that is all that is known.
+    An alarm that follows from another one is left out.
     """
-    if store.gone_since is not None:
-        return []
     # The pump node comes first (without it, no one knows whether the pump runs), then its state.
     ranks = {(PUMP, ""): 0, (PUMP, PUMP): 1}
-    present = [alarm for alarm in store.present if not alarm.follows]
+    present = [alarm for alarm in store.present if alarm.number and not alarm.follows]
     present.sort(key=lambda alarm: (
         ranks.get((alarm.role, alarm.part), 2), not alarm.is_serious, -alarm.since
     ))
     return [{
-        "id": alarm.name, "name": words.name_of(alarm), "code": alarm.code,
-        "level": "error" if alarm.is_serious else "warn", "what": alarm.sentence,
+        "id": alarm.name, "role": alarm.role, "code": alarm.code,
+        "level": "error" if alarm.is_serious else "warn", "what": describe_alarm(alarm),
         "do": words.complete_commands(advise(alarm.code, alarm.role, alarm.node)),
         "since": alarm.since, "since_text": store.time_text(alarm.since),
     } for alarm in present]
@@ -199,13 +193,11 @@ def _list_alarms(store: GraphStore) -> list[dict[str, Any]]:
 def _list_events(store: GraphStore) -> list[dict[str, Any]]:
     """Return an event for each alarm, newest first."""
     alarms = [alarm for alarm in store.alarms if alarm.number and not alarm.follows]
-    events = []
-    for alarm in sorted(alarms, key=lambda alarm: alarm.since, reverse=True):
-        what = words.describe_alarm(alarm)
-        if alarm.ended is not None:
-            what += f", until {store.time_text(alarm.ended)}"
-        events.append({"at_text": store.time_text(alarm.since), "what": what})
-    return events
+    return [{
+        "at_text": store.time_text(alarm.since), "what": describe_alarm(alarm) + (
+            "" if alarm.ended is None else f", until {store.time_text(alarm.ended)}"
+        ),
+    } for alarm in sorted(alarms, key=lambda alarm: alarm.since, reverse=True)]
 
 
 # --- the sentence above the tiles, and the next step ----------------------------------------------
@@ -216,9 +208,10 @@ def _summarize(
 ) -> tuple[dict[str, str], str]:
     """Return the sentence on the state of the site, with its level, and the next step."""
     roof, pump = tiles["roof"], tiles["pump"]
-    starting = "The site is starting." if any(not each.number for each in store.alarms) else ""
+    starting = "The site is starting." if any(not each.number for each in store.present) else ""
     serious = [row for row in rows if row["level"] == "error"]
     gone, known = store.gone_since, store.alarms_known
+    seen = "" if store.nodes else ", as far as was seen here"
     # It is not green if a value is not as it should be, even if no action is needed. A dry roof
     # that is being watered is as it should be.
     is_watered = (roof["state"], pump["state"]) == ("low", "running")
@@ -234,21 +227,21 @@ def _summarize(
     word = word or ("All is well" if level == "ok" else "")
     if not known and gone is None:
         word = "Whether there are alarms is unknown"
-    # The advice on the first alarm; of a hold, which is intentional, the box states more.
-    step = next((row["do"] for row in rows if row["code"] != "hold"), "")
+    # The advice on the first alarm; of a hold or a pump that may turn, the box states more.
+    step = next((row["do"] for row in rows if row["code"] not in ("hold", "stands_unknown")), "")
     unknown = any(tiles[name]["state"] == "unknown" for name in ("roof", "cistern", "pump"))
-    worst = f"{serious[0]['name']}: {serious[0]['what']}" if serious else ""
-    if worst and serious[0]["name"] != "Pump":
+    worst = serious[0]["what"] if serious else ""
+    if worst and serious[0]["role"] != PUMP:
         worst += f"; pump: {pump['value']}"
     now = f"Roof: {roof['sentence'] or roof['value']}; pump: {pump['value']}."
     cases: tuple[tuple[object, str, str], ...] = (
+        (gone is not None, "The site's program has not run since "
+         f"{store.time_text(gone or 0.0)}{seen}; nobody waters the roof.", words.complete_commands(
+             _START.format(live=command_for(f"{store.namespace}/site", "live")))),
         (store.mode == "none", "No run or site has been found.", _NOTHING),
         (store.mode == "ended", "The run has ended, and its last state is shown.", step),
-        (gone is not None, "The site's program has not run since "
-         f"{store.time_text(gone or 0.0)}; nobody waters the roof.", words.complete_commands(
-             _START.format(live=command_for(f"{store.namespace}/site", "live")))),
         (store.runs_on, _WELDED, step),
-        (pump["state"] == "alarm", "The pump may be running.", step if serious else _GO_AND_SEE),
+        (pump["state"] == "alarm", "The pump may be running.", f"{_GO_AND_SEE} {step}".strip()),
         (worst, f"{worst}.", step),
         (True, now, step or (_UNKNOWN if unknown and not starting else "Nothing to do.")),
     )
@@ -258,15 +251,20 @@ def _summarize(
     return {"word": word, "sentence": sentence, "text": text, "level": level}, step
 
 
-def _advise(store: GraphStore, step: str, stop: dict[str, Any]) -> str:
-    """Return what the page's box states: what is being done to the pump, and the next step."""
+def _advise(store: GraphStore, pump: Tile, step: str, stop: dict[str, Any]) -> str:
+    """Return what the page's box states: what is being done to the pump, and the next step.
+
+    The step comes first if the pump may be running.
+    """
     release = ""
     if "release" in stop["actions"]:
         release = "If it may run again, release it with the button below."
-    elif stop["stopped"] and (pump := store.pump) is not None:
-        command = words.complete_commands(command_for(pump.name, "release"))
+    elif stop["stopped"] and (node := store.pump) is not None:
+        command = words.complete_commands(command_for(node.name, "release"))
         release = f"If it may run again, release it with: {command}"
-    return " ".join(filter(None, (stop["hold"] or stop["dose"]["text"], step, release)))
+    said = [stop["hold"] or stop["dose"]["text"], step]
+    said = said[::-1] if pump["state"] == "alarm" else said
+    return " ".join(filter(None, (*said, release)))
 
 
 # --- the charts -----------------------------------------------------------------------------------
@@ -286,7 +284,7 @@ def make_series(store: GraphStore, hours: float) -> dict[str, Any]:
     """
     with store.lock:
         now, site, plan, forecast = store.now, store.site, store.plan, store.forecast
-        if not now:
+        if not now or store.mode == "none":
             return {"now": None, "lines": {}}
         last = round(now * 1e9)
         past = {name: store.past[name] for name in LINES}

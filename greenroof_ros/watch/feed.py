@@ -114,9 +114,8 @@ class Feed:
         store.update(now, time.time())
         is_live = store.mode == "live"
         if is_live and not was_live and self._past_file is not None:
-            past = read_histories(self._past_file)
             with store.lock:
-                store.past |= past
+                store.past |= read_histories(self._past_file)
         wanted = is_live or (store.mode == "simulated" and store.factor <= FASTEST)
         topics = TOPICS if is_live else (*TOPICS, CLOCK)
         self._client.subscribe(topics if wanted else ())
@@ -133,7 +132,7 @@ class Feed:
         if content is None:
             return
         if name == ALARMS:
-            self._store.add_alarms(now, *content)
+            self._store.add_alarms(now, content[1])
         elif name == DIAGNOSTICS:
             self._store.add_statuses(now, *content)
         else:

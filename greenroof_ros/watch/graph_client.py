@@ -101,10 +101,8 @@ class GraphClient:
         self._node, self._caller = node("watch"), node("watch_stop")
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._caller)
-        self._types: dict[str, Any] = {
-            "hold": SetParametersAtomically, "release": Trigger, "clear": Trigger,
-            "reset": Trigger, "dose": SetParametersAtomically,
-        }
+        self._types: dict[str, Any] = dict.fromkeys(("release", "clear", "reset"), Trigger)
+        self._types |= dict.fromkeys(("hold", "dose"), SetParametersAtomically)
         self._offers_hold = re.compile(re.escape(namespace) + "/[^/]+(?=/hold$)")
         self._joined_at = time.monotonic()
         self._clients: dict[tuple[str, str], Any] = {}  # by node and service

@@ -219,10 +219,8 @@ class PageServer:
 
     def _make_document(self, hours: int) -> tuple[bytes, ETag]:
         """Return a document as JSON, and the tag that changes with its content."""
-        content = (
-            make_series(self._store, hours) if hours
-            else make_document(self._store, time.monotonic())
-        )
+        store = self._store
+        content = make_series(store, hours) if hours else make_document(store, time.monotonic())
         # Broken UTF-8 is escaped; a number that JSON does not know would be a bug.
         body = json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
         return body, ETag(hashlib.sha256(body).hexdigest())

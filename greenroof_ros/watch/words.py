@@ -11,9 +11,7 @@ from shutil import which
 from typing import Any
 
 from greenroof_ros.base.text import clean_text
-from greenroof_ros.interface.alarm import Alarm
 from greenroof_ros.interface.topics import Display, read_topics
-from greenroof_ros.ros.alarms import name_source
 
 UNKNOWN = "unknown"
 # A command in an advice, rather than the service of that name.
@@ -62,16 +60,6 @@ def number_in(values: Mapping[str, Any], key: str) -> float | None:
     """Return a number among the values that a node reports; None if it reports none."""
     value = values.get(key)
     return value if isinstance(value, (int, float)) else None
-
-
-def describe_alarm(alarm: Alarm) -> str:
-    """Return an alarm with its source: ``Roof sensor: no answer`` for ``/roof_sensor: sensor``."""
-    return f"{name_of(alarm)}: {alarm.sentence}"
-
-
-def name_of(alarm: Alarm) -> str:
-    """Return a plain name for the source of an alarm; that of any controller is ``Controller``."""
-    return name_source("controller" if alarm.role == "controller" else alarm.name)
 
 
 def complete_commands(text: str) -> str:

@@ -51,13 +51,13 @@ def pump(text: str, **values: Any) -> list[Status]:
 
 
 def store(
-    mode: str = "simulated", site: Site = PAPER_SITE, *alarms: Status, wall: float = 100.0
+    mode: str = "simulated", site: Site = PAPER_SITE, *alarms: Status, steady: float = 100.0
 ) -> GraphStore:
     """Return a store that knows only the site of its graph, and its alarms at a time."""
     graph = GraphStore()
     graph.mode, graph.site, graph.site_note, graph.factor = mode, site, "", 30.0
-    graph.wall, graph.system = wall, START / SECOND + 60
-    graph.add_alarms(wall, START + 60 * SECOND, alarms)
+    graph.steady, graph.system = steady, START / SECOND + 60
+    graph.add_alarms(steady, alarms)
     return graph
 
 

@@ -62,8 +62,8 @@ def test_discovery_is_what_home_assistant_documents() -> None:
 # --- what is published ----------------------------------------------------------------------------
 
 
-def state(graph: GraphStore, wall: float = 100.0) -> dict[str, Any]:
-    return make_state(make_document(graph, wall))
+def state(graph: GraphStore, steady: float = 100.0) -> dict[str, Any]:
+    return make_state(make_document(graph, steady))
 
 
 def test_each_value_has_the_pages_unit_and_what_is_old_is_unknown() -> None:
@@ -84,7 +84,7 @@ def test_each_value_has_the_pages_unit_and_what_is_old_is_unknown() -> None:
     assert {state(graph, 161.0)[key] for key in numbers} == {None}
     assert state(graph, 161.0)["condition"] == "unknown"  # the alarms are old, too
     held = alarm("/pump: pump", "pump", "roof_level_unknown", "held: the levels are unknown")
-    graph.add_alarms(100.0, START, [held])
+    graph.add_alarms(100.0, [held])
     said, alarms = state(graph), make_alarms(make_document(graph, 100.0))
     assert (said["problem"], said["condition"]) == ("ON", "roof_level_unknown")
     assert [row["do"] for row in alarms["alarms"]] == [alarms["advice"]]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -54,14 +55,14 @@ def watched(mode: str = "simulated", *alarms: Status, **values: float) -> GraphS
     return graph
 
 
-def shown(graph: GraphStore, wall: float = 100.0) -> dict[str, Any]:
+def shown(graph: GraphStore, steady: float = 100.0) -> dict[str, Any]:
     """Return the document as a browser reads it."""
-    document: dict[str, Any] = json.loads(json.dumps(make_document(graph, wall), allow_nan=False))
+    document: dict[str, Any] = json.loads(json.dumps(make_document(graph, steady), allow_nan=False))
     return document
 
 
-def tile_of(graph: GraphStore, name: str, wall: float = 100.0) -> tuple[str, str, str]:
-    tile = shown(graph, wall)["tiles"][name]
+def tile_of(graph: GraphStore, name: str, steady: float = 100.0) -> tuple[str, str, str]:
+    tile = shown(graph, steady)["tiles"][name]
     return tile["value"], tile["state"], tile["sentence"]
 
 
@@ -72,10 +73,10 @@ def line_of(graph: GraphStore, name: str, hours: int = 3) -> list[list[Any]]:
     return [[round(at - START / 1e9, 3), value] for at, value in line[:-1]]
 
 
-def pump_says(graph: GraphStore, wall: float, text: str, **said: Any) -> None:
+def pump_says(graph: GraphStore, steady: float, text: str, **said: Any) -> None:
     """Have the pump node report its state; it offers its service for a hold."""
     graph.offered = {"/pump": 1}
-    graph.add_statuses(wall, 0, pump(text, **said))
+    graph.add_statuses(steady, 0, pump(text, **said))
 
 
 # --- tiles ------------------------------------------------------------------------------------
@@ -92,7 +93,7 @@ def pump_says(graph: GraphStore, wall: float, text: str, **said: Any) -> None:
     ({"cistern_level": 3.01}, "cistern", (
         "3010 mm", "high", "above its overflow, so water is running to the sewer"
     )),
-    ({}, "temperature", ("above 0 °C", "good", "according to the forecast")),
+    ({}, "temperature", ("above 0 °C", "good", "")),
     ({"weather_frost": math.nan}, "temperature", ("unknown", "unknown", "")),
     ({"weather_frost": 1.0, "gauge_temperature": -1.5}, "temperature", (
         "-1.5 °C", "cold", "measured; the pump stays off until it is above 0 °C"
@@ -128,6 +129,7 @@ def test_rain_and_what_is_to_come() -> None:
     assert tile_of(graph, "rain") == ("1.0 mm/h", "good", "no forecast received")
     add_forecast(graph, 60, np.outer(np.arange(1.0, 12.0), np.full(32, 1e-7)))
     assert tile_of(graph, "rain")[2] == "25.9 mm expected in the next 12 h"
+    assert tile_of(graph, "temperature")[2] == "according to the forecast"
     line = line_of(graph, "rain_forecast")  # no more of the future than there is of the past
     assert (line[0], line[-1]) == ([60, 2.16], [101, 2.16])
     add_values(graph, 50_000, 50_001, QUIET)
@@ -198,7 +200,7 @@ def test_a_value_that_does_not_come_any_more_is_unknown(
     graph = store(mode, replace(SITE, tau=tau))
     graph.factor = factor
     add_values(graph, 0, 1, QUIET)
-    graph.add_alarms(130.0, START, [])
+    graph.add_alarms(130.0, [])
     assert tile_of(graph, "roof", 100.0 + limit)[1] == "good"
     assert tile_of(graph, "roof", 100.1 + limit) == (
         "unknown", "unknown", "45.7 mm at last contact, 00:00"
@@ -208,6 +210,8 @@ def test_a_value_that_does_not_come_any_more_is_unknown(
     assert tile_of(graph, "roof", 9999.0)[1] == "good"
 
 
+COLD = alarm("/thermometer: gauge", "thermometer", "sensor_lost", "no answer", WARN)
+FREEZING = alarm("/weather: frost", "weather", "freezing", "it is freezing", WARN)
 DEAD = alarm("/roof_sensor: sensor", "roof_sensor", "sensor_lost", "no answer")
 UNREAD = alarm("/pump: levels", "pump", "input_silent", "the level is old", about="/roof/level")
 
@@ -225,6 +229,21 @@ def test_a_tile_shows_what_is_wrong_with_its_sensor(
     graph = watched("live", *alarms) if values else store("live", SITE, *alarms)
     assert tile_of(graph, "roof") == tile
     assert tile_of(graph, "cistern")[1] == ("good" if values else "unknown")
+
+
+def test_a_warning_of_a_thermometer_doubts_its_value_which_is_awaited() -> None:
+    """Frost is no doubt about the frost, and an unknown temperature none about the rain."""
+    graph = watched("live", COLD)
+    graph.add_statuses(100.0, 0, node("/thermometer", "thermometer"))
+    awaited = "Thermometer: no answer; no values arrive"
+    assert tile_of(graph, "temperature") == ("unknown", "unknown", awaited)
+    add_values(graph, 60, 61, {"/gauge/temperature": 15.0})
+    doubt = "Thermometer: no answer; measured"
+    assert tile_of(graph, "temperature") == ("15.0 °C", "doubtful", doubt)
+    blind = alarm("/weather: frost", "weather", "temperature_unknown", "it is unknown", WARN)
+    for status, state in ((FREEZING, "good"), (blind, "doubtful")):
+        graph = watched("live", status)
+        assert [tile_of(graph, name)[1] for name in ("temperature", "rain")] == [state, "good"]
 
 
 # --- stop, release, dose ----------------------------------------------------------------------
@@ -316,17 +335,20 @@ def test_a_dose_has_its_progress(dose: dict[str, Any], flow: float, advice: str)
 # --- what the pump does ---------------------------------------------------------------------------
 
 LOST = alarm("/pump: pump", "pump", "stands_unknown", "off: no connection to the drive")
+FOLLOWS = LOST._replace(values={**LOST.values, "follows": "/alarms: broker"})
+BROKER = alarm("/alarms: broker", "alarms", "devices_lost", "relay and sensor fell silent together")
 WELDED = alarm("/pump: pump", "pump", "runs_on", "the flow meter has shown a flow")
 
 
 @pytest.mark.parametrize(("alarms", "text", "said", "value", "sentence"), [
-    ([LOST], "off: why", {"at_rest": False, "speed": None, "flow": None}, "may be running",
-     "The pump may be running."),
-    ([], "off: why", {"at_rest": False, "speed": None, "flow": 1e-3}, "may be running",
-     "The pump may be running."),
-    ([WELDED], "held: why", {"at_rest": True, "speed": 0.0, "flow": 1e-3, "hold": HOLD},
-     "may be running",
-     "Water is leaving the cistern although the pump is off. Open the main switch."),
+    *((alarms, "off: why", {"at_rest": False, "speed": None, "flow": flow, "hold": HOLD},
+       "may be running", "The pump may be running.")
+      for alarms in ([], [LOST], [LOST, BROKER], [FOLLOWS, BROKER]) for flow in (None, 1e-3)),
+    # Also without a flow meter, by the levels alone.
+    *(([WELDED], "held: why", {"at_rest": True, "speed": 0.0, "flow": flow, "hold": HOLD},
+       "may be running",
+       "Water is leaving the cistern although the pump is off. Open the main switch.")
+      for flow in (1e-3, 0.0)),
     # Backwards: known to turn. The drive's own timeout. Your own driver. As intended.
     ([], "fault: why", {"at_rest": False, "speed": -0.5, "flow": None}, "fault", ""),
     ([], "off: why", {"at_rest": True, "speed": None, "flow": None}, "off", ""),
@@ -350,7 +372,10 @@ def test_what_is_known_of_the_pump(
     if sentence:
         assert (summary["sentence"], summary["level"]) == (sentence, "error")
         assert (stop["label"], stop["actions"].keys()) == ("Stop the pump", {"stop"})
-        assert any(do in document["advice"] for do in ("Go and see", "main switch"))
+        go_and_see = document["advice"].startswith("Go and see whether the pump is stopped. ")
+        assert go_and_see == (alarms != [WELDED]) != ("main switch. Find" in document["advice"])
+        shared = read_conditions()["devices_lost"].advice
+        assert (shared in document["advice"]) == (BROKER in alarms)
     else:
         assert summary["level"] == ("warn" if value == "fault" else "ok")
 
@@ -368,18 +393,20 @@ def test_alarms_have_an_order_and_what_follows_is_not_listed() -> None:
         alarm("/mpc", "controller", "not_heard", "silent", 3, since="2021-07-20T05:00:40+00:00"),
         alarm("/pump: command", "pump", "input_silent", "it is old", follows="/mpc"),
         alarm("/weather: sky", "weather", "x", "y", number="", starting="true"),
+        BROKER._replace(level=WARN, values={**BROKER.values, "serious": "false"}),
         alarm("/pump: drive", "pump", "drive_lost", "lost", OK,
               since="2021-07-19T05:00:00+00:00", ended="2021-07-20T05:00:45+00:00"),
     )
     graph.add_statuses(100.0, 0, node("/weather", "weather", forecast_by="Forecasts by someone"))
     pump_says(graph, 100.0, f"held: {HELD}", at_rest=True, hold=HOLD)
     document = shown(graph)
-    assert [(row["id"], row["level"], row["name"]) for row in document["alarms"]] == [
-        ("/pump: pump", "warn", "Pump"), ("/mpc", "error", "Controller"),
-        ("/recorder: recording", "error", "Recorder"), ("/weather: rain gauge", "warn", "Weather"),
+    assert [(row["level"], row["what"]) for row in document["alarms"]] == [
+        ("warn", f"Pump: held: {HELD}"), ("error", "Controller: silent"),
+        ("error", "Recorder: nothing is recorded"), ("warn", "Weather: it is old"),
+        ("warn", "Relay and sensor fell silent together"),  # what the alarms node itself found
     ]
     assert document["tiles"]["summary"]["text"] == (
-        "2 alarms, 2 warnings. The site is starting. Controller: silent; pump: held."
+        "2 alarms, 3 warnings. The site is starting. Controller: silent; pump: held."
     )
     do = read_conditions()["not_heard"].advise("/mpc", "controller")
     assert document["advice"] == (
@@ -389,16 +416,17 @@ def test_alarms_have_an_order_and_what_follows_is_not_listed() -> None:
     assert document["notes"] == ["Still missing: Weather: y.", "Forecasts by someone"]
     events = [(event["at_text"], event["what"]) for event in document["events"]]
     assert (len(events), events[0], events[-1]) == (
-        5, ("00:00", "Controller: silent"), ("19 Jul 00:00", "Pump: lost, until 00:00")
+        6, ("00:00", "Controller: silent"), ("19 Jul 00:00", "Pump: lost, until 00:00")
     )
 
 
 def test_old_alarms_mean_that_the_sites_program_no_longer_runs() -> None:
     """Only that is concluded, 10 s after the last ones; then nothing reads as running."""
-    graph = watched("live", DEAD)
-    for wall, gone in ((110.0, False), (110.1, True)):
+    sky = alarm("/weather: sky", "weather", "x", "y", number="")
+    graph = watched("live", DEAD, sky)  # killed while it starts
+    for steady, gone in ((110.0, False), (110.1, True)):
         pump_says(graph, 106.0, "running: as commanded", at_rest=True, flow=2e-4)
-        document = shown(graph, wall)
+        document = shown(graph, steady)
         summary = document["tiles"]["summary"]
         assert (summary["sentence"] == (
             "The site's program has not run since 00:01; nobody waters the roof."
@@ -406,12 +434,18 @@ def test_old_alarms_mean_that_the_sites_program_no_longer_runs() -> None:
         assert document["advice"].startswith("Start it with: sudo systemctl start") == gone
         assert [row["id"] for row in document["alarms"]] == ([] if gone else [DEAD.name])
         assert summary["level"] == "error"
+        assert ("is starting" in summary["text"]) == bool(document["notes"]) != gone
     states = {tile.get("state") for tile in document["tiles"].values()}
     assert states == {None, "unknown"}
     pump_says(graph, 109.0, "off: why", at_rest=True)  # only the alarms node is gone
-    assert shown(graph, 110.1)["tiles"]["summary"]["word"] == (
-        "Whether there are alarms is unknown."
-    )
+    word = shown(graph, 110.1)["tiles"]["summary"]["word"]
+    assert word.startswith("Whether there are alarms is unknown.")
+    # A watcher that begins later knows it by what was saved.
+    graph = GraphStore()
+    graph.seen_at, graph.system = START / 1e9 - 60, START / 1e9
+    told = shown(graph)["tiles"]["summary"]
+    assert re.match(r"The site's program has not run since \d\d:\d\d, as far as", told["text"])
+    assert make_series(graph, 3)["now"] is None
     # A run has no such conclusion, and without alarms nothing is called well.
     graph = watched()
     add_values(graph, 61, 62, QUIET)

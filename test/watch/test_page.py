@@ -65,7 +65,7 @@ def saying(watched: GraphStore, statuses: Sequence[Status]) -> Iterator[None]:
         now = time.monotonic()
         if statuses:
             alarms = [status for status in statuses if "since" in status.values]
-            watched.add_alarms(now, round(watched.now * 1e9), alarms)
+            watched.add_alarms(now, alarms)
         watched.add_statuses(now, 0, [each for each in statuses if "process" in each.values])
         pumps = {each.name: 1 for each in statuses if each.values.get("role") == '"pump"'}
         watched.offered = watched.offered or pumps
@@ -80,7 +80,7 @@ def site_watched(mode: str = "ended") -> GraphStore:
 
     With an ended run nothing becomes stale during a test.
     """
-    watched = store(mode, SITE, wall=time.monotonic())
+    watched = store(mode, SITE, steady=time.monotonic())
     watched.site_note, watched.system = "A note.", BEGIN + 4 * 3600
     add_values(watched, 0, 4 * 3600, {
         "/roof/level": 0.045, "/cistern/level": 1.4, "/pump/command": 0.4, "/pump/flow": 2e-4,

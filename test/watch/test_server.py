@@ -68,7 +68,7 @@ def pump(monkeypatch: pytest.MonkeyPatch) -> Pump:
 def watched() -> GraphStore:
     """A store in which everything may be requested of a pump that is held and at rest."""
     store = GraphStore()
-    store.wall = time.monotonic()
+    store.steady = time.monotonic()
     store.add_statuses(time.monotonic() + 1e6, 0, pump_says(
         "held: x", hold={"owner": "x"}, fault="slow", no_clear="", max_dose=1.0, no_dose="",
     ))
@@ -235,9 +235,9 @@ def test_documents_are_made_once_for_all_and_sent_only_if_they_have_changed(
     """At most twice a second, whoever asks."""
     made: list[float] = []
 
-    def document(store: GraphStore, wall: float) -> dict[str, Any]:
-        made.append(wall)
-        return make_document(store, wall)
+    def document(store: GraphStore, steady: float) -> dict[str, Any]:
+        made.append(steady)
+        return make_document(store, steady)
 
     monkeypatch.setattr(server, "make_document", document)
     with served(watched) as port, ThreadPoolExecutor(8) as pages:

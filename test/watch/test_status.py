@@ -15,6 +15,7 @@ from paper import PAPER_SITE
 from greenroof_ros.commands.status import _judge, _write_lines
 from greenroof_ros.interface.alarm import WARN
 from greenroof_ros.watch.document import make_document
+from greenroof_ros.watch.store import GraphStore
 
 
 def test_nothing_runs(domain: int, tmp_path: Path) -> None:
@@ -62,14 +63,14 @@ def test_it_gives_the_pages_words() -> None:
     assert (_judge(page), len(lines)) == (2, 15) and all(map(str.isprintable, lines))
     assert lines[0] == "1 alarm, 30 warnings. Roof sensor: \\x1b[31mno answer; pump: off."
     assert lines[5] == f"{'Pump':14} {'off':14} frost"
-    first = "Alarm, Roof sensor: \\x1b[31mno answer since 05:00. "
+    first = "Alarm. Roof sensor: \\x1b[31mno answer since 05:00. "
     assert lines[9] == first + page["alarms"][0]["do"]
     assert lines[-1] == "and 26 more lines; see 'greenroof watch'"
 
 
 @pytest.mark.parametrize(("mode", "code"), [("live", 2), ("simulated", 1)])
-def test_an_unknown_value_is_an_alarm_at_a_live_site(mode: str, code: int) -> None:
-    """Even if there is no alarm about it, and even if the rest is well."""
+def test_an_unknown_value_is_a_warning_or_without_alarms_one(mode: str, code: int) -> None:
+    """An alarm at a live site only if the alarms are unknown, too; a site that is gone is one."""
     graph = store(mode)
     add_values(graph, 59, 60, {"/roof/level": 0.0457, "/cistern/level": 2.5, "/pump/command": 0.0})
     graph.add_statuses(100.0, 0, pump("off: x"))
@@ -77,4 +78,8 @@ def test_an_unknown_value_is_an_alarm_at_a_live_site(mode: str, code: int) -> No
     for name in ("roof", "cistern", "pump", "watering"):
         page = make_document(graph, 100.0)
         page["tiles"][name]["state"] = "unknown"
-        assert _judge(page) == code, name
+        assert [_judge(page | {"known": known}) for known in (True, False)] == [1, code], name
+    graph = GraphStore()
+    assert _judge(make_document(graph, 100.0)) == 3
+    graph.seen_at = 1e9
+    assert _judge(make_document(graph, 100.0)) == 2

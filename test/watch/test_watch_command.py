@@ -299,3 +299,10 @@ def test_a_killed_site_is_told_first_and_its_past_survives_a_restart(
         states = {name: told["tiles"][name]["state"] for name in ("roof", "pump", "watering")}
         assert {*states.values()} <= {"unknown", "alarm"}, states
         end(page)
+    # Also by what is started later.
+    done = run_command("status", "--namespace", "site1", cwd=tmp_path, env=environment(domain))
+    assert done.returncode == 2, done.stdout
+    assert done.stdout.startswith("The site's program has not run since ")
+    page, port = watcher(domain, tmp_path, "--namespace", "site1")
+    assert read_state(port)["tiles"]["summary"]["level"] == "error"
+    end(page)

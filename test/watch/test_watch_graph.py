@@ -104,15 +104,15 @@ def test_nothing_that_is_reported_raises_or_switches_the_stop_off(
     messages: list[tuple[bool, list[Status]]]
 ) -> None:
     """And everything shown can be printed, and sent as JSON in UTF-8."""
-    store, wall = GraphStore(), 0.0
+    store, steady = GraphStore(), 0.0
     store.allow_release, store.offered = True, {"/pump": 1}
     for are_alarms, statuses in messages:
-        wall += 0.5
-        store.add_statuses(wall, START, statuses)
+        steady += 0.5
+        store.add_statuses(steady, START, statuses)
         if are_alarms:
-            store.add_alarms(wall, START, statuses)
-        store.update(wall, START / 1e9)
-        document = make_document(store, wall)
+            store.add_alarms(steady, statuses)
+        store.update(steady, START / 1e9)
+        document = make_document(store, steady)
         json.dumps(document, allow_nan=False).encode()
         assert document["stop"]["possible"] and "stop" in document["stop"]["actions"]
         for row in document["alarms"]:
