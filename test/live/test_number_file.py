@@ -18,8 +18,7 @@ TOO_LONG_S = 60
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        ("[1.0]", "must contain"), ("\0\1", "line 1"),
-        ('{"a": NaN}', "a = 'NaN': must be a finite number"),
+        ("[1.0]", "must contain"), ('{"a": NaN}', "a = 'NaN': must be a finite number"),
     ],
 )
 def test_what_is_no_mapping_of_numbers_is_refused(
