@@ -171,7 +171,7 @@ class RelayLine:
         while self.connected and time.monotonic() < until:
             self._while_waiting()
             # Nothing yet, or not a reply to this.
-            with suppress(queue.Empty, ValueError, LookupError, RecursionError):
+            with suppress(queue.Empty, ValueError, LookupError, TypeError, RecursionError):
                 received, payload = self._received.get(timeout=_POLL_S)
                 value = value_at(json.loads(payload) if received == topic else {}, question.path)
                 self._awaited[question.path] -= 1

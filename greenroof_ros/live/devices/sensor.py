@@ -388,7 +388,7 @@ def read_number(payload: bytes, path: str) -> float:
         value = value_at(json.loads(payload), path)
         if type(value) in (int, float):
             return float(value)
-    except (ValueError, LookupError, OverflowError, RecursionError):
+    except (ValueError, LookupError, TypeError, OverflowError, RecursionError):
         pass
     place = f" at {path}" if path else ""
     raise DriveError("answer", f"reports {payload[:80]!r}, which has no number{place}")

@@ -7,7 +7,6 @@ import shutil
 import subprocess
 import threading
 import time
-from collections.abc import Callable
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 
@@ -46,16 +45,11 @@ def result(reader: Reader) -> float | str:
     return now.problem.removeprefix(f"{reader.sensor}: ") or now.value or 0.0
 
 
-def answer_with(data: Callable[[bytes], str]) -> Callable[[bytes], Answer]:
-    """Answer each request, which is of function 04, with data."""
-
-    def answer(request: bytes) -> Answer:
-        assert request[7] == 4
-        body = bytes([request[6], 4, len(bytes.fromhex(data(request)))])
-        body += bytes.fromhex(data(request))
-        return [(0.0, request[:4] + len(body).to_bytes(2, "big") + body)]
-
-    return answer
+def answer(request: bytes, data: str) -> Answer:
+    """Return an answer to a request of function 04."""
+    assert request[7] == 4
+    body = bytes([request[6], 4, len(bytes.fromhex(data))]) + bytes.fromhex(data)
+    return [(0.0, request[:4] + len(body).to_bytes(2, "big") + body)]
 
 
 # --- Modbus ---------------------------------------------------------------------------------------
@@ -79,7 +73,7 @@ def answer_with(data: Callable[[bytes], str]) -> Callable[[bytes], Answer]:
 def test_scale_offset_type_and_word_order(
     data: str, changed: dict[str, object], level: float | str
 ) -> None:
-    with closing(Wire(answer_with(lambda _request: data))) as wire:
+    with closing(Wire(lambda request: answer(request, data))) as wire:
         reader = alone(sensor(wire.at, **changed))
         reader.read()
     assert result(reader) == (level if isinstance(level, str) else pytest.approx(level))
@@ -147,12 +141,12 @@ def test_a_sensor_next_to_a_silent_or_wrong_one_on_a_serial_line() -> None:
     """
     data = {1: "2710", 2: "7530"}
 
-    def answer(request: bytes) -> bytes:
+    def reply(request: bytes) -> bytes:
         body = bytes.fromhex(data[request[0]])
         body = bytes([request[0], 4, len(body)]) + body
         return body + crc(body) if data[request[0]] else b""
 
-    with closing(SerialWire(answer)) as wire, ExitStack() as stack:
+    with closing(SerialWire(reply)) as wire, ExitStack() as stack:
         first, second = several(
             wire.line, {"device_id": 1}, {"device_id": 2, "period": 0.2}
         )
@@ -186,19 +180,19 @@ def test_a_late_answer_is_no_value_of_the_next_register(late_s: float) -> None:
     """
     data, wait_s, newest = {16: "2710", 17: "7530"}, 0.0, b""
 
-    def answer(request: bytes) -> Answer:
+    def reply(request: bytes) -> Answer:
         nonlocal newest
         newest = request
 
         def send() -> None:
+            ((_, late),) = answer(request, data[request[9]]) or []
             with suppress(OSError, IndexError):
-                body = bytes.fromhex("0005 01 04 02" + data[request[9]])
-                wire.newest.sendall(newest[:4] + body)
+                wire.newest.sendall(newest[:4] + late[4:])
 
         threading.Timer(wait_s, send).start()
         return []
 
-    with closing(Wire(answer)) as wire:
+    with closing(Wire(reply)) as wire:
         readers = several(wire.gateway, {"register": 16}, {"register": 17})
         for wait_s in (0.0, late_s, late_s):
             for reader in readers:
@@ -338,28 +332,21 @@ def test_a_broker_that_comes_or_is_killed_or_stops_answering_is_used(tmp_path: P
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="there is no openssl here")
 def test_why_a_broker_cannot_be_used_is_reported(tmp_path: Path) -> None:
     """An unknown certificate, another host's, TLS on one side only, a wrong password."""
-    files = certificate, key, login, users = [
-        tmp_path / name for name in ("c.pem", "k.pem", "login.yaml", "users")
-    ]
+    certificate, key, login = (tmp_path / name for name in ("c.pem", "k.pem", "login.yaml"))
+    command = "openssl req -x509 -newkey rsa:2048 -nodes -subj /CN=x -addext subjectAltName=DNS:x"
     subprocess.run(
-        ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-keyout", key, "-out",
-         certificate, "-subj", "/CN=x", "-addext", "subjectAltName=DNS:elsewhere"],
-        check=True, capture_output=True,
+        [*command.split(), "-keyout", key, "-out", certificate], check=True, capture_output=True
     )
     login.write_text("username: a\npassword: wrong\n")
-    users.write_text("")
-    for file in files:
-        file.chmod(0o600)
-    user = f"user {getpass.getuser()}"
-    open_to_all = ("allow_anonymous true", user)
-    secret = (*open_to_all, f"certfile {certificate}", f"keyfile {key}")
-    strict = ("allow_anonymous false", user, f"password_file {users}")
+    login.chmod(0o600)
+    anyone, user = "allow_anonymous true", f"user {getpass.getuser()}"
+    secret = (anyone, user, f"certfile {certificate}", f"keyfile {key}")
     for lines, scheme, changed, why in (
         (secret, "mqtts", {}, "verify failed: self-signed certificate"),
         (secret, "mqtts", {"authority": str(certificate)}, "verify failed: IP address mismatch"),
         (secret, "mqtt", {}, "if it expects TLS, use mqtts://"),
-        (open_to_all, "mqtts", {}, "no response over TLS from mqtts://"),
-        (strict, "mqtt", {"login": str(login)}, "Not authorized"),
+        ((anyone, user), "mqtts", {}, "no response over TLS from mqtts://"),
+        (("allow_anonymous false", user), "mqtt", {"login": str(login)}, "Not authorized"),
     ):
         with mosquitto(tmp_path, *lines) as broker:
             address = f"{scheme}://127.0.0.1:{broker.port}/x"
