@@ -17,9 +17,6 @@ from greenroof_ros.live.devices.exchange import DriveExchange, read_endpoint
 from greenroof_ros.live.devices.modbus_line import Address, parse_address
 from greenroof_ros.live.devices.sensor_file import ModbusSensor, read_sensors
 
-DRIVES = sorted(
-    path for path in (CONFIG / "drives").glob("*.yaml") if "protocol: mqtt" not in path.read_text()
-)
 ABB = read_drive_file(find_drive_file("abb_acs880"))
 ABB_RUNNING = "running: {mask: 0x0004, value: 0x0004}"
 # By file of config/: what is replaced, and the error with the line, which is that of the change, or
@@ -79,11 +76,6 @@ def test_wrong_files_are_refused_by_line_key_and_value(
     else:
         refused = refusal(read_sensors, path, {"level_limit": 5.0})
     assert re.match(rf"{path}, line \d+: ", refused) and message in refused
-
-
-@pytest.mark.parametrize("path", DRIVES, ids=lambda path: path.stem)
-def test_what_was_not_checked_in_the_drives_own_manual_is_stated(path: Path) -> None:
-    assert find_drive_file(path.stem) == path and read_drive_file(path).unverified
 
 
 def test_a_drive_that_is_unknown() -> None:

@@ -251,9 +251,8 @@ def test_a_drive_that_refuses_to_stop_is_left_in_silence(bench: Bench, ran: bool
     bench.drive.values[5815] = 16434
     if ran:
         bench.run()
-        bench.drive.refused = {0}
-    else:
-        bench.drive.refused = {0}
+    bench.drive.refused = {0}
+    if not ran:
         bench.exchange.start()
     bench.until(lambda: SILENT in bench.now.problem)
     assert "rejected with exception 6" in bench.now.problem and bench.now.status is None
@@ -359,7 +358,8 @@ def test_one_that_is_not_seen_to_slow_down_is_left_again_and_again(
 def test_what_was_seen_of_one_that_runs_on_counts_no_more_after_a_reset(bench: Bench) -> None:
     """The reset does not shorten the silence, after which the drive is judged anew, and runs."""
     drive = RunningOn(bench, lambda _now: 0.5)
-    bench.until(lambda: SILENT in bench.now.problem)
+    bench.exchange.stop()  # while connected, it shortens no later silence
+    assert bench.until(lambda: SILENT in bench.now.problem) < 11.0
     bench.wait(4.0)
     assert bench.now.status is not None and bench.now.status.runs_on
     drive.speed = lambda _now: 0.0

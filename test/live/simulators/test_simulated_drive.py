@@ -1,4 +1,4 @@
-"""The simulated drive: its flow, and as a program, by the driver.
+"""The simulated drive, as a program, by the driver.
 
 The driver shows how each make obeys; test_wire.py checks the driver's words against the manuals.
 """
@@ -9,28 +9,13 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from paper import PAPER_SITE
 from places import guarding
-from rig_simulators import CISTERN_LEVEL, DriveBench
 from simulators import Simulator, until
 
 from greenroof_ros.live.devices.drive import Drive, DriveEndpoint
-from greenroof_ros.live.devices.drive_file import find_drive_file, read_drive_file
+from greenroof_ros.live.devices.drive_file import read_drive_file
 from greenroof_ros.live.devices.exchange import DriveExchange
-from greenroof_ros.live.devices.modbus_line import Address, parse_address
-
-
-def test_a_drive_that_reports_its_flow_follows_the_sites_curve() -> None:
-    """By hand, at half speed: (0.25 x 55.2 + level - 16)^0.5 x 1.29646e-3 m3/s.
-
-    At 3 / 1.3 = 2.3077 m that is 4.255e-4 m3/s = 1.53 m3/h; at 3 m 1.1596e-3 m3/s = 4.17 m3/h.
-    """
-    file, free = read_drive_file(find_drive_file("grundfos_cim500")), Address("127.0.0.1", 0)
-    bench = DriveBench(file, free, free, PAPER_SITE)
-    bench.drive.ramp_s, bench.drive.speed = 1e6, 0.5
-    assert bench.drive.registers()[301] == 15
-    bench.write_register(CISTERN_LEVEL, 30_000)
-    assert bench.drive.registers()[301] == 42
+from greenroof_ros.live.devices.modbus_line import parse_address
 
 
 @pytest.mark.parametrize(
