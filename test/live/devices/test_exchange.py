@@ -194,6 +194,7 @@ def test_after_a_failed_start_the_next_follows_an_off_that_was_asked_for(
 
 def test_the_trip_of_a_lost_connection_is_acknowledged(bench: Bench) -> None:
     bench.drive.values.update({3: 0x1238, 400: 0x6681})  # EFB communication loss
+    bench.insists = True
     bench.run()
     assert bench.drive.written[:3] == [OFF, (1, 0), OFF] and ACKNOWLEDGE in bench.drive.written
 

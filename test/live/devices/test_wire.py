@@ -316,14 +316,26 @@ def test_a_late_answer_is_not_taken_for_the_next() -> None:
     assert status.running and not status.fault
 
 
+def confirm_another_word(request: bytes) -> Answer:
+    """Answer like a good drive, but with the next word."""
+    ((_, answer),) = acs880()(request) or []
+    return [(0, answer[:-1] + bytes([answer[-1] + 1]))]
+
+
 @pytest.mark.parametrize("answer", [
-    lambda _request: [(0, frame("0001 0000 0006 01 06 0000 047F"))],  # of another word
+    confirm_another_word,
     lambda _request: None,  # closed
     lambda request: [(0, request)],  # a gateway whose serial side echoes, or another service
 ])
 def test_a_stop_is_not_taken_for_done(answer: Callable[[bytes], Answer]) -> None:
     with pytest.raises(DriveError):
         against(answer, Drive.stop)
+
+
+def test_an_echo_is_no_value() -> None:
+    """As an answer, the echo of this request would have two bytes of data."""
+    with pytest.raises(DriveError, match="does not fit"):
+        against(lambda request: [(0, request)], lambda drive: drive.line.read(0x02BE, 1))
 
 
 @pytest.mark.parametrize("answer", [
