@@ -20,7 +20,6 @@ from rclpy.time import Time
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.standard_error import Lines
 from greenroof_ros.interface.alarm import ALARMS, ERROR
-from greenroof_ros.interface.states import READY
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.nodes.alarm_log import AlarmLog
 from greenroof_ros.nodes.start_list import StartList
@@ -75,11 +74,10 @@ class AlarmsNode(GraphNode):
         self.open_subscription(reports, self._receive, qos_profile(replace(
             reports.qos, reliability="best_effort", durability="volatile", depth=_DEPTH
         )))
-        self.reports.state = READY
 
     def _receive(self, message: bytes) -> None:
         stamp_ns, statuses = read_statuses(message)
-        self._reports.receive(time.monotonic(), self._now, statuses, stamp_ns)
+        self._reports.receive(time.monotonic(), statuses, stamp_ns)
 
     @property
     def _now(self) -> float:
@@ -88,7 +86,6 @@ class AlarmsNode(GraphNode):
 
     # --- running, beside other nodes ------------------------------------------------------------
 
-    finished = acted = True
     wait_s = _JUDGE_S
 
     def on_start(self) -> None:
@@ -116,7 +113,7 @@ class AlarmsNode(GraphNode):
         if why := os.environ.pop(RESTARTED, ""):  # only this process can report that, and once
             name = self.get_fully_qualified_name()
             diagnoses[f"{name}: station"] = StatusDiagnosis.of(
-                name, "station", ROLE, "station_restarted", ERROR, 0.0, now, why=why
+                name, "station", ROLE, "station_restarted", ERROR, now, why=why
             )
         starting = self._reports.is_starting(now)
         changed = self._judge.update(now, self._now, diagnoses, starting=starting)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 from greenroof_ros.interface.alarm import advise
 from greenroof_ros.interface.states import DriveState
-from greenroof_ros.interface.topics import read_topics
-from greenroof_ros.ros.alarms import ROLE, Diagnoses
-from greenroof_ros.ros.reports import Reports, StatusDiagnosis
+from greenroof_ros.ros.alarms import ROLE, Diagnoses, find_causes
+from greenroof_ros.ros.reports import Reports
 
 # For how long a condition must have lasted before it is listed, at least (s).
 _SETTLED_S = 1.0
@@ -45,12 +44,12 @@ class StartList:
             name: diagnosis for name, diagnosis in diagnoses.items()
             if diagnosis.is_serious and diagnosis.role != ROLE
         }
+        causes = find_causes(wrong)
         lines = {
             (name, each.code):
                 f"  {name}: {each.sentence}. {advise(each.code, each.role, each.node)}"
             for name, each in wrong.items()
-            if now - each.began >= max(_SETTLED_S, each.condition.lasts)
-            and not _is_consequence(each, wrong.values())
+            if name not in causes and now - each.began >= max(_SETTLED_S, each.condition.lasts)
         }
         if lines and [*lines] != self._printed:
             self._printed = [*lines]
@@ -62,11 +61,3 @@ class StartList:
             return False
         self._tell(f"running: cistern {cistern:.3f} m, roof {roof:.4f} m")
         return True
-
-
-def _is_consequence(diagnosis: StatusDiagnosis, wrong: Iterable[StatusDiagnosis]) -> bool:
-    """Return whether all topics that a node lacks come from nodes with faults of their own."""
-    faulty = {each.role for each in wrong if each.stops_pump and each.role != diagnosis.role}
-    topics = [topic for name, topic in read_topics().items() if name in diagnosis.about]
-    senders = [{*topic.publishers, *topic.live_publishers} for topic in topics]
-    return bool(senders) and all(map(faulty.intersection, senders))

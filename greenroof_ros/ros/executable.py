@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 from rclpy.utilities import remove_ros_args
 
-from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, EXIT_USAGE, command
+from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, Parser, command
 from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.ros.errors import print_failure
 from greenroof_ros.ros.graph_node import GraphNode
@@ -19,19 +19,13 @@ from greenroof_ros.ros.parameters import refuse_unknown
 from greenroof_ros.ros.spin import destroy_nodes, end_nodes, ros, spin
 
 
-class NodeParser(argparse.ArgumentParser):
-    """Parser for the node's own arguments, as opposed to ROS arguments, with one-line errors."""
-
-    def error(self, message: str) -> NoReturn:
-        """Print an error as one line, and exit."""
-        self.exit(EXIT_USAGE, f"error: {message}; --help lists the node's arguments\n")
-
-    def parse_own_args(self) -> argparse.Namespace:
-        """Return the process's own arguments."""
-        try:
-            return self.parse_args(remove_ros_args(sys.argv)[1:])
-        except RuntimeError as error:  # rcl cannot parse the arguments
-            self.error(" ".join(str(error).split()))
+def parse_own_arguments(parser: Parser) -> argparse.Namespace:
+    """Return the process's own arguments, as opposed to its ROS arguments."""
+    try:
+        own: argparse.Namespace = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    except RuntimeError as error:  # rcl cannot parse the arguments
+        parser.error(" ".join(str(error).split()))
+    return own
 
 
 def node_command(
@@ -51,10 +45,10 @@ def node_command(
 
     @command
     def main() -> int:
-        parser = NodeParser(description=purpose, allow_abbrev=False)
+        parser = Parser(description=purpose)
         if option:
             parser.add_argument(option, dest="value", required=True)
-        arguments = parser.parse_own_args()
+        arguments = parse_own_arguments(parser)
         return run_nodes(partial(make, *vars(arguments).values()), spin or spin_alone)
 
     return main
