@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import re
 import subprocess
-import sys
 from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 from checked_nodes import changed, start_node
-from commands import Forked
-from graphs import Process, environment, wait_for
+from graphs import Process, wait_for
 from peers import Peer, in_domain
 from places import CHECKOUT, CONFIG
 from std_msgs.msg import Float64
@@ -27,7 +25,7 @@ DRIVER = changed(
 )
 ANSWER = "        publisher.publish(Float64(data=command()))\n"
 COMMAND = "GAIN * (TARGET - roof)"
-VALVE = ("--site", str(CONFIG / "site_valve.yaml"))
+VALVE, SITE = ("-p", "valve:=true"), ("--site", str(CONFIG / "site_valve.yaml"))
 
 
 class Case(NamedTuple):
@@ -40,9 +38,7 @@ class Case(NamedTuple):
 
 
 CONTROLLERS = {
-    "valve": Case({}, {}, ("-p", "valve:=true"), VALVE),
-    # This package's lookahead has a memory and limits the starts.
-    "lookahead": Case({}, {}, check=("--horizon", "120")),
+    "example": Case({}, {}, VALVE, (*SITE, "--horizon", "120")),
     "obeys_too_much": Case({
         'tick["weather/frost"] != 0': 'tick["weather/frost"] not in (0.0, 1.0)',
         " or not math.isfinite(roof)": "",
@@ -67,10 +63,6 @@ CONTROLLERS = {
         "in any order": "before the last input in /cistern/level, .*/forecast/precipitation$",
         "ends with": "still runs 10 s after /clock",
     }),
-    "early": Case(
-        {"node.create_timer": "publisher.publish(Float64())\nnode.create_timer"},
-        {"waters": "1 messages on /pump/command before any input; nothing else"},
-    ),
     "by_arrival": Case({  # takes the first level of a tick for that of the cistern
         ANSWER: "        levels = [tick[topic] for topic in tick if 'level' in topic]\n"
         f"        tick.update(zip(INPUTS, levels))\n{ANSWER}",
@@ -78,11 +70,10 @@ CONTROLLERS = {
     "opens": Case({"    finite = all": "    finite = True or all"}, {
         "while /weather/frost": "1 on /outlet/command .* nan on /weather/frost",
         "while /roof/level": "1 on /outlet/command .* nan on /roof/level",
-    }, ("-p", "valve:=true"), VALVE),
+    }, VALVE, SITE),
     "doubled": Case({ANSWER: 2 * ANSWER}, {"frost": "2 messages on /pump/command in tick 0"}),
     "never_waters": Case(
-        {"GAIN = 20.0": "GAIN = 0.0"},
-        {"waters": "0 on /pump/command after 3600 s with usual inputs; nothing"},
+        {"GAIN = 20.0": "GAIN = 0.0"}, {"waters": "0 on /pump/command after 3600 s .*; nothing"},
     ),
     "volatile": Case({
         ", durability=DurabilityPolicy.TRANSIENT_LOCAL": "",
@@ -130,13 +121,7 @@ def start(domain: int, cwd: Path, name: str, text: str, case: Case) -> subproces
     """Start a node in a namespace of its own, as its user would."""
     for old, new in case.changes.items():
         text = changed(text, old, new)
-    if name != "lookahead":
-        return start_node(domain, cwd, name, text, "--ros-args", "-r", f"__ns:=/{name}", *case.node)
-    return Forked(
-        [sys.executable, "-m", "greenroof_ros.nodes.controller", "--controller", name,
-         "--ros-args", "-r", f"__ns:=/{name}", "-r", "__node:=controller"],
-        cwd=cwd, env=environment(domain),
-    )
+    return start_node(domain, cwd, name, text, "--ros-args", "-r", f"__ns:=/{name}", *case.node)
 
 
 def check(domain: int, cwd: Path, name: str, kind: str, *options: str) -> Process:
@@ -144,15 +129,14 @@ def check(domain: int, cwd: Path, name: str, kind: str, *options: str) -> Proces
     return Process(domain, f"quick_check_{kind}", "--node", f"/{name}/{kind}", *options, cwd=cwd)
 
 
-def wrong_verdict(process: Process, case: Case) -> str:
-    """Return the verdict of a check unless exactly the right lines failed; empty if they did."""
+def is_right(process: Process, case: Case) -> bool:
+    """Return whether exactly the right lines of a check failed."""
     code, lines = process.wait(180), process.stdout().splitlines()
     failed = [line for line in lines if line.startswith("  failed: ")]
-    right = code == bool(case.failures) and len(failed) == len(case.failures) and all(
+    return code == bool(case.failures) and len(failed) == len(case.failures) and all(
         any(re.search(f"{title}.*{problem}", line) for line in failed)
         for title, problem in case.failures.items()
     )
-    return "" if right else f"{process.process.args}: {code}, {lines}, {process.stderr()}"
 
 
 def wrong_verdicts(
@@ -163,17 +147,16 @@ def wrong_verdicts(
     nodes = {name: start(domain, cwd, name, text, case) for name, case in cases.items()}
     try:
         checks = {name: check(domain, cwd, name, kind, *cases[name].check) for name in cases}
-        wrong = [wrong_verdict(checks[name], cases[name]) for name in cases]
+        wrong = [name for name in cases if not is_right(checks[name], cases[name])]
         if kind == "pump":
             said = checks["example"].stdout()
             assert re.match(r"THE PUMP WILL RUN\. .* takes up to \d minutes", said)
-            assert "are the only evidence" in said
             assert nodes["example"].wait(300) == 0  # as the controller, the check, has gone
     finally:
         for node in nodes.values():
             node.kill()
             node.wait(300)
-    return list(filter(None, wrong))
+    return [f"{name}: {checks[name].stdout()}{checks[name].stderr()}" for name in wrong]
 
 
 @pytest.mark.parametrize(("kind", "some"), [

@@ -143,7 +143,9 @@ _TEXTS = st.text(max_size=30) | st.sampled_from([
     "[" * 2000, "9" * 401, "1e999", "NaN", '"pump"', "{}", "[[1]]", '["x"]',
     '{"/a": 9' + "9" * 400 + "}", "null", "true", "-Infinity", "mqtt://\u202e/x",
 ])
-_KEYS = "role process waiting failure up_s tick topics code age_s cistern_level".split()
+_KEYS = [
+    "role", "process", "waiting", "failure", "up_s", "tick", "topics", "code", "age_s",
+]
 _STATUSES = st.builds(
     Status, _TEXTS, st.sampled_from([OK, WARN, ERROR, STALE]), _TEXTS,
     st.dictionaries(st.sampled_from(_KEYS) | _TEXTS, _TEXTS, max_size=8), _TEXTS,
