@@ -120,11 +120,9 @@ def _summarize(
 ) -> None:
     """Write the summary of a run, and print it if the run is complete."""
     plant, controller = map(nodes.get, (PLANT, run.controller.name))
-    refused: Counter[str] = Counter()
-    for node in nodes.values():
-        refused.update({name: entry.refused for name, entry in node.inputs.items()})
+    refused = sum((Counter(node.refused) for node in nodes.values()), Counter[str]())
     happened = {
-        "refused": dict(+refused),
+        "refused": dict(refused),
         "last_tick": plant.progress()["tick"] if plant is not None and plant.acted else None,
         **({} if controller is None else controller.progress()),
     }

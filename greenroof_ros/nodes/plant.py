@@ -18,7 +18,6 @@ from array import array
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from greenroof_ros.base.errors import OccupiedError
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.interface.states import PLANT
@@ -96,8 +95,6 @@ class PlantNode(LockstepNode):
         self._tick_s = site.tau / values["speed"] if values["speed"] else 0.0
         self._external = values["pump"] == "external"
         sensor_and_pump = SensorAndPump(**{name: values[name] for name in PARAMETERS})
-        if self._external:
-            sensor_and_pump.refuse_external_pump()
         start_ns = epoch_ns(read_start(values["start"]))
         self._site = VirtualSite(
             site, *volumes, start_ns, sensor_and_pump, self._run_length + 1
@@ -153,11 +150,6 @@ class PlantNode(LockstepNode):
     def on_inputs(self) -> None:
         """Compute the next tick of the plant from the inputs of this tick."""
         site = self._site
-        if self._paused:
-            raise OccupiedError(
-                f"answers to tick {site.tick} arrived before the tick was published: nodes of an "
-                "earlier run are still in this graph; stop them"
-            )
         if site.tick == 0:
             self._began = time.monotonic()  # before this, the other nodes were still joining
         if self._frost is not None:

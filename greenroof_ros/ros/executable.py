@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, NoReturn
 
 from rclpy.utilities import remove_ros_args
@@ -35,8 +34,8 @@ def node_command(
     """Return the main function of a node's executable.
 
     Args:
-        make: function that returns the node, or the nodes, of this process; its argument is the
-            value of the option, if there is an option.
+        make: function that returns the node; its argument is the value of the option, if there is
+            an option.
         purpose: docstring of the node's module, which describes the node.
         option: the option that the node requires, such as ``--controller``; empty for none.
         spin: function that runs the nodes and, 20 times a second, calls its second argument, which
@@ -49,19 +48,18 @@ def node_command(
         if option:
             parser.add_argument(option, dest="value", required=True)
         arguments = parse_own_arguments(parser)
-        return run_nodes(partial(make, *vars(arguments).values()), spin or spin_alone)
+        return run_nodes(lambda: [make(*vars(arguments).values())], spin or spin_alone)
 
     return main
 
 
 def run_nodes(
-    make: Callable[[], GraphNode | Sequence[GraphNode]],
-    spin: Callable[[Any, Callable[[], None]], None],
+    make: Callable[[], Sequence[GraphNode]], spin: Callable[[Any, Callable[[], None]], None]
 ) -> int:
     """Run the nodes of this process until the run is over, a signal stops them, or a node fails.
 
     Args:
-        make: class of the node, or a function that returns the node or the nodes.
+        make: function that returns the nodes.
         spin: function that runs the nodes; see :func:`node_command`.
 
     Returns:
@@ -73,8 +71,7 @@ def run_nodes(
         code, failure = EXIT_DONE, None
         nodes: Sequence[GraphNode] = ()
         try:
-            made = make()
-            nodes = [made] if isinstance(made, GraphNode) else made
+            nodes = make()
             for node in nodes:
                 refuse_unknown(node, sys.argv)
             spin(nodes, signals.check)

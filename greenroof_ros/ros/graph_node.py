@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -172,6 +171,11 @@ class GraphNode(Node):
         return all(entry.good for entry in self.inputs.values())
 
     @property
+    def refused(self) -> dict[str, int]:
+        """The number of refused values by topic, without topics that have none."""
+        return {name: entry.refused for name, entry in self.inputs.items() if entry.refused}
+
+    @property
     def ready(self) -> bool:
         """Whether every input has had a publisher."""
         return self.reports.state != STARTING
@@ -197,14 +201,11 @@ class GraphNode(Node):
         self.report_state()
 
     def check_peers(self) -> None:
-        """Warn about incompatible publishers, until every input has a publisher."""
-        before, peers = self.warnings, () if self.ready else self.peers.values()
+        """Find incompatible publishers, until every input has a publisher."""
         self.warnings = [
-            f"{peer.full_name} {problem}" for peer in peers
-            if (problem := peer.describe_incompatible())
+            f"{peer.full_name} {problem}" for peer in self.peers.values()
+            if not self.ready and (problem := peer.describe_incompatible())
         ]
-        for sentence in set(self.warnings).difference(before):
-            self.get_logger().warning(sentence)
 
     def absent(self) -> dict[str, list[str]]:
         """Return the required inputs without a compatible publisher; see :meth:`by_role`."""
@@ -245,9 +246,8 @@ class GraphNode(Node):
 
     def report_state(self, **values: Any) -> None:
         """Report the node's state together with the given values."""
-        refused = Counter({name: entry.refused for name, entry in self.inputs.items()})
         self.reports.publish({
             **values, **self.progress(),
             **({} if self.ready else {"waiting": list(self.absent())}),
-            "refused": +refused, "warnings": self.warnings, **self._always,
+            "refused": self.refused, "warnings": self.warnings, **self._always,
         })

@@ -11,6 +11,7 @@ import json
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -313,8 +314,6 @@ def _read_value(text: str) -> Any:
 
 def _read_age(text: str) -> float:
     """Return the number of seconds in a text; 0 if the text is not a number of seconds."""
-    try:
-        seconds = float(text)
-    except ValueError:
-        return 0.0
-    return seconds if 0 <= seconds < 1e9 else 0.0
+    with suppress(ValueError):
+        return seconds if 0 <= (seconds := float(text)) < 1e9 else 0.0
+    return 0.0

@@ -35,19 +35,6 @@ def read_options() -> object:
     return simulated_run(make_parser().parse_args())
 
 
-def test_a_live_site_has_a_controller_that_fits_it(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """The paper's is the default of simulations only. What it learns has a file of its own.
-
-    Another controller would not understand the file, and would overwrite it.
-    """
-    monkeypatch.setattr(sys, "argv", ["live", *EXTERNAL, "--state", str(tmp_path)])
-    site = read_options()
-    assert isinstance(site, LiveSite)
-    assert site.nodes["lookahead"][1]["state_file"] == str(tmp_path / "lookahead.json")
-
-
 # A live site with a weather node, and the rest external; and a drive.
 WEATHERED = "live --controller mpc --sensors external --pump external"
 DRIVE = "--drive abb_acs880 --drive-at tcp://127.0.0.1:1"
@@ -85,12 +72,6 @@ def test_what_is_wrong_is_reported(
     Path("serial.yaml").write_text(sensors.replace("tcp://127.0.0.1:5031", "/dev/ttyS0"))
     monkeypatch.setattr(sys, "argv", words.split())
     assert WRONG[words] in refusal(read_options)
-
-
-def test_wrong_namespace(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        make_parser().parse_args(["--namespace", "site 1"])
-    assert "such as site1" in capsys.readouterr().err
 
 
 # --- a file of parameters -------------------------------------------------------------------------
