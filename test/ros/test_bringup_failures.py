@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from commands import run_command
+from disks import small_disk
 from graphs import Process, assert_on_loopback_alone, environment, messages_of, summary_of
 from peers import in_domain
 from rosbags.highlevel import AnyReader
@@ -44,6 +45,16 @@ def test_what_ends_a_run(domain: int, tmp_path: Path) -> None:
     assert ticks - 1 <= summary["last_tick"] <= ticks + 64
 
 
+def recovered_ticks(run: Path, bag: Path) -> int:
+    """Recover a run's bag, and return its number of ticks by an independent reader."""
+    words = "recover", str(run), "--output", str(bag)
+    done = run_command(*words, cwd=run.parent, env=environment(0))
+    assert done.returncode == 0, done.stderr
+    with AnyReader([bag]) as reader:
+        (ticks,) = {connection.msgcount for connection in reader.connections}
+    return ticks
+
+
 def test_kill_leaves_all_but_a_chunk(domain: int, tmp_path: Path) -> None:
     """The bag of a run that was killed is recovered up to the ticks not yet flushed, at most 32."""
     with in_domain(domain), closing(Observer(domain, tmp_path)) as observer:
@@ -57,11 +68,31 @@ def test_kill_leaves_all_but_a_chunk(domain: int, tmp_path: Path) -> None:
         for _ in range(64):  # what is on the way to a slow observer
             observer.executor.spin_once(timeout_sec=0.02)
     assert summary_of(tmp_path / "run")["status"] == "running"
-    done = run_command("recover", "run", cwd=tmp_path, env=environment(domain))
-    assert done.returncode == 0, done.stderr
-    with AnyReader([tmp_path / "run" / "bag-recovered"]) as reader:
-        (ticks,) = {connection.msgcount for connection in reader.connections}
+    ticks = recovered_ticks(tmp_path / "run", tmp_path / "recovered")
     assert 60 < len(levels) - 40 <= ticks <= len(levels) + 40
+
+
+def test_full_disk(domain: int, tmp_path: Path) -> None:
+    """A disk that fills up is an error that reports it, and the bag can be recovered."""
+    disk = tmp_path / "disk"
+    with small_disk(disk, "200k"):
+        run = disk / "run"
+        process = Process(domain, "bringup", "--output", str(run), cwd=tmp_path)
+        assert process.wait(120) == 1
+        summary = summary_of(run)
+        reason = re.fullmatch(
+            r".*/bag: No space left on device; "
+            r"'greenroof recover .*/bag' restores the first (\d+) ticks of the bag",
+            summary["reason"],
+        )
+        assert summary["status"] == "failed" and reason is not None, summary["reason"]
+        assert summary["reason"] in process.stderr() and "Traceback" not in process.stderr()
+        on_the_disk = run_command("recover", str(run), cwd=tmp_path, env=environment(domain))
+        assert on_the_disk.returncode == 2 and not (run / "bag-recovered").exists()
+        assert "cannot be written: No space left on device" in on_the_disk.stderr
+        ticks = recovered_ticks(run, tmp_path / "rescued")
+    assert ticks == int(reason[1]) > 300
+    assert ticks <= summary["last_tick"] <= ticks + 64
 
 
 def test_a_graph_of_its_own(domain: int, tmp_path: Path) -> None:
