@@ -9,9 +9,6 @@ from rclpy.node import Node
 from greenroof_ros.interface.topics import Qos, Topic
 from greenroof_ros.ros.messages import find_lacking
 
-# A node's name and its other endpoints may be discovered this long after its publisher (s).
-DISCOVERY_S = 1.0
-
 
 class Publishers:
     """The publishers of a topic, including superfluous and incompatible ones.

@@ -46,8 +46,8 @@ CONTROLLERS = {
         "SUCTION <= cistern < math.inf": "SUCTION <= cistern",
         COMMAND: f'{COMMAND} + 0.0 * sum(tick["forecast/precipitation"][-10:])',
     }, {
-        "0 in frost": r"0\.4\d+ on /pump/command after 0 s with 1 on /weather/frost",
-        "while /cistern/level": r"0\.4\d+ on /pump/command .* inf on /cistern/level",
+        "0 in frost": r"0\.5\d+ on /pump/command, .* after 0 s with 1 on /weather/frost",
+        "while /cistern/level": r"0\.5\d+ on /pump/command, .* inf on /cistern/level",
         "while /roof/level": "nan on /pump/command with nan on /roof/level; it must be",
         "while /forecast/prec": "nan on /pump/command with nan on /forecast/precipitation",
         "while /weather/frost": "1 on /outlet/command .* nan on /weather/frost",
