@@ -16,10 +16,12 @@ from greenroof_ros.interface.topics import Topic
 from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.pumping.input_rules import AWAITED, InputRules
 from greenroof_ros.ros.inputs import Input
-from greenroof_ros.ros.publishers import DISCOVERY_S, Publishers
+from greenroof_ros.ros.publishers import Publishers
 
 # How many messages on a topic can wait for the recorder while it or the machine is busy.
 _RECORDED_DEPTH = 1000
+# A node's name and its other endpoints may be discovered this long after its publisher (s).
+_DISCOVERY_S = 1.0
 _UNKNOWN = "unknown"
 
 
@@ -84,7 +86,7 @@ class LivePublishers(Publishers):
         if self._incompatible_at > -math.inf:
             if incompatible := self.describe_incompatible():
                 return incompatible
-            if time.monotonic() - self._incompatible_at > DISCOVERY_S:
+            if time.monotonic() - self._incompatible_at > _DISCOVERY_S:
                 self._incompatible_at = -math.inf  # it has gone
         return super().describe_second()
 

@@ -133,7 +133,7 @@ class LiveNode(GraphNode):
         self._open(LivePublishers(self, topic, recorded=True), receive)
 
     def _open(self, publishers: LivePublishers, callback: Callable[[bytes], None]) -> None:
-        self.peers.publishers[publishers.topic.name] = publishers
+        self.peers[publishers.topic.name] = publishers
         profile = qos_profile(publishers.required)  # it requests no past messages
         self.open_subscription(publishers.topic, callback, profile, publishers.events())
 

@@ -42,7 +42,7 @@ class FailingAlarms(AlarmsNode):
 kind = sys.argv[1]
 sys.argv[1:] = ["--ros-args"]
 if kind == "alone":
-    sys.exit(run_nodes(partial(Failing, 3.0), spin))
+    sys.exit(run_nodes(lambda: [Failing(3.0)], spin))
 upkeep.MAX_WAIT_S, upkeep.MAX_RESTARTS = 0.5, 2
 makers = [partial(Failing, 0.0) if kind == "station" else FailingAlarms, Working]
 sys.exit(run_nodes(lambda: [make() for make in makers], partial(station.keep_nodes, makers)))
