@@ -149,6 +149,23 @@ class GraphNode(Node):
             event_callbacks=events or SubscriptionEventCallbacks(use_default_callbacks=False),
         )
 
+    def create_service(
+        self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any
+    ) -> Any:
+        """Create a service that survives every request, as those of rclpy for parameters do not.
+
+        A request that fails gets the response that was prepared for it.
+        """
+
+        def guarded(request: Any, response: Any) -> Any:
+            try:
+                return callback(request, response)
+            except Exception as error:
+                self.get_logger().error(f"{srv_name}: a request failed: {error}")
+                return response
+
+        return super().create_service(srv_type, srv_name, guarded, **options)
+
     # --- running ----------------------------------------------------------------------------
 
     def fail(self, error: Exception) -> None:

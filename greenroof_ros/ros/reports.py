@@ -148,30 +148,30 @@ class NodeReport:
         """Whether the node has reported that its run is over or that it is stopping."""
         return self.state in (FINISHED, ENDED)
 
-    def is_online(self, wall: float) -> bool:
+    def is_online(self, steady: float) -> bool:
         """Return True if the node's reports are currently arriving."""
-        return not self.has_ended and wall - self.received_at <= SILENT_S
+        return not self.has_ended and steady - self.received_at <= SILENT_S
 
     def receive(
-        self, wall: float, state: str, values: Mapping[str, Any], parts: Sequence[Status] = ()
+        self, steady: float, state: str, values: Mapping[str, Any], parts: Sequence[Status] = ()
     ) -> None:
         """Store a report of the node; see the attributes."""
         if values["process"] != self.values.get("process"):
             died = self.values and not self.has_ended
             self._lost = self.received_at if died else None
-            self.began, self.values, self.parts = wall, {}, {}
-        self.state, self.values, self.received_at = state, values, wall
-        reported = (self._read_part(wall, status) for status in parts[:_PARTS])
+            self.began, self.values, self.parts = steady, {}, {}
+        self.state, self.values, self.received_at = state, values, steady
+        reported = (self._read_part(steady, status) for status in parts[:_PARTS])
         self.parts = {diagnosis.part: diagnosis for diagnosis in reported}
 
-    def _read_part(self, wall: float, status: Status) -> StatusDiagnosis:
+    def _read_part(self, steady: float, status: Status) -> StatusDiagnosis:
         part = clean_text(status.name.partition(": ")[2], _NAME)
         values = {key: clean_text(text) for key, text in status.values.items()}
         about = (values.get("topics") or values.get("topic", "")).split()[:_ABOUT]
         namespace = self.name.rpartition("/")[0]
         line = _LINE.search(status.hardware)
         before, (code, fault) = self.parts.get(part), identity_of(values)
-        began = wall - _read_age(values.get("age_s", ""))
+        began = steady - _read_age(values.get("age_s", ""))
         if before is not None and before.identity == (code, fault):
             began = before.began
         return StatusDiagnosis(
@@ -182,7 +182,7 @@ class NodeReport:
             line=clean_text(line[1] or line[2]) if line else "",
         )
 
-    def diagnoses(self, wall: float) -> Iterator[StatusDiagnosis]:
+    def diagnoses(self, steady: float) -> Iterator[StatusDiagnosis]:
         """Yield what is wrong with the node and its parts."""
         diagnose = partial(StatusDiagnosis.of, self.name, "", self.role)
         last = self.received_at
@@ -193,9 +193,9 @@ class NodeReport:
             return
         if not self.values:
             yield diagnose("node_awaited", STALE, last)
-        elif not self.is_online(wall):
+        elif not self.is_online(steady):
             yield diagnose("not_heard", STALE, last, time=SILENT_S)
-        elif self._lost is not None and wall - self.began <= _REPLACED_S:
+        elif self._lost is not None and steady - self.began <= _REPLACED_S:
             yield diagnose("not_heard", STALE, self._lost, time=SILENT_S)
         elif self.state == STARTING and isinstance(waiting, list):
             about = tuple(clean_text(str(peer), _NAME) for peer in waiting[:_ABOUT])
@@ -227,11 +227,11 @@ class Reports:
         self._namespace = "/" + namespace.strip("/")
         self.expected = {f"{namespace.rstrip('/')}/{name}": name for name in expected}
 
-    def receive(self, wall: float, statuses: Sequence[Status], stamp_ns: int = 0) -> None:
+    def receive(self, steady: float, statuses: Sequence[Status], stamp_ns: int = 0) -> None:
         """Receive the statuses from a message; invalid content raises no exception.
 
         Args:
-            wall: current time (steady clock, s).
+            steady: current time (steady clock, s).
             statuses: the statuses; a node reports its own state and those of its parts together.
             stamp_ns: time stamp of the message (ns since 1970); in a simulation, the time of the
                 tick.
@@ -246,7 +246,7 @@ class Reports:
             if node is None or node.role != role:
                 continue
             parts = [part for part in statuses if part.name.startswith(f"{status.name}: ")]
-            node.receive(wall, status.message, values, parts)
+            node.receive(steady, status.message, values, parts)
             if node.role == PLANT and values.get("tick") and 0 < stamp_ns < _LAST_NS:
                 self.time_ns = stamp_ns
 
@@ -279,14 +279,14 @@ class Reports:
         values = (node.values.get(key) for node in latest)
         return next((value for value in values if value is not None), None)
 
-    def is_starting(self, wall: float) -> bool:
+    def is_starting(self, steady: float) -> bool:
         """Return True if the site is starting: its online nodes all started less than 60 s ago."""
-        up = [node.values.get("up_s") for node in self.nodes.values() if node.is_online(wall)]
+        up = [node.values.get("up_s") for node in self.nodes.values() if node.is_online(steady)]
         return bool(up) and all(isinstance(age, (int, float)) and age < _START_S for age in up)
 
-    def diagnoses(self, wall: float) -> dict[str, StatusDiagnosis]:
+    def diagnoses(self, steady: float) -> dict[str, StatusDiagnosis]:
         """Return everything that is wrong, by the name of its status."""
-        self._awaited_since = min(self._awaited_since, wall)
+        self._awaited_since = min(self._awaited_since, steady)
         awaited = [
             NodeReport(
                 name, node if node in node_names() else "controller",
@@ -295,7 +295,7 @@ class Reports:
         ]
         return {
             diagnosis.name: diagnosis for node in (*awaited, *self.nodes.values())
-            for diagnosis in node.diagnoses(wall)
+            for diagnosis in node.diagnoses(steady)
         }
 
 

@@ -13,6 +13,8 @@ import pytest
 from commands import run_command
 from graphs import Process, environment, summary_of, udp_addresses_of, wait_for
 from places import CONFIG
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from ros_rig import Observer
@@ -52,6 +54,9 @@ def test_who_sets_and_commands(domain: int, tmp_path: Path, observer: Observer) 
         SetParameters, "/mpc/set_parameters", parameters=weights(-1.0, math.nan)
     )
     assert not any(result.successful or "weight" not in result.reason for result in refused.results)
+    # A type that no parameter can have is answered, and ends no node.
+    alien = ParameterMessage(name="weight", value=ParameterValue(type=42))
+    assert not observer.call(SetParameters, "/mpc/set_parameters", parameters=[alien]).results
     site_file = Parameter("site_file", value="x.yaml").to_parameter_msg()
     both = observer.call(  # refused as a whole
         SetParametersAtomically, "/mpc/set_parameters_atomically",

@@ -30,15 +30,15 @@ class Site:
     """A judge, and the alarms that have begun, changed and ended."""
 
     def __init__(self) -> None:
-        self.judge, self.wall = Judge(), 100.0
+        self.judge, self.steady = Judge(), 100.0
         self.changed: list[Alarm] = []
 
     def passes(self, seconds: float, diagnoses: Wrong, starting: bool = False) -> None:
         """Judge these diagnoses for some seconds, four times in each."""
         for _ in range(max(1, round(4 * seconds))):
-            self.wall += 0.25
+            self.steady += 0.25
             self.changed += self.judge.update(
-                self.wall, NOON + self.wall, diagnoses, starting=starting
+                self.steady, NOON + self.steady, diagnoses, starting=starting
             )
 
     @property
@@ -107,6 +107,11 @@ def test_what_follows_from_another_one() -> None:
         ("/roof_sensor: sensor", "", False), ("/pump: levels", "/roof_sensor: sensor", False),
         ("/roof_sensor: sensor", "", True), ("/pump: levels", "", False),
     ]
+    site.passes(1, {})  # soon after its cause, so it is no event of its own
+    assert site.told[-1] == ("/pump: levels", "/roof_sensor: sensor", True)
+    site.passes(9, levels)
+    site.passes(20, {})
+    assert site.told[-1] == ("/pump: levels", "", True)
 
 
 @pytest.mark.parametrize(("cause", "consequences", "others"), [
@@ -133,6 +138,9 @@ def test_what_follows_from_another_one() -> None:
     (wrong("/weather", "not_heard", level=STALE),
      wrong("/mpc", "peers_awaited", "weather", level=WARN)
      | wrong("/pump: command", "input_silent", "/pump/command", level=STALE), {}),
+    # A drive that is not there explains why nobody knows whether the pump is stopped.
+    (wrong("/pump: drive", "drive_lost"), wrong("/pump: pump", "stands_unknown"),
+     wrong("/pump: levels", "input_silent", "/roof/level")),
     # No error follows from a warning, and a pump that needs a person at it from nothing.
     ({}, {}, wrong("/mpc", "peers_awaited", "plant", level=WARN)
      | wrong("/mpc: inputs", "input_refused", "/roof/level")
