@@ -16,8 +16,7 @@ from greenroof_ros.live.devices.exchange import CHOICE, Endpoint, read_endpoint
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS, ModbusSensor, read_sensors
 from greenroof_ros.live.pumping.state_file import GUARD, STATE_FILE
 from greenroof_ros.live.supervisor import ACTUATORS_SILENT_S, SiteProcess
-from greenroof_ros.live.upkeep import silence_limit
-from greenroof_ros.live.valve import refuse_valve
+from greenroof_ros.live.upkeep import check_site, silence_limit
 from greenroof_ros.ros.alarms import ROLE
 from greenroof_ros.ros.arguments import add_graph_arguments
 from greenroof_ros.simulation.options import add_controller_arguments, read_controller
@@ -26,7 +25,7 @@ from greenroof_ros.site.file import read_site
 STATION = "station"
 """name of the process with all nodes but the pump's and the controller's"""
 _LIVE = "greenroof_ros.live"
-# What a drive or a sensor on a broker may name a file for.
+# What a sensor on a broker may name a file for.
 _BROKER_FILES = "login", "authority"
 # Length of the forecast that people are shown if the controller ignores it (h).
 _SHOWN_H = 12.0
@@ -56,7 +55,7 @@ class LiveSite:
             ConfigurationError: if an option, or a file that it names, is invalid or missing.
         """
         site = read_site(arguments.site)
-        refuse_valve(site, arguments.site)
+        check_site(site, arguments.site)
         self.tau = site.tau
         self.controller, given = read_controller(arguments)
         self.parameters = self.controller.complete_parameters(site, given)
@@ -72,7 +71,7 @@ class LiveSite:
             sensors = {**read_sensors(Path(arguments.sensors)).by_section}
         if arguments.forecast not in (None, OPEN_METEO):
             arguments.forecast = str(Path(arguments.forecast).resolve())
-        measures_frost = arguments.thermometer is not None or "thermometer" in sensors
+        measures_frost = arguments.sensors == EXTERNAL or "thermometer" in sensors
         has_forecast, has_weather = arguments.forecast is not None, arguments.weather is None
         for option, is_missing in {
             "--sensors": arguments.sensors is None,
@@ -97,10 +96,9 @@ class LiveSite:
         )
         self.forecast: str | None = arguments.forecast
         of_sensors = [getattr(each, key, "") for each in sensors.values() for key in _BROKER_FILES]
-        named = drive.get("drive"), *(drive.get(f"broker_{key}") for key in _BROKER_FILES)
-        self.files = [
-            Path(file) for file in (sensors and arguments.sensors, *named, *of_sensors) if file
-        ]
+        of_drive = [value for name, value in drive.items() if name != "address"]
+        own = [arguments.sensors] if sensors else []
+        self.files = [Path(file) for file in (*own, *of_drive, *of_sensors) if file]
         state = arguments.state.resolve()
         pump, module = (PUMP, "pump") if drive else (GUARD, "external_pump")
         name, common = self.controller.name, {"site_file": str(arguments.site)}
@@ -185,7 +183,7 @@ def make_parser() -> Parser:
     group.add_argument(
         "--sensors", metavar="{FILE,external}",
         help="read the sensors that this file describes (see config/sensors.yaml); external: your "
-        "own nodes publish /cistern/level and /roof/level",
+        "own nodes publish /cistern/level, /roof/level and, without a forecast, /gauge/temperature",
     )
     weather = group.add_mutually_exclusive_group()
     weather.add_argument(
@@ -197,11 +195,6 @@ def make_parser() -> Parser:
     weather.add_argument(
         "--weather", choices=[EXTERNAL],
         help="external: your own node publishes the weather and the forecast",
-    )
-    group.add_argument(
-        "--thermometer", choices=[EXTERNAL],
-        help="external: your own node publishes /gauge/temperature (degC), because the sensor file "
-        "contains no thermometer; without --forecast, nothing else can indicate frost",
     )
     group.add_argument(
         "--state", type=Path, default=Path("live"), metavar="DIR",
