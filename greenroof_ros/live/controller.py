@@ -128,10 +128,9 @@ class LiveControllerNode(ControllerNode, LiveNode):
         try:
             with self.deciding(), time_limit(limit):
                 yield
-            return
         except BaseException as error:  # signals do not raise exceptions in this process
             self._failure = str(locate_error(self._choice.kind, error))
-        self._failed_at, self.controller = time.monotonic(), None
+            self._failed_at, self.controller = time.monotonic(), None
 
     def make_controller(self) -> None:
         """Create a new controller with the values that the previous controller had learned."""

@@ -126,12 +126,10 @@ class LiveSite:
                 "fetch": fetched, "all_members": kind.ensemble,
                 "horizon": self.parameters.get("horizon", shown),
             }
-        optional = {
-            RECORDER,
-            *(QUANTITIES[each].live_publishers[0] for each in QUANTITIES if each not in TANKS),
-        }
+        gauges = {QUANTITIES[each].live_publishers[0] for each in {*sensors} - {*TANKS}}
         self.nodes[ROLE] = "greenroof_ros.nodes.alarms", {
-            "directory": str(state), "expected": " ".join(sorted({*self.nodes} - optional)),
+            "directory": str(state),
+            "expected": " ".join(sorted({*self.nodes} - gauges - {RECORDER})),
         }
         station = [f"{_LIVE}.{STATION}", *(["--weather"] if has_weather else [])]
         if sensors:

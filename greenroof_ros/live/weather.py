@@ -49,8 +49,7 @@ def parameters(site: Site) -> list[Parameter]:
         ),
         Parameter(
             "fetch", False, meaning="whether forecasts are fetched from Open-Meteo (its ensembles, "
-                "with all_members), and stored in the file that the parameter forecast names, and "
-                "next to it; if false, another program writes that file",
+                "with all_members), and archived in the file that the parameter forecast names",
         ),
         Parameter("fetch_url", "", meaning="address of an Open-Meteo-compatible server; if empty, "
             "Open-Meteo's own server is used"),
@@ -188,8 +187,8 @@ class LiveWeatherNode(WeatherNode, LiveNode):
         diagnosis = bad and Diagnosis.of(
             "gauge_bad", problem=bad, topic=gauge.publishers.full_name
         )
-        well = f"{gauge.name} is good"
-        self.reports.diagnose(part, diagnosis, well, WARN, bad.code if bad else "")
+        cause = bad.code if bad else ""
+        self.reports.diagnose(part, diagnosis, f"{gauge.name} is good", WARN, cause)
 
 
 def _find_monthly_mean(site: Site, now: datetime) -> float | None:

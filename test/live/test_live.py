@@ -172,6 +172,7 @@ def test_onoff_commands_without_a_forecast(site: Site) -> None:
 
 MINE = """
 import math, time
+from pathlib import Path
 from greenroof_ros.base.parameter import Parameter
 
 class Waiting:
@@ -199,6 +200,28 @@ class Gauged(Waiting):
     def command(self, *inputs):
         time.sleep(1.5)
         return 0.1 + 1e4 * self.gauge_rain
+
+def fault():
+    file = Path("fault")
+    return file.read_text() if file.exists() else ""
+
+class Broken(Waiting):
+    needs_forecast, outputs = False, {"/controller/fill_to": "fill_to"}
+    def __init__(self, *site, **answer):
+        if fault() == "made": raise ValueError("no")
+    def command(self, *given):
+        what = fault()
+        if what == "raises": 1 / 0
+        if what == "exits": raise SystemExit(3)
+        if what == "never returns":
+            try: time.sleep(60)
+            except BaseException: time.sleep(60)
+        return math.nan if what == "NaN" else 0.3
+    @property
+    def fill_to(self):
+        return None if fault() == "no number" else math.sqrt(-1.0 if fault() == "output" else 1.0)
+    @property
+    def learned(self): return {"x": "much"} if fault() == "learns words" else None
 """
 
 
@@ -237,37 +260,6 @@ def test_a_forecast_that_is_missing_for_a_moment_starts_no_pump(site: Site) -> N
         assert {value for _, value in commands} == {0.0}
 
 
-BROKEN = """
-import math, time
-from pathlib import Path
-
-def fault():
-    file = Path("fault")
-    return file.read_text() if file.exists() else ""
-
-class Broken:
-    parameters = ()
-    needs_forecast = False
-    outputs = {"/controller/fill_to": "fill_to"}
-    def __init__(self, site):
-        if fault() == "made": raise ValueError("no")
-    def command(self, *inputs):
-        what = fault()
-        if what == "raises": 1 / 0
-        if what == "exits": raise SystemExit(3)
-        if what == "never returns":
-            try: time.sleep(60)
-            except BaseException: time.sleep(60)
-        return math.nan if what == "NaN" else 0.3
-    def skip(self): pass
-    def statistics(self): return None
-    @property
-    def fill_to(self):
-        if fault() == "no number": return None
-        return math.sqrt(-1.0 if fault() == "output" else 1.0)
-    @property
-    def learned(self): return {"x": "much"} if fault() == "learns words" else None
-"""
 # A class as its user has left it since the site was started: what is said of it, and the line.
 LEFT = {
     "broken": ("class Mine(:", "SyntaxError", 1),
@@ -296,33 +288,29 @@ def test_a_class_with_which_the_node_cannot_run(observer: Observer) -> None:
 FAULTS = {
     "made": ("ValueError: no", "raise ValueError"), "raises": ("ZeroDivisionError", "1 / 0"),
     "exits": ("SystemExit: 3", "SystemExit"), "never returns": ("did not return", "BaseException"),
-    "NaN": ("must be a finite number", "def command"), "output": ("ValueError", "math.sqrt"),
+    "NaN": ("must be a finite number", "*given"), "output": ("ValueError", "math.sqrt"),
     "learns words": ("could not convert string to float: 'much'", ""),
 }
 
 
 def test_on_off_replaces_a_class_that_fails(site: Site) -> None:
     """With a warning that names file and line, until it works again; the node goes on."""
-    file, fault = site.cwd / "broken.py", site.cwd / "fault"
-    file.write_text(BROKEN)
+    file, fault = site.cwd / "mine.py", site.cwd / "fault"
+    file.write_text(MINE)
     commands = site.be_dry()
     fault.write_text("made")  # at the start of the node
     quick = site.cwd / "quick.yaml"
     quick.write_text("extends: site.yaml\ntau: 0.05\n")
     # One that failed is asked again after 60 times recovery_time, which is 1.8 s.
     with site.live(
-        "controller --controller broken:Broken", site_file=quick, recovery_time=0.03
+        "controller --controller mine:Broken", site_file=quick, recovery_time=0.03
     ) as process:
         for what, (why, text) in FAULTS.items():
             fault.write_text(what)
-            (line, *_) = (
-                number for number, words in enumerate(BROKEN.splitlines(), 1) if text in words
-            )
-            place = site.shows(
-                "/broken: command", WARN, "on/off control has been in command",
-                f"{file}, line {line}" if text else "", why,
-            )
-            site.until(place, LATE, f"{what}: {why}")
+            line = MINE[:MINE.index(text)].count("\n") + 1
+            place = f"{file}, line {line}" if text else ""
+            words = "on/off control has been in command", place, why
+            site.until(site.shows("/broken: command", WARN, *words), LATE, f"{what}: {why}")
             site.until(lambda: newest(commands) == 1.0, LATE, f"{what}: on/off")
             fault.unlink()
             site.until(lambda: newest(commands) == 0.3, LATE, f"{what}: its commands")
