@@ -70,23 +70,22 @@ class LiveSite:
             arguments.sensors = str(Path(arguments.sensors).resolve())
             sensors = {**read_sensors(Path(arguments.sensors)).by_section}
         if arguments.forecast not in (None, OPEN_METEO):
-            arguments.forecast = str(Path(arguments.forecast).resolve())
-        measures_frost = arguments.sensors == EXTERNAL or "thermometer" in sensors
-        has_forecast, has_weather = arguments.forecast is not None, arguments.weather is None
+            arguments.forecast = file = str(Path(arguments.forecast).resolve())
+            refuse((not file.lower().endswith(".csv"), "--forecast", file,
+                    "must be a FILE.csv, which is read again whenever it is replaced"))
+        sees_frost = arguments.sensors == EXTERNAL or "thermometer" in sensors
+        has_weather = arguments.weather is None
+        lacks_forecast = has_weather and arguments.forecast is None
         for option, is_missing in {
             "--sensors": arguments.sensors is None,
             "--drive, or --pump external": not drive and not arguments.pump,
             "--forecast, or a controller without a forecast, such as onoff":
-                has_weather and not has_forecast and self.controller.needs_forecast,
-            "--forecast, or a thermometer, which shows frost":
-                has_weather and not has_forecast and not measures_frost,
+                lacks_forecast and self.controller.needs_forecast,
+            "--forecast, or a thermometer, which shows frost": lacks_forecast and not sees_frost,
         }.items():
             refuse((is_missing, option, None, "is missing; what nodes of your own publish is "
                     "external, see greenroof live --help"))
         refuse(
-            (has_forecast and arguments.forecast != OPEN_METEO
-             and not arguments.forecast.lower().endswith(".csv"), "--forecast",
-             arguments.forecast, "must be a FILE.csv, which is read again whenever it is replaced"),
             (isinstance(self.drive, DriveEndpoint) and self.drive.address.line and any(
                 sensor.place.connection == self.drive.address.connection
                 for sensor in sensors.values() if isinstance(sensor, ModbusSensor)

@@ -16,7 +16,6 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from itertools import cycle, pairwise
-from statistics import median
 from typing import Any
 
 import pytest
@@ -92,14 +91,10 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
         site.values |= {"/pump/flow": 0.0, "/cistern/level": cistern(time.monotonic())}
         site.during(2)
         reports.clear()
-        commanded = len(commands)
+        commands.clear()
         site.during(6)
         assert 2 < len(reports) < 9  # what does not change is reported once a second
-        assert newest(commands) == 0.5
-        # One command per tick: none twice, and none left out unless the machine is busy.
-        times = [at for at, _ in commands[commanded:]]
-        assert len(times) < 1.1 * 6 / TAU + 10
-        assert median(b - a for a, b in pairwise(times)) == pytest.approx(TAU, rel=0.5)
+        assert newest(commands) == 0.5 and len(commands) < 1.1 * 6 / TAU + 10  # one per tick
 
 
 def test_nothing_that_is_published_ends_a_node(site: Site) -> None:

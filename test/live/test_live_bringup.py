@@ -255,15 +255,12 @@ def test_nodes_read_what_the_site_was_started_with_on_a_full_disk(
     """Not what is edited later, also after a restart, and if the copies were removed meanwhile.
 
     After a power cut no one is there to make room. A missing recording is an alarm, and does not
-    end the recorder. The login of the broker may be one that others may read by then.
+    end the recorder.
     """
     disk, sensors, site_file = (tmp_path / name for name in ("run", "sensors.yaml", "site.yaml"))
     evapotranspiration = site.listen("/weather/evapotranspiration")
-    login = tmp_path / "login.yaml"
-    login.write_text("username: u\npassword: p\n")
-    login.chmod(0o600)
     sensors.write_text((CONFIG / "sensors.yaml").read_text() + (
-        f"thermometer:\n  address: mqtt://127.0.0.1:1/t\n  login: {login}\n  scale: 1.0\n"
+        "thermometer:\n  address: mqtt://127.0.0.1:1/t\n  scale: 1.0\n"
         "  low: -40.0\n  high: 60.0\n  median: 1\n  max_age: 60.0\n"
     ))
     site_file.write_text(f"extends: {CONFIG / 'site.yaml'}\n")
@@ -281,7 +278,7 @@ def test_nodes_read_what_the_site_was_started_with_on_a_full_disk(
             values = read_yaml(CONFIG / "site.yaml")["monthly_evapotranspiration"]
             with site_file.open("a") as stream:
                 stream.write(f"monthly_evapotranspiration: {[2.0 * value for value in values]}\n")
-            login.chmod(0o644)
+            sensors.write_text("of: tomorrow\n")
             killed = process.nodes()["station"]
             environ = Path(f"/proc/{killed}/environ").read_text()
             shutil.rmtree(environ.partition("GREENROOF_ROS_COPIES=")[2].partition("\0")[0])
