@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -24,22 +24,27 @@ NAMES = ("pump", "controller", "station")
 
 
 class Site:
-    """A supervisor, and a record of what its processes and drive have done."""
+    """A supervisor, and a record of what its processes and drive have done.
+
+    Attributes:
+        pids: the process ids of each process, one for each start.
+        stops: of each stop of the drive the time, how often the pump had been started, and whether
+            the drive counted as reached.
+    """
 
     def __init__(self, directory: Path, kinds: tuple[str, str, str], silence_s: float):
         """Begin without a process. See :mod:`small_node` for their kinds."""
-        self.marks = directory / "marks"
-        self.marks.mkdir(exist_ok=True)
+        self.pids: dict[str, list[int]] = {name: [] for name in NAMES}
         self.told: list[str] = []
-        self.stops: list[tuple[float, bool]] = []
+        self.stops: list[tuple[float, int, bool]] = []
         self.may_run = False  # whether the drive cannot be stopped
 
         def stop_drive(_pump_node: int, reached: bool) -> tuple[bool, str]:
-            self.stops.append((time.monotonic(), reached))
+            self.stops.append((time.monotonic(), len(self.pids["pump"]), reached))
             return self.may_run, "the drive stands"
 
         self.processes = [
-            SiteProcess(name, ["small_node", kind, str(self.marks)], directory, limit)
+            SiteProcess(name, ["small_node", kind, str(directory / "reached")], directory, limit)
             for name, kind, limit in zip(NAMES, kinds, (2.0, silence_s, silence_s), strict=True)
         ]
         self.supervisor = LiveSupervisor(
@@ -51,8 +56,7 @@ class Site:
     def end(self) -> None:
         """End all processes; none may be left."""
         self._ending.close()
-        pids = [int(line.split()[1]) for line in self._lines()]
-        assert not any(map(alive, pids))
+        assert not any(alive(pid) for pids in self.pids.values() for pid in pids)
 
     def until(self, condition: Callable[[], object]) -> None:
         """Supervise until a condition holds."""
@@ -60,6 +64,9 @@ class Site:
         def step() -> bool:
             self.supervisor.read()
             self.supervisor.update()
+            for process in self.processes:
+                if process.pid and process.pid not in self.pids[process.name]:
+                    self.pids[process.name].append(process.pid)
             return bool(condition())
 
         wait_for(step, 60, "what the test waits for")
@@ -71,26 +78,15 @@ class Site:
         ended = time.monotonic() + seconds
         self.until(lambda: time.monotonic() > ended)
 
-    def _lines(self) -> list[str]:
-        with suppress(FileNotFoundError):
-            return (self.marks / "starts").read_text().splitlines()
-        return []
+    def kill(self, name: str, number: signal.Signals = signal.SIGKILL) -> tuple[int, float]:
+        """Send a signal to a process, and return its process id and the time."""
+        os.kill(self.pids[name][-1], number)
+        return self.pids[name][-1], time.monotonic()
 
-    def starts(self, kind: str) -> list[tuple[int, float]]:
-        """Return process id and time of each start of a process of this kind."""
-        words = map(str.split, self._lines())
-        return [(int(pid), float(at)) for name, pid, at in words if name == kind]
-
-    def kill(self, kind: str, number: signal.Signals = signal.SIGKILL) -> tuple[int, float]:
-        """Send a signal to a process of this kind, and return its process id and the time."""
-        pid = self.starts(kind)[-1][0]
-        os.kill(pid, number)
-        return pid, time.monotonic()
-
-    def restart(self, kind: str, number: signal.Signals = signal.SIGKILL) -> tuple[int, float]:
+    def restart(self, name: str, number: signal.Signals = signal.SIGKILL) -> tuple[int, float]:
         """Send a signal, and supervise until the process has been started once more."""
-        starts, sent = len(self.starts(kind)), self.kill(kind, number)
-        self.until(lambda: len(self.starts(kind)) > starts)
+        starts, sent = len(self.pids[name]), self.kill(name, number)
+        self.until(lambda: len(self.pids[name]) > starts)
         return sent
 
     def said(self) -> list[str]:
@@ -122,7 +118,7 @@ def test_a_process_that_died_or_hangs_is_started_again(make_site: Make, tmp_path
     site.during(0.5)
     running = len(files_of(os.getpid()))
     _, died = site.restart("controller")
-    assert site.starts("controller")[-1][1] - died >= 1
+    assert time.monotonic() - died >= 1
     site.during(0.5)
     assert len(files_of(os.getpid())) <= running
     hung, stopped = site.restart("station", signal.SIGSTOP)
@@ -137,7 +133,9 @@ def test_a_process_that_died_or_hangs_is_started_again(make_site: Make, tmp_path
     assert "controller was started" in (tmp_path / "controller.log").read_text()
 
 
-def test_the_drive_is_stopped_for_a_pump_node_that_cannot(make_site: Make) -> None:
+def test_the_drive_is_stopped_for_a_pump_node_that_cannot(
+    make_site: Make, tmp_path: Path
+) -> None:
     """Once, before the node is restarted, dead or silent; also if it is dead at the end.
 
     Once the drive was reached, it always counts as reached.
@@ -145,14 +143,14 @@ def test_the_drive_is_stopped_for_a_pump_node_that_cannot(make_site: Make) -> No
     site = make_site()
     site.until_ready()
     site.restart("pump")
-    ((stopped, reached),) = site.stops
-    assert stopped < site.starts("pump")[1][1] and not reached
-    (site.marks / "reached").touch()
-    site.during(0.5)
-    (site.marks / "reached").unlink()
+    assert [stop[1:] for stop in site.stops] == [(1, False)]
+    (tmp_path / "reached").touch()
+    site.during(1.0)
+    (tmp_path / "reached").unlink()
     site.during(0.5)
     hung, began = site.restart("pump", signal.SIGSTOP)
-    assert 1.5 < site.stops[1][0] - began < 4.5 and site.stops[1][1] and not alive(hung)
+    assert site.stops[1][1:] == (2, True) and not alive(hung)
+    assert 1.5 < site.stops[1][0] - began < 4.5
     site.kill("pump")
     time.sleep(0.2)
     site.end()
@@ -174,14 +172,14 @@ def test_a_pump_node_that_fails_again_and_again_stays_off(
     monkeypatch.setattr(upkeep, "MAX_WAIT_S", 0.5)
     site = make_site("fails", "controller", "station")
     site.may_run = True
-    site.until(lambda: len(site.starts("fails")) == 2 and len(site.stops) >= 5)
+    site.until(lambda: len(site.pids["pump"]) == 2 and len(site.stops) >= 5)
     site.may_run = False
     tried = len(site.stops)
     site.during(2.0)
-    assert tried <= len(site.stops) <= tried + 1 and len(site.starts("fails")) == 2
+    assert tried <= len(site.stops) <= tried + 1 and len(site.pids["pump"]) == 2
     assert site.said()[0] == "pump: ended (exit code 1); starts again in 0.5 s"
     assert "has failed too often, and stays off until the site is restarted" in site.said()[2]
-    assert all(alive(site.starts(name)[-1][0]) for name in ("controller", "station"))
+    assert all(alive(site.pids[name][-1]) for name in ("controller", "station"))
 
 
 def test_a_start_that_the_system_refuses_is_no_failure_of_the_process(
@@ -200,8 +198,7 @@ def test_a_start_that_the_system_refuses_is_no_failure_of_the_process(
         site.until(lambda: site.told.count(refused) > 5)
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-    site.until(lambda: len(site.starts("station")) == 2)
-    site.end()
+    site.until(lambda: len(site.pids["station"]) == 2)
 
 
 @pytest.mark.parametrize(("lost", "why", "code", "last_line", "starts"), [
@@ -219,15 +216,15 @@ def test_what_ends_the_site(
     site = make_site("pump", "controller", lost)
     if lost == "station":
         site.until_ready()
-        site.kill(lost)
+        site.kill("station")
         site.until(lambda: "for people: ended (SIGKILL)" in site.told)
-        site.kill(lost)
+        site.kill("station")
     with pytest.raises(NodeFailed) as failed:
         site.until(lambda: False)
     site.end()
     assert (str(failed.value), failed.value.code) == (f"station ended ({why})", code)
     assert any(text.endswith(f"\n  {last_line}") for text in site.told)
-    assert len(site.starts(lost)) == starts
+    assert len(site.pids["station"]) == starts
 
 
 def test_a_pause_of_the_machine_is_nobodys_silence(make_site: Make) -> None:
