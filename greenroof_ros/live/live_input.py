@@ -16,8 +16,10 @@ from greenroof_ros.interface.topics import Topic
 from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.pumping.input_rules import AWAITED, InputRules
 from greenroof_ros.ros.inputs import Input
-from greenroof_ros.ros.publishers import DISCOVERY_S, Publishers
+from greenroof_ros.ros.publishers import Publishers
 
+# A node's name and its other endpoints may be discovered this long after its publisher (s).
+_DISCOVERY_S = 1.0
 _UNKNOWN = "unknown"
 
 
@@ -76,7 +78,7 @@ class LivePublishers(Publishers):
         if self._incompatible_at > -math.inf:
             if incompatible := self.describe_incompatible():
                 return incompatible
-            if time.monotonic() - self._incompatible_at > DISCOVERY_S:
+            if time.monotonic() - self._incompatible_at > _DISCOVERY_S:
                 self._incompatible_at = -math.inf  # it has gone
         return super().describe_second()
 

@@ -117,7 +117,7 @@ class LiveNode(GraphNode):
             if now >= self._ignoring_until:
                 entry.receive(message)
 
-        self.peers.publishers[name] = publishers
+        self.peers[name] = publishers
         profile = qos_profile(publishers.required)  # it requests no past messages
         self.open_subscription(publishers.topic, receive, profile, publishers.events())
         return entry

@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from greenroof_ros.base.command_line import command
+from greenroof_ros.base.command_line import Parser, command
 from greenroof_ros.base.standard_error import Lines
 from greenroof_ros.live.node import LiveNode, spin
 from greenroof_ros.live.recorder import LiveRecorderNode
@@ -28,7 +28,7 @@ from greenroof_ros.live.upkeep import Restarts
 from greenroof_ros.live.weather import LiveWeatherNode
 from greenroof_ros.nodes.alarms import AlarmsNode
 from greenroof_ros.ros.errors import print_failure
-from greenroof_ros.ros.executable import NodeParser, run_nodes
+from greenroof_ros.ros.executable import parse_own_arguments, run_nodes
 from greenroof_ros.ros.spin import end_nodes
 
 Make = Callable[[], LiveNode | AlarmsNode]
@@ -78,10 +78,10 @@ def keep_nodes(
 @command
 def main() -> int:
     """Run the nodes."""
-    parser = NodeParser(description=__doc__)
+    parser = Parser(description=__doc__)
     parser.add_argument("--sensors", type=Path, help="sensor file")
     parser.add_argument("--weather", action="store_true", help="run the weather node")
-    arguments = parser.parse_own_args()
+    arguments = parse_own_arguments(parser)
     # In the order in which they end.
     makers: list[Make] = [LiveRecorderNode, partial(AlarmsNode, Lines(1))]
     if arguments.weather:

@@ -83,7 +83,7 @@ class Judge:
             cause = causes.get(name, "")
             alarm = replace(
                 diagnosis, sentence=_headline(diagnosis), follows=cause,
-                since=diagnosis.since or now - (wall - diagnosis.began),
+                since=now - (wall - diagnosis.began),
             )
             if before is not None:
                 follows = cause if cause in self.present else ""
@@ -114,20 +114,28 @@ class Judge:
                 yield self.over[0]
 
 
-def name_source(name: str) -> str:
-    """Return a plain name for the source of an alarm: ``Roof sensor`` for ``/roof_sensor: x``."""
-    return name.partition(": ")[0].rpartition("/")[2].replace("_", " ").capitalize()
+def name_source(name: str, role: str = "") -> str:
+    """Return a plain name for the source of a status: ``Roof sensor`` for ``/roof_sensor: x``.
+
+    Args:
+        name: name of the status.
+        role: role of the node; a controller is called by its role.
+    """
+    plain = name.partition(": ")[0].rpartition("/")[2].replace("_", " ")
+    return "Controller" if role == "controller" else f"{plain[:1].upper()}{plain[1:]}"
 
 
 def _headline(diagnosis: StatusDiagnosis) -> str:
-    """Return the sentence of a diagnosis in an operator's words, if the table has one."""
+    """Return the headline of a diagnosis, in an operator's words."""
     topics = read_topics()
     labels = [
         display.label.lower() for name in diagnosis.about
         if name in topics and (display := topics[name].display) is not None
     ]
-    headline = diagnosis.condition.headline.format(inputs=" or ".join(labels) or "value")
-    return headline or diagnosis.sentence
+    condition = diagnosis.condition
+    return (condition.headline or condition.meaning).format(
+        inputs=" or ".join(labels) or "value", sentence=diagnosis.sentence
+    )
 
 
 # --- causes ---------------------------------------------------------------------------------------
@@ -204,11 +212,9 @@ def _find_senders(diagnosis: StatusDiagnosis) -> set[str]:
     """Return the roles that publish the data that a part of a node lacks."""
     if not diagnosis.part or not diagnosis.condition.no_data:
         return set()
-    topics = [topic for name, topic in read_topics().items() if name in diagnosis.about]
-    return {
-        role for topic in topics for role in (*topic.publishers, *topic.live_publishers)
-        if role != diagnosis.role
-    }
+    topics = read_topics()
+    found = (topics[name].senders for name in diagnosis.about if name in topics)
+    return set[str]().union(*found) - {diagnosis.role}
 
 
 def _rank(diagnosis: StatusDiagnosis, cause: StatusDiagnosis, senders: set[str]) -> int:

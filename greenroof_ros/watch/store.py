@@ -252,7 +252,7 @@ class GraphStore(Reports):
         """
         with self.lock:
             self.wall = wall
-            self.receive(wall, self.now, statuses, stamp_ns)
+            self.receive(wall, statuses, stamp_ns)
 
     def add(self, topic: str, time_ns: int, value: Any) -> None:
         """Add a value of any topic but those of reports and alarms.

@@ -79,14 +79,14 @@ def _make_tile(
 
 def _find_doubt(store: GraphStore, topic: str) -> str:
     """Return what the node that publishes a topic, or a reader, reports to be wrong with it."""
-    publishers = {*read_topics()[topic].publishers, *read_topics()[topic].live_publishers}
+    senders = read_topics()[topic].senders
     found = [
         alarm for alarm in store.present
-        if alarm.is_serious and (topic in alarm.about or alarm.role in publishers)
+        if alarm.is_serious and (topic in alarm.about or alarm.role in senders)
     ]
     if store.gone_since is not None or not found:
         return ""
-    first = min(found, key=lambda alarm: (bool(alarm.follows), alarm.role not in publishers))
+    first = min(found, key=lambda alarm: (bool(alarm.follows), alarm.role not in senders))
     return f"{words.name_source(first.name, first.role)}: {first.sentence}"
 
 

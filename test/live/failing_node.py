@@ -36,7 +36,7 @@ class FailingAlarms(AlarmsNode):
 kind = sys.argv[1]
 sys.argv[1:] = ["--ros-args"]
 if kind == "alone":
-    sys.exit(run_nodes(partial(Failing, 3.0), spin))
+    sys.exit(run_nodes(lambda: [Failing(3.0)], spin))
 upkeep.MAX_WAIT_S, upkeep.MAX_RESTARTS = 0.5, 2
 working = partial(LiveNode, "weather", "weather")
 makers = {"station": [Failing, working, AlarmsNode], "alarms": [working, FailingAlarms]}[kind]

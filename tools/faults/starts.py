@@ -17,14 +17,14 @@ from pathlib import Path
 import pytest
 from faults.bounds import bounds
 from faults.cases import DRIVES
-from faults.rig import CONTROLLER, RIGS
+from faults.rig import RIGS
 from graphs import Process, environment, reserved_domain
 
 STARTS = int(os.environ.get("STARTS", "100"))
 # A start takes about this long until the pump runs (s).
 _START_S = 15.0
 # The bound of each process's end.
-_BOUNDS = {"pump": "drive", "bringup": "drive", CONTROLLER: "command", "station": "level"}
+_BOUNDS = {"pump": "drive", "bringup": "drive", "controller": "command", "station": "level"}
 
 os.environ |= environment(0)
 
