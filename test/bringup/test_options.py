@@ -45,7 +45,7 @@ WRONG = {
     "live --weather external --pump external": "--sensors: is missing; what nodes of your own",
     "live --weather external --sensors external": "--drive, or --pump external: is missing",
     f"{WEATHERED}": "--forecast, or a controller without a forecast, such as onoff: is missing",
-    f"{WEATHERED} --controller onoff":
+    f"live --controller onoff --sensors {CHECKOUT}/config/sensors.yaml --pump external":
         "--forecast, or a thermometer, which shows frost: is missing",
     f"{WEATHERED} --forecast no.json": "no.json': must be a FILE.csv, which is read again",
     f"{SENSED} --drive no_such_drive --drive-at tcp://127.0.0.1:1": "drive = 'no_such_drive': is",
@@ -147,9 +147,9 @@ def test_a_command_each_tick_is_never_too_old(tmp_path: Path, tau: float, limit:
         f"/**/pump:\n  ros__parameters:\n    min_off: 1.0\n    {limit}\n"
     )
     done = run_command(
-        "bringup.live", "--sensors", "external", "--weather", "external", "--thermometer",
-        "external", *DRIVE.split(), "--site", str(site_file(tmp_path, tau=tau)),
-        "--node-parameters", "nodes.yaml", cwd=tmp_path, env=environment(0),
+        "bringup.live", "--sensors", "external", "--weather", "external", *DRIVE.split(), "--site",
+        str(site_file(tmp_path, tau=tau)), "--node-parameters", "nodes.yaml", cwd=tmp_path,
+        env=environment(0),
     )
     assert done.returncode == 2 and not (tmp_path / "live").exists()
     assert (
