@@ -7,12 +7,11 @@ import socket
 import struct
 import threading
 from collections.abc import Callable
-from typing import Any
 
 import pytest
 from modbus_wire import Answer, acs880
 
-from greenroof_ros.live.devices import drive, exchange, modbus_line
+from greenroof_ros.live.devices import drive, exchange
 from greenroof_ros.live.devices.drive import DriveEndpoint, DriveStatus
 from greenroof_ros.live.devices.drive_file import DriveFile
 from greenroof_ros.live.devices.exchange import DriveExchange, DriveSnapshot
@@ -101,7 +100,7 @@ class Cable:
     def error(self, kind: str, problem: str) -> DriveError:
         return DriveError(kind, f"there: {problem}")
 
-    def read(self, address: int, count: int, *, inputs: bool = False) -> list[int]:
+    def read(self, address: int, count: int) -> list[int]:
         data = self._request(f"reading register {address}", 3, address, count)
         return list(struct.unpack(f">{count}H", data[9:]))
 
@@ -136,6 +135,7 @@ class Bench:
         exchange: not yet started.
         speed: the speed that is asked for; None for off.
         asks: whether it is asked; if a start failed, it is asked for off.
+        insists: whether the speed is asked for even after a failed start.
         connections: number of connections so far.
         asked: when each request came (s).
     """
@@ -146,12 +146,12 @@ class Bench:
         self.clock, self.drive = Clock(), acs880()
         self.answer: Callable[[bytes], Answer] = self.drive
         self.speed: float | None = None
-        self.asks, self.connections, self.asked = True, 0, list[float]()
-        for module in (drive, exchange, modbus_line):
+        self.asks, self.insists, self.connections, self.asked = True, False, 0, list[float]()
+        for module in (drive, exchange):
             monkeypatch.setattr(module, "time", self.clock)
         monkeypatch.setattr(exchange, "boot_time", self.clock.boot_time)
         monkeypatch.setattr(exchange, "acquire_drive_lock", lambda _endpoint: socket.socket())
-        monkeypatch.setattr(DriveFile, "line", lambda _file, _at, timeout_s: Cable(self, timeout_s))
+        monkeypatch.setattr(drive, "ModbusLine", lambda _at, _set, timeout: Cable(self, timeout))
         self.exchange = DriveExchange(DriveEndpoint(file, Address(line="there")))
         self.exchange._wake = Wake(self.clock)
 
@@ -161,7 +161,8 @@ class Bench:
 
     def step(self) -> None:
         if self.asks:
-            self.exchange.request_speed(None if self.now.start_failed else self.speed)
+            failed = self.now.start_failed and not self.insists
+            self.exchange.request_speed(None if failed else self.speed)
         self.clock.advance(self.exchange._thread)
 
     def until(self, condition: Callable[[], object], within: float = 300.0) -> float:
@@ -193,6 +194,11 @@ class Bench:
         """Wait until the drive's status meets a condition."""
         self.until(lambda: self.now.status and condition(self.now.status))
 
+    def until_written(self, order: tuple[int, int]) -> float:
+        """Wait until a word is written to a register."""
+        self.drive.written.clear()
+        return self.until(lambda: order in self.drive.written)
+
     def written_in(self, rounds: int) -> list[tuple[int, int]]:
         """Return what is written from now on in this many rounds, with at least two words each."""
         self.drive.written.clear()
@@ -213,11 +219,10 @@ class Bench:
     def close(self) -> float:
         """Close the exchange if it was started, and return how long that took (s)."""
         began, self.asks = self.clock.now, False
-        closing: Any = threading.Thread(target=self.exchange.close)
-        if self.exchange.started:
-            closing.start()
-            self.exchange._thread.join(0.05)
-            while self.exchange._thread.is_alive():
-                self.clock.advance(self.exchange._thread)
-            closing.join()
+        closing = threading.Thread(target=self.exchange.close)
+        closing.start()
+        self.exchange._thread.join(0.05)
+        while self.exchange._thread.is_alive():
+            self.clock.advance(self.exchange._thread)
+        closing.join()
         return self.clock.now - began

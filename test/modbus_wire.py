@@ -25,7 +25,6 @@ class Wire:
     def __init__(self, answer: Callable[[bytes], Answer], port: int = 0) -> None:
         self.answer = answer
         self.requests: list[bytes] = []
-        self.times: list[float] = []  # when each frame came (s, `time.monotonic`)
         self.connections = 0
         self.resets = 0  # number of connections that the other side reset instead of closing
         self._listener = socket.create_server(("127.0.0.1", port))
@@ -52,19 +51,12 @@ class Wire:
         """The newest connection."""
         return self._open[-1]
 
-    def drop(self) -> None:
-        """Close every connection, like a drive that loses power."""
-        for connection in self._open:
-            with contextlib.suppress(OSError):
-                connection.shutdown(socket.SHUT_RDWR)
-            connection.close()
-        self._open.clear()
-
     def close(self) -> None:
-        with contextlib.suppress(OSError):
-            self._listener.shutdown(socket.SHUT_RDWR)
-        self._listener.close()
-        self.drop()
+        for each in (self._listener, *self._open):
+            with contextlib.suppress(OSError):
+                each.shutdown(socket.SHUT_RDWR)
+            each.close()
+        self._open.clear()
 
     def _accept(self) -> None:
         while True:
@@ -82,7 +74,6 @@ class Wire:
                 while head := stream.read(6):
                     request = head + stream.read(int.from_bytes(head[4:6], "big"))
                     self.requests.append(request)
-                    self.times.append(time.monotonic())
                     answers = self.answer(request)
                     if answers is None:
                         connection.close()

@@ -621,8 +621,8 @@ class SiteBench(Bench, SimulatedSite):
     def flow(self, speed: float) -> float:
         return 0.0 if self.fault.name == "closed_valve" else super().flow(speed)
 
-    def step(self, speed: float, flow: float) -> None:
-        super().step(speed, flow)
+    def step(self, flow: float) -> None:
+        super().step(flow)
         site, tau = self.virtual_site, self._site.tau
         x1, x2, layer = site.state
         if self.fault.name == "burst_pipe":

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import asyncio
 import re
 import signal
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import TypeVar
 
 import rig_simulators
 from commands import Forked
 from graphs import environment
 from places import CHECKOUT, words_of
-from rig_simulators import DEFAULT, PseudoLine
+from rig_simulators import DEFAULT
 
 from greenroof_ros.base.processes import child_environment
 from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine, parse_address
@@ -27,21 +24,6 @@ PATIENCE_S = 30.0
 T = TypeVar("T")
 
 _PLACE = re.compile(r"(?:tcp|gateway)://127\.0\.0\.1:(\d+), device")
-
-
-@contextmanager
-def serial_line() -> Iterator[tuple[str, ...]]:
-    """Lay a serial line, and return the devices at its two ends."""
-    line, loop = PseudoLine(), asyncio.new_event_loop()
-    loop.call_soon(line.join)
-    thread = threading.Thread(target=loop.run_forever)
-    thread.start()
-    try:
-        yield line.ends
-    finally:
-        loop.call_soon_threadsafe(loop.stop)
-        thread.join()
-        loop.close()
 
 
 class Workbench:

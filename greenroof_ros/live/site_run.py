@@ -160,8 +160,7 @@ def _end(write: Callable[[str, str], None], may_run: str, error: Exception) -> i
     reason = str(error) if isinstance(error, (InterruptedRun, NodeFailed)) else describe(error)
     reason = "; ".join(filter(None, (reason, may_run)))
     write(summary.DONE if is_done else summary.FAILED, reason)
-    if not DISK.wait(_WRITTEN_S):
-        print_line("warning: the disk does not respond")
+    DISK.wait(_WRITTEN_S)
     _tell(f"done: {reason}" if is_done else f"error: {reason}")
     if is_done:
         return EXIT_DONE

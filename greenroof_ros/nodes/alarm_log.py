@@ -45,10 +45,8 @@ class AlarmLog:
         self._tell, self._file = tell, file
         self._alarms: dict[int, Alarm] = {}
         self._problem = ""  # why all alarms must be written anew; empty if a line may be added
-        self._given_up = False  # whether reading the file took too long
         self._write_all = partial(self._write, None)  # the same object, so that it is queued once
         if file is not None and not (_DISK.do(self._resume) and _DISK.wait(_RESUMED_S)):
-            self._given_up = True
             tell(f"warning: {file}: the disk does not respond{_NOT_SHOWN}")
         self.last_number = max(self._alarms, default=0)
 
@@ -65,9 +63,9 @@ class AlarmLog:
         except (OSError, ValueError) as error:
             self._tell(f"warning: {error}{_NOT_SHOWN}")
         else:
-            if not self._given_up:  # later, it would replace alarms of the same numbers
-                self._alarms.update(read)
-                self._write_all()
+            for number, alarm in read.items():
+                self._alarms.setdefault(number, alarm)  # if it came late, there are new ones
+            self._write_all()
 
     def add(self, changed: Iterable[Alarm]) -> None:
         """Print and store alarms; a new level or cause is stored but not printed."""

@@ -226,7 +226,8 @@ class GraphStore(Reports):
             or any(node.is_online(self.steady) for node in nodes)
         ):
             return None
-        return max((node.last_time for node in nodes), default=self.seen_at)
+        reported = [self.system - self.steady + node.received_at for node in nodes]
+        return max(reported, default=self.seen_at)
 
     @property
     def runs_on(self) -> bool:
@@ -246,7 +247,7 @@ class GraphStore(Reports):
         """
         with self.lock:
             self.steady = steady
-            self.receive(steady, self.now or stamp_ns / 1e9, statuses, stamp_ns)
+            self.receive(steady, statuses, stamp_ns)
 
     def add(self, topic: str, time_ns: int, value: Any) -> None:
         """Add a value of any topic but those of reports and alarms.

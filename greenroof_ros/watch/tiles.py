@@ -81,18 +81,18 @@ def _make_tile(
 
 def _find_doubt(store: GraphStore, topic: str) -> str:
     """Return what the node that publishes a topic, or a reader, reports to be wrong with it."""
-    publishers = {*read_topics()[topic].publishers, *read_topics()[topic].live_publishers}
+    senders = read_topics()[topic].senders
     parts = "", "sensor", "gauge", topic.rpartition("/")[2]  # of what publishes this topic
     lacking = {code for code, row in read_conditions().items() if row.no_data or row.device}
     found = [
         alarm for alarm in store.present if topic in alarm.about or (
-            alarm.role in publishers and alarm.part in parts
+            alarm.role in senders and alarm.part in parts
             and (alarm.is_serious or alarm.code in lacking)
         )
     ]
     if store.gone_since is not None or not found:
         return ""
-    first = min(found, key=lambda alarm: (bool(alarm.follows), alarm.role not in publishers))
+    first = min(found, key=lambda alarm: (bool(alarm.follows), alarm.role not in senders))
     return describe_alarm(first)
 
 

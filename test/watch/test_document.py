@@ -424,6 +424,7 @@ def test_old_alarms_mean_that_the_sites_program_no_longer_runs() -> None:
     """Only that is concluded, 10 s after the last ones; then nothing reads as running."""
     sky = alarm("/weather: sky", "weather", "x", "y", number="")
     graph = watched("live", DEAD, sky)  # killed while it starts
+    graph.system += 5
     for steady, gone in ((110.0, False), (110.1, True)):
         pump_says(graph, 106.0, "running: as commanded", at_rest=True, flow=2e-4)
         document = shown(graph, steady)

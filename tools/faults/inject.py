@@ -36,7 +36,7 @@ from greenroof_ros.base.command_line import EXIT_OCCUPIED
 from greenroof_ros.base.processes import child_environment
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.live.devices.drive_file import read_drive_file
-from greenroof_ros.live.devices.modbus_line import encode, parse_address
+from greenroof_ros.live.devices.modbus_line import ModbusLine, encode, parse_address
 
 _SIGNALS = {"kill": signal.SIGKILL, "term": signal.SIGTERM}
 # Shorter than every limit (s).
@@ -309,7 +309,7 @@ def _rewrite_timeout(rig: Rig, case: Case, undo: ExitStack) -> None:
     register = file.registers[timeout.register]
 
     def write(seconds: float) -> None:
-        line = file.line(address, 1.0)
+        line = ModbusLine(address, file.serial, 1.0)
         line.connect()
         words = encode(seconds / register.scale, register.type, register.word_order)
         for number, word in enumerate(words):

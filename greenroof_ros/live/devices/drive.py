@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import functools
-import itertools
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from operator import or_
 
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.devices.drive_file import (
@@ -17,7 +14,7 @@ from greenroof_ros.live.devices.drive_file import (
     Step,
     Timeout,
 )
-from greenroof_ros.live.devices.modbus_line import Address, DriveError, decode, limits
+from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine, decode, limits
 from greenroof_ros.physics.pump import STANDSTILL
 
 TIMEOUT_S = 0.5
@@ -66,6 +63,8 @@ class Drive:
 
     Attributes:
         line: the connection.
+        may_run: function that is called before each step of a start and while waiting; if it
+            returns False, the start is abandoned.
     """
 
     def __init__(self, file: DriveFile, address: Address, timeout_s: float = TIMEOUT_S) -> None:
@@ -76,7 +75,8 @@ class Drive:
             address: address of the drive.
             timeout_s: maximum time to wait for a connection and for each response (s).
         """
-        self.line = file.line(address, timeout_s)
+        self.line = ModbusLine(address, file.serial, timeout_s)
+        self.may_run: Callable[[], bool] = lambda: True
         self._file, self._interface = file, address.interface
         self._timeout = file.timeout.get(address.interface)
         self._full_scale: dict[str, float] = {}
@@ -138,7 +138,7 @@ class Drive:
             status.remote is None or self._holds(status.remote, word), timed_out,
         )
 
-    def run(self, speed: float, may_continue: Callable[[], bool] = lambda: True) -> None:
+    def run(self, speed: float) -> None:
         """Make the drive ready if needed, then write the speed and the control word.
 
         The caller repeats the call while the pump must run, because many drives stop if nothing is
@@ -146,8 +146,6 @@ class Drive:
 
         Args:
             speed: requested speed (share of the rated speed), 0 to 1.
-            may_continue: function that is called before each step and while waiting; if it returns
-                False, the sequence is abandoned.
 
         Raises:
             DriveError: if no valid response arrives, a fault is active, or a state is not reached
@@ -157,11 +155,11 @@ class Drive:
         if fault := self._fault(word)[0]:
             raise self.line.error("drive", f"fault: {fault}")
         running = self._prepared and self._holds(self._file.status.running, word)
-        if not self._prepared and not self._perform(self._file.sequences.ready, may_continue):
+        if not self._prepared and not self._perform(self._file.sequences.ready, self.may_run):
             return
         self._prepared = True
         self._write("reference", self._encode(speed))
-        self._perform(self._file.sequences.run, may_continue, wait=not running)
+        self._perform(self._file.sequences.run, self.may_run, wait=not running)
 
     def stop(self) -> None:
         """Ramp the pump down, and switch it off.
@@ -215,9 +213,9 @@ class Drive:
             if error.kind == "connection":
                 raise
             return None
-        steps = itertools.chain(*vars(self._file.sequences).values())
-        used = functools.reduce(or_, (step.value for step in steps if step.write == "control"))
-        same = not (word ^ self._word) & used
+        differs = word ^ self._word
+        steps = [step for steps in vars(self._file.sequences).values() for step in steps]
+        same = not any(differs & step.value for step in steps if step.write == "control")
         self._echoes |= same
         if same or not self._echoes:
             return None

@@ -16,14 +16,7 @@ from typing import Any
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
 from greenroof_ros.base.files import as_started, shared_directory
 from greenroof_ros.base.parameter import entry, read_record
-from greenroof_ros.live.devices.modbus_line import (
-    WIDTHS,
-    WORD_ORDERS,
-    Address,
-    ModbusLine,
-    Serial,
-    coding_mistakes,
-)
+from greenroof_ros.live.devices.modbus_line import WIDTHS, WORD_ORDERS, Serial, coding_mistakes
 
 # Default limit of a device's own communication timeout (s). Within this time, apart from its ramp,
 # a device also shows whether it obeys.
@@ -187,15 +180,6 @@ class DriveFile(DeviceFile):
     timeout: dict[str, Timeout] = entry(
         "the drive's own communication timeouts of its port `serial` and its Ethernet port `tcp`")
     min_speed: float = entry("minimum share of the rated speed at which the pump may run", 0, 1)
-
-    def line(self, address: Address, timeout_s: float) -> ModbusLine:
-        """Return a connection to the drive that is not yet open.
-
-        Args:
-            address: address of the drive.
-            timeout_s: maximum time to wait for a connection and for each response (s).
-        """
-        return ModbusLine(address, self.serial, timeout_s)
 
 
 @dataclass(frozen=True)

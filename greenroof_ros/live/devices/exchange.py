@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import socket
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -24,13 +25,15 @@ from greenroof_ros.live.devices.drive_file import (
     read_drive_file,
     read_relay_file,
 )
-from greenroof_ros.live.devices.modbus_line import DeviceThread, DriveError, parse_address
+from greenroof_ros.live.devices.modbus_line import DriveError, parse_address
 from greenroof_ros.live.devices.relay import Relay, RelayEndpoint
 
 # The connection is treated as lost after this many consecutive rounds without a valid answer.
 LOST_AFTER = 2
 # Time without a request of the caller after which the drive is stopped (s).
 DEAD_MAN_S = LOST_AFTER * TIMEOUT_S
+# Wait for the remainder of a late answer (s).
+_REMAINDER_S = 0.1
 # Wait before a new attempt to connect (s): the first, and the longest.
 FIRST_WAIT_S, MAX_WAIT_S = TIMEOUT_S / 2, LIMIT_S / 2
 # Time in which the drive must acknowledge its fault (s); after that, the fault counts again.
@@ -182,7 +185,7 @@ class DriveSnapshot:
         return self.status if now - self.read_at < LIMIT_S else None
 
 
-class DriveExchange(DeviceThread):
+class DriveExchange:
     """A thread that keeps a drive running at the last requested speed, or off.
 
     In every period, the thread writes the control word and reads the status, so the drive's own
@@ -223,7 +226,9 @@ class DriveExchange(DeviceThread):
         Raises:
             ConfigurationError: if a library is not installed or a login file is invalid.
         """
-        super().__init__("communication with the drive")
+        self._closing = self._done = False
+        self._wake = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="drive", daemon=True)
         self._snapshot, self._lock = DriveSnapshot(), threading.Lock()
         self.endpoint, self.flows_at_rest = endpoint, False
         self._drive: Drive | Relay = endpoint.connection()
@@ -256,14 +261,26 @@ class DriveExchange(DeviceThread):
         """The latest snapshot."""
         return self._snapshot
 
+    @property
+    def started(self) -> bool:
+        """Whether the thread was started, even if it has ended."""
+        return self._thread.ident is not None
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
     def close(self) -> None:
         """Stop the drive, check for standstill, and release it; `snapshot` contains the result.
 
         The call waits while the speed is falling, for at most `REST_LIMIT_S`. If the speed does not
         fall, or the drive does not respond, the drive is released after a few seconds.
         """
-        self._requested = (None, -math.inf)
-        if not self._stop_thread(REST_LIMIT_S + MAX_WAIT_S):
+        self._requested, self._closing = (None, -math.inf), True
+        self._wake.set()
+        if self.started:
+            self._thread.join(REST_LIMIT_S + MAX_WAIT_S)
+        if self._thread.is_alive():
             problem = "could not confirm that the pump has stopped: the connection hangs"
             self._update(problem=problem, connected=False, status=None)
         elif self._drive_lock is not None:
@@ -339,8 +356,10 @@ class DriveExchange(DeviceThread):
         with self._lock:
             self._snapshot = replace(self._snapshot, **changes)
 
-    def _must_not_wait(self) -> bool:
-        return self._closing or self._stop_requested
+    def _pause(self, seconds: float) -> None:
+        """Wait for a given time (s), or until the thread is woken."""
+        self._wake.wait(max(0.0, seconds))
+        self._wake.clear()
 
     def _target_speed(self) -> float | None:
         speed, at = self._requested
@@ -358,9 +377,22 @@ class DriveExchange(DeviceThread):
             return None
         return Diagnosis.of("drive_guards_later", time=self._unguarded_s)
 
+    def _work(self) -> None:
+        while not self._done:
+            try:
+                self._step()
+            except Exception as error:  # whatever the error, the next step follows
+                problem = str(error)
+                if not isinstance(error, DriveError):
+                    problem = f"communication with the drive failed: {error!r}"
+                    logging.getLogger(__name__).exception("communication with the drive failed")
+                with suppress(OSError):  # a connection that cannot be closed
+                    self._handle_failure(problem)
+
     def _step(self) -> None:
         """Connect, and control the drive until the connection is lost or the exchange is closed."""
-        self._pause_until(self._connect_at)
+        while not (self._closing or self._stop_requested) and time.monotonic() < self._connect_at:
+            self._pause(self._connect_at - time.monotonic())
         self._stop_requested, self._last_attempt = False, self._closing
         if self._drive_lock is None:
             if self._closing:
@@ -397,6 +429,7 @@ class DriveExchange(DeviceThread):
     def _connect(self) -> None:
         """Connect, and stop the drive."""
         self._drive = drive = self.endpoint.connection()
+        drive.may_run = lambda: self._target_speed() is not None
         self._unanswered, self._stopped, self._reset_requested = 0, None, False
         drive.line.connect()
         self._settings_read_at = -math.inf
@@ -433,7 +466,7 @@ class DriveExchange(DeviceThread):
                 raise
             self._update(problem=str(error))
             # The remainder of a late answer must not be read as the next answer.
-            time.sleep(self.endpoint.period)
+            time.sleep(_REMAINDER_S)
             return
         self._check_stop(status)
         self._unanswered, self._wait_s = 0, FIRST_WAIT_S
@@ -487,7 +520,7 @@ class DriveExchange(DeviceThread):
             return against.sentence if against else ""
         self._fall = None
         try:
-            self._drive.run(speed, lambda: self._target_speed() is not None)
+            self._drive.run(speed)
         except DriveError as error:
             if error.kind != "drive":
                 raise

@@ -17,12 +17,9 @@ def value_at(content: Any, path: str) -> Any:
     """Return the value at a path in a JSON value.
 
     Raises:
-        LookupError: if there is no value at the path.
+        LookupError, TypeError: if there is no value at the path.
     """
-    try:
-        for step in parse_path(path):
-            content = content[step]
-    except TypeError:
-        raise LookupError(path) from None
+    for step in parse_path(path):
+        content = content[step]
     return content
 

@@ -3,23 +3,17 @@
 Every response is checked, and every failure raises an error that names the device. The function
 codes are 03 and 04 (read holding registers, input registers) and 06 (write single register) of the
 Modbus Application Protocol V1.1b3. No request is repeated automatically, because the caller decides
-how to handle a lost request. The module also encodes and decodes register values, and contains a
-thread that serves a single device.
+how to handle a lost request. The module also encodes and decodes register values.
 """
 
 from __future__ import annotations
 
-import copy
 import logging
 import os
 import re
 import socket
 import struct
-import threading
-import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -185,7 +179,12 @@ def check_installed() -> None:
 
 
 class ModbusLine:
-    """A connection to a device; :meth:`for_device` gives access to others on the same line."""
+    """A connection to a device.
+
+    Attributes:
+        device_id: unit identifier or slave address of the device, to be changed for another one on
+            the same line.
+    """
 
     def __init__(
         self, address: Address, serial: Serial, timeout_s: float
@@ -204,7 +203,7 @@ class ModbusLine:
         from pymodbus.client import ModbusTcpClient
 
         self._address, self._timeout_s = address, timeout_s
-        self._device_id = serial.device_id_at(address)
+        self.device_id = serial.device_id_at(address)
         # The bytes of the last request (True), and of what was received after it (False).
         self._frames = {True: b"", False: b""}
         self._client: ModbusTcpClient | ModbusSerialClient
@@ -216,16 +215,10 @@ class ModbusLine:
                 trace_packet=self._trace,
             )
 
-    def for_device(self, device_id: int) -> ModbusLine:
-        """Return this connection for requests to another device on the same line."""
-        other = copy.copy(self)
-        other._device_id = device_id
-        return other
-
     @property
     def where(self) -> str:
         """Address and device, for messages."""
-        return f"{self._address}, device {self._device_id}"
+        return f"{self._address}, device {self.device_id}"
 
     @property
     def connected(self) -> bool:
@@ -285,7 +278,7 @@ class ModbusLine:
             raise self.error("connection", f"{action}: the connection was closed")
         self._frames[False] = b""
         try:
-            answer = request(*values, device_id=self._device_id, **options)
+            answer = request(*values, device_id=self.device_id, **options)
         except (ModbusException, OSError) as error:
             if isinstance(error, ConnectionError):
                 self.close()
@@ -384,82 +377,3 @@ def encode(value: float, kind: str, word_order: str = "") -> list[int]:
         value, ModbusClientMixin.DATATYPE[kind.upper()],
         "little" if word_order == "low first" else "big",
     )
-
-
-# --- a thread for one device ----------------------------------------------------------------------
-
-
-class DeviceThread(ABC):
-    """A thread that carries out steps with a device, one after another, until it is closed.
-
-    A failed step does not end the thread, and raises no error in the caller.
-    """
-
-    def __init__(self, name: str) -> None:
-        """Prepare the thread.
-
-        Args:
-            name: name of the thread's task, for messages.
-        """
-        self._name = name
-        self._closing = self._done = False
-        self._wake = threading.Event()
-        self._thread = threading.Thread(target=self._work, name=name, daemon=True)
-
-    @property
-    def started(self) -> bool:
-        """Whether the thread was started, even if it has ended."""
-        return self._thread.ident is not None
-
-    def start(self) -> None:
-        """Start the thread, unless it has already been started."""
-        if not self.started:
-            self._thread.start()
-
-    def _stop_thread(self, within_s: float) -> bool:
-        """Stop the thread, and return whether it ended within the given time (s)."""
-        self._closing = True
-        self._wake.set()
-        if self.started:
-            self._thread.join(within_s)
-        return not self._thread.is_alive()
-
-    # --- in the thread ----------------------------------------------------------------------------
-
-    @abstractmethod
-    def _step(self) -> None:
-        """Carry out the step that is due, and wait until the next step is due.
-
-        Raises:
-            DriveError: if the step failed.
-        """
-
-    @abstractmethod
-    def _handle_failure(self, problem: str) -> None:
-        """Handle a failed step, and close the connection."""
-
-    def _work(self) -> None:
-        while not self._done:
-            try:
-                self._step()
-            except Exception as error:  # whatever the error, the next step follows
-                problem = str(error)
-                if not isinstance(error, DriveError):
-                    problem = f"{self._name} failed: {error!r}"
-                    logging.getLogger(__name__).exception("%s failed", self._name)
-                with suppress(OSError):  # a connection that cannot be closed
-                    self._handle_failure(problem)
-
-    def _pause(self, seconds: float) -> None:
-        """Wait for a given time (s), or until the thread is woken."""
-        self._wake.wait(max(0.0, seconds))
-        self._wake.clear()
-
-    def _pause_until(self, due: float) -> None:
-        """Wait until a time (s, `time.monotonic`), or until `_must_not_wait` returns True."""
-        while not self._must_not_wait() and (remaining := due - time.monotonic()) > 0:
-            self._pause(remaining)
-
-    def _must_not_wait(self) -> bool:
-        """Return whether the wait for the next attempt must end now."""
-        return self._closing

@@ -26,7 +26,8 @@ from greenroof_ros.live.devices.drive_file import Question, RelayFile, RelayMess
 from greenroof_ros.live.devices.json_path import value_at
 from greenroof_ros.live.devices.modbus_line import Address, DriveError
 
-# Time between two questions (s), also while it is expected to switch on.
+# Time between two questions (s), also while it is expected to switch on; and time after which an
+# order to switch off is sent (s), whatever is being waited for.
 _PERIOD_S, _POLL_S = 0.5, 0.1
 # Longest wait for a reply (s), for the broker (s), and for the relay to switch on (s).
 _ANSWER_S, _CONNECT_S, _ON_S = 1.0, 3.0, 2.0
@@ -86,17 +87,19 @@ class RelayLine:
         last_message: message to publish before the connection is closed; None for none.
     """
 
-    def __init__(self, relay: RelayEndpoint) -> None:
+    def __init__(self, relay: RelayEndpoint, while_waiting: Callable[[], None]) -> None:
         """Prepare the connection without opening it.
 
         Args:
             relay: the relay.
+            while_waiting: function that is called again and again while a reply is awaited.
 
         Raises:
             ConfigurationError: if the MQTT library is not installed or a login file is invalid.
         """
         self.where = str(relay)
         self.last_message: RelayMessage | None = None
+        self._while_waiting = while_waiting
         # All connections use this name, so a broker can restrict who may publish under it.
         self._placeholders = {"device": relay.device, "me": f"greenroof_ros-{relay.device}"}
         questions = (relay.file.state, relay.file.timer, *relay.file.must)
@@ -122,7 +125,8 @@ class RelayLine:
             DriveError: if the broker does not respond or rejects the connection.
         """
         self._client.loop_start()
-        self._receive(time.monotonic() + _CONNECT_S)
+        with suppress(queue.Empty):
+            self._received.get(timeout=_CONNECT_S)
         if not self.connected:
             why = self._closed_by or f"no reply within {_CONNECT_S:g} s"
             raise self.error("connection", f"cannot connect: {why}")
@@ -164,10 +168,12 @@ class RelayLine:
         self._awaited[question.path] += 1
         self.publish(question)
         topic, until = self._fill(question.answer), time.monotonic() + _ANSWER_S
-        while self.connected and (message := self._receive(until)) is not None:
-            with suppress(ValueError, LookupError, RecursionError):  # not a reply to this
-                reply = json.loads(message[1]) if message[0] == topic else {}
-                value = value_at(reply, question.path)
+        while self.connected and time.monotonic() < until:
+            self._while_waiting()
+            # Nothing yet, or not a reply to this.
+            with suppress(queue.Empty, ValueError, LookupError, TypeError, RecursionError):
+                received, payload = self._received.get(timeout=_POLL_S)
+                value = value_at(json.loads(payload) if received == topic else {}, question.path)
                 self._awaited[question.path] -= 1
                 if not self._awaited[question.path]:
                     return value
@@ -180,12 +186,6 @@ class RelayLine:
     def error(self, kind: str, problem: str) -> DriveError:
         """Return an error that names the relay and the problem."""
         return DriveError(kind, f"{self.where}: {problem}")
-
-    def _receive(self, until: float) -> tuple[str, bytes] | None:
-        """Return the next message; None if none arrives in time."""
-        with suppress(queue.Empty):
-            return self._received.get(timeout=max(0.0, until - time.monotonic()))
-        return None
 
     def _fill(self, text: str, **values: str) -> str:
         return Template(text).substitute(self._placeholders, **values)
@@ -212,6 +212,8 @@ class Relay:
 
     Attributes:
         line: the connection.
+        may_run: function that returns whether the relay may be on. If it returns False, the relay
+            is switched off at once, even while a reply is awaited.
     """
 
     def __init__(self, endpoint: RelayEndpoint) -> None:
@@ -223,11 +225,10 @@ class Relay:
         Raises:
             ConfigurationError: if the MQTT library is not installed or a login file is invalid.
         """
-        self._file, self.line = endpoint.file, RelayLine(endpoint)
-        # The state that was last ordered, None if unknown; and the state that it has reported since
-        # *on* was last published, None if it has not answered.
+        self._file, self.line = endpoint.file, RelayLine(endpoint, self._hurry)
+        self.may_run: Callable[[], bool] = lambda: True
+        # The state that was last ordered, None if a reply may still be of an earlier one.
         self._ordered: bool | None = None
-        self._is_on: bool | None = None
         # Its timer as last read (s), None if it is not effective; and when *on* was published (s).
         self._timer_s: float | None = None
         self._on_at = 0.0
@@ -261,18 +262,16 @@ class Relay:
         on = self._read()
         return DriveStatus(ready=True, running=on, fault="", speed=float(on))
 
-    def run(self, speed: float, may_continue: Callable[[], bool] = lambda: True) -> None:
+    def run(self, speed: float) -> None:
         """Switch the relay on, or keep it on.
 
-        The caller repeats the call while the relay must be on. *On* is published again only after
-        the relay has replied to the last *on*. *On* is not published if the relay is off although
-        it was switched on: see `second_master`.
+        The caller repeats the call while the relay must be on, each time after `second_master`.
+        *On* is thus published again only after the relay has replied to the last *on*, and only if
+        it is still on.
 
         Args:
             speed: speed above 0 (share of the rated speed); a pump switched by a relay always runs
                 at 1.
-            may_continue: function that is called before switching on and while waiting; if it
-                returns False, the call returns early.
 
         Raises:
             DriveError: if no valid response arrives, the relay's timer is not effective, or the
@@ -281,23 +280,22 @@ class Relay:
         if (timer_s := self._timer_s) is None:
             raise self.line.error(
                 "drive", "the relay is not switched on: its own timer is not effective")
-        is_on = self._read() if self._is_on is None else self._is_on
         if self._ordered:
             # Renew it one period early, since the next round might be too late.
-            due = self._on_at + _RENEWED * timer_s - _PERIOD_S
-            if is_on and time.monotonic() >= due:
+            if time.monotonic() >= self._on_at + _RENEWED * timer_s - _PERIOD_S:
                 self._switch_on(timer_s)
-        elif may_continue():
+        elif self.may_run():
             self._switch_on(timer_s)
-            self._ordered = None  # unknown until it has answered
+            self._ordered = None
             while not self._read():
-                if not may_continue():
+                if not self.may_run():
                     return
                 if time.monotonic() > self._on_at + _ON_S:
                     raise self.line.error(
                         "drive", f"the relay was switched on, but is still off after {_ON_S:g} s")
                 time.sleep(_POLL_S)
-            self._ordered = True
+            if self.line.last_message is not None:  # not switched off meanwhile
+                self._ordered = True
 
     def stop(self) -> None:
         """Switch the relay off; the caller repeats the call while the relay must be off.
@@ -326,20 +324,24 @@ class Relay:
 
     def _read(self) -> bool:
         """Return whether the relay reports that it is on."""
-        self._is_on, state = None, self._file.state
+        state = self._file.state
         answer = _text(self.line.ask(state))
         if answer not in (state.is_on, state.is_off):
             raise self.line.error(
                 "answer",
                 f"the state {state.path} is {answer}, neither {state.is_on} nor {state.is_off}",
             )
-        self._is_on = answer == state.is_on
-        return self._is_on
+        return answer == state.is_on
 
     def _switch_on(self, timer_s: float) -> None:
-        self.line.last_message = self._file.switch_off
-        self._on_at, self._is_on = time.monotonic(), None
+        self.line.last_message, self._on_at = self._file.switch_off, time.monotonic()
         self.line.publish(self._file.switch_on, seconds=f"{timer_s:g}")
+
+    def _hurry(self) -> None:
+        """Switch the relay off if it may no longer be on."""
+        if self.line.last_message is not None and not self.may_run():
+            self.stop()
+            self._ordered = None
 
 
 def _text(value: Any) -> str:

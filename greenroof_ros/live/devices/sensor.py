@@ -14,6 +14,8 @@ import statistics
 import threading
 import time
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 from greenroof_ros.base.mqtt import make_client
@@ -21,7 +23,6 @@ from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.devices.json_path import value_at
 from greenroof_ros.live.devices.modbus_line import (
     WIDTHS,
-    DeviceThread,
     DriveError,
     ModbusLine,
     check_installed,
@@ -183,6 +184,17 @@ class Reader:
             why = why.removeprefix(f"{self.sensor}: ")
             self._reading = Reading(boot_time(), f"{self.sensor}: {why}", code=code)
 
+    @contextmanager
+    def reading(self) -> Iterator[None]:
+        """Record any failure in a block as a failed reading, since the next one follows."""
+        try:
+            yield
+        except DriveError as error:
+            self.fail(str(error))
+        except Exception as error:
+            logging.getLogger(__name__).exception("%s failed", self.sensor)
+            self.fail(f"reading failed: {error!r}")
+
     def add(self, raw: float) -> None:
         """Add a reading, and update the quantity.
 
@@ -240,7 +252,7 @@ class SensorLine:
             timeout_s = min(_TIMEOUT_S, min(self.max_ages.values()) / 2 / (_TIMEOUTS * count))
             if self._line is None:
                 self._line = ModbusLine(sensor.place, sensor.serial, timeout_s)
-            line = self._line.for_device(sensor.device_id)
+            line, line.device_id = self._line, sensor.device_id
             try:
                 if not line.connected:
                     line.connect()
@@ -252,7 +264,7 @@ class SensorLine:
                 raise
 
 
-class ModbusReader(Reader, DeviceThread):
+class ModbusReader(Reader):
     """A thread that reads a sensor on a line once per period."""
 
     sensor: ModbusSensor
@@ -272,35 +284,35 @@ class ModbusReader(Reader, DeviceThread):
             ConfigurationError: if the Modbus library is not installed.
         """
         check_installed()
-        Reader.__init__(self, section, sensor, max_age)
-        DeviceThread.__init__(self, f"{sensor}: reading")
-        self._line, self._due = line, time.monotonic()
+        super().__init__(section, sensor, max_age)
+        self._line, self._closed = line, threading.Event()
         line.max_ages[sensor] = max_age
 
+    def start(self) -> None:
+        """Start the thread."""
+        threading.Thread(target=self._read_on, name=str(self.sensor), daemon=True).start()
+
     def close(self) -> None:
-        """End the thread, and wait for its last reading, up to four timeouts."""
-        self._stop_thread(4 * _TIMEOUT_S)
+        """Let the thread end after the reading that it is waiting for, if any."""
+        self._closed.set()
 
-    # --- in the thread ----------------------------------------------------------------------------
-
-    def _step(self) -> None:
-        self._pause_until(self._due)
-        if self._closing:
-            self._done = True
-            return
+    def read(self) -> None:
+        """Read the sensor once, when it is its turn on the line."""
         sensor = self.sensor
-        try:
+        with self.reading():
             registers = self._line.read(sensor)
             bits = decode(registers, f"uint{16 * len(registers)}", sensor.word_order)
             if bits == sensor.missing:
                 raise DriveError("answer", f"reports 0x{bits:X}, which means 'no reading'")
             self.add(decode(registers, sensor.type, sensor.word_order))
-        finally:  # missed readings are not made up for, so that it is the others' turn
-            now, period = time.monotonic(), sensor.period
-            self._due = self._due + period if self._due + period > now else now + period
 
-    def _handle_failure(self, problem: str) -> None:
-        self.fail(problem)
+    def _read_on(self) -> None:
+        due = time.monotonic()
+        while not self._closed.wait(max(0.0, due - time.monotonic())):
+            self.read()
+            due += self.sensor.period
+            if due <= time.monotonic():  # not made up for, so that it is the others' turn
+                due = time.monotonic() + self.sensor.period
 
 
 class MqttReader(Reader):
@@ -328,7 +340,7 @@ class MqttReader(Reader):
         # When the last message arrived, and until when messages are ignored (s, `boot_time`).
         self._received_at = self._ignoring_until = -math.inf
         self._client = make_client(
-            broker, f"greenroof_{section}", self._on_connect, self._on_message, self._on_disconnect,
+            broker, f"greenroof_{section}", self._on_connect, self.receive, self._on_disconnect,
         )
 
     def start(self) -> None:
@@ -349,28 +361,21 @@ class MqttReader(Reader):
     def _on_disconnect(self, why: str) -> None:
         self.fail(f"no connection to the broker: {why}", "broker_lost")
 
-    def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
+    def receive(self, topic: str, payload: bytes, retained: bool) -> None:
+        """Take a message, if it is the sensor's and not an old one, as a reading."""
         if topic != self._topic:
             return
-        try:
-            self._receive(payload, retained)
-        except DriveError as error:
-            self.fail(str(error))
-        except Exception as error:  # whatever the error, the next message is read
-            logging.getLogger(__name__).exception("%s failed", self.sensor)
-            self.fail(f"reading failed: {error!r}")
-
-    def _receive(self, payload: bytes, retained: bool) -> None:
         now = boot_time()
         if retained:
-            why = "has not yet sent a new message; the retained message may be old"
-            raise DriveError("answer", why)
+            self.fail("has not yet sent a new message; the retained message may be old")
+            return
         before, self._received_at = self._received_at, now
         if now - before > self.max_age:
             self._ignoring_until = now + _IGNORING_S
-            raise DriveError("answer", "is sending again, but its first messages may be old")
-        if now >= self._ignoring_until:
-            self.add(read_number(payload, self.sensor.value))
+            self.fail("is sending again, but its first messages may be old")
+        elif now >= self._ignoring_until:
+            with self.reading():
+                self.add(read_number(payload, self.sensor.value))
 
 
 def read_number(payload: bytes, path: str) -> float:
@@ -383,7 +388,7 @@ def read_number(payload: bytes, path: str) -> float:
         value = value_at(json.loads(payload), path)
         if type(value) in (int, float):
             return float(value)
-    except (ValueError, LookupError, OverflowError, RecursionError):
+    except (ValueError, LookupError, TypeError, OverflowError, RecursionError):
         pass
     place = f" at {path}" if path else ""
     raise DriveError("answer", f"reports {payload[:80]!r}, which has no number{place}")

@@ -92,17 +92,10 @@ class SimulatedRelay:
 
     def _match(self, message: RelayMessage, topic: str, payload: str) -> dict[str, str] | None:
         """Return the values of the placeholders in a message; None if it is another message."""
-        given: dict[str, str] = {}
-        for pattern, text in ((message.topic, topic), (message.payload, payload)):
-            parts = re.split(r"\$(\w+)", pattern.replace("$device", self._device))
-            found = re.fullmatch("".join(
-                f"(?P<{part}>.+?)" if number % 2 else re.escape(part)
-                for number, part in enumerate(parts)
-            ), text)
-            if found is None:
-                return None
-            given |= found.groupdict()
-        return given
+        text = f"{message.topic}\n{message.payload}".replace("$device", self._device)
+        pattern = re.sub(r"\\\$(\w+)", r"(?P<\1>.+?)", re.escape(text))
+        found = re.fullmatch(pattern, f"{topic}\n{payload}")
+        return None if found is None else found.groupdict()
 
     def _fill(self, topic: str, me: str) -> str:
         return topic.replace("$device", self._device).replace("$me", me)

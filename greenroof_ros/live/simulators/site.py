@@ -141,7 +141,7 @@ class SimulatedSite:
         started_at = time.monotonic()
         while not ended.is_set():
             flow = await self._mean_flow(started_at + (self.virtual_site.tick + 1) * self._site.tau)
-            self.step(self._speed(), flow)
+            self.step(flow)
         await asyncio.gather(*publishing)
 
     async def _mean_flow(self, due: float) -> float:
@@ -164,13 +164,8 @@ class SimulatedSite:
         )
         return rain, evapotranspiration
 
-    def step(self, speed: float, flow: float) -> None:
-        """Advance by one tick.
-
-        Args:
-            speed: speed of the drive at the end of the tick (share of the rated speed).
-            flow: mean flow out of the cistern through the pump in the tick (m3/s).
-        """
+    def step(self, flow: float) -> None:
+        """Advance by one tick with a mean flow of the pump out of the cistern (m3/s)."""
         rain, evapotranspiration = self._present_weather()
         flows = self.virtual_site.act(rain, evapotranspiration, 0.0, pumped=flow)
         self.virtual_site.step()

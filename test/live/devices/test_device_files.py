@@ -1,20 +1,27 @@
-"""The files of sensors, and the errors for wrong ones; values of registers."""
+"""The files of sensors, drives and relays, the errors for wrong ones, and addresses."""
 
 from __future__ import annotations
 
 import re
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from places import CONFIG
 from refusals import refusal
 
-from greenroof_ros.live.devices.modbus_line import decode, limits
+from greenroof_ros.live.devices.drive import Drive, DriveEndpoint
+from greenroof_ros.live.devices.drive_file import find_drive_file, read_drive_file
+from greenroof_ros.live.devices.exchange import DriveExchange, read_endpoint
+from greenroof_ros.live.devices.modbus_line import Address, parse_address
 from greenroof_ros.live.devices.sensor_file import ModbusSensor, read_sensors
 
-# By file of config/: what is replaced (pairs of old and new), and the error: for sensors with the
-# line, which is that of the change, or of the head of the section that lacks something.
-WRONG: dict[str, list[tuple[str, ...]]] = {
+ABB = read_drive_file(find_drive_file("abb_acs880"))
+ABB_RUNNING = "running: {mask: 0x0004, value: 0x0004}"
+# By file of config/: what is replaced, and the error with the line, which is that of the change, or
+# of the head of the section that lacks something.
+WRONG: dict[str, list[tuple[str, str, str]]] = {
     "sensors.yaml": [
         ("tcp://127.0.0.1:5030", "127.0.0.1",
          "line 11: cistern.address = '127.0.0.1': must be tcp"),
@@ -24,38 +31,97 @@ WRONG: dict[str, list[tuple[str, ...]]] = {
         ("5031", "5030", "line 27: roof.register = 0: must differ from that of the cistern"),
     ],
     "sensors_mqtt.yaml": [
-        ("/cistern/sensor/level/state  #", " #",
-         "line 10: cistern.address = 'mqtt://127.0.0.1:1883': must be mqtt://HOST[:PORT]/TOPIC"),
-        ("  max_age: 5.0  ", "  max_age: 6.0  ",
-         "line 16: cistern.max_age = 6.0: must be at most 5 s, since older values than"),
-        ("# login:", "authority: /ca.pem #",
-         "line 10: cistern.address = "
-         "'mqtt://127.0.0.1:1883/cistern/sensor/level/state': certificates can be used only"),
-        ("counts: true ", "period: 1.0 #", "line 31: rain_gauge.period = 1.0: is not a valid key"),
+        ("/cistern/sensor/level/state  #", " #", "must be mqtt://HOST[:PORT]/TOPIC"),
+        ("  max_age: 5.0  ", "  max_age: 6.0  ", "line 16: cistern.max_age = 6.0: must be at most"),
+        ("# login:", "authority: /ca.pem #", "certificates can be used only"),
         ("  low: -40.0   ", "  counts: true\n  low: -40.0   ",
          "line 41: thermometer.counts = True: is only allowed for a flow meter or a rain gauge"),
         ("  high: 0.0001    ", "  # high: 0.0001 ", "line 29: rain_gauge.high: is missing"),
-        ("roof/temperature", "roof/rain",
-         "line 39: thermometer.address = 'mqtt://127.0.0.1:1883/roof/rain': must differ from that "
-         "of the rain gauge"),
+        ("roof/temperature", "roof/rain", "must differ from that of the rain gauge"),
+    ],
+    "drives/abb_acs880.yaml": [
+        ("{address: 0, manual: 400001,", "{address: 1, manual: 400001,",
+         "registers.control.manual = 400001: must be 400002, which is address 1 + numbering"),
+        ("    - {write: control, value: 0x047E}", "    - {write: reference, value: 0}",
+         "sequences.stop: must write the register control"),
+        (ABB_RUNNING, ABB_RUNNING.replace("value: 0x0004", "value: 0x0005"),
+         "status.running.value = 5: has bits outside the mask 0x0004, so the condition"),
+        ("type: uint16\n    scale", "type: uint32\n    scale",
+         "registers.timeout_time.word_order: must be 'high first' or 'low first'"),
+        ("type: uint16, meaning: control", "type: uint32, word_order: low first, meaning: control",
+         "registers.control.type = 'uint32': must be uint16 or int16, since the register is writ"),
+        ("    scale: 5.0e-5\n    low: -1.6\n", "    full_scale: fault\n    low: -1.6\n",
+         "registers.fault: must have high, a low above 0 and no full_scale, since speed"),
+        ("    register: timeout_time\n", "    register: time\n",
+         "timeout.serial.register = 'time': must be the name of a register in this file: control"),
+        ("  speed:\n    address: 4", "  pace:\n    address: 4", "registers: must contain speed"),
+    ],
+    "drives/tasmota.yaml": [
+        ("  path: StatusSTS.POWER\n", "", "state.path: is missing: path of the value in the reply"),
     ],
 }
 
 
-@pytest.mark.parametrize(("name", "changes", "message"), [
-    (name, changes, message) for name, rows in WRONG.items() for *changes, message in rows
+@pytest.mark.parametrize(("name", "old", "new", "message"), [
+    (name, *row) for name, rows in WRONG.items() for row in rows
 ])
 def test_wrong_files_are_refused_by_line_key_and_value(
-    tmp_path: Path, name: str, changes: list[str], message: str
+    tmp_path: Path, name: str, old: str, new: str, message: str
 ) -> None:
-    text = (CONFIG / name).read_text(encoding="utf-8")
-    for old, new in zip(changes[::2], changes[1::2], strict=True):
-        assert old in text
-        text = text.replace(old, new, 1)
-    path = tmp_path / "own.yaml"
-    path.write_text(text, encoding="utf-8")
-    refused = refusal(read_sensors, path, {"level_limit": 5.0})
+    text, path = (CONFIG / name).read_text(encoding="utf-8"), tmp_path / "own.yaml"
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    if name.startswith("drives"):
+        refused = refusal(read_endpoint, path, "mqtt://127.0.0.1/a", "at")
+    else:
+        refused = refusal(read_sensors, path, {"level_limit": 5.0})
     assert re.match(rf"{path}, line \d+: ", refused) and message in refused
+
+
+def test_a_drive_that_is_unknown() -> None:
+    words = "drive = 'danfos': is neither a file nor a name in config/drives/; did you mean danfoss"
+    assert words in refusal(find_drive_file, "danfos")
+
+
+@pytest.mark.parametrize(
+    ("text", "address", "interface", "device_id"),
+    [
+        ("tcp://10.0.0.7", Address(host="10.0.0.7"), "tcp", 17),
+        ("tcp://[::1]:502", Address(host="::1", port=502), "tcp", 17),
+        ("gateway://10.0.0.7", Address(host="10.0.0.7", gateway=True), "serial", 17),
+        ("/dev/ttyUSB0", Address(line="/dev/ttyUSB0"), "serial", 17),
+        ("gateway://10.0.0.7:41,200", Address("10.0.0.7", 41, "", True, 200), "serial", 200),
+        ("tcp://10.0.0.7:65535,0", Address("10.0.0.7", 65535, device_id=0), "tcp", 0),
+    ],
+)
+def test_addresses(text: str, address: Address, interface: str, device_id: int) -> None:
+    """A gateway leads to the serial port; the device number is the address's or the file's."""
+    assert parse_address(text, "at") == address
+    assert str(address) == text and address.interface == interface
+    numbered = replace(ABB, serial=replace(ABB.serial, device_id=17))
+    assert Drive(numbered, address).line.where == f"{text}, device {device_id}"
+
+
+@pytest.mark.parametrize(("drive", "text", "message"), [
+    *(("abb_acs880", text, "must be tcp://HOST, tcp://HOST:PORT, gateway:") for text in
+      ("10.0.0.7", "tcp://host:0", "tcp://host:65536", "udp://host", "mqtt://127.0.0.1/roof")),
+    ("abb_acs880", "tcp://10.0.0.7,256", "must have a device id, 0 to 255, after"),
+    ("abb_acs880", "gateway://10.0.0.7,0", "must have a device id, 1 to 247, after"),
+    ("abb_acs880", "/dev/ttyUSB0,x", "must have a device id, 1 to 247, after"),
+    ("tasmota", "tcp://127.0.0.1:502", r"must be mqtt://HOST\[:PORT\]/TOPIC"),
+])
+def test_no_addresses(drive: str, text: str, message: str) -> None:
+    refusal(read_endpoint, find_drive_file(drive), text, "at", match=message)
+
+
+def test_a_drive_has_one_lock_by_any_name_of_its_host_or_line(tmp_path: Path) -> None:
+    """A serial line is locked with all its devices."""
+    (tmp_path / "by-id").symlink_to(tmp_path / "ttyUSB0")
+    for *names, lock in (
+        ("tcp://localhost", "tcp://127.0.0.1:502", "gateway://127.0.0.1,1", "127.0.0.1-502-1"),
+        (f"{tmp_path}/ttyUSB0,1", f"{tmp_path}/by-id,2", f"{tmp_path}/ttyUSB0".strip("/")),
+    ):
+        assert {DriveEndpoint(ABB, parse_address(name)).lock_name() for name in names} == {lock}
 
 
 def test_two_sensors_share_a_serial_line_by_any_name(tmp_path: Path) -> None:
@@ -63,32 +129,13 @@ def test_two_sensors_share_a_serial_line_by_any_name(tmp_path: Path) -> None:
     link.symlink_to("/dev/ttyS0")
     text = (CONFIG / "sensors.yaml").read_text().replace("tcp://127.0.0.1:5031", str(link))
     file.write_text(text.replace("tcp://127.0.0.1:5030", "/dev/ttyS0"))
-    sensors = read_sensors(file)
-    assert isinstance(sensors.cistern, ModbusSensor) and isinstance(sensors.roof, ModbusSensor)
-    assert sensors.cistern.place.connection == sensors.roof.place.connection
+    cistern, roof = read_sensors(file).by_section.values()
+    assert isinstance(cistern, ModbusSensor) and isinstance(roof, ModbusSensor)
+    assert cistern.place.connection == roof.place.connection
 
 
-@pytest.mark.parametrize(
-    ("kind", "order", "words", "value"),
-    [
-        ("int16", "", [0xFFFE], -2),
-        ("uint32", "low first", [0x0001, 0x0002], 131073),
-        ("int32", "high first", [0xFFFF, 0xFFFD], -3),
-        # IEEE 754 textbook example: 0x3FC00000 is 1.5.
-        ("float32", "high first", [0x3FC0, 0x0000], 1.5),
-        ("uint64", "low first", [0x0001, 0, 0, 0x0002], 2**49 + 1),
-        ("int64", "high first", [0xFFFF, 0xFFFF, 0xFFFF, 0xFFFD], -3),
-        ("float64", "high first", [0x3FF8, 0x0000, 0x0000, 0x0000], 1.5),
-    ],
-)
-def test_values_of_all_types(kind: str, order: str, words: list[int], value: object) -> None:
-    assert decode(words, kind, order) == value
-
-
-@pytest.mark.parametrize(("kind", "low", "high"), [
-    ("uint16", 0, 0xFFFF), ("int16", -0x8000, 0x7FFF),
-    ("uint32", 0, 0xFFFF_FFFF), ("int32", -0x8000_0000, 0x7FFF_FFFF),
-    ("uint64", 0, 2**64 - 1), ("int64", -(2**63), 2**63 - 1),
-])
-def test_a_type_has_its_own_limits(kind: str, low: int, high: int) -> None:
-    assert limits(kind) == (low, high)
+def test_without_the_library_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "pymodbus.client", raising=False)
+    monkeypatch.setitem(sys.modules, "pymodbus", None)  # type: ignore[arg-type]
+    needs = "needs pymodbus: install greenroof_ros with its extra [pump]"
+    assert refusal(DriveExchange, DriveEndpoint(ABB, parse_address("tcp://127.0.0.1"))) == needs

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 import os
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
 from clocked_exchange import STEP_S, Bench, Cable
@@ -37,6 +35,7 @@ from greenroof_ros.live.devices.modbus_line import DriveError, parse_address
 PERIOD_S, DEAD_MAN_S, TIMEOUT_S = 0.1, 1.0, 0.5
 SILENT = "nothing is sent for 10 s"
 OFF, RUN, ACKNOWLEDGE = (0, 0x047E), (0, 0x047F), (0, 0x04FE)
+TRIPPED = {3: 0x1238, 400: 0x1234}  # with a code that the drive file does not have
 
 SHIPPED = read_drive_file(find_drive_file("abb_acs880"))
 assert SHIPPED.timeout["serial"].unguarded_after_power_up_s == 30.0
@@ -58,30 +57,27 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
 def test_it_runs_while_asked_and_stops_when_told_or_asked_nonsense_or_not_at_all(
     bench: Bench
 ) -> None:
-    """It is also stopped by a close, which reads back the stop; nothing is written after that."""
+    """What was asked for before a suspend, during which `time.monotonic` stands still, counts no
+    more. The drive is also stopped by a close, which reads back the stop.
+    """
     drive = bench.drive
-    assert not bench.now.connected
-    bench.connect()
-    for bench.speed in (0.4, 0.6):
-        bench.until_reported(lambda status: status.speed == bench.speed)
-        assert set(drive.written[-2:]) == {(1, round(20000 * (bench.speed or 0.0))), RUN}
+    bench.run()
     for off in (None, float("nan"), 1.5, 0.0):
         bench.speed = 0.5
         bench.until_half()
+        bench.until_reported(lambda status: status.speed == 0.5)
         bench.speed = off
-        assert bench.until(lambda: drive.values[0] == 0x047E) < PERIOD_S + STEP_S
+        assert bench.until_written(OFF) < PERIOD_S + STEP_S
         bench.until_reported(lambda status: status.at_rest)
-    assert bench.now.problem == ""
-    bench.speed = 1.0
-    bench.until(lambda: drive.values[4] == 20000)
-    bench.asks = False
-    took = bench.until(lambda: drive.values[0] == 0x047E)
-    assert DEAD_MAN_S - STEP_S < took < DEAD_MAN_S + PERIOD_S + STEP_S
+    for suspended, within in ((0.0, DEAD_MAN_S), (3600.0, 0.0)):
+        bench.asks, bench.speed = True, 0.5
+        bench.until_half()
+        bench.asks, bench.clock.suspended = False, suspended
+        assert within - STEP_S < bench.until_written(OFF) < within + PERIOD_S + STEP_S
     bench.exchange.request_speed(0.5)
     bench.until_half()
     assert bench.close() < 1.0
     assert drive.values[0] == 0x047E and not bench.now.connected
-    assert bench.now.status is not None and bench.now.status.at_rest
     assert bench.exchange.outcome() == "released the drive: speed 0.0%, off"
 
 
@@ -92,40 +88,30 @@ def test_what_is_asked_for_waits_for_no_round_of_requests(monkeypatch: pytest.Mo
     with closing(Bench(monkeypatch, ABB)) as bench:
         bench.asks = False
         bench.connect()
-        for speed, word in ((0.5, 0x047F), (None, 0x047E)):
+        for speed, order in ((0.5, RUN), (None, OFF)):
             bench.exchange.request_speed(speed)
-            assert bench.until(lambda word=word: bench.drive.values[0] == word) < 2 * STEP_S  # type: ignore[misc]
-
-
-def test_what_was_asked_for_before_a_suspend_runs_nothing_after_it(bench: Bench) -> None:
-    """By `time.monotonic`, which stands still during a suspend, the demand would still be new."""
-    bench.run()
-    bench.asks, bench.clock.suspended = False, 3600.0
-    assert bench.until(lambda: bench.drive.values[0] == 0x047E) < PERIOD_S + STEP_S
+            assert bench.until_written(order) < 2 * STEP_S
 
 
 # --- by the test's clock: connections that break --------------------------------------------------
 
 
 def test_one_lost_answer_stops_nothing_and_a_half_open_connection_heals(bench: Bench) -> None:
+    """A new connection begins with a stop."""
     bench.run()
     bench.drive.written.clear()
     lost = iter([True])
     bench.answer = lambda request: [] if next(lost, False) else bench.drive(request)
     bench.until(lambda: bench.now.problem)
     bench.until(lambda: bench.now.problem == "")
-    assert bench.now.connected and bench.connections == 1
-    assert OFF not in bench.drive.written
+    assert bench.connections == 1 and OFF not in bench.drive.written
     bench.drive.silent = True
     took = bench.until(lambda: not bench.now.connected)
-    assert took < 2 * (TIMEOUT_S + PERIOD_S) + PERIOD_S + STEP_S
-    assert bench.now.status is None
-    assert "no valid response within 0.5 s" in bench.now.problem
+    assert took < 2 * (TIMEOUT_S + PERIOD_S) + PERIOD_S + STEP_S and bench.now.status is None
     bench.drive.written.clear()
     bench.drive.silent = False
-    bench.until(lambda: bench.drive.values[4] == 10000 and bench.now.connected)
-    assert bench.drive.written[0] == OFF  # a new connection begins with a stop
-    bench.until(lambda: bench.now.problem == "")
+    bench.until(lambda: bench.now.connected)
+    assert bench.drive.written[0] == OFF
     bench.drive.silent = True
     bench.close()
     assert bench.now.status is None and not bench.now.connected
@@ -143,10 +129,8 @@ def test_a_drive_that_closes_its_connections_is_left_in_silence_after_a_while(be
         bench.lose()
         bench.wait(seconds)
         assert not bench.now.connected and (SILENT in bench.now.problem) == silent
-        bench.drive.written.clear()
         bench.answer = bench.drive
-        assert bench.until(lambda: bench.now.connected) < (10.5 if silent else 5.5)
-        assert bench.drive.written[0] == OFF
+        assert bench.until_written(OFF) < (10.5 if silent else 5.5)
         bench.until_half()
     bench.lose()
     bench.answer = bench.drive
@@ -164,10 +148,8 @@ def test_after_each_connection_the_drive_is_off_while_it_may_not_guard(
         for _ in range(2):
             bench.until(lambda: bench.now.connected)
             assert "is not effective for 30 s after power-up" in str(bench.now.unguarded)
-            bench.drive.written.clear()
-            assert bench.until(lambda: RUN in bench.drive.written) >= 30.0 - 2 * PERIOD_S
-            bench.until(lambda: bench.now.unguarded is None and bench.drive.values[4] == 10000)
-            assert bench.now.problem == ""
+            assert bench.until_written(RUN) >= 30.0 - 2 * PERIOD_S
+            bench.until_half()
             bench.lose()
             bench.answer = bench.drive
 
@@ -175,102 +157,69 @@ def test_after_each_connection_the_drive_is_off_while_it_may_not_guard(
 def test_after_any_failure_the_next_step_begins_again(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """For instance, no file descriptor is left over."""
     bench.run()
-    connect, errors = Cable.connect, [OSError("torn out")]
-
-    def fail_once(cable: Cable) -> None:
-        if errors:
-            raise errors.pop()
-        connect(cable)
-
-    monkeypatch.setattr(Cable, "connect", fail_once)
-    bench.cable.close()
-    bench.until(lambda: "communication with the drive failed: OSError('torn out')"
-                in bench.now.problem)
+    with monkeypatch.context() as patch:
+        patch.setattr(Cable, "connect", lambda cable: 1 / 0)
+        bench.cable.close()
+        bench.until(lambda: "communication with the drive failed: Zero" in bench.now.problem)
     bench.until_half()
 
 
-@pytest.mark.parametrize("fails", ["to start", "while it runs"])
+@pytest.mark.parametrize("problem", ["the drive failed to start: ", "the connection was lost: "])
 def test_after_a_failed_start_the_next_follows_an_off_that_was_asked_for(
-    bench: Bench, fails: str
+    bench: Bench, problem: str
 ) -> None:
     """The caller counts starts, and waits between them; here it asks for the speed all the time."""
-    bench.connect()
-    bench.speed, obeys = 0.5, bench.drive.on_write
-    if fails == "to start":
+    obeys = bench.drive.on_write
+    if "start" in problem:
         bench.drive.on_write = lambda _address, _word: None
+        bench.speed = 0.5
+        bench.exchange.start()
     else:
-        bench.until_half()
+        bench.run()
         bench.lose()
         bench.answer = bench.drive
     bench.until(lambda: bench.now.start_failed)
-    bench.asks = False
-
-    def ask(speed: float | None, until: Callable[[], object]) -> float:
-        return bench.until(lambda: bench.exchange.request_speed(speed) or until())
-
-    ask(0.5, lambda: bench.now.connected)
-    bench.drive.on_write = obeys
+    bench.insists, bench.drive.on_write = True, obeys
+    bench.until(lambda: bench.now.connected)
     bench.drive.written.clear()
-    began = bench.clock.now
-    ask(0.5, lambda: bench.clock.now - began > 20.0)
-    assert RUN not in bench.drive.written
-    assert str(bench.now.start_failed) == bench.now.problem
-    assert bench.now.problem.startswith({
-        "to start": "the drive failed to start: ",
-        "while it runs": "the connection was lost: ",
-    }[fails])
-    ask(None, lambda: not bench.now.start_failed)
-    ask(0.5, lambda: bench.now.status and bench.now.status.running)
+    bench.wait(20.0)
+    assert RUN not in bench.drive.written and bench.now.problem.startswith(problem)
+    bench.insists = False
+    bench.until_half()
 
 
 # --- by the test's clock: faults, and another master ----------------------------------------------
 
 
 def test_the_trip_of_a_lost_connection_is_acknowledged(bench: Bench) -> None:
-    fault_texts = set()
     bench.drive.values.update({3: 0x1238, 400: 0x6681})  # EFB communication loss
-    bench.exchange.start()
-    bench.speed = 0.5
-
-    def runs() -> bool:
-        if bench.now.status is not None:
-            fault_texts.add(bench.now.status.fault)
-        return bench.drive.values[4] == 10000
-
-    bench.until(runs)
+    bench.insists = True
+    bench.run()
     assert bench.drive.written[:3] == [OFF, (1, 0), OFF] and ACKNOWLEDGE in bench.drive.written
-    assert fault_texts <= {""}
 
 
 def test_a_fault_is_acknowledged_by_a_reset_while_it_is_seen(bench: Bench) -> None:
     """A reset before the first connection, or between two, does not count: no fault was seen."""
-    bench.drive.values.update({3: 0x1238, 400: 0x1234})
-    bench.exchange.reset()
+    bench.drive.values.update(TRIPPED)
     bench.speed = 0.5
+    bench.exchange.reset()
     bench.exchange.start()
     for _ in range(2):
-        bench.until_reported(
-            lambda status: status.fault == "not in the drive file (code 4660, 0x1234)"
-        )
         bench.until(lambda: "fault: not in the drive file (code 4660" in bench.now.problem)
         assert ACKNOWLEDGE not in bench.written_in(rounds=5)
-        assert bench.now.status is not None and bench.now.status.fault
         bench.lose()
         bench.exchange.reset()
         bench.answer = bench.drive
-    bench.until(lambda: bench.now.connected)
+    bench.until_reported(lambda status: status.fault)
     bench.exchange.reset()
-    bench.until_reported(lambda status: not status.fault)
-    assert ACKNOWLEDGE in bench.drive.written
     bench.until_half()
-    bench.until(lambda: bench.now.problem == "")
+    assert ACKNOWLEDGE in bench.drive.written
 
 
 def test_another_master_is_given_way_and_a_reset_meanwhile_is_forgotten(bench: Bench) -> None:
     """While another master's control word is active, the drive is only stopped; then for 10 s."""
-    bench.drive.values.update({3: 0x1238, 400: 0x1234})
+    bench.drive.values.update(TRIPPED)
     bench.connect()
     bench.written_in(rounds=2)
 
@@ -280,14 +229,11 @@ def test_another_master_is_given_way_and_a_reset_meanwhile_is_forgotten(bench: B
 
     obeys, bench.drive.on_write = bench.drive.on_write, overwrite
     bench.until(lambda: "someone else is writing to the drive" in bench.now.problem)
-    assert bench.now.problem.endswith("is kept off until 10 s after the last foreign control word")
-    assert str(bench.now.second_master) == bench.now.problem
     bench.exchange.reset()
     bench.wait(2 * PERIOD_S)
     bench.drive.on_write = obeys
     bench.drive.values[0] = 0x047E
     assert ACKNOWLEDGE not in bench.written_in(rounds=5)
-    assert bench.now.status is not None and bench.now.status.fault
     bench.drive.values.update({3: 0x1231, 400: 0})
     bench.speed = 0.5
     assert 8.0 < bench.until_half() < 10.0
@@ -300,19 +246,17 @@ def test_another_master_is_given_way_and_a_reset_meanwhile_is_forgotten(bench: B
 def test_a_drive_that_refuses_to_stop_is_left_in_silence(bench: Bench, ran: bool) -> None:
     """On two connections; for 10 s, the limit, whatever its own timeout.
 
-    Only a requested stop ends the silence, and is one attempt. A stop that is requested while
-    connected shortens no later silence. If closed during a silence, it tries once more, and ends.
+    Only a requested stop ends the silence, and is one attempt. If closed during a silence, it tries
+    once more, and ends.
     """
     bench.drive.values[5815] = 16434
     if ran:
         bench.run()
-        bench.exchange.stop()
-        bench.written_in(2)
     bench.drive.refused = {0}
-    bench.exchange.start()
-    bench.until(lambda: bench.drive.written and SILENT in bench.now.problem)
-    assert "rejected with exception 6" in bench.now.problem
-    assert not bench.now.connected and bench.now.status is None
+    if not ran:
+        bench.exchange.start()
+    bench.until(lambda: SILENT in bench.now.problem)
+    assert "rejected with exception 6" in bench.now.problem and bench.now.status is None
     first = bench.connections
     assert first == (3 if ran else 2)  # the running one was not yet told to stop
     assert bench.drive.written[-1] == (1, 0)  # follows the refused word
@@ -320,23 +264,21 @@ def test_a_drive_that_refuses_to_stop_is_left_in_silence(bench: Bench, ran: bool
         bench.wait(2.0)
     bench.exchange.reset()
     bench.until(lambda: len(bench.silences()) == 2)
-    assert min(bench.silences()) > 9.9
-    assert bench.connections == first + 2  # one attempt after each silence
-    bench.until(lambda: not bench.now.connected)
-    bench.wait(4.0)
+    assert min(bench.silences()) > 9.9 and bench.connections == first + 2
     bench.speed = None
-    bench.exchange.stop()
-    assert bench.until(lambda: bench.connections == first + 3) < 2 * STEP_S
-    bench.wait(4.0)
-    assert bench.connections == first + 3 and SILENT in bench.now.problem
-    bench.drive.refused = set()
-    bench.exchange.stop()
-    assert bench.until(lambda: bench.drive.values[0] == 0x047E) < 2 * STEP_S
+    for refused in ({0}, set[int]()):
+        bench.wait(4.0)
+        assert SILENT in bench.now.problem
+        bench.drive.refused, before = refused, bench.connections
+        bench.exchange.stop()
+        assert bench.until(lambda before=before: bench.connections > before) < 2 * STEP_S  # type: ignore[misc]
     bench.until_reported(lambda status: status.at_rest)
+    assert bench.drive.values[0] == 0x047E
     bench.drive.refused = {0}
     bench.until(lambda: SILENT in bench.now.problem)
+    before = bench.connections
     assert bench.close() < 2.0
-    assert bench.connections == first + 6 and bench.now.status is None
+    assert bench.connections == before + 1 and bench.now.status is None
 
 
 class RunningOn:
@@ -347,13 +289,12 @@ class RunningOn:
             half of its speed; None cannot be read.
         local: whether it is in local control.
         faults: all faults that were reported.
-        left: when each silence began, and why.
+        left: when each silence began.
     """
 
     def __init__(self, bench: Bench, speed: Callable[[float], float | None]) -> None:
         self.bench, self.speed, self.local = bench, speed, False
-        self.faults: set[str] = set()
-        self.left: list[tuple[float, str]] = []
+        self.faults, self.left = set[str](), list[float]()
         bench.run()
         self._began = bench.clock.now
         bench.answer, bench.speed = self._answer, None
@@ -375,47 +316,42 @@ class RunningOn:
         was_silent = True
         while self.seconds < until:
             self.bench.step()
-            now = self.bench.now
-            if now.status is not None:
-                self.faults.add(now.status.fault)
-                assert now.status.runs_on == bool(now.status.fault)
-            if SILENT in now.problem and not was_silent:
-                self.left.append((self.seconds, now.problem))
-            was_silent = SILENT in now.problem
+            if (status := self.bench.now.status) is not None:
+                self.faults.add(status.fault)
+            if (is_silent := SILENT in self.bench.now.problem) and not was_silent:
+                self.left.append(self.seconds)
+            was_silent = is_silent
 
 
 FALLEN = "the drive acknowledges *stop*, but its speed has not fallen for 10 s"
 
 
 @pytest.mark.parametrize(
-    ("speed", "first", "latest", "why"),
+    ("speed", "first", "latest", "faults"),
     [
         # A ramp of 1 % in 9 s, which is slow but falls; then noise at standstill.
-        (lambda now: max(0.019, 0.5 - 0.01 * (now // 9)), math.inf, math.inf, ""),
+        (lambda now: max(0.019, 0.5 - 0.01 * (now // 9)), math.inf, math.inf, {""}),
         # Has not fallen for 10 s; left for 10 s; and again when the longest ramp has passed.
-        (lambda _now: 0.5, 10.0, 10.5, f"{FALLEN} (the speed is 50.0%)"),
+        (lambda _now: 0.5, 10.0, 10.5, {"", FALLEN}),
         # From 5 s on two answers in turn end a connection; 10 s later that is long enough, and is
         # noticed at the next end of a connection, at most 5 s later.
-        (lambda now: 0.0 if now < 5 else None, 15.0, 5.0 + exchange.UNREAD_S, "reading register 4"),
+        (lambda now: 0.0 if now < 5 else None, 15.0, 5.0 + exchange.UNREAD_S, {""}),
     ],
     ids=["obeys", "runs on", "speed not read"],
 )
 def test_one_that_is_not_seen_to_slow_down_is_left_again_and_again(
-    bench: Bench, speed: Callable[[float], float | None], first: float, latest: float, why: str
+    bench: Bench, speed: Callable[[float], float | None], first: float, latest: float,
+    faults: set[str],
 ) -> None:
     """During the silence, the fault is seen."""
     drive = RunningOn(bench, speed)
     bench.asked.clear()
     drive.listen(470 if math.isinf(first) else 165)
-    assert drive.faults <= {"", FALLEN} and (FALLEN in drive.faults) == ("fallen" in why)
-    times = [at for at, _ in drive.left]
-    assert bool(times) == math.isfinite(first)
-    assert all(first <= at <= latest for at in times[:1])
+    assert drive.faults == faults and bool(drive.left) == math.isfinite(first)
+    assert all(first <= at <= latest for at in drive.left[:1])
     longest = LIMIT_S + MAX_RAMP_S + exchange.UNREAD_S
-    assert all(longest - 5.5 < later - before < longest for before, later in pairwise(times))
-    assert all(why in reason for _, reason in drive.left)
-    assert all(silence > 9.9 for silence in bench.silences()[:len(times)])
-    assert bench.drive.written[-1] in (OFF, (1, 0))
+    assert all(longest - 5.5 < b - a < longest for a, b in pairwise(drive.left))
+    assert all(silence > 9.9 for silence in bench.silences()[:len(drive.left)])
     drive.speed = lambda _now: 0.0
     bench.until_reported(lambda status: status.at_rest and not status.fault)
 
@@ -423,12 +359,12 @@ def test_one_that_is_not_seen_to_slow_down_is_left_again_and_again(
 def test_what_was_seen_of_one_that_runs_on_counts_no_more_after_a_reset(bench: Bench) -> None:
     """The reset does not shorten the silence, after which the drive is judged anew, and runs."""
     drive = RunningOn(bench, lambda _now: 0.5)
-    bench.until(lambda: SILENT in bench.now.problem)
+    bench.exchange.stop()  # while connected, it shortens no later silence
+    assert bench.until(lambda: SILENT in bench.now.problem) < 11.0
     bench.wait(4.0)
     assert bench.now.status is not None and bench.now.status.runs_on
     drive.speed = lambda _now: 0.0
     bench.exchange.reset()
-    assert bench.now.status is None and not bench.now.connected
     bench.speed, drive.faults = 0.5, set()
     drive.listen(drive.seconds + 7.0)
     assert drive.faults == {""} and bench.silences()[-1] > 9.9
@@ -453,7 +389,6 @@ def test_one_that_stood_or_was_run_or_is_a_persons_begins_again(bench: Bench, wa
     bench.speed = 0.5 if way == "was run" else None
     drive.listen(9.5)
     drive.speed, drive.local, bench.speed = lambda _now: 0.5, False, None
-    bench.cable.close()
     drive.listen(18.0)
     drive.local = True
     drive.listen(80.0)
@@ -473,21 +408,13 @@ def test_one_that_is_known_to_run_although_it_reports_rest_is_left(bench: Bench)
     assert SILENT in bench.now.problem
 
 
-# --- by the test's clock: settings ----------------------------------------------------------------
-
-
 def test_what_someone_changes_at_the_panel_is_noticed(bench: Bench) -> None:
-    bench.exchange.start()
-    for register, word, seconds in ((5815, 50, 5.0), (5815, 70, 7.0), (5813, 0, None)):
+    bench.run()
+    for register, word, seconds in ((5815, 70, 7.0), (5813, 0, None), (5813, 1, 7.0)):
         bench.drive.values[register] = word
-        bench.until(lambda seconds=seconds: bench.now.connected  # type: ignore[misc]
-                    and bench.now.timeout_s == seconds, 31.0)
-    assert "is 0, but must be 1 (Fault) or 4 (Fault always)" in str(bench.now.unguarded)
-    bench.drive.values[5813] = 1
-    bench.until(lambda: bench.now.timeout_s == 7.0)
+        bench.until(lambda seconds=seconds: bench.now.timeout_s == seconds, 31.0)  # type: ignore[misc]
     del bench.drive.values[5815]
-    bench.until(lambda: bench.now.timeout_s is None)
-    assert "reading register 5815: rejected with exception 2" in str(bench.now.unguarded)
+    bench.until(lambda: "5815: rejected with exception 2" in str(bench.now.unguarded), 31.0)
     assert bench.now.connected
 
 
@@ -511,44 +438,30 @@ def test_a_ramp_is_waited_for_at_the_end_but_no_drive_that_turns_on(
 
 
 def test_a_serial_line_whose_plug_is_pulled() -> None:
-    with closing(SerialWire(rtu_server(acs880()))) as plug:
-        driver = DriveExchange(DriveEndpoint(ABB, parse_address(plug.line, "at")))
+    with closing(SerialWire(rtu_server(acs880()))) as plug, closing(
+        DriveExchange(DriveEndpoint(ABB, parse_address(plug.line, "at")))
+    ) as driver:
         driver.start()
         wait(lambda: driver.snapshot.connected)
-        assert driver.snapshot.problem == ""
         plug.close()
         wait(lambda: not driver.snapshot.connected, seconds=1.0)
-        assert plug.line in driver.snapshot.problem
-        driver.close()
 
 
 def test_a_second_driver_on_the_same_machine_keeps_off() -> None:
     """Only the supervisor's stop ignores the lock, of its own driver."""
     with closing(Wire(acs880())) as wire:
         at = DriveEndpoint(ABB, parse_address(wire.gateway, "at"))
-        first, second = acquire_drive_lock(at), DriveExchange(at)
-        second.start()
-        holder = f"process {os.getpid()} on this computer"
-        wait(lambda: holder in second.snapshot.problem)
-        time.sleep(0.3)
-        assert not second.snapshot.connected
-        with pytest.raises(DriveInUseError, match=holder):
-            stop_drive(at, driver=1)
-        assert wire.connections == 0
-        assert str(stop_drive(at, driver=os.getpid())) == "speed 0.0%, off"
-        first.close()
-        wait(lambda: second.snapshot.connected, seconds=10)
-        second.close()
+        with closing(DriveExchange(at)) as second:
+            with acquire_drive_lock(at):
+                second.start()
+                holder = f"process {os.getpid()} on this computer"
+                wait(lambda: holder in second.snapshot.problem)
+                with pytest.raises(DriveInUseError, match=holder):
+                    stop_drive(at, driver=1)
+                assert wire.connections == 0
+                assert str(stop_drive(at, driver=os.getpid())) == "speed 0.0%, off"
+            wait(lambda: second.snapshot.connected)
         acquire_drive_lock(at).close()
-
-
-def test_a_serial_line_is_one_drivers_by_any_name(tmp_path: Path) -> None:
-    (tmp_path / "by-id").symlink_to(tmp_path / "ttyUSB0")
-    first, second = (
-        DriveEndpoint(ABB, parse_address(f"{tmp_path}/{name}", "at")).lock_name()
-        for name in ("ttyUSB0,1", "by-id,2")
-    )
-    assert first == second
 
 
 def test_who_stops_the_drive_of_a_dead_driver_keeps_other_drivers_off_and_tries_three_times(
@@ -580,8 +493,6 @@ def test_the_waits_fit_into_the_longer_ones_of_bringup_and_service() -> None:
     leave = exchange.REST_LIMIT_S
     assert MAX_RAMP_S < leave < leave + exchange.MAX_WAIT_S < ACTUATORS_ENDING_S
     service = (CHECKOUT / "examples/greenroof.service").read_text()
-    (line,) = (line for line in service.splitlines() if line.startswith("TimeoutStopSec="))
+    limit = float(service.partition("\nTimeoutStopSec=")[2].split()[0])
     others_end = 2 * (ENDING_S + KILLING_S)  # the other nodes, and the recorder
-    assert float(line.partition("=")[2]) > max(
-        ACTUATORS_ENDING_S + KILLING_S + leave, 2 * leave
-    ) + others_end
+    assert limit > max(ACTUATORS_ENDING_S + KILLING_S + leave, 2 * leave) + others_end

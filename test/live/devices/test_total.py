@@ -53,44 +53,37 @@ def published(
     return sum_m / 0.001, highest, refused
 
 
+GAUGE, METER = {"high": 1e-4}, {"high": 0.01, "spread_s": 5.0}
+HOUR = 3600
+
+
 @pytest.mark.parametrize(
-    ("messages", "risen", "refused"),
+    ("sensor", "messages", "within", "risen", "highest", "refused"),
     [
-        # Each message of a radio gauge comes three times.
-        ([(0, 17.0), *((at + late, raw) for at, raw in ((10, 17.2), (20, 17.4), (20.5, 17.6))
-                       for late in (0.0, 0.05, 0.1))], 0.6, 0),
         # The gauge starts again: what fell before and after it counts, the fall does not.
-        ([(0, 0.4), (10, 0.6), (20, 0.0), (30, 0.2), (40, 0.4)], 0.6, 0),
+        (GAUGE, [(0, 0.4), (10, 0.6), (20, 0.0), (30, 0.2), (40, 0.4)], 100, 0.6, 1e-4, 0),
         # A new gauge, whose total is far higher: nothing of the jump counts.
-        ([(0, 17.0), (10, 17.2), (20, 900.0), (30, 900.0), (40, 900.4)], 0.6, 1),
+        (GAUGE, [(0, 17.0), (10, 17.2), (20, 900.0), (30, 900.0), (40, 900.4)], 100, 0.6, 1e-4, 1),
         # The connection is lost for an hour of rain.
-        ([(0, 17.0), (30, 17.2), (31, None), (3630, 57.2), (3660, 57.4)], 40.4, 0),
+        (GAUGE, [(0, 17.0), (30, 17.2), (31, None), (3630, 57.2), (3660, 57.4)],
+         HOUR, 40.4, 1e-4, 0),
         # A storm goes faster than the sensor's maximum rate for a while.
-        ([(0, 17.0), (10, 23.0), (20, 24.0)], 7.0, 0),
+        (GAUGE, [(0, 17.0), (10, 23.0), (20, 24.0)], 100, 7.0, 1e-4, 0),
+        # 5.8 mm in 0.6 s after 10 minutes of drizzle: all is published within about a minute.
+        (GAUGE, [(0, 0.0), (600, 0.2), (600.5, 5.0), (600.6, 6.0)], 70, 6.0, 1e-4, 0),
+        # A water meter after an outage of an hour shows no flow of long ago: a flow while the pump
+        # is stopped looks like a welded contact.
+        (METER, [(0, 0.0), (1, 3.0), (2, 6.0), (3600, 9006.0), (3603, 9006.0), (3604, 9009.0)],
+         100, 9.0, 0.003, 1),
     ],
 )
 def test_as_much_is_published_as_the_total_rises(
-    monkeypatch: pytest.MonkeyPatch, messages: Messages, risen: float, refused: int
+    monkeypatch: pytest.MonkeyPatch, sensor: dict[str, float], messages: Messages, within: float,
+    risen: float, highest: float, refused: int,
 ) -> None:
-    result = published(monkeypatch, messages, 2 * messages[-1][0] + 100.0)
-    assert result[0] == pytest.approx(risen, abs=LOOK_MM)
-    assert result[1] <= 1e-4 and result[2] == refused
-
-
-def test_a_cloudburst_is_not_left_to_the_drizzle_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """0.2 mm of drizzle in 10 minutes, and then 5.8 mm in 0.6 s: all within about a minute."""
-    messages = [(0, 0.0), (600, 0.2), (600.5, 5.0), (600.6, 6.0)]
-    sum_mm, highest, _ = published(monkeypatch, messages, 670.0)
-    assert sum_mm == pytest.approx(6.0, abs=0.03)
-    assert highest <= 1e-4
-
-
-def test_a_water_meter_shows_no_flow_of_long_ago(monkeypatch: pytest.MonkeyPatch) -> None:
-    """After an outage of an hour: a flow while the pump is stopped looks like a welded contact."""
-    messages = [(0, 0.0), (1, 3.0), (2, 6.0), (3600, 9006.0), (3603, 9006.0), (3604, 9009.0)]
-    assert published(monkeypatch, messages, 3700.0, high=0.01, spread_s=5.0) == (
-        pytest.approx(9.0, abs=0.2), pytest.approx(0.003), 1
-    )
+    result = published(monkeypatch, messages, messages[-1][0] + within, **sensor)
+    assert result[0] == pytest.approx(risen, abs=LOOK_MM if sensor is GAUGE else 0.2)
+    assert result[1] <= highest * (1 + 1e-9) and result[2] == refused
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,6 @@ from modbus_wire import (
 )
 from simulators import until
 
-from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.devices.drive import Drive, DriveStatus
 from greenroof_ros.live.devices.drive_file import find_drive_file, read_drive_file
 from greenroof_ros.live.devices.modbus_line import DriveError, parse_address
@@ -39,10 +39,8 @@ def talk(name: str, wire: str, task: Task, timeout_s: float = 0.3) -> Any:
     file = read_drive_file(find_drive_file(name))
     drive = Drive(file, parse_address(wire, "at"), timeout_s)
     drive.line.connect()
-    try:
+    with closing(drive.line):
         return task(drive)
-    finally:
-        drive.line.close()
 
 
 def follow(name: str, dialogue: str, task: Task, *, gateway: bool = False) -> Any:
@@ -65,37 +63,46 @@ def run(drive: Drive) -> None:
     drive.run(0.5)
 
 
-# --- start: from any state to half of rated speed -------------------------------------------------
-
-# ABB ACS880: 400004 status, 400001 control, 400002 reference. State diagram, p. 620: CW x110 leads
-# to READY TO SWITCH ON (SW bit 0), x111 and 1111 with bits 4 to 6 set to OPERATION; bit 10 must be
-# set. 20000 is 100 % (FENA-11 p. 92): 10000 = 0x2710.
-ABB_START = """
+# The start from any state to half of rated speed; the stop; and, after it, the reset of a fault.
+DIALOGUES = {
+    # ABB ACS880: 400004 status, 400001 control, 400002 reference. State diagram, p. 620: CW x110
+    # leads to READY TO SWITCH ON (SW bit 0), x111 and 1111 with bits 4 to 6 set to OPERATION; bit
+    # 10 must be set. 20000 is 100 % (FENA-11 p. 92): 10000 = 0x2710. A rising bit 7 acknowledges
+    # (p. 437).
+    "abb_acs880": ("""
 fault?        : 03 0003 0001 -> 03 02 1337 : no; it runs, in which mode is unknown
 OFF1          : 06 0000 047E
 ready?        : 03 0003 0001 -> 03 02 1270 : not yet
 ready?        : 03 0003 0001 -> 03 02 1231 : to switch on
 50 %          : 06 0001 2710
 run           : 06 0000 047F
-operation?    : 03 0003 0001 -> 03 02 1237
-"""
-
-# Danfoss FC 202: 50200 status (sent as 50199 = 0xC417), 50000 control (0xC34F), 50010 reference
-# (0xC359). FC profile, MG.33.B6.22 p. 277: bits 2 to 5 ramp, no coast, no quick stop, no freeze; 6
-# start; 10 data valid. 0x4000 is 100 %: 0x2000.
-DANFOSS_START = """
+operation?    : 03 0003 0001 -> 03 02 1237""", """
+OFF1          : 06 0000 047E
+no speed      : 06 0001 0000
+confirmed?    : 03 0003 0001 -> 03 02 1231""", """
+reset         : 06 0000 04FE
+OFF1          : 06 0000 047E
+fault?        : 03 0003 0001 -> 03 02 1231 : bit 3 is 0"""),
+    # Danfoss FC 202: 50200 status (sent as 50199 = 0xC417), 50000 control (0xC34F), 50010 reference
+    # (0xC359). FC profile, MG.33.B6.22 p. 277: bits 2 to 5 ramp, no coast, no quick stop, no
+    # freeze; 6 start; 7 acknowledges when it rises; 10 data valid. 0x4000 is 100 %: 0x2000.
+    "danfoss_fc202": ("""
 fault?        : 03 C417 0001 -> 03 02 0603 : no; coasting
 stop, valid   : 06 C34F 043C
 enabled?      : 03 C417 0001 -> 03 02 0607 : bits 0 1 2 9
 50 %          : 06 C359 2000
 start         : 06 C34F 047C
-in operation? : 03 C417 0001 -> 03 02 0E07 : bit 11
-"""
-
-# Grundfos CIM 500: 00201 status (sent as 200 = 0x00C8), 00101 control bits, 00102 control mode,
-# 00103 operating mode, 00104 set-point in 0.01 %: 5000 = 0x1388. Manual p. 18 to 21: 00101 bit 0
-# remote, bit 1 on; 00201 bit 8 remote, bit 9 on.
-GRUNDFOS_START = """
+in operation? : 03 C417 0001 -> 03 02 0E07 : bit 11""", """
+ramp stop     : 06 C34F 043C
+no speed      : 06 C359 0000
+confirmed?    : 03 C417 0001 -> 03 02 0607""", """
+reset         : 06 C34F 04BC
+stop          : 06 C34F 043C
+trip?         : 03 C417 0001 -> 03 02 0607 : bit 3 is 0"""),
+    # Grundfos CIM 500: 00201 status (sent as 200 = 0x00C8), 00101 control bits, 00102 control mode,
+    # 00103 operating mode, 00104 set-point in 0.01 %: 5000 = 0x1388. Manual p. 18 to 21: 00101 bit
+    # 0 remote, bit 1 on, bit 2 acknowledges when it rises; 00201 bit 8 remote, bit 9 on.
+    "grundfos_cim500": ("""
 fault?        : 03 00C8 0001 -> 03 02 0000 : no; local
 remote, off   : 06 0064 0001
 remote?       : 03 00C8 0001 -> 03 02 0100
@@ -105,13 +112,20 @@ normal        : 06 0066 0000
 taken?        : 03 0066 0001 -> 03 02 0000
 50 %          : 06 0067 1388
 remote, on    : 06 0064 0003
-on?           : 03 00C8 0001 -> 03 02 0340
-"""
-
-# Schneider ATV630: 3201 ETA (0x0C81), 8501 CMD (0x2135), 8602 LFRD in rpm (0x219A), 9604 NSP
-# (0x2584; here 1450 = 0x05AA). State chart of BBV51701, p. 10: 6 shutdown, 7 switch on, F enable;
-# ETA under 0x006F: 0x40, 0x21, 0x23, 0x27. Half of 1450 rpm: 725 = 0x02D5.
-SCHNEIDER_START = """
+on?           : 03 00C8 0001 -> 03 02 0340""", """
+remote, off   : 06 0064 0001
+no speed      : 06 0067 0000
+confirmed?    : 03 00C8 0001 -> 03 02 0100""", """
+lowered       : 06 0064 0001
+reset         : 06 0064 0005
+remote, off   : 06 0064 0001
+fault?        : 03 00C8 0001 -> 03 02 0100 : bit 10 is 0"""),
+    # Schneider ATV630: 3201 ETA (0x0C81), 8501 CMD (0x2135), 8602 LFRD in rpm (0x219A), 9604 NSP
+    # (0x2584; here 1450 = 0x05AA). State chart of BBV51701, p. 10: 6 shutdown, 7 switch on, F
+    # enable; ETA under 0x006F: 0x40, 0x21, 0x23, 0x27. Half of 1450 rpm: 725 = 0x02D5. Stop is 7,
+    # disable operation: out of 'operation enabled' a shutdown (6) would coast. A rising bit 7
+    # acknowledges (p. 12).
+    "schneider_atv630": ("""
 fault?        : 03 0C81 0001 -> 03 02 0250 : no; disabled
 shutdown      : 06 2135 0006
               : 03 0C81 0001 -> 03 02 0231 : to switch on
@@ -120,86 +134,32 @@ switch on     : 06 2135 0007
 rated speed?  : 03 2584 0001 -> 03 02 05AA : 1450 rpm
 50 %          : 06 219A 02D5
 enable        : 06 2135 000F
-              : 03 0C81 0001 -> 03 02 0637 : enabled
-"""
-
-
-STARTS = {
-    "abb_acs880": ABB_START, "danfoss_fc202": DANFOSS_START, "grundfos_cim500": GRUNDFOS_START,
-    "schneider_atv630": SCHNEIDER_START,
-}
-
-
-def test_a_running_drive_gets_only_the_new_speed_and_the_control_word() -> None:
-    def twice(drive: Drive) -> None:
-        drive.run(0.5)
-        drive.run(1.0)
-
-    follow("abb_acs880", ABB_START.rstrip() + """
-fault?        : 03 0003 0001 -> 03 02 1337 : operation: nothing to wait for
-100 %         : 06 0001 4E20
-run           : 06 0000 047F
-""", twice)
-
-
-# --- stop and reset -------------------------------------------------------------------------------
-
-STOPS = {
-    "abb_acs880": """
-OFF1          : 06 0000 047E
-no speed      : 06 0001 0000
-confirmed?    : 03 0003 0001 -> 03 02 1231
-""",
-    "danfoss_fc202": """
-ramp stop     : 06 C34F 043C
-no speed      : 06 C359 0000
-confirmed?    : 03 C417 0001 -> 03 02 0607
-""",
-    "grundfos_cim500": """
-remote, off   : 06 0064 0001
-no speed      : 06 0067 0000
-confirmed?    : 03 00C8 0001 -> 03 02 0100
-""",
-    # Disable operation: out of 'operation enabled' a shutdown (6) would coast (BBV51701 p. 10).
-    "schneider_atv630": """
+              : 03 0C81 0001 -> 03 02 0637 : enabled""", """
 disable       : 06 2135 0007
-rated speed?  : 06 219A 0000
-confirmed?    : 03 0C81 0001 -> 03 02 0250
-""",
-}
-# After the stop. The bit that acknowledges is 7 (ABB p. 437, Danfoss p. 277, Schneider p. 12), or 2
-# (Grundfos p. 20), and counts when it rises.
-RESETS = {
-    "abb_acs880": """
-reset         : 06 0000 04FE
-OFF1          : 06 0000 047E
-fault?        : 03 0003 0001 -> 03 02 1231 : bit 3 is 0
-""",
-    "danfoss_fc202": """
-reset         : 06 C34F 04BC
-stop          : 06 C34F 043C
-trip?         : 03 C417 0001 -> 03 02 0607 : bit 3 is 0
-""",
-    "grundfos_cim500": """
-lowered       : 06 0064 0001
-reset         : 06 0064 0005
-remote, off   : 06 0064 0001
-fault?        : 03 00C8 0001 -> 03 02 0100 : bit 10 is 0
-""",
-    "schneider_atv630": """
+no speed      : 06 219A 0000
+confirmed?    : 03 0C81 0001 -> 03 02 0250""", """
 lowered       : 06 2135 0000
 reset         : 06 2135 0080
 fault?        : 03 0C81 0001 -> 03 02 0250 : bit 3 is 0
-lowered       : 06 2135 0000
-""",
+lowered       : 06 2135 0000"""),
 }
+ABB_START, ABB_STOP, _ = DIALOGUES["abb_acs880"]
 
 
-@pytest.mark.parametrize("name", STARTS)
+@pytest.mark.parametrize("name", DIALOGUES)
 def test_start_stop_and_reset(name: str) -> None:
-    follow(name, STARTS[name], run)
-    follow(name, STOPS[name], Drive.stop)
-    follow(name, STOPS[name].rstrip() + RESETS[name], Drive.reset)
+    start, stop, reset = DIALOGUES[name]
+    follow(name, start, run)
+    follow(name, stop, Drive.stop)
+    follow(name, stop + reset, Drive.reset)
+
+
+def test_a_running_drive_gets_only_the_new_speed_and_the_control_word() -> None:
+    follow("abb_acs880", ABB_START + """
+fault?        : 03 0003 0001 -> 03 02 1337 : operation: nothing to wait for
+100 %         : 06 0001 4E20
+run           : 06 0000 047F
+""", lambda drive: [drive.run(speed) for speed in (0.5, 1.0)])
 
 
 def test_another_ones_run_is_noticed() -> None:
@@ -208,65 +168,54 @@ def test_another_ones_run_is_noticed() -> None:
     Some drives do not return it, so it counts once it was returned as written.
     """
     read_back = "".join(f"\n: 03 0000 0001 -> 03 02 {word}" for word in ("047F", "047E", "047F"))
-
-    def stop_and_look(drive: Drive) -> list[Diagnosis | None]:
-        drive.stop()
-        return [drive.second_master() for _ in range(3)]
-
-    *before, found = follow("abb_acs880", STOPS["abb_acs880"].rstrip() + read_back, stop_and_look)
+    _, *before, found = follow(
+        "abb_acs880", ABB_STOP + read_back,
+        lambda drive: [drive.stop(), *(drive.second_master() for _ in range(3))],
+    )
     assert before == [None, None]
     assert "word is 0x047F, although 0x047E was" in found.sentence
 
 
 # --- what a drive reports -------------------------------------------------------------------------
 
-READS: list[tuple[str, str, dict[str, Any]]] = [
+READS = [
     ("abb_acs880", """
 400004        : 03 0003 0001 -> 03 02 1337 : operation
 400005        : 03 0004 0001 -> 03 02 1D4C : 7500 of 20000
-""", {
-        "ready": True, "running": True, "remote": True, "fault": "", "flow": None, "speed": 0.375,
-    }),
+""", DriveStatus(True, True, "", 0.375)),
     ("abb_acs880", """
 400004        : 03 0003 0001 -> 03 02 10B8 : bits 3 and 7
 04.01         : 03 0190 0001 -> 03 02 6681 : 0x6681
 400005        : 03 0004 0001 -> 03 02 0000
-""", {
-        "fault": "EFB communication loss (code 26241, 0x6681)", "timed_out": False,
-        "ready": False, "remote": False,
-    }),
+""", DriveStatus(False, False, "EFB communication loss (code 26241, 0x6681)", 0.0, remote=False)),
     # 20000 is 100 % (FENA-11 p. 92): -400 is -2 %, noise of a stopped pump; -8000 is -40 %.
     ("abb_acs880", """
 400004        : 03 0003 0001 -> 03 02 1231
 400005        : 03 0004 0001 -> 03 02 FE70 : -400
-""", {"speed": 0.0, "fault": "", "at_rest": True}),
+""", DriveStatus(True, False, "", 0.0)),
     ("abb_acs880", """
 400004        : 03 0003 0001 -> 03 02 1231
 400005        : 03 0004 0001 -> 03 02 E0C0 : -8000
-""", {"speed": -0.4, "fault": "the pump is turning backwards (speed -40.0%)", "at_rest": False}),
+""", DriveStatus(True, False, "the pump is turning backwards (speed -40.0%)", -0.4)),
     # The alarm word bit by bit, high word first; there is another fault besides the timeout.
     ("danfoss_fc202", """
 50200         : 03 C417 0001 -> 03 02 060B : trip
 16-90         : 03 4203 0002 -> 03 04 4000 0010 : bits 4 and 30
 50210         : 03 C421 0001 -> 03 02 FFFF : -1 of 16384
-""", {
-        "fault": "control word timeout (bit 4), safe stop (bit 30)", "timed_out": False,
-        "at_rest": True,
-    }),
+""", DriveStatus(False, False, "control word timeout (bit 4), safe stop (bit 30)", 0.0)),
     # 45.0 Hz of 50.0 Hz; 12.3 m3/h are 12.3 / 3600 m3/s.
     ("grundfos_cim500", """
 00201         : 03 00C8 0001 -> 03 02 0340 : bits 6 8 9
 00305         : 03 0130 0001 -> 03 02 01C2 : 450
 00212         : 03 00D3 0001 -> 03 02 01F4 : 500
 00302         : 03 012D 0001 -> 03 02 007B : 123
-""", {"speed": pytest.approx(0.9), "flow": pytest.approx(12.3 / 3600), "running": True}),
+""", DriveStatus(True, True, "", 0.9, 12.3 / 3600)),
 ]
 
 
 @pytest.mark.parametrize(("name", "dialogue", "expected"), READS)
-def test_what_it_reports(name: str, dialogue: str, expected: dict[str, Any]) -> None:
-    status = follow(name, dialogue, Drive.read)
-    assert {key: getattr(status, key) for key in expected} == expected
+def test_what_it_reports(name: str, dialogue: str, expected: DriveStatus) -> None:
+    assert asdict(follow(name, dialogue, Drive.read)) == pytest.approx(asdict(expected))
 
 
 def test_the_timeout_of_the_port_in_use_has_passed() -> None:
@@ -314,30 +263,6 @@ def test_own_timeout(interface: str, expected: float | None, dialogue: str) -> N
     assert bool(note) == (expected is None)
 
 
-# --- serial line ----------------------------------------------------------------------------------
-
-def test_start_on_a_serial_line() -> None:
-    """The same words as over TCP, between slave address and CRC."""
-    requests, answer = script(ABB_START)
-
-    def over_line(_request: bytes) -> bytes:
-        (_, data), = answer(b"") or []
-        return data[6:] + crc(data[6:])
-
-    with closing(SerialWire(over_line)) as wire:
-        talk("abb_acs880", wire.line, run)
-        assert wire.requests == [request[6:] + crc(request[6:]) for request in requests]
-
-
-def test_a_frame_with_a_wrong_check_is_no_answer() -> None:
-    with closing(SerialWire(lambda _request: frame("01 03 02 1231 0000"))) as wire, pytest.raises(
-        DriveError
-    ) as raised:
-        talk("abb_acs880", wire.line, Drive.read)
-    assert raised.value.kind == "connection"
-    assert "no valid response within 0.3 s" in str(raised.value)
-
-
 # --- wrong answers --------------------------------------------------------------------------------
 
 def first(*answers: tuple[float, bytes]) -> Callable[[bytes], Answer]:
@@ -380,10 +305,10 @@ def test_wrong_answers_have_a_name_and_a_time(
 
 
 def test_a_late_answer_is_not_taken_for_the_next() -> None:
+    """The server is still busy with the first request; it answers both, one after the other."""
     def go(drive: Drive) -> DriveStatus:
         with pytest.raises(DriveError, match="no valid response"):
             drive.read()
-        # The server is still busy with the first request; it answers both, one after the other.
         return drive.read()
 
     late = first((0.5, frame("0001 0000 0005 01 03 02 0008")))
@@ -391,8 +316,14 @@ def test_a_late_answer_is_not_taken_for_the_next() -> None:
     assert status.running and not status.fault
 
 
+def confirm_another_word(request: bytes) -> Answer:
+    """Answer like a good drive, but with the next word."""
+    ((_, answer),) = acs880()(request) or []
+    return [(0, answer[:-1] + bytes([answer[-1] + 1]))]
+
+
 @pytest.mark.parametrize("answer", [
-    lambda _request: [(0, frame("0001 0000 0006 01 06 0000 047F"))],  # of another word
+    confirm_another_word,
     lambda _request: None,  # closed
     lambda request: [(0, request)],  # a gateway whose serial side echoes, or another service
 ])
@@ -401,18 +332,40 @@ def test_a_stop_is_not_taken_for_done(answer: Callable[[bytes], Answer]) -> None
         against(answer, Drive.stop)
 
 
-@pytest.mark.parametrize("echo", [
+def test_an_echo_is_no_value() -> None:
+    """As an answer, the echo of this request would have two bytes of data."""
+    with pytest.raises(DriveError, match="does not fit"):
+        against(lambda request: [(0, request)], lambda drive: drive.line.read(0x02BE, 1))
+
+
+@pytest.mark.parametrize("answer", [
     lambda request: request,
     lambda request: [request[:5], request[5:]],
     lambda request: [request, request],
     lambda request: request + rtu_server(acs880())(request),
-], ids=["whole", "halves", "twice", "before the drive's answer"])
-def test_an_echo_confirms_no_stop(echo: Callable[[bytes], bytes | list[bytes]]) -> None:
-    """An RS-485 adapter with local echo, in most cases without a drive behind it."""
-    with closing(SerialWire(echo)) as wire:
+    lambda request: request[:6] + b"\0\0",
+], ids=["echo", "echo in halves", "echo twice", "echo before the answer", "wrong check"])
+def test_a_stop_on_a_serial_line_is_not_taken_for_done(
+    answer: Callable[[bytes], bytes | list[bytes]]
+) -> None:
+    """Echoes are of an RS-485 adapter, in most cases without a drive behind it."""
+    with closing(SerialWire(answer)) as wire:
         with pytest.raises(DriveError):
             talk("abb_acs880", wire.line, Drive.stop)
-        until(lambda: len(wire.requests) > 1, 5)  # the stop was written all the same
+        assert wire.requests[0][:6] == frame("01 06 0000 047E")
+
+
+def test_start_on_a_serial_line() -> None:
+    """The same words as over TCP, between slave address and CRC."""
+    requests, answer = script(ABB_START)
+
+    def over_line(_request: bytes) -> bytes:
+        (_, data), = answer(b"") or []
+        return data[6:] + crc(data[6:])
+
+    with closing(SerialWire(over_line)) as wire:
+        talk("abb_acs880", wire.line, run)
+        assert wire.requests == [request[6:] + crc(request[6:]) for request in requests]
 
 
 REFUSED: list[tuple[str, str, Task, str, str]] = [
@@ -449,14 +402,11 @@ def test_what_cannot_be_done_or_believed(
 
 def test_a_word_that_the_register_cannot_hold_is_not_written(tmp_path: Path) -> None:
     """90 % of 40000 rpm is 36000, as signed 16 bits -29536: full speed backwards."""
-    file = tmp_path / "fast.yaml"
+    file, dialogue = tmp_path / "fast.yaml", DIALOGUES["schneider_atv630"][0].partition("50 %")[0]
     text = find_drive_file("schneider_atv630").read_text()
     file.write_text(text.replace("high: 7200", "high: 60000"))
     with pytest.raises(DriveError, match=r"36000, a speed of 90\.0%, is too large for LFRD"):
-        follow(
-            str(file), SCHNEIDER_START.split("50 %")[0].replace("05AA", "9C40"),
-            lambda drive: drive.run(0.9),
-        )
+        follow(str(file), dialogue.replace("05AA", "9C40"), lambda drive: drive.run(0.9))
 
 
 def test_a_state_that_is_not_reached_is_named() -> None:
@@ -467,9 +417,13 @@ def test_a_state_that_is_not_reached_is_named() -> None:
 
 def test_giving_up_in_the_middle_of_a_start() -> None:
     """Off is asked for while the drive does not get ready: no wait, no speed, no run."""
-    answers = iter([True, False])
+    def go(drive: Drive) -> None:
+        answers = iter([True, False])
+        drive.may_run = lambda: next(answers)
+        drive.run(0.5)
+
     follow("abb_acs880", """
               : 03 0003 0001 -> 03 02 1270
               : 06 0000 047E
               : 03 0003 0001 -> 03 02 1270 : not ready
-""", lambda drive: drive.run(0.5, lambda: next(answers)))
+""", go)
