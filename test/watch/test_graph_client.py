@@ -1,4 +1,4 @@
-"""A graph's pump is stopped from outside; for what is received see test_feed.py."""
+"""A graph's pump is stopped from outside; for what is received see test_beside_a_run.py."""
 
 from __future__ import annotations
 
@@ -105,7 +105,5 @@ def test_a_stop_goes_to_every_node_that_may_control_the_pump(
     pumps.append(Pump(domain))
     wait_for(lambda: client.find_pumps() == {"/pump": 2}, 60, "its twin")
     refused(client, "two nodes have this name", 3.0, answered=False)
-    pumps.pop().close()
-    wait_for(lambda: client.find_pumps() == {"/pump": 1}, 60, "the end of its twin")
-    assert client.request("stop", 20, **PAGE) == HELD
-    pumps.pop().close()
+    for pump in pumps:
+        pump.close()

@@ -67,25 +67,19 @@ def test_a_week_is_kept_and_memory_is_bounded() -> None:
     assert history.rows["ended"][0] == START + 100 * STRETCH_NS
 
 
-def test_the_file_is_read_as_it_was_written_and_any_damage_is_refused_or_plausible(
+def test_the_file_is_read_as_it_was_written_and_damage_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A bit that is flipped anywhere, and files of others."""
     said: list[str] = []
     monkeypatch.setattr("greenroof_ros.watch.lines.print_line", said.append)
-    file, chance = tmp_path / "made" / "watch.npz", np.random.default_rng(1)
+    file = tmp_path / "made" / "watch.npz"
     rows = filled(np.arange(100), np.arange(100.0)).rows
     assert read_histories(file) == {}
-    write_histories(file, {"roof": rows[::-1].copy()})
+    write_histories(file, {"roof": rows[::-1].copy()})  # times that fall
     contents = [file.read_bytes(), b"", b"a site: 1\n", b"PK\x03\x04"]
     write_histories(file, {"roof": rows})
     np.testing.assert_array_equal(read_histories(file)["roof"].rows, rows)
-    whole = file.read_bytes()
-    for number in range(300):
-        damaged = bytearray(whole)
-        damaged[chance.integers(len(damaged))] ^= 1 << chance.integers(8)
-        file.write_bytes(contents[number] if number < len(contents) else damaged)
-        before = len(said)
-        for history in read_histories(file).values():
-            assert np.all(np.diff(history.rows["ended"]) > 0)
-        assert number >= len(contents) or len(said) == before + 1
+    for number, content in enumerate((*contents, file.read_bytes()[:-50]), start=1):
+        file.write_bytes(content)
+        assert read_histories(file) == {}
+        assert len(said) == number

@@ -14,14 +14,14 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from graphs import wait_for
-from page_inputs import SECOND, fail
+from page_inputs import SECOND
 from page_inputs import pump as pump_says
-from page_server import read_state, request, served
+from page_server import request, served
 
-from greenroof_ros.base.standard_error import LINES
 from greenroof_ros.watch import server
 from greenroof_ros.watch.document import make_document
 from greenroof_ros.watch.feed import Feed
@@ -103,39 +103,29 @@ def test_a_request_names_this_host(port: int) -> None:
     """Otherwise a foreign name that resolves to this host would share the page's origin."""
     for host, status in (
         ("LOCALHOST:9000", 200), ("127.0.0.1:8080", 200), ("[::1]:8080", 200),
-        ("evil.example", 403), ("127.0.0.1.evil.example", 403), ("192.168.0.1", 403), ("", 403),
-        ("[", 403), (None, 400), ("localhost\r\nHost: evil.example", 400),
+        ("evil.example", 403), ("127.0.0.1.evil.example", 403), ("", 403), ("[", 403), (None, 400),
+        ("localhost\r\nHost: evil.example", 400),
     ):
         assert request(port, "GET", "/", host=host).status == status, host
 
 
-@pytest.mark.parametrize(("token", "status", "refused", "right"), [
-    (None, 403, ({}, {"X_Greenroof": "0"}), ACT),
-    ("secret", 401, (ACT, *({**ACT, "Authorization": given} for given in (
-        "Bearer ", "Bearer secrex", "secret", "Bearer secr\xe9t",
-    ))), RIGHT),
-], ids=["without-token", "with-token"])
-def test_only_the_page_itself_acts(
-    token: str | None, status: int, refused: tuple[dict[str, str], ...], right: dict[str, str],
-    watched: GraphStore, pump: Pump,
-) -> None:
+def test_only_the_page_itself_acts(watched: GraphStore, pump: Pump) -> None:
     """Another page cannot set the header, as nothing allows it to. A token is needed for all."""
-    with served(watched, token) as port:
-        for headers in refused:
-            answer = request(port, "POST", "/stop", **headers)
-            assert (answer.status, answer.json()["ok"]) == (status, False), headers
-            if token:
-                assert request(port, "GET", "/state", **headers).status == status
-        for method in ("PUT", "OPTIONS"):
-            answer = request(port, method, "/stop", **ACT, Origin="http://evil.example")
-            assert answer.status in (401, 404, 405)
+    wrong = ({**ACT, "Authorization": given} for given in ("Bearer secrex", "secret", "\xe9"))
+    for token, status, seen, refused, right in (
+        (None, 403, 200, ({}, {"X_Greenroof": "0"}), ACT),
+        ("secret", 401, 401, (ACT, *wrong), RIGHT),
+    ):
+        with served(watched, token) as port:
+            for headers in refused:
+                assert request(port, "POST", "/stop", **headers).status == status, headers
+                assert request(port, "GET", "/state", **headers).status == seen
+            answer = request(port, "OPTIONS", "/stop", **ACT, Origin="http://evil.example")
             assert not any(name.startswith("access-control") for name in answer.headers)
-        assert pump.done == []
-        assert request(port, "GET", "/").status == 200
-        assert request(port, "GET", "/state", **right).status == 200
-        answer = request(port, "POST", "/stop", **right)
-    assert answer.json() == {"ok": True, "sentence": "stop done"}
-    assert pump.done == [("stop", {"owner": "the page"})]
+            assert pump.done == []
+            assert request(port, "GET", "/state", **right).status == 200
+            assert request(port, "POST", "/stop", **right).json()["sentence"] == "stop done"
+        assert pump.done.pop() == ("stop", {"owner": "the page"})
 
 
 def test_nothing_else_is_done_unless_that_was_allowed_with_a_token(
@@ -154,8 +144,7 @@ def test_nothing_else_is_done_unless_that_was_allowed_with_a_token(
                 assert request(port, "POST", f"/{action}", DOSE, **RIGHT).status == status
     assert pump.done == [("release", {}), ("clear", {}), ("dose", {"volume": 0.2, "asked_at": 7.0})]
     with served(watched, "secret") as port:
-        for wrong in (b"{", b"[]", b"[" * 9000, b'{"volume": 1}', b'{"volume": "x", "asked_at": 1}',
-                      b'{"volume": 1' + 400 * b"0" + b', "asked_at": 1}'):
+        for wrong in (b"{", b"[]", b"[" * 9000, b'{"volume": 1}'):
             assert request(port, "POST", "/dose", wrong, **RIGHT).status == 400, wrong
         watched.nodes.clear()
         assert request(port, "POST", "/release", **RIGHT).status == 403
@@ -186,19 +175,11 @@ def test_a_stop_goes_before_all_else(watched: GraphStore, pump: Pump) -> None:
     ]
 
 
-GET, POST = (
-    f"{method} HTTP/1.1\r\nHost: localhost\r\nX-Greenroof: 1\r\n".encode()
-    for method in ("GET /state", "POST /stop")
-)
+POST = b"POST /stop HTTP/1.1\r\nHost: localhost\r\nX-Greenroof: 1\r\n"
 BROKEN = [
-    b"\0" * 5000, b"GET\r\n\r\n", b"GET / HTTP/9.9\r\n\r\n",
-    b"GET / HTTP/1.1\r\nHost: local\0host\r\n\r\n",
-    b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03",  # TLS
-    b"GET / HTTP/1.1\r\n" + b"a: b\r\n" * 20_000 + b"\r\n",
-    b"GET /" + b"a" * 1_000_000 + b" HTTP/1.1\r\n\r\n",
+    b"\0" * 5000, b"GET / HTTP/9.9\r\n\r\n", b"GET / HTTP/1.1\r\n" + b"a: b\r\n" * 20_000 + b"\r\n",
     POST + b"Content-Length: -1\r\n\r\n",
     POST + b"Content-Length: 2\r\nTransfer-Encoding: chunked\r\n\r\n{}",
-    GET + b"Upgrade: websocket\r\nConnection: Upgrade\r\n\r\n\x81\xfe\xff\xff\xff\xff",
 ]
 
 
@@ -233,18 +214,13 @@ def test_documents_are_made_once_for_all_and_sent_only_if_they_have_changed(
     watched: GraphStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At most twice a second, whoever asks."""
-    made: list[float] = []
-
-    def document(store: GraphStore, steady: float) -> dict[str, Any]:
-        made.append(steady)
-        return make_document(store, steady)
-
+    document = Mock(side_effect=make_document)
     monkeypatch.setattr(server, "make_document", document)
     with served(watched) as port, ThreadPoolExecutor(8) as pages:
         begun = time.monotonic()
         answers = [*pages.map(lambda _: request(port, "GET", "/state").status, range(80))]
         assert set(answers) == {200}
-        assert len(made) <= (time.monotonic() - begun) / 0.5 + 1
+        assert document.call_count <= (time.monotonic() - begun) / 0.5 + 1
         tag = request(port, "GET", "/state").headers["etag"]
         known = request(port, "GET", "/state", If_None_Match=f'"other", {tag}')
         assert (known.status, known.body, known.headers["etag"]) == (304, b"", tag)
@@ -256,17 +232,3 @@ def test_documents_are_made_once_for_all_and_sent_only_if_they_have_changed(
         assert changed.json()["tiles"]["roof"]["number"] == 0.03
 
 
-def test_a_document_that_cannot_be_made_is_reported(
-    port: int, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    """Rather than an old one being sent; the stop and the other document go on."""
-    monkeypatch.setattr(LINES, "_kinds", {})  # nothing was printed in the last minute
-    monkeypatch.setattr(server, "make_series", fail)
-    answer = request(port, "GET", "/charts?hours=12")
-    assert (answer.status, answer.json()["sentence"]) == (500, "ZeroDivisionError: a bug")
-    # Another thread writes it.
-    wait_for(lambda: "a bug" in capfd.readouterr().err, 60, "the report")
-    assert read_state(port)["mode"] == "none"
-    assert request(port, "POST", "/stop", **ACT).status == 200
-    for hours in ("-1", "nan", "5", "1_2", ""):
-        assert request(port, "GET", f"/charts?hours={hours}").status == 400, hours

@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
-from commands import run_command
-from graphs import environment
 from page_inputs import add_values, alarm, pump, store
 from paper import PAPER_SITE
 
@@ -16,38 +10,6 @@ from greenroof_ros.commands.status import _judge, _write_lines
 from greenroof_ros.interface.alarm import WARN
 from greenroof_ros.watch.document import make_document
 from greenroof_ros.watch.store import GraphStore
-
-
-def test_nothing_runs(domain: int, tmp_path: Path) -> None:
-    """One line, and 3, for cron; for a live site see test_watch_command.py."""
-    pytest.importorskip("rclpy", reason="nodes need ROS 2")
-    done = run_command("status", "--namespace", "site1", cwd=tmp_path, env=environment(domain))
-    assert (done.returncode, done.stderr) == (3, "")
-    assert "No run or site has been found" in done.stdout and done.stdout.count("\n") == 1
-
-
-WITHOUT = """
-import sys, runpy
-sys.modules[sys.argv.pop(1)] = None
-runpy.run_module("greenroof_ros", run_name="__main__", alter_sys=True)
-"""
-
-
-@pytest.mark.parametrize(("arguments", "code", "message"), [
-    (("rclpy", "status"), 3, "): source your ROS 2, or"),
-    (("aiohttp", "watch"), 2, "needs aiohttp: install greenroof_ros with its extra [watch]"),
-    # For monitoring plug-ins 2 is an alarm.
-    (("none", "status", "--namespcae"), 3, "unrecognized arguments: --namespcae; did you mean"),
-])
-def test_what_is_missing_or_wrong_is_reported(
-    arguments: tuple[str, ...], code: int, message: str, unused_domain: int, tmp_path: Path
-) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT, *arguments], cwd=tmp_path, check=False,
-        env=environment(unused_domain), capture_output=True, text=True, timeout=300,
-    )
-    assert (done.returncode, done.stdout) == (code, "")
-    assert message in done.stderr and "Traceback" not in done.stderr
 
 
 def test_it_gives_the_pages_words() -> None:
@@ -80,6 +42,7 @@ def test_an_unknown_value_is_a_warning_or_without_alarms_one(mode: str, code: in
         page["tiles"][name]["state"] = "unknown"
         assert [_judge(page | {"known": known}) for known in (True, False)] == [1, code], name
     graph = GraphStore()
-    assert _judge(make_document(graph, 100.0)) == 3
+    page = make_document(graph, 100.0)
+    assert _judge(page) == 3 and len(_write_lines(page, 3)) == 1
     graph.seen_at = 1e9
     assert _judge(make_document(graph, 100.0)) == 2

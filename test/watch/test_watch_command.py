@@ -19,7 +19,6 @@ import pytest
 from commands import run_command
 from graphs import (
     Process,
-    alive,
     children_of,
     environment,
     files_of,
@@ -31,9 +30,7 @@ from page_server import read_state, request
 from peers import in_domain
 from simulators import Simulator
 
-from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.watch.lines import read_histories, write_histories
-from greenroof_ros.watch.listening import listen, read_token
 
 URL = re.compile(r"http://127\.0\.0\.1:(\d+)/\n")
 
@@ -103,24 +100,6 @@ def test_it_waits_for_a_graph_on_loopback_and_ends_soon(domain: int, tmp_path: P
             end(process, number)
 
 
-def test_only_an_address_of_this_machine_and_a_token_of_chance_are_used(tmp_path: Path) -> None:
-    """The message names the token's file, but not the token."""
-    with listen("127.0.0.1", 0).socket as taken:
-        for host, port, message in (
-            ("192.0.2.1", 0, "192.0.2.1, 0': cannot be used"),
-            ("no.such.host.invalid", 0, "is not an address or name"),
-            ("127.0.0.1", taken.getsockname()[1], "cannot be used: Address already in use"),
-        ):
-            with pytest.raises(ConfigurationError, match=message):
-                listen(host, port)
-    file, content = tmp_path / "token", "é" * 40
-    file.write_text(content, encoding="utf-8")
-    file.chmod(0o600)
-    with pytest.raises(ConfigurationError, match="a token of at least 32 letters") as refused:
-        read_token(file)
-    assert str(file) in str(refused.value) and content not in str(refused.value)
-
-
 def test_beyond_loopback_and_to_release_it_needs_its_token(domain: int, tmp_path: Path) -> None:
     """Each time with a new token, or with the one in a file, which the first start makes.
 
@@ -152,53 +131,6 @@ def child_of(process: Process, command: bytes = b"greenroof_ros\0watch") -> int:
             if command in Path(f"/proc/{pid}/cmdline").read_bytes():
                 return pid
     return 0
-
-
-def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
-    domain: int, tmp_path: Path
-) -> None:
-    """In a namespace. It ran, so whether it stands is unknown, and nothing reports that it is off.
-
-    The page's stop is released by the command that is shown, exactly as printed. A hold is a
-    warning for greenroof status.
-    """
-    with running_pump(domain, tmp_path, "--watch") as (process, drive):
-        port = wait_for(lambda: port_of(process.stderr()), 60, "an address")
-
-        def pump() -> str:
-            state: str = read_state(port)["tiles"]["pump"]["state"]
-            return state
-
-        wait_for(lambda: pump() == "running", 60, "a running pump")
-        drive.inject("refused")
-        # At first the pump only falls silent; /alarms tells why within a second.
-        wait_for(lambda: pump() == "alarm", 60, "a pump that may be running")
-        wait_for(
-            lambda: read_state(port)["alarms"][0]["id"] == "/site1/pump: pump", 60, "its alarm"
-        )
-        drive.inject("none")
-        wait_for(lambda: pump() != "alarm", 60, "the drive again")
-        assert request(port, "POST", "/stop", X_Greenroof="1").json()["ok"]
-        wait_for(lambda: read_state(port)["stop"]["stopped"], 60, "the stop")
-        assert pump() == "held" and drive.speed() < 0.005
-        advice = read_state(port)["advice"]
-        assert advice.startswith("The pump is held off by the page since ")
-
-        def held() -> str:
-            done = run_command("status", "--namespace", "site1", cwd=tmp_path,
-                               env=environment(domain))
-            return done.stdout if done.returncode == 1 else ""
-
-        said = wait_for(held, 90, "a warning")
-        assert "\nPump           held  " in said and "\nAlarm, " not in said
-        done = subprocess.run(  # in any terminal of this machine
-            advice.partition("release it with: ")[2], shell=True, cwd=tmp_path,
-            env=environment(0), timeout=300, check=False,
-        )
-        assert done.returncode == 0
-        wait_for(lambda: not read_state(port)["stop"]["hold"], 60, "the pump released")
-        page = child_of(process)
-    assert page and not alive(page)
 
 
 # Clients that send nothing or many requests, read no answer, and connect again soon after they were
@@ -264,17 +196,25 @@ def test_1300_hostile_clients_keep_no_stop_away(domain: int, tmp_path: Path) -> 
         end(page)
 
 
-def test_a_killed_site_is_told_first_and_its_past_survives_a_restart(
+def test_a_stop_is_released_as_shown_and_a_killed_site_is_told_first(
     domain: int, tmp_path: Path
 ) -> None:
-    """Nothing reads as running, by a page that is not part of the site."""
+    """By a page that is not part of the site, and whose past survives a restart.
+
+    The page's stop is released by the command that is shown, exactly as printed. A hold is a
+    warning for greenroof status. Nothing of a killed site reads as running.
+    """
 
     def first() -> float:
         """Return the time of the oldest roof level on the page; 0 if there is none."""
         line = request(port, "GET", "/charts?hours=12").json()["lines"].get("roof")
         return float(line[0][0]) if line else 0.0
 
-    with running_pump(domain, tmp_path, code=-signal.SIGKILL) as (process, _):
+    def status() -> tuple[int, str]:
+        done = run_command("status", "--namespace", "site1", cwd=tmp_path, env=environment(domain))
+        return done.returncode, done.stdout
+
+    with running_pump(domain, tmp_path, code=-signal.SIGKILL) as (process, drive):
         page, port = watcher(domain, tmp_path, "--namespace", "site1")
         oldest = wait_for(first, 60, "a chart")
         assert abs(oldest - time.time()) < 120
@@ -288,6 +228,16 @@ def test_a_killed_site_is_told_first_and_its_past_survives_a_restart(
             lambda: read_state(port)["tiles"]["pump"]["state"] == "running", 60, "a running pump"
         )
         assert oldest - 3700 < first() < oldest - 3500
+        assert request(port, "POST", "/stop", X_Greenroof="1").json()["ok"]
+        wait_for(lambda: read_state(port)["stop"]["stopped"], 60, "the stop")
+        assert drive.speed() < 0.005
+        advice = read_state(port)["advice"]
+        assert advice.startswith("The pump is held off by the page since ")
+        said = wait_for(lambda: (done := status())[0] == 1 and done[1], 90, "a warning")
+        assert "\nPump           held  " in said and "\nAlarm. " not in said
+        command = advice.partition("release it with: ")[2]  # for any terminal of this machine
+        assert subprocess.run(command, shell=True, cwd=tmp_path, env=environment(0)).returncode == 0
+        wait_for(lambda: not read_state(port)["stop"]["hold"], 60, "the pump released")
         process.process.kill()
         told = wait_for(
             lambda: "nobody waters the roof" in (
@@ -300,9 +250,8 @@ def test_a_killed_site_is_told_first_and_its_past_survives_a_restart(
         assert {*states.values()} <= {"unknown", "alarm"}, states
         end(page)
     # Also by what is started later.
-    done = run_command("status", "--namespace", "site1", cwd=tmp_path, env=environment(domain))
-    assert done.returncode == 2, done.stdout
-    assert done.stdout.startswith("The site's program has not run since ")
+    code, said = status()
+    assert code == 2 and said.startswith("The site's program has not run since ")
     page, port = watcher(domain, tmp_path, "--namespace", "site1")
     assert read_state(port)["tiles"]["summary"]["level"] == "error"
     end(page)

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from page_inputs import START, node
-from places import CONFIG
 
 from greenroof_ros.ros.reports import Status
 from greenroof_ros.watch.document import make_document
-from greenroof_ros.watch.graph_client import read_message
 from greenroof_ros.watch.store import GraphStore
 
 
@@ -66,25 +62,15 @@ def test_another_run_or_site_replaces_the_one_before() -> None:
     assert is_new() and graph.nodes.keys() == {"/plant"}
 
 
-def test_levels_are_judged_by_the_sites_file_or_else_by_the_papers(tmp_path: Path) -> None:
-    graph, file = GraphStore(), tmp_path / "site.yaml"
-    file.write_text((CONFIG / "site.yaml").read_text())
-    for place in (f"{file}", f"{tmp_path}", "/none", "/etc/passwd\0", 7, "/" + "p" * 5000):
-        say(graph, 0.0, "plant", site=place)
-        assert (graph.site_note == "") == (place == f"{file}"), place
-
-
 # --- hostile messages -----------------------------------------------------------------------------
 
 _TEXTS = st.one_of(
     st.text(max_size=30),
     st.sampled_from([
-        "/pump", "/pump: drive", "/mpc: inputs", "ready", "ended", "starting", "", ": ", "/",
-        "<script>alert(1)</script>", "\ud800\x00\u202e", "[" * 2000, "9" * 401, "1e999", "NaN",
-        '"pump"', '"controller"', "{}", "[[1]]", '["x"]', '{"/a": 1}', '{"/a": 9' + "9" * 400 + "}",
+        "/pump", "/pump: drive", "ready", "ended", "starting", "", ": ", "\ud800\x00\u202e",
+        "[" * 2000, "9" * 401, "1e999", '"pump"', '"controller"', "{}", '["x"]', "null", "true",
         '{"owner": "x", "since": 1e300, "until": -1e300}', '{"volume": 1e300, "delivered": -1e300}',
-        "null", "true", "-Infinity", "1", "hold", "runs_on",
-        "2021-07-20T05:00:30+00:00", "9999-12-31T23:59:59+00:00", "0001-01-01T00:00:00",
+        "1", "hold", "runs_on", "2021-07-20T05:00:30+00:00", "9999-12-31T23:59:59+00:00",
     ]),
 )
 _STATUSES = st.builds(
@@ -120,12 +106,3 @@ def test_nothing_that_is_reported_raises_or_switches_the_stop_off(
             assert len(row["what"]) <= 501
 
 
-def test_what_is_not_whole_is_none() -> None:
-    """And never raises; for changed bytes see test_messages.py and test_reports.py."""
-    messages = pytest.importorskip("greenroof_ros.ros.messages", reason="it needs ROS 2")
-    whole = messages.encoder("std_msgs/msg/Float64")(-1.5e300)
-    assert read_message("/roof/level", whole) == -1.5e300
-    for length in range(len(whole)):
-        assert read_message("/roof/level", whole[:length]) is None
-        for name in ("/forecast/precipitation", "/diagnostics", "/alarms", "/clock"):
-            assert read_message(name, b"\xff" * length) is None
