@@ -152,14 +152,14 @@ def test_a_command_each_tick_is_never_too_old(
         f"/**/{pump}:\n  ros__parameters:\n    min_off: 1.0\n    {limit}\n"
     )
     done = run_command(
-        "bringup.live", "--sensors", "external", "--weather", "external", *options.split(), "--site",
-        str(site_file(tmp_path, tau=tau)), "--node-parameters", "nodes.yaml", cwd=tmp_path,
-        env=environment(0),
+        "bringup.live", "--sensors", "external", "--weather", "external", *options.split(),
+        "--site", str(site_file(tmp_path, tau=tau)), "--node-parameters", "nodes.yaml",
+        cwd=tmp_path, env=environment(0),
     )
     assert done.returncode == 2 and not (tmp_path / "live").exists()
     assert (
-        f"error: parameter command_limit of {pump} = {limit.partition(': ')[2] or 3.0}: must exceed "
-        f"tau of the site, {tau:g} s"
+        f"error: parameter command_limit of {pump} = {limit.partition(': ')[2] or 3.0}: must "
+        f"exceed tau of the site, {tau:g} s"
     ) in done.stderr
 
 
