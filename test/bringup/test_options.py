@@ -149,7 +149,7 @@ def test_a_command_each_tick_is_never_too_old(
     """What a node would refuse is refused before anything starts, with what would be right."""
     pytest.importorskip("rclpy")
     (tmp_path / "nodes.yaml").write_text(
-        f"/**/{pump}:\n  ros__parameters:\n    min_flow: 1.0e-6\n    {limit}\n"
+        f"/**/{pump}:\n  ros__parameters:\n    min_flow: 0.1\n    {limit}\n"
     )
     done = run_command(
         "bringup.live", "--sensors", "external", "--weather", "external", *options.split(),
