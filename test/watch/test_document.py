@@ -264,20 +264,6 @@ def test_a_pump_is_stopped_if_it_is_held_and_at_rest(
     assert document["tiles"]["pump"]["value"] == ("unknown" if at_rest else "may be running")
 
 
-@pytest.mark.parametrize("offered", [{"/pump": 1, "/second": 1}, {"/pump": 2}])
-def test_if_two_nodes_may_be_the_pump_node_only_a_stop_is_offered(offered: dict[str, int]) -> None:
-    """By their services, which are more than reports."""
-    graph = watched("live")
-    graph.allow_release = True
-    pump_says(graph, 100.0, f"held: {HELD}", at_rest=True, hold=HOLD)
-    assert "release" in shown(graph)["stop"]["actions"]
-    graph.offered = offered
-    document = shown(graph)
-    assert document["stop"]["possible"] and document["stop"]["actions"].keys() == {"stop"}
-    assert document["tiles"]["pump"]["state"] == "unknown"
-    assert document["tiles"]["summary"]["level"] == "warn"  # /alarms has the alarm
-
-
 SLOW = {"fault": "slow", "no_clear": ""}
 LEAK = {"fault": "a leak", "no_clear": "someone has to look"}
 DOSE = {"max_dose": 0.688, "min_dose": 0.00688, "no_dose": ""}
@@ -291,8 +277,8 @@ FROST = "the pump may not run: there is frost"
     (DOSE | {"max_dose": None, "no_dose": "none allowed"}, set(), ""),
 ])
 def test_what_else_may_be_done_here(said: dict[str, Any], actions: set[str], refusal: str) -> None:
-    """Only if it was allowed, and while the pump node responds."""
-    graph = watched()
+    """Only if it was allowed, and while one pump node responds, by the services offered."""
+    graph = watched("live")
     pump_says(graph, 100.0, "held: stopped", **said)
     assert shown(graph)["stop"]["actions"].keys() == {"stop"}
     graph.allow_release = True
@@ -300,7 +286,11 @@ def test_what_else_may_be_done_here(said: dict[str, Any], actions: set[str], ref
     assert stop["actions"].keys() == {"stop", *actions}
     assert all("must lock it out" in question for question in stop["actions"].values())
     assert stop["dose"]["refusal"] == refusal
-    assert shown(graph, 105.0)["stop"]["actions"].keys() == {"stop"}
+    for steady, offered in ((105.0, {"/pump": 1}), (100.0, {"/a": 1, "/b": 1}), (100.0, {"/a": 2})):
+        graph.offered = offered
+        document = shown(graph, steady)
+        assert document["stop"]["possible"] and document["stop"]["actions"].keys() == {"stop"}
+        assert steady > 100.0 or document["tiles"]["pump"]["state"] == "unknown"
 
 
 @pytest.mark.parametrize(("dose", "flow", "advice"), [
