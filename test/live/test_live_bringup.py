@@ -92,7 +92,7 @@ def test_a_site_is_kept_up_and_systemd_told(
         file.parent.mkdir()
         write_forecast(file, timedelta(minutes=1), 0.0, 12.0)
         site.until(lambda: 0 < newest(commands) <= 0.4, 60, "mpc")
-        site.until(lambda: " s: Weather\n" in process.stderr(), 60, "its end")
+        site.until(lambda: " s: Weather: no forecast covers" in process.stderr(), 60, "its end")
         beats = systemd.times("WATCHDOG=1")
         assert max(b - a for a, b in pairwise(beats)) < 10  # WatchdogSec of greenroof.service
     wait_for(lambda: systemd.times("STOPPING=1"), 60, "STOPPING=1")
