@@ -83,7 +83,7 @@ _DELIVERY = Expected(bound="undelivered", signs=_pump("delivery"), recovery="lat
 
 
 def _own_driver() -> Iterator[Case]:
-    """Yield the cases of a user's own driver; if it dies, the drive's own timeout stops the pump."""
+    """Yield the cases of a user's own driver; if it dies, the drive's timeout stops the pump."""
     lost = (("pump_guard: driver", "driver_lost"),)
     rig = f"own driver:{DRIVES[0]}"
     for fault in ("kill", "stop long"):
