@@ -190,7 +190,7 @@ def _reset(client: GraphClient, arguments: argparse.Namespace, reports: Reports)
         while (pump := reports.node(PUMP)) is None and time.monotonic() < until:
             time.sleep(_POLL_S)
             client.receive()
-        if pump is not None and (fault := pump.values.get("fault") or pump.values.get("unknown")):
+        if pump is not None and (fault := pump.values.get("fault")):
             print(f"The fault: {fault}", file=sys.stderr)
         if not _ask_to_confirm():
             raise PumpRequestError("not cleared: the request was not confirmed")

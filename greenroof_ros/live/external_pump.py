@@ -92,8 +92,7 @@ class ExternalPumpNode(ActuatorNode):
     def step(self, dt: float) -> Decision:
         """Judge the driver, and publish the hold."""
         lost = self._driver_problem()
-        alive = self._flow.good and self._flow.publishers.compatible
-        flow = float(self._flow.value) if alive else None
+        flow = None if lost else float(self._flow.value)
         share = None if flow is None else flow / self._max_flow
         command = float(self._command.value) if self._command.good else 0.0
         reasons = [lost] if lost else []
