@@ -32,7 +32,6 @@ from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.levels import LIMITS
 from greenroof_ros.live.node import LiveNode
 from greenroof_ros.live.pumping.interlocks import Decision, clear_refusal
-from greenroof_ros.live.pumping.limits import check_command_limit
 from greenroof_ros.live.pumping.state_file import MAX_TIME, StateFile
 from greenroof_ros.ros.diagnostics import ERROR, OK, WARN
 from greenroof_ros.ros.parameter_file import check_value
@@ -81,10 +80,6 @@ class ActuatorNode(LiveNode):
         super().__init__(name, PUMP)
         self.site = self.declare_site()
         self.values = declare(self, parameters(self.site))
-        check_command_limit(
-            self.values[COMMAND_LIMIT.name], self.site.tau,
-            f"parameter {COMMAND_LIMIT.name} of {self.get_name()}",
-        )
         own_name = self.get_fully_qualified_name().strip("/").replace("/", "-")
         path = self.values[STATE_FILE.name] or state_directory() / f"{own_name}.json"
         self.state_file = StateFile(Path(path), self.site.zone)

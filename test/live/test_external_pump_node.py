@@ -6,7 +6,6 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
-from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -90,21 +89,26 @@ def rig(observer: Observer) -> Iterator[Rig]:
     rig.peers.destroy_node()
 
 
-def test_a_killed_driver_is_an_alarm_within_its_lease(rig: Rig) -> None:
+def test_a_driver_that_is_killed_or_not_alone_is_an_alarm_within_its_lease(rig: Rig) -> None:
     """And /pump/hold is 1 until it is back, also for one that was stopped only."""
     rig.start()
     driver = rig.drive()
     rig.play(rig.runs, "running")
-    driver.send_signal(signal.SIGSTOP)
     lost = rig.observer.shows("/pump_guard: driver", ERROR, "not responding")
-    assert rig.play(lambda: lost() and rig.holds[-1] == 1.0, "the alarm") < 4
-    rig.play(lambda: rig.states[-1].codes == ("driver_lost",), "its state")
-    assert rig.states[-1].state == "unknown"
-    driver.send_signal(signal.SIGCONT)
-    rig.play(rig.runs, "running again")
-    driver.kill()
-    assert rig.play(lambda: lost() and rig.holds[-1] == 1.0, "the alarm") < 4
-    rig.drive()
+    for fault in (signal.SIGSTOP, signal.SIGKILL):
+        driver.send_signal(fault)
+        assert rig.play(lambda: lost() and rig.holds[-1] == 1.0, "the alarm") < 4
+        rig.play(lambda: rig.states[-1].codes == ("driver_lost",), "its state")
+        assert rig.states[-1].state == "unknown"
+        if fault == signal.SIGSTOP:
+            driver.send_signal(signal.SIGCONT)
+        else:
+            rig.drive()
+        rig.play(rig.runs, "running again")
+    second = rig.observer.publisher("/pump/flow")
+    rig.play(lambda: rig.holds[-1] == 1.0, "a hold")
+    rig.play(rig.observer.shows("/pump_guard: driver", ERROR, "2 publishers"), "its alarm")
+    rig.observer.node.destroy_publisher(second)
     rig.play(rig.runs, "running again")
 
 
@@ -121,9 +125,7 @@ def test_a_hold_reaches_the_driver_and_is_kept(rig: Rig) -> None:
     node.wait()
     rig.start()
     began = len(rig.hold_times)
-    rig.play(lambda: len(rig.hold_times) >= began + 5, "messages")
-    times = rig.hold_times[began:]
-    assert max(after - before for before, after in pairwise(times)) < 3
+    assert rig.play(lambda: len(rig.hold_times) >= began + 5, "messages") < 3 * 5
     assert {*rig.holds[-4:]} == {1.0} and rig.flows[-1] == 0.0
     assert rig.states[-1].codes == ("hold",)
     assert rig.call(Trigger, "release").success
@@ -151,24 +153,10 @@ def test_a_driver_that_does_not_stop_is_a_fault(rig: Rig) -> None:
     assert rig.call(Trigger, "release").success
     rig.command = 0.0
     rig.play(lambda: rig.states[-1].state == "fault", "a fault", 30)
-    assert rig.states[-1].codes == ("runs_on",) and "although the pump should be off" in (
-        rig.states[-1].why
-    )
+    assert rig.states[-1].codes == ("runs_on",)
     assert rig.holds[-1] == 1.0
-    rig.play(rig.observer.shows("/pump_guard: pump", ERROR, "should be off"), "its alarm")
     assert not rig.call(Trigger, "clear").success
     assert rig.call(Trigger, "reset").success
-
-
-def test_two_drivers_are_told_to_stop(rig: Rig) -> None:
-    rig.start()
-    rig.drive()
-    rig.play(rig.runs, "running")
-    second = rig.observer.publisher("/pump/flow")
-    rig.play(lambda: rig.holds[-1] == 1.0, "a hold")
-    rig.play(rig.observer.shows("/pump_guard: driver", ERROR, "2 publishers"), "its alarm")
-    rig.observer.node.destroy_publisher(second)
-    rig.play(rig.runs, "running again")
 
 
 def test_check_pump_passes_the_example(rig: Rig) -> None:
@@ -210,8 +198,5 @@ def test_the_controller_commands_0_during_a_hold_and_without_news_of_it(observer
         "live.controller --controller onoff", site_file=site, external_pump=True,
         recovery_time=0.3, hold_limit=1.0,
     )
-    play(newest(0.0), "0 without a hold to read", None)
-    play(newest(1.0), "a command", 0.0)
-    play(newest(0.0), "0 during a hold", 1.0)
-    play(newest(1.0), "a command", 0.0)
-    play(newest(0.0), "0 once /pump/hold is too old", None)
+    for hold, command in ((None, 0.0), (0.0, 1.0), (1.0, 0.0), (0.0, 1.0), (None, 0.0)):
+        play(newest(command), f"{command} at a hold of {hold}", hold)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import re
 from dataclasses import replace
-from datetime import datetime
 from string import Formatter
 from typing import Any
 
@@ -163,14 +162,5 @@ def test_what_is_reported_is_in_the_table_and_the_other_way_round() -> None:
                 needed = {name for _, name, *_ in Formatter().parse(sentence) if name}
                 assert needed <= given or None in given, (code.value, needed, given)
     assert conditions.keys() <= texts
-
-
-def test_quiet_hours_begin_and_end_by_the_wall_over_a_change_of_clocks() -> None:
-    """On 8 March 2026 Toronto's clocks went from 02:00 (07:00 UTC) to 03:00, without a 02:30."""
-    site = replace(PAPER_SITE, quiet_hours=("02:30-04:00",), time_zone="America/Toronto")
-    rig = Rig(x2=0.5, site=site)
-    for hour, quiet in (("07", True), ("08", False)):
-        at = datetime.fromisoformat(f"2026-03-08T{hour}:00+00:00").timestamp()
-        rig.now = at - 30
-        assert (rig.run(30, 0.3).request is None) != quiet
-        assert (rig.step(0.3).request is None) == quiet
+    kinds = [row.kind for row in INTERLOCKS.values()]
+    assert kinds == sorted(kinds, key=[LATCHED, INHIBIT, PERMISSIVE].index)
