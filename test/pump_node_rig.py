@@ -173,19 +173,6 @@ class PumpRig:
             command, lambda: self.drive.speed() == 0.0 and self.flows[-1] == 0.0, LATE, "a stop"
         )
 
-    def play(
-        self, values: dict[str, float], until: Callable[[], Any], event: str, seconds: float = 60
-    ) -> None:
-        """Publish values, like the peers in a live graph, until a condition holds."""
-
-        def played() -> Any:
-            for name, value in values.items():
-                self.publish(name, value)
-            self.observer.until(lambda: True, 1, "")
-            return until()
-
-        wait_for(played, seconds, f"{event} ({self.states[-3:]})")
-
     def run(self, command: float = 0.5) -> None:
         """Send a command until the pump runs."""
         self.join()

@@ -7,7 +7,6 @@ bringup or the drive fails is in the sample of the campaign, test_faults.py.
 from __future__ import annotations
 
 import math
-import os
 import re
 import signal
 import subprocess
@@ -22,7 +21,7 @@ from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from ros_rig import ERROR, LATE, OK, SUSPENDED, Observer
+from ros_rig import ERROR, LATE, OK, Observer
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
@@ -256,27 +255,3 @@ def test_a_dose_by_the_command(rig: PumpRig) -> None:
     rig.tick_until(0.0, lambda: process.process.poll() is not None, LATE, "its end")
     assert process.wait(1) == 1
     assert "error: the dose ended early, after " in process.stderr()
-
-
-def test_after_a_suspend_old_inputs_do_not_count(
-    rig: PumpRig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Nor is what happened meanwhile a fault: in an hour a low outlet takes 0.5 m."""
-    site = rig.site("tau: 0.2", "low_outlet_level: 1.0", "low_outlet_radius: 0.025")
-    (rig.cwd / "sitecustomize.py").write_text(SUSPENDED)
-    rig.simulate()  # the drive is not suspended
-    monkeypatch.setenv("PYTHONPATH", f"{rig.cwd}:{os.environ.get('PYTHONPATH', '')}")
-    rig.start(site_file=site, level_limit=1.0, frost_limit=1.0, command_limit=1.0, flow_limit=1.0)
-    inputs = {"/cistern/level": 2.5, "/roof/level": 0.01, "/weather/frost": 0.0,
-              "/pump/command": 0.5}
-    rig.join()
-    rig.play(inputs, lambda: rig.drive.speed() > 0.5, "a pump that runs", LATE)
-    (rig.cwd / "suspended").touch()
-    inputs["/cistern/level"] = 2.0
-    rig.play(inputs, lambda: any("/pump/command is unknown: this node" in said for said in
-                                 rig.observer.messages), "the reason", LATE)
-    inputs["/pump/meter"] = 0.00321  # counts, not the speed
-    rig.play(inputs, lambda: rig.flows[-1] == 0.00321, "a pump that runs as measured", LATE)
-    assert not any(state.startswith("fault") for state in rig.states)
-    inputs["/weather/frost"] = math.nan
-    rig.play(inputs, lambda: rig.drive.speed() == 0.0, "a stop", LATE)

@@ -15,7 +15,7 @@ from greenroof_ros.base.times import to_people
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.pumping.state_file import DAY_S, StateFile
 from greenroof_ros.physics.parameters import plant_parameters
-from greenroof_ros.physics.pump import flow_at, maximum_pump_flow, speed_for
+from greenroof_ros.physics.pump import flow_at, maximum_pump_flow
 from greenroof_ros.physics.soil import retained_share, water_to_raise
 from greenroof_ros.site.site import Site
 
@@ -258,11 +258,6 @@ class Pulses:
         """Return the volume that the minimum share delivers in the minimum time on (m3)."""
         flow = self.min_share(cistern_level) * flow_at(self._site, 1.0, cistern_level)
         return self._settings.min_on * flow
-
-    def speed(self, share: float, cistern_level: float) -> float:
-        """Return the speed for a share of the flow, from the minimum speed to 1."""
-        speed = speed_for(self._site, share, cistern_level)
-        return min(1.0, max(self._settings.min_speed, speed))
 
     def count(self, delivered: float, dt: float) -> None:
         """Subtract the volume delivered in dt (m3), and add the volume that `update` demanded."""

@@ -13,7 +13,7 @@ from greenroof_ros.live.pumping.dose import Doses
 from greenroof_ros.live.pumping.interlocks import Decision, Following, evaluate, state_of
 from greenroof_ros.live.pumping.limits import Observation, Pulses, PumpLimits, PumpSettings
 from greenroof_ros.live.pumping.state_file import SAVE_EVERY_S, StateFile
-from greenroof_ros.physics.pump import STANDSTILL, flow_at
+from greenroof_ros.physics.pump import STANDSTILL, flow_at, speed_for
 from greenroof_ros.site.site import Site
 
 # A measured flow above this multiple of the maximum flow is implausible.
@@ -186,7 +186,8 @@ class PumpControl:
         if not on and wait > 0:
             request, why = None, f"it may start in {duration(math.ceil(wait))}: {why_wait}"
         else:
-            request = pulses.speed(share, level)
+            speed = speed_for(self._site, share, level)
+            request = min(1.0, max(self._settings.min_speed, speed))
         if dose is not None:
             dose.why, dose.begun = why, dose.begun or request is not None
         return request, why

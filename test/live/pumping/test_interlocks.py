@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import ast
 import re
 from dataclasses import replace
-from string import Formatter
 from typing import Any
 
 import pytest
@@ -108,25 +106,6 @@ def test_they_are_named_in_the_order_of_the_table() -> None:
 # --- who may release and clear --------------------------------------------------------------------
 
 
-def test_one_release_ends_a_hold_whoever_made_it() -> None:
-    """It does not start the pump sooner than it may, nor does clearing a fault: within 120 s."""
-    rig = Rig(x2=0.5, settings=settings_for(PAPER_SITE, min_off=120.0))
-    rig.run(200, 0.5, until=lambda decision: decision.state == "running")
-    rig.state_file.hold("the page")
-    rig.state_file.hold("the operator", "a leak")
-    decision = rig.step(0.5)
-    assert re.fullmatch(
-        r"a hold by the operator since [-\d]+ [\d:]+\+00:00: a leak; the pump is still turning, "
-        r"at 0.6\d of its rated speed", decision.why,
-    )
-    rig.state_file.change(fault="it turns at another speed", fault_code="speed_not_followed")
-    rig.run(5, 1.0)
-    rig.state_file.release()
-    rig.clear()
-    assert rig.run(112, 1.0).request is None
-    assert rig.run(10, 1.0).request is not None
-
-
 @pytest.mark.parametrize("code", [code for code, row in INTERLOCKS.items() if row.kind == LATCHED])
 def test_a_fault_of_delivery_or_drive_needs_a_person_at_the_pump(code: str) -> None:
     """A speed that was not followed does not; it hides nothing that does, and no fault hides it."""
@@ -141,26 +120,11 @@ def test_a_fault_of_delivery_or_drive_needs_a_person_at_the_pump(code: str) -> N
 
 
 def test_what_is_reported_is_in_the_table_and_the_other_way_round() -> None:
-    """Each ``Diagnosis.of`` has a code of the table, its cases, and all values of its sentences."""
-    conditions, texts = read_conditions(), set[str]()
-    for file in (CHECKOUT / "greenroof_ros").rglob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Constant):
-                texts.add(str(node.value))
-            elif isinstance(node, ast.Call) and ast.unparse(node.func) == "Diagnosis.of":
-                code, *cases = node.args
-                if not isinstance(code, ast.Constant):
-                    continue
-                sentence = conditions[code.value].sentence
-                if not isinstance(sentence, str):
-                    sentence = "".join(
-                        sentence[each.value] for case in cases for each in ast.walk(case)
-                        if isinstance(each, ast.Constant) and each.value in sentence
-                    )
-                    assert sentence or not all(isinstance(case, ast.Constant) for case in cases)
-                given = {keyword.arg for keyword in node.keywords} | {"topic"}
-                needed = {name for _, name, *_ in Formatter().parse(sentence) if name}
-                assert needed <= given or None in given, (code.value, needed, given)
-    assert conditions.keys() <= texts
+    """In which what is latched comes first, then what inhibits."""
+    package = CHECKOUT / "greenroof_ros"
+    text = "".join(file.read_text(encoding="utf-8") for file in package.rglob("*.py"))
+    codes = read_conditions().keys()
+    assert set(re.findall(r'Diagnosis\.(?:of|if_any)\(\s*"(\w+)"', text)) <= codes
+    assert [code for code in codes if f'"{code}"' not in text] == []
     kinds = [row.kind for row in INTERLOCKS.values()]
     assert kinds == sorted(kinds, key=[LATCHED, INHIBIT, PERMISSIVE].index)

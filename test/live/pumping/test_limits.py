@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE
 from pump_rig import Rig, settings_for
 
-from greenroof_ros.live.pumping.limits import Pulses, PumpLimits
+from greenroof_ros.live.pumping.limits import PumpLimits
 from greenroof_ros.live.pumping.state_file import StateFile
-from greenroof_ros.physics.pump import maximum_pump_flow, pump_flow
+from greenroof_ros.physics.pump import pump_flow
 
 # A fifth of the maximum flow at 3 m, 0.00842205 m3/s, for 10 s.
 MIN_PULSE = 0.0168441
@@ -71,37 +71,6 @@ def test_volume_per_day() -> None:
     rig.state_file.count(1800 + 86_400 - 600 - 10, 0.0)
     assert rig.run(8, 1.0).state == "held"
     assert rig.run(4, 1.0).request is not None
-
-
-def test_a_run_without_a_break() -> None:
-    """100 s without a break, then 100 s of rest, whatever is commanded meanwhile."""
-    rig = Rig(x2=0.0, settings=settings_for(PAPER_SITE, max_run=99.5))
-    rig.run(200, 0.3, until=lambda decision: decision.state == "held")
-    assert rig.decisions[-1].why.startswith(
-        "the pump has run for 1.7 min without a break, and now rests for 1.7 min"
-    )
-    begun = rig.now
-    rig.run(20, 0.0)
-    rig.run(200, 0.3, until=lambda decision: decision.request is not None)
-    assert 95 <= rig.now - begun <= 110
-
-
-@pytest.mark.parametrize(("command", "due"), [
-    # A minimum pulse is 0.2 10 s = 2 s of the maximum flow, outstanding after 182 s with 2.002.
-    # Each second of it takes 0.189: after 11 s -0.077 are outstanding, and 189 s later 2.002.
-    (0.011, [182, 193, 382, 393]),
-    # 20 starts an hour are one every 180 s, in which 0.1 demands 18 s: each second takes 0.1.
-    (0.1, [180, 360, 540]),
-])
-def test_pulses_by_hand(command: float, due: list[int]) -> None:
-    pulse, on, changed = Pulses(PAPER_SITE, settings_for(PAPER_SITE)), False, []
-    for second in range(545):
-        share = pulse.update(command, 3.0, on)
-        if (share > 0) != on:
-            changed.append(second)
-        on = share > 0
-        pulse.count(share * maximum_pump_flow(PAPER_SITE, 75.0), 1.0)
-    assert changed == pytest.approx(due, abs=3)
 
 
 @pytest.mark.parametrize("drive_ramp", [0.1, 1.0])

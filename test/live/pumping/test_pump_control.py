@@ -165,13 +165,3 @@ def test_a_flow_while_the_pump_stands_is_a_contact_that_is_welded(follow_time: f
     assert (decision.state, [*decision.active]) == ("fault", ["runs_on"])
     assert not decision.at_rest
     assert rig.state_file.state.day_volume == pytest.approx(1.05 * minimum * 23)
-
-
-def test_a_wrong_speed_is_no_pump_that_runs_on_until_it_had_time_to_stop() -> None:
-    """A speed read as 2: not followed after 12 s; only if it stays for 12 s more, it runs on."""
-    rig = Rig(x1=70.0, settings=settings_for(PAPER_SITE, follow_time=12.0))
-    assert rig.run(60, 1.0).state == "running"
-    rig.change = {"speed": 2.0}
-    assert not rig.run(12, 1.0).active
-    assert list(rig.run(12, 1.0).active) == ["speed_not_followed"]
-    assert next(iter(rig.run(4, 1.0).active)) == "runs_on"
