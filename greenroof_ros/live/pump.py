@@ -204,20 +204,12 @@ class PumpNode(ActuatorNode):
         }
         if values["flow"] is None and status is not None:
             values["flow"] = status.flow
-        # A pump that turns backwards is no fault of the drive that could be acknowledged.
-        resetting = now < self._resetting_until and (
-            status is None or status.speed is None or status.speed >= -STANDSTILL
-        )
         return Observation(
             **values,
             displacements=self._levels.displacements,
             time_ns=time.time_ns(),
             speed=None if status is None else status.speed,
-            # A fault that is being acknowledged does not count.
-            reasons=[
-                reason for _, reason in self._reasons(snapshot, now)
-                if not resetting or reason.code not in ("runs_on", "drive_fault")
-            ],
+            reasons=[reason for _, reason in self._reasons(snapshot, now)],
         )
 
     def _reasons(self, snapshot: DriveSnapshot, now: float) -> Iterator[tuple[str, Diagnosis]]:
@@ -232,6 +224,9 @@ class PumpNode(ActuatorNode):
         if status is None:
             problem = snapshot.problem or f"it has not responded for {LIMIT_S:g} s"
             yield "drive", Diagnosis.of("drive_lost", problem=problem)
+        # A fault that is being acknowledged does not count, unless the pump turns backwards.
+        elif now < self._resetting_until and (status.speed or 0.0) >= -STANDSTILL:
+            pass
         elif status.fault and status.runs_on:
             yield "drive", Diagnosis.of("runs_on", "drive", fault=status.fault)
         elif status.fault:

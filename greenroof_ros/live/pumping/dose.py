@@ -46,6 +46,11 @@ class Dose:
     why: str = ""
 
     @property
+    def flow(self) -> float:
+        """The most that may flow now (m3/s)."""
+        return (self.volume - self.delivered) / _SLOWS_S
+
+    @property
     def sentence(self) -> str:
         """State of the dose, as a sentence."""
         progress = f"{self.delivered:.3f} of {self.volume:g} m3"
@@ -139,12 +144,6 @@ class Doses:
             self.end("all of it was delivered", DONE)
         elif not dose.begun and dose.age > EXPIRES_S:
             self.end(f"it could not be started within {EXPIRES_S:g} s: {dose.why}")
-
-    def share(self, max_flow: float) -> float:
-        """Return the share of the maximum flow (m3/s) that the current dose requires."""
-        dose = self.present
-        assert dose is not None
-        return min(1.0, (dose.volume - dose.delivered) / (_SLOWS_S * max_flow))
 
     def end(self, why: str, over: str = ENDED) -> None:
         """End the current dose, if there is one, for a reason in words."""

@@ -169,7 +169,7 @@ class PumpControl:
         pulses, on = self._pulses, self._request is not None
         minimum, dose, why = pulses.min_share(level), self.doses.present, "as commanded"
         if dose is not None:  # without pulses
-            command = max(minimum, self.doses.share(flow_at(self._site, 1.0, level)))
+            command = min(1.0, max(minimum, dose.flow / flow_at(self._site, 1.0, level)))
             why = f"a dose of {dose.volume:g} m3"
         command = 0.0 if full else command
         share = pulses.update(command, level, on)

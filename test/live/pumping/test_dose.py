@@ -31,7 +31,7 @@ def end(rig: Rig) -> tuple[str, str]:
     return dose.over, dose.why
 
 
-@pytest.mark.parametrize(("volume", "valve"), [(0.05, 1.0), (0.5, 1.0), (0.2, 0.0)])
+@pytest.mark.parametrize(("volume", "valve"), [(0.05, 1.0), (0.5, 1.0), (0.1, 0.0)])
 def test_a_dose_is_delivered_once(rig: Rig, volume: float, valve: float) -> None:
     """By the plant's balance, within 3 % and what flows in a tick at the minimum flow.
 
