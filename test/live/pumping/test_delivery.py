@@ -88,7 +88,7 @@ RUNS = "perhaps the pump is running although it should be off (a stuck contactor
 LEAK = "perhaps a leak, or someone else is taking water"
 HALF_DRY = {"x2": 0.5}
 SILENT = {"speed": None, "reasons": [LOST]}
-STILL = {"noise": 0.0}
+STILL = {"noise": 0.0, "x2": 0.688}
 SPIKES = {"x2": 0.5, "noise": 0.002}
 
 
@@ -104,8 +104,8 @@ SPIKES = {"x2": 0.5, "noise": 0.002}
         (HALF_DRY, 0.01, {"arriving": 0.0, "leaving": 0.0, "change": {"flow": 0.0}}, 1.0, 200,
          CLOSED),
         # Levels without noise stand still: 0.15 m3 in 18 s, and 0.413 m3 in 49 s.
-        (HALF_DRY | STILL, 0.01, {"arriving": 0.0, "leaving": 0.0}, 1.0, 30, CLOSED),
-        (HALF_DRY | STILL, 0.01, {"arriving": 0.0}, 1.0, 60, BURST),
+        (STILL, 0.0, {"change": {"cistern_level": 2.8, "roof_level": 0.01}}, 1.0, 30, CLOSED),
+        (STILL, 0.0, {"change": {"roof_level": 0.01}}, 1.0, 60, BURST),
         # 0.15 m3 in 18 s, plus the lag. An allowed 7e-6 m3/s is subtracted from the loss.
         (HALF_DRY, 0.0, {"contactor_stuck": True}, 0.0, 70, RUNS),
         ({"x2": 3.2}, 0.3, {"leak": 0.01}, 0.3, 65, LEAK),
