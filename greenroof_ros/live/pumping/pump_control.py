@@ -88,9 +88,9 @@ class PumpControl:
         # A meter may show no flow while the pump runs, if a valve is closed or the meter is broken.
         least = dt * max(flow or 0.0, computed or 0.0)
         most = least
-        if speed is not None:
+        if speed is not None or self._request is not None:
             self._may_turn_for = 0.0 if rests else self._drive_stops_after
-        else:
+        if speed is None:
             seconds = min(dt, self._may_turn_for)
             self._may_turn_for -= min(seconds, _READ_EVERY_S)
             most = max(least, seconds * flow_at(self._site, 1.0, level))

@@ -91,49 +91,6 @@ def test_one_process_at_a_time_makes_the_file_and_writes_its_use_every_10_s(file
     StateFile(file).close()
 
 
-# --- the sliding 24 hours -------------------------------------------------------------------------
-
-
-# How long the pump is wanted or not (s); whether the node is then restarted, after some time (s),
-# which does not count if the machine was started again, too.
-USES = st.tuples(
-    st.integers(1, 30_000), st.booleans(), st.booleans(), st.integers(0, 90_000), st.booleans(),
-)
-
-
-@settings(max_examples=30, deadline=None)
-@given(st.lists(USES, max_size=20), st.sampled_from([0.5, 3.0]))
-def test_no_24_h_have_more_use_than_the_limit(
-    uses: list[tuple[int, bool, bool, int, bool]], limit: float
-) -> None:
-    """By more than a tick's, in any window, also over restarts; and it is never off for a day."""
-    tick, volume = 100.0, 0.15
-    with TemporaryDirectory(dir=IN_MEMORY) as directory, pytest.MonkeyPatch.context() as patch:
-        clocks, file = Clocks(patch), Path(directory) / "pump.json"
-        state_file = StateFile(file)
-        pumped: list[float] = []  # when each tick of pumping ended
-        for seconds, wanted, restarts, down, boots in uses:
-            for _ in range(max(1, seconds // 100)):
-                clocks.now += tick
-                over = state_file.state.day_volume >= limit
-                assert not over or 0 < state_file.state.clears_in(limit) <= 86_400 + 1800
-                on = wanted and not over
-                state_file.count(tick, volume if on else 0.0)
-                pumped += [clocks.now] * on
-            if restarts:
-                assert state_file.close() == ""
-                expected = state_file.state.elapsed + (0 if boots else down)
-                clocks.now += down
-                clocks.boots += boots
-                state_file = StateFile(file)
-                assert state_file.state.elapsed == pytest.approx(expected, abs=0.1)
-        assert state_file.close() == ""
-    for number, end in enumerate(pumped):
-        within = [start for start in pumped[max(0, number - 40) : number + 1]
-                  if start > end - 86_400]
-        assert len(within) * volume <= limit + volume
-
-
 @pytest.mark.parametrize(("boots", "elapsed", "run"), [(0, 4.0, 4.0), (1, 0.0, 25.0)])
 def test_what_no_one_saw_counts_at_worst(
     boots: int, elapsed: float, run: float, file: Path, clocks: Clocks
