@@ -163,10 +163,6 @@ class PumpRig:
         """Publish ticks until a part of the node reports this code."""
         self.tick_until(command, lambda: self.code(part) == code, LATE, f"{part}: {code}")
 
-    def until_state(self, words: str, seconds: float = LATE) -> None:
-        """Publish ticks until the state contains these words."""
-        self.tick_until(0.5, lambda: words in self.state, seconds, words)
-
     def until_at_rest(self, command: float = 0.5) -> None:
         """Publish ticks until the motor stands and flow is 0."""
         self.tick_until(

@@ -146,7 +146,6 @@ def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(rig: Pump
     node = rig.start()
     rig.run()
     rig.drive.inject("drive_fault", 0x2310)
-    rig.until_state("fault: the drive reports")
     rig.until_reported("pump", ERROR, "the drive reports")
     rig.until_at_rest()
     rig.drive.inject("none")

@@ -76,17 +76,11 @@ class PumpSettings:
         "is delivered in pulses",
         0.01, 1.0, unit="1", default=_MIN_FLOW,
     )
-    min_on: float = entry(
-        "minimum time for which the pump must stay on after a "
-        "start", 0.0, 3600.0, unit="s", default=10.0
-    )
-    min_off: float = entry(
-        "minimum time for which the pump must stay off after a "
-        "stop", 0.0, 3600.0, unit="s", default=10.0
-    )
+    min_on: float = entry("minimum time on after a start", 0.0, 3600.0, unit="s", default=10.0)
+    min_off: float = entry("minimum time off after a stop", 0.0, 3600.0, unit="s", default=10.0)
     starts_per_hour: float = entry(
-        "maximum number of starts in any hour; by default, the number in the site "
-        "file", 1.0, 3600.0, unit="1/h"
+        "maximum number of starts in any hour; by default, the site file's", 1.0, 3600.0,
+        unit="1/h",
     )
     max_run: float = entry(
         "maximum time on without a break of the same length; by default, the time in which a fifth "
@@ -105,8 +99,7 @@ class PumpSettings:
     )
     level_tolerance: float = entry(
         "maximum unexplained change of a mean level that the delivery check tolerates; must exceed "
-        "the sensor's resolution. The default is 13 times the noise of the mean if readings arrive "
-        "every second with errors of 5 mm",
+        "the sensor's resolution",
         1e-4, 1.0, unit="m", default=0.006,
     )
     level_offset: float = entry(

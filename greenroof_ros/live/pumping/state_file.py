@@ -323,7 +323,7 @@ class StateFile:
             state = replace(state, fault_code="state_unknown", fault=why + before)
         self.state, self._whole = state, noted is not None and not problems
         self._unseen_s = math.inf
-        if "" != state.boot == boot_id():
+        if state.boot == boot_id():
             self._unseen_s = boot_time() - state.boot_s
             self.count(self._unseen_s, 0.0)
 
