@@ -115,7 +115,7 @@ class PumpNode(ActuatorNode):
             endpoint, timeout_limit_s=values["drive_timeout_limit"],
             stops_locally=values["local_settings_stop_the_pump"],
         )
-        self.reports.hardware = str(endpoint)
+        self.reports.hardware = f"{endpoint.file}, {endpoint}"
         settings = {setting.name: values[setting.name] for setting in pump_parameters(self.site)}
         self._control = PumpControl(
             self.site,
@@ -160,8 +160,7 @@ class PumpNode(ActuatorNode):
         self._exchange.start()
 
     def on_inputs(self) -> None:
-        """Decide, and publish the flow."""
-        self.decide()
+        """Publish the flow."""
         flow = self.decision.flow or 0.0  # a number for every tick, also if it is unknown
         if self._levels.cistern.good and self._levels.roof.good:
             self._levels.expect(flow)
@@ -270,7 +269,6 @@ class PumpNode(ActuatorNode):
         found = dict(reversed([*self._reasons(snapshot, now)]))
         well = {"flow": "this is the only pump node", "drive": f"connected to {endpoint.file}"}
         if snapshot.status_at(now) is not None:  # otherwise the timeout stays as it was
-            self.reports.hardware = f"{endpoint.file}, {endpoint}"
             after = snapshot.timeout_s or 0.0
             well["drive timeout"] = f"if this computer fails, the drive stops after {after:g} s"
         for part, words in well.items():
