@@ -20,7 +20,7 @@ from greenroof_ros.interface.states import PumpState
 # The node's tau, and a drive that ramps ten times as fast as in real time.
 PERIOD_S = 0.1
 PACE = ("--speed", "10", "--boot", "0.1", "--timeout", "1.5")
-MIN_TIMES = {"min_on": 1.0, "min_off": 1.0, "starts_per_hour": 3600.0}
+MIN_TIMES = {"min_on": 1.0, "min_off": 1.0}
 
 
 def state_in(message: String) -> str:
@@ -90,7 +90,7 @@ class PumpRig:
         """Write a site file with a short tau and further lines, and return it."""
         file = self.cwd / "site.yaml"
         tau = [] if any(line.startswith("tau") for line in lines) else [f"tau: {PERIOD_S}"]
-        text = [f"extends: {CONFIG / 'site.yaml'}", *tau, *lines]
+        text = [f"extends: {CONFIG / 'site.yaml'}", "starts_per_hour: 3600", *tau, *lines]
         file.write_text("\n".join(text))
         return file
 

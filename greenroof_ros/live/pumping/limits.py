@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.parameter import Parameter, entry, parameters_of
-from greenroof_ros.base.times import to_people
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.pumping.state_file import DAY_S, StateFile
 from greenroof_ros.physics.parameters import plant_parameters
@@ -78,10 +77,6 @@ class PumpSettings:
     )
     min_on: float = entry("minimum time on after a start", 0.0, 3600.0, unit="s", default=10.0)
     min_off: float = entry("minimum time off after a stop", 0.0, 3600.0, unit="s", default=10.0)
-    starts_per_hour: float = entry(
-        "maximum number of starts in any hour; by default, the site file's", 1.0, 3600.0,
-        unit="1/h",
-    )
     max_run: float = entry(
         "maximum time on without a break of the same length; by default, the time in which a fifth "
         "of the maximum flow fills an empty roof",
@@ -129,7 +124,6 @@ def pump_parameters(site: Site) -> tuple[Parameter, ...]:
     per_day = _MARGIN * (filling + evapotranspiration / retained_share(p, site.x2_star))
     min_flow = _MIN_FLOW * maximum_pump_flow(p, site.cistern_volume(site.suction_level))
     of_site = {
-        "starts_per_hour": site.starts_per_hour,
         "max_run": min(DAY_S, round(filling / min_flow) + 1.0),
         "max_volume_per_day": round(per_day, 3),
     }
@@ -168,7 +162,7 @@ class PumpLimits:
     def wait(self) -> tuple[float, str]:
         """Return the time until a pump that is off may start (s), and the reason."""
         now, starts = self._state_file.state.elapsed, self._state_file.state.starts
-        min_off, allowed = self._settings.min_off, int(self._settings.starts_per_hour)
+        min_off, allowed = self._settings.min_off, int(self._site.starts_per_hour)
         waits = [
             (0.0, ""),
             (min_off - (now - self._off_since), f"it must stay off for at least {min_off:g} s"),
@@ -204,8 +198,7 @@ class PumpLimits:
             yield Diagnosis.of("frost")
         quiet = self._site.quiet
         if quiet is not None and quiet.quiet_at(observed.time_ns):
-            until = to_people(quiet.end_after(observed.time_ns))
-            yield Diagnosis.of("quiet_hours", until=until)
+            yield Diagnosis.of("quiet_hours", until=f"{quiet.end_after(observed.time_ns):%H:%M}")
         if on and self.since_start >= settings.max_run:
             self._rests_until = stored.elapsed + settings.max_run
         if (rest := self._rests_until - stored.elapsed) > 0:
@@ -274,7 +267,7 @@ class Pulses:
             self.clear()
             return command
         self._wanted = command * flow_at(self._site, 1.0, cistern_level)
-        between_starts = self._wanted * _HOUR_S / self._settings.starts_per_hour
+        between_starts = self._wanted * _HOUR_S / self._site.starts_per_hour
         self._pulse = max(self.min_pulse(cistern_level), between_starts)
         due = self.outstanding > 0 if on else self.due_in == 0
         return minimum if command > 0 and due else 0.0

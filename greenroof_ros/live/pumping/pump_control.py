@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from greenroof_ros.base.times import duration
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.pumping.delivery import DeliveryCheck
-from greenroof_ros.live.pumping.dose import Doses
+from greenroof_ros.live.pumping.dose import Doses, litres
 from greenroof_ros.live.pumping.interlocks import Decision, Following, evaluate, state_of
 from greenroof_ros.live.pumping.limits import Observation, Pulses, PumpLimits, PumpSettings
 from greenroof_ros.live.pumping.state_file import SAVE_EVERY_S, StateFile
@@ -133,7 +133,7 @@ class PumpControl:
         elif turning and state == "off":
             state = "stopping"
         elif turning and active:
-            why += f"; the pump is still turning, at {speed:.2f} of its rated speed"
+            why += "; the pump is still turning"
         if at_rest and flow is None:
             flow = 0.0
         return Decision(active, state, why, at_rest, speed, flow, request)
@@ -170,7 +170,7 @@ class PumpControl:
         minimum, dose, why = pulses.min_share(level), self.doses.present, "as commanded"
         if dose is not None:  # without pulses
             command = min(1.0, max(minimum, dose.flow / flow_at(self._site, 1.0, level)))
-            why = f"a dose of {dose.volume:g} m3"
+            why = f"a dose of {litres(dose.volume)}"
         command = 0.0 if full else command
         share = pulses.update(command, level, on)
         if command < minimum:

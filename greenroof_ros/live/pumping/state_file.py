@@ -18,7 +18,8 @@ the torn line may have contained a hold or a fault, so it is unknown whether the
 and faults are also unknown if the file cannot be read, has another format, is an older copy or that
 of another site, or is missing while the file ``.number`` next to it shows that there was one. That
 file contains the number of the last line; the first number is random, so the numbers differ between
-sites. If the files are removed while a process uses them, it makes them anew when it next writes.
+sites. If the files are removed while a process uses them, it makes them anew within a minute.
+A process that is killed in that minute forgets what they contained.
 
 The disk thread writes the file, so a slow disk does not delay the control of the pump. Only one
 process of a machine uses the file.
@@ -47,17 +48,16 @@ from greenroof_ros.base.disk import DISK, PATIENCE_S
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import replace_file, replace_text
 from greenroof_ros.base.processes import LockedError, acquire_name_lock
-from greenroof_ros.base.times import to_people
+from greenroof_ros.base.times import clock_time
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.boot_clock import boot_id, boot_time
 
 DAY_S = 86_400.0
-STATE_FILE = "pump.json"
-"""the file's name in the directory of a live site"""
 GUARD = "pump_guard"
 """name of the node that keeps the file if the user's own node runs the pump"""
 SAVE_EVERY_S = 10.0
 """While the pump is on, at most this much of its use is not yet on the disk (s)."""
+_SAVE_OFF_S = 60.0  # as it is while the pump is off, in case that the files were removed
 MAX_TIME = 1e11
 """No hold ends later (s since 1970)."""
 # Length of a slot (s), and the number of slots that the last 24 h touch.
@@ -69,8 +69,8 @@ _LINE = 4096
 _MAX_STARTS, _SAVED_STARTS = 3600, 100
 # The texts that people write or read, and the maximum length of each.
 _TEXTS, _MAX_TEXT = {"hold_owner", "hold_reason", "fault"}, 350
-# The format of the file. In another one, a key has another meaning; a new key does not change it.
-_VERSION = 1
+# The format of the file, which changes with the keys and their meanings.
+_VERSION = 2
 # The number next to the file may be behind by this much: each kill between the two adds 1.
 _UNNOTED = 10_000
 # A service waits this long for the disk (s), well below the silence after which a node is killed.
@@ -152,7 +152,7 @@ class StateFile:
         # whether the file was whole when it was read.
         self._latest = self._written = self.state
         self._number, self._whole = 0, False
-        self._unsaved_s, self._unseen_s = 0.0, 0.0
+        self._unseen_s = 0.0
         self._lock: socket | None = None
         if file is not None:
             try:
@@ -172,10 +172,10 @@ class StateFile:
         state, ends = self.state, self.state.hold_until
         if not state.hold_owner or (ends is not None and time.time() >= ends):
             return None
-        known = {"owner": state.hold_owner}
+        known, now = {"owner": state.hold_owner}, datetime.fromtimestamp(time.time(), self._zone)
         for name, at in ("since", state.hold_since), ("until", ends):
             if at is not None:
-                known[name] = to_people(datetime.fromtimestamp(at, self._zone))
+                known[name] = clock_time(datetime.fromtimestamp(at, self._zone), now)
         if state.hold_reason:
             known["reason"] = state.hold_reason
         return Diagnosis.of("hold", *known, **known)
@@ -217,10 +217,6 @@ class StateFile:
         new = min(int(now // _SLOT_S - before // _SLOT_S), _SLOTS)
         *earlier, present = (*(self.state.volumes or (0.0,)), *[0.0] * new)[-_SLOTS:]
         self.state = replace(self.state, elapsed=now, volumes=(*earlier, present + volume))
-        if volume:  # otherwise nothing needs to be written
-            self._unsaved_s += dt
-        if self._unsaved_s >= SAVE_EVERY_S:
-            self.save()
 
     def count_unseen(self, max_run: float, flow: float) -> None:
         """Add the worst-case usage after a node that ended before it had confirmed the pump off.
@@ -237,12 +233,13 @@ class StateFile:
 
     def save(self) -> None:
         """Queue the state for writing, after any write in progress."""
-        self._unsaved_s = 0.0
         self._latest = replace(self.state, boot=boot_id(), boot_s=boot_time())
         self.check()
 
     def check(self) -> None:
-        """Write the state if it could not be written before."""
+        """Write the state if that is due, or was not possible before; to be called every second."""
+        if boot_time() - self._latest.boot_s >= (SAVE_EVERY_S if self.state.on else _SAVE_OFF_S):
+            self.save()
         if self._lock is not None and self._latest is not self._written:
             DISK.do(self._write)
             if DISK.late:
@@ -369,11 +366,6 @@ def _parse(line: bytes) -> dict[int, StoredState]:
     content = json.loads(text)
     if content["version"] != _VERSION:
         raise ValueError(f"its format is {content['version']}, but this version reads {_VERSION}")
-    if "use" in content:  # by an earlier version, with the time on in each slot
-        content["volumes"] = [volume for _, volume in content["use"]]
-        content.setdefault("hold_since", None)
-    if why := content.get("unknown"):  # likewise, next to a fault
-        content |= {"fault": why, "fault_code": "state_unknown"}
     state = StoredState(**{field.name: content[field.name] for field in fields(StoredState)})
     return {content["sequence"]: replace(
         state, volumes=tuple(state.volumes), starts=tuple(state.starts)

@@ -43,7 +43,7 @@ def test_a_dose_is_delivered_once(rig: Rig, volume: float, valve: float) -> None
     assert ask(rig, volume) == ""
     rig.run(600, 0.0, until=lambda decision: end(rig)[0] != "")
     assert end(rig)[0] == "done"
-    assert f"a dose of {volume:g} m3" in {decision.why for decision in rig.decisions}
+    assert f"a dose of {1000 * volume:.0f} litres" in {decision.why for decision in rig.decisions}
     rig.run(100, 0.0)
     min_flow = 0.2 * rig.plant_flow(1.0)
     assert rig.x2 - before == pytest.approx(valve * volume, rel=0.03, abs=min_flow)
@@ -54,9 +54,9 @@ def test_a_dose_is_delivered_once(rig: Rig, volume: float, valve: float) -> None
 @pytest.mark.parametrize(
     ("volume", "age", "words"),
     [
-        (math.nan, 0.0, "must be from 0.0"),
-        (0.51, 0.0, " to 0.5 m3 (max_dose)"),
-        (0.01, 0.0, "must be from 0.0"),
+        (math.nan, 0.0, "a dose is from 17 to 500 litres"),
+        (0.51, 0.0, "a dose is from 17 to 500 litres"),
+        (0.01, 0.0, "a dose is from 17 to 500 litres"),
         (0.2, 61.0, "61 s ago: it must be newer than 60 s"),
         (0.2, -70.0, "synchronize the clocks"),
         (0.2, math.nan, "synchronize the clocks"),
@@ -78,9 +78,9 @@ def test_a_request_counts_once(rig: Rig) -> None:
     """Neither a repeated request counts nor an older one, even if the newer one was refused."""
     now = time.time()
     for at, volume, words in (
-        (now, 0.1, ""), (now + 0.1, 0.3, "another dose is under way: a dose: 0.0"),
+        (now, 0.1, ""), (now + 0.1, 0.3, "another dose is under way: a dose: 7 of 100 litres"),
         (now, 0.1, "the previous request"), (now - 0.001, 0.1, "the previous request"),
-        (now + 1, 0.001, "must be from"), (now + 1, 0.1, "the previous request"),
+        (now + 1, 0.001, "a dose is from"), (now + 1, 0.1, "the previous request"),
     ):
         answer = rig.control.doses.request(at, volume, time.time())
         assert (answer == "") == (words == "") and words in answer

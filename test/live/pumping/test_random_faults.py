@@ -29,8 +29,8 @@ from greenroof_ros.live.pumping.pump_control import PumpControl
 from greenroof_ros.live.pumping.state_file import StateFile
 from greenroof_ros.physics.pump import STANDSTILL
 
-SITE = replace(PAPER_SITE, max_dose=0.5)
-SETTINGS = settings_for(SITE, min_off=1.0, starts_per_hour=3600.0)
+SITE = replace(PAPER_SITE, max_dose=0.5, starts_per_hour=3600.0)
+SETTINGS = settings_for(SITE, min_off=1.0)
 MAX_AGE = {"command": 3.0, "cistern_level": 5.0, "roof_level": 5.0, "frost": 10.0}
 REFUSED = Diagnosis.of("input_refused", "refused", why="it is not a number")
 INPUT = ("", "", "silent", "late", "nan", "jump", "two publishers")
