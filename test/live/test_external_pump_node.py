@@ -138,6 +138,7 @@ def test_a_driver_is_told_the_present_state_when_either_appears(rig: Rig) -> Non
     node, first = rig.start(), rig.drive()
     rig.play(rig.runs, "running")
     first.kill()
+    rig.play(lambda: rig.states[-1].codes == ("driver_lost",), "its loss")
     rig.drive(DRIVER.read_text().replace('"my_pump"', '"another_pump"'))
     rig.play(rig.runs, "running again")
     until = time.time() + 10
