@@ -54,9 +54,7 @@ def test_a_dose_is_delivered_once(rig: Rig, volume: float, valve: float) -> None
 @pytest.mark.parametrize(
     ("volume", "age", "words"),
     [
-        (math.nan, 0.0, "a dose is from 17 to 500 litres"),
-        (0.51, 0.0, "a dose is from 17 to 500 litres"),
-        (0.01, 0.0, "a dose is from 17 to 500 litres"),
+        *((volume, 0.0, "a dose is from 17 to 500 litres") for volume in (math.nan, 0.51, 0.01)),
         (0.2, 61.0, "61 s ago: it must be newer than 60 s"),
         (0.2, -70.0, "synchronize the clocks"),
         (0.2, math.nan, "synchronize the clocks"),

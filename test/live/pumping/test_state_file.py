@@ -154,13 +154,11 @@ def test_a_hold_is_told_by_the_clock_of_the_site(clocks: Clocks) -> None:
 # --- kill -9, power cut, full and slow disk -------------------------------------------------------
 
 
+texts = st.text(max_size=900)
 changes = st.one_of(
-    st.builds(lambda reason: lambda kept: kept.hold("A", reason), st.text(max_size=900)),
-    st.builds(
-        lambda text: lambda kept: kept.change(fault=text, fault_code="delivery"),
-        st.text(max_size=900),
-    ),
-    st.builds(lambda dt: lambda kept: kept.count(dt, 1e3 * dt), st.floats(0, 1e6)),
+    texts.map(lambda text: lambda kept: kept.hold("A", text)),
+    texts.map(lambda text: lambda kept: kept.change(fault=text, fault_code="delivery")),
+    st.floats(0, 1e6).map(lambda dt: lambda kept: kept.count(dt, 1e3 * dt)),
     st.sampled_from([
         lambda kept: kept.release(), lambda kept: kept.switch(True),
         lambda kept: kept.change(fault="", fault_code=""),
