@@ -20,7 +20,7 @@ from greenroof_ros.interface.states import PumpState
 # The node's tau, and a drive that ramps ten times as fast as in real time.
 PERIOD_S = 0.1
 PACE = ("--speed", "10", "--boot", "0.1", "--timeout", "1.5")
-MIN_TIMES = {"min_on": 1.0, "min_off": 1.0, "starts_per_hour": 3600.0}
+MIN_TIMES = {"min_on": 1.0, "min_off": 1.0}
 
 
 def state_in(message: String) -> str:
@@ -90,7 +90,7 @@ class PumpRig:
         """Write a site file with a short tau and further lines, and return it."""
         file = self.cwd / "site.yaml"
         tau = [] if any(line.startswith("tau") for line in lines) else [f"tau: {PERIOD_S}"]
-        text = [f"extends: {CONFIG / 'site.yaml'}", *tau, *lines]
+        text = [f"extends: {CONFIG / 'site.yaml'}", "starts_per_hour: 3600", *tau, *lines]
         file.write_text("\n".join(text))
         return file
 
@@ -163,28 +163,11 @@ class PumpRig:
         """Publish ticks until a part of the node reports this code."""
         self.tick_until(command, lambda: self.code(part) == code, LATE, f"{part}: {code}")
 
-    def until_state(self, words: str, seconds: float = LATE) -> None:
-        """Publish ticks until the state contains these words."""
-        self.tick_until(0.5, lambda: words in self.state, seconds, words)
-
     def until_at_rest(self, command: float = 0.5) -> None:
         """Publish ticks until the motor stands and flow is 0."""
         self.tick_until(
             command, lambda: self.drive.speed() == 0.0 and self.flows[-1] == 0.0, LATE, "a stop"
         )
-
-    def play(
-        self, values: dict[str, float], until: Callable[[], Any], event: str, seconds: float = 60
-    ) -> None:
-        """Publish values, like the peers in a live graph, until a condition holds."""
-
-        def played() -> Any:
-            for name, value in values.items():
-                self.publish(name, value)
-            self.observer.until(lambda: True, 1, "")
-            return until()
-
-        wait_for(played, seconds, f"{event} ({self.states[-3:]})")
 
     def run(self, command: float = 0.5) -> None:
         """Send a command until the pump runs."""

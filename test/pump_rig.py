@@ -121,19 +121,14 @@ class Rig:
         self.state_file.change(fault="", fault_code="")
         self.control.discard_evidence()
 
-    def reset(self) -> None:
-        """Clear the fault and an unknown state, as the node does."""
-        self.state_file.change(unknown="")
-        self.clear()
-
-    def suspend(self, seconds: float, runs_on: float = 0.0) -> None:
+    def suspend(self, seconds: float, runs_on: float = 0.0) -> Decision:
         """Let time pass without steps of the pump; then the drive's own timeout has stopped it."""
         for second in range(round(seconds / self.tau)):
             if second * self.tau >= runs_on:
                 self.speed = 0.0
             self._advance(self.plant_flow(self.speed))
         self.now += seconds
-        self.control.step(seconds, Observation())
+        return self.control.step(seconds, Observation())
 
     def levels(self) -> tuple[float, float]:
         """Return the true levels of the cistern and the roof (m)."""

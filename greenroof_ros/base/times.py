@@ -53,6 +53,11 @@ def to_people(time: datetime) -> str:
     return time.isoformat(" ", "seconds" if time.second else "minutes")
 
 
+def clock_time(time: datetime, now: datetime) -> str:
+    """Format a time as people say it, such as ``14:01``, with the date unless that is today."""
+    return time.strftime("%H:%M" if time.date() == now.date() else "%d %b %H:%M")
+
+
 def iso(seconds: float) -> str:
     """Format a time (s since 1970) in UTC according to ISO 8601, with milliseconds."""
     return datetime.fromtimestamp(seconds, timezone.utc).isoformat(timespec="milliseconds")

@@ -146,17 +146,17 @@ def _release(client: GraphClient, _: argparse.Namespace, __: Reports) -> str:
 
 def _add_dose_options(parser: Parser) -> None:
     parser.add_argument(
-        "--volume", type=make_number_type(0.001, 1e6), required=True, metavar="M3",
-        help="deliver this volume (m3)",
+        "--litres", type=make_number_type(1.0, 1e9), required=True, metavar="L",
+        help="deliver this volume (litres)",
     )
 
 
 def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Reports) -> str:
     """Request a dose, and print its progress until the dose ends."""
     requested_at, sentence = time.time(), ""
-    client.request("dose", _PATIENCE_S, volume=arguments.volume, asked_at=requested_at)
+    client.request("dose", _PATIENCE_S, volume=arguments.litres / 1000, asked_at=requested_at)
     accepted = time.monotonic()
-    print(f"dose {requested_at:.6f} of {arguments.volume:g} m3 was accepted", flush=True)
+    print(f"dose {requested_at:.6f} of {arguments.litres:g} litres was accepted", flush=True)
     while True:
         time.sleep(_POLL_S)
         client.receive()
@@ -190,7 +190,7 @@ def _reset(client: GraphClient, arguments: argparse.Namespace, reports: Reports)
         while (pump := reports.node(PUMP)) is None and time.monotonic() < until:
             time.sleep(_POLL_S)
             client.receive()
-        if pump is not None and (fault := pump.values.get("fault") or pump.values.get("unknown")):
+        if pump is not None and (fault := pump.values.get("fault")):
             print(f"The fault: {fault}", file=sys.stderr)
         if not _ask_to_confirm():
             raise PumpRequestError("not cleared: the request was not confirmed")
@@ -236,5 +236,5 @@ DOSE = PumpRequest(
     "If an interlock becomes active, or if the pump cannot start within a minute, the dose is "
     "abandoned and does not resume. Ctrl-C ends this command but not the dose; to end the dose, "
     "stop the pump.",
-    _dose, _add_dose_options, "example:\n  greenroof dose --volume 0.2\n\n",
+    _dose, _add_dose_options, "example:\n  greenroof dose --litres 200\n\n",
 )

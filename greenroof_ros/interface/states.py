@@ -20,8 +20,6 @@ class DriveState(enum.Enum):
     CONNECTING = "connecting"  # the drive does not answer
     REFUSED = "refused"  # nothing might stop it: its own timeout, or a state that is not saved
     READY = "ready"
-    STOPPED = "stopped"  # someone holds the pump
-    FAULT = "fault"  # a fault is latched, or it is unknown whether there was one
 
 
 PUMP_STATES = ("off", "starting", "running", "stopping", "held", "fault", "unknown")

@@ -32,7 +32,6 @@ from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.levels import LIMITS
 from greenroof_ros.live.node import LiveNode
 from greenroof_ros.live.pumping.interlocks import Decision, clear_refusal
-from greenroof_ros.live.pumping.limits import check_command_limit
 from greenroof_ros.live.pumping.state_file import MAX_TIME, StateFile
 from greenroof_ros.ros.diagnostics import ERROR, OK, WARN
 from greenroof_ros.ros.parameter_file import check_value
@@ -46,14 +45,10 @@ STATE_FILE = Parameter(
 )
 COMMAND, FLOW, STATE = "/pump/command", "/pump/flow", "/pump/state"
 COMMAND_LIMIT = LIMITS[COMMAND]
-# Interval between two decisions, and between two reports on the parts of the node (s).
-_STEP_S, _REPORT_S = 0.1, 0.2
-# What the drive's state is while an interlock is active, unless there is a fault.
-_TROUBLE = {
-    "drive_lost": DriveState.CONNECTING, "driver_lost": DriveState.CONNECTING,
-    "drive_timeout": DriveState.REFUSED, "drive_guards_later": DriveState.REFUSED,
-    "state_not_kept": DriveState.REFUSED, "hold": DriveState.STOPPED,
-}
+# Interval between two decisions (s).
+_STEP_S = 0.1
+# The interlocks for which no drive is run, whatever is commanded.
+_REFUSED = {"drive_timeout", "drive_guards_later", "state_not_kept"}
 # The fields of a hold.
 _HOLD = (
     Parameter("owner", "", meaning="whoever requests the hold", optional=False),
@@ -85,20 +80,16 @@ class ActuatorNode(LiveNode):
         super().__init__(name, PUMP)
         self.site = self.declare_site()
         self.values = declare(self, parameters(self.site))
-        check_command_limit(
-            self.values[COMMAND_LIMIT.name], self.site.tau,
-            f"parameter {COMMAND_LIMIT.name} of {self.get_name()}",
-        )
         own_name = self.get_fully_qualified_name().strip("/").replace("/", "-")
         path = self.values[STATE_FILE.name] or state_directory() / f"{own_name}.json"
         self.state_file = StateFile(Path(path), self.site.zone)
         self.decision = Decision({})
-        self._stepped, self._reported_at = boot_time(), -math.inf
+        self._stepped = boot_time()
         self.open_service("stop", SetBool, self._stop)
         self.open_service("release", Trigger, lambda request: self._release())
         self.open_service("hold", SetParametersAtomically, self._hold)
-        self.open_service("clear", Trigger, self._clear)
-        self.open_service("reset", Trigger, self._reset)
+        self.open_service("clear", Trigger, lambda request: self._clear(checked=False))
+        self.open_service("reset", Trigger, lambda request: self._clear(checked=True))
 
     # --- to override ------------------------------------------------------------------------------
 
@@ -142,8 +133,6 @@ class ActuatorNode(LiveNode):
         """Decide again, and report."""
         if boot_time() - self._stepped >= _STEP_S:
             self.decide()
-        if now - self._reported_at > _REPORT_S:
-            self._reported_at = now
             self.state_file.check()
             self.report()
 
@@ -168,15 +157,13 @@ class ActuatorNode(LiveNode):
     def progress(self) -> dict[str, Any]:
         """Return the values that bringup and the page show."""
         decision, stored, hold = self.decision, self.state_file.state, self.state_file.active_hold
-        state = DriveState.CONNECTING if decision.state == "unknown" else DriveState.READY
-        state = next((_TROUBLE[code] for code in _TROUBLE if code in decision.active), state)
-        if decision.state == "fault":
-            state = DriveState.FAULT
+        state = DriveState.REFUSED if _REFUSED & decision.active.keys() else DriveState.READY
+        if decision.speed is None:
+            state = DriveState.CONNECTING
         return {
             "pump_state": decision.state, "pump_why": decision.why, "at_rest": decision.at_rest,
             "speed": decision.speed, "flow": decision.flow, "drive_state": state.value,
             "fault": stored.fault, "no_clear": clear_refusal(self.state_file),
-            "unknown": stored.unknown,
             "hold": {
                 "owner": stored.hold_owner, "reason": stored.hold_reason,
                 "since": stored.hold_since, "until": stored.hold_until, "sentence": hold.sentence,
@@ -243,19 +230,13 @@ class ActuatorNode(LiveNode):
         self.state_file.release()
         return self._answer(self.decide())
 
-    def _reset(self, request: Trigger.Request) -> tuple[bool, str]:
-        stored = self.state_file.state
-        cleared = "; ".join(filter(None, (stored.fault, stored.unknown)))
-        self.state_file.change(fault="", fault_code="", unknown="")
-        self.discard_evidence(checked=True)
-        return self._answer(f"cleared: {cleared}" if cleared else "there was no fault")
-
-    def _clear(self, request: Trigger.Request) -> tuple[bool, str]:
-        if refusal := clear_refusal(self.state_file):
+    def _clear(self, checked: bool) -> tuple[bool, str]:
+        if not checked and (refusal := clear_refusal(self.state_file)):
             raise ValueError(refusal)
+        fault = self.state_file.state.fault
         self.state_file.change(fault="", fault_code="")
-        self.discard_evidence()
-        return self._answer(self.decide())
+        self.discard_evidence(checked)
+        return self._answer(f"cleared: {fault}" if fault else "there was no fault")
 
 
 def read_fields(

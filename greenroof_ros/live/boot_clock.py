@@ -18,11 +18,8 @@ def boot_time() -> float:
 
 @functools.cache
 def boot_id() -> str:
-    """Return an identifier of the machine's current boot; empty if the system has none."""
-    try:
-        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
-    except OSError:
-        return ""
+    """Return an identifier of the machine's current boot."""
+    return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
 
 
 def suspended_time() -> float:

@@ -53,7 +53,7 @@ EXTERNAL_PUMP = Parameter(
     "external_pump", False, meaning="whether your own node runs the pump: the command is then 0 "
         "while /pump/hold is 1 or is not arriving",
 )
-STATE_FILE = Parameter(
+LEARNED_FILE = Parameter(
     "state_file", "", meaning="file in which the cost of waiting for rain is preserved across "
         "restarts; if empty, the cost is not preserved",
 )
@@ -62,7 +62,7 @@ STATE_FILE = Parameter(
 def parameters(choice: ControllerChoice | None) -> list[Parameter]:
     """Return the parameters of a controller's node; without a controller, the common parameters."""
     of_class = [] if choice is None else choice.kind.parameters
-    return [site_file(), STATE_FILE, EXTERNAL_PUMP, *of_class, *LIVE_PARAMETERS]
+    return [site_file(), LEARNED_FILE, EXTERNAL_PUMP, *of_class, *LIVE_PARAMETERS]
 
 
 class LiveControllerNode(ControllerNode, LiveNode):
@@ -98,7 +98,7 @@ class LiveControllerNode(ControllerNode, LiveNode):
         self.prepare(choice)
         # The pump node alone limits how often the pump starts, and states when it may start next.
         self._site = replace(self._site, starts_per_hour=math.inf)
-        values = declare(self, [STATE_FILE, EXTERNAL_PUMP, *LIVE_PARAMETERS])
+        values = declare(self, [LEARNED_FILE, EXTERNAL_PUMP, *LIVE_PARAMETERS])
         self._levels = Levels(self._site, values, self.subscribe)
         self._cistern, self._roof = self._levels.cistern, self._levels.roof
         self._frost = self.subscribe(FROST)
@@ -112,7 +112,7 @@ class LiveControllerNode(ControllerNode, LiveNode):
         self._retry_after = _RETRY_AFTER * values[RECOVERY.name]
         self._failure, self._failed_at = "", -math.inf  # the controller's last (steady clock, s)
         self._stand_in_since = ""  # when on/off took over, in words; empty if not
-        file = values[STATE_FILE.name]
+        file = values[LEARNED_FILE.name]
         self._learned_file = NumberFile(Path(file)) if file else None
         self._learned: dict[str, float] = {}
         self._saved_at = time.monotonic()

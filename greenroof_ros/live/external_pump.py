@@ -5,7 +5,7 @@ keeps holds and faults in the state file, and judges the driver by its flow. /pu
 published once a second and when it changes, is 1 while the pump must stay off. A controller node of
 this package then commands 0, and also if /pump/hold is not arriving. If the driver offers
 ``~/stop`` (std_srvs/SetBool), this node calls it with true at the beginning of a hold or a fault,
-and with false at its end.
+with false at its end, and with either when a driver appears.
 
 :mod:`greenroof_ros.live.actuator` describes the services of this node: ``~/stop``, ``~/release``,
 ``~/hold``, ``~/clear`` and ``~/reset``.
@@ -28,7 +28,6 @@ from greenroof_ros.live.actuator import COMMAND, FLOW, STATE, STATE_FILE, Actuat
 from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.levels import live_parameters
 from greenroof_ros.live.node import live_command
-from greenroof_ros.live.pumping.input_rules import AWAITED
 from greenroof_ros.live.pumping.interlocks import Decision, Following, evaluate, state_of
 from greenroof_ros.live.pumping.limits import pump_parameters
 from greenroof_ros.live.pumping.pump_control import AFTERFLOW_S
@@ -41,6 +40,10 @@ from greenroof_ros.site.site import Site
 _HOLD = "/pump/hold"
 # The longest time between two messages on /pump/hold (s).
 _HOLD_S = 1.0
+# A driver that delivers a smaller share of what is commanded does not pump.
+_IDLE = 0.1
+# The conditions of a driver that is not there or not alone, which do not stop it.
+_ABSENT = {"driver_lost", "two_pumps"}
 
 
 def parameters(site: Site) -> list[Parameter]:
@@ -65,8 +68,8 @@ class ExternalPumpNode(ActuatorNode):
         self._max_flow = maximum_pump_flow(self.site, self.site.cistern_volume(self.site.z_o))
         self._hold_sent, self._sent_at = 0.0, -math.inf
         self._driver: Client | None = None  # the driver's own service to stop it
-        self._told = False  # whether the driver was last told to stop
-        self._lost = False  # whether the driver was lost at the last step
+        self._told: bool | None = None  # whether it was told to stop; None before it is told
+        self._idle_for = 0.0  # for how long it has not been pumping as commanded (s)
         self._command, self._flow = self.subscribe(COMMAND), self.subscribe(FLOW)
         self.open_outputs(_HOLD, STATE)
         self.discard_evidence()
@@ -92,29 +95,34 @@ class ExternalPumpNode(ActuatorNode):
     def step(self, dt: float) -> Decision:
         """Judge the driver, and publish the hold."""
         lost = self._driver_problem()
-        alive = self._flow.good and self._flow.publishers.compatible
-        flow = float(self._flow.value) if alive else None
+        flow = None if lost else float(self._flow.value)
         share = None if flow is None else flow / self._max_flow
         command = float(self._command.value) if self._command.good else 0.0
-        reasons = [lost] if lost else []
-        if share is not None and (command == 0 or self._hold_sent):
-            self._stopping.update(min(dt, PAUSE_S), share, 0.0)
-            if self._stopping.error_for > self.values["follow_time"] + AFTERFLOW_S:
+        reasons, idle = [lost] if lost else [], None
+        wanted, passed = 0.0 if self._hold_sent else command, min(dt, PAUSE_S)
+        limit, least = self.values["follow_time"] + AFTERFLOW_S, self.values["min_flow"]
+        if share is not None and wanted == 0:
+            self._stopping.update(passed, share, 0.0)
+            if self._stopping.error_for > limit:
                 reasons.append(Diagnosis.of(
                     "runs_on", "driver", flow=flow or 0.0, time=self._stopping.error_for
                 ))
         else:
             self.discard_evidence()
+        is_idle = share is not None and wanted >= least and share < _IDLE * wanted
+        self._idle_for = self._idle_for + passed if is_idle else 0.0
+        if self._idle_for > limit:
+            idle = Diagnosis.of("driver_idle", command=wanted, time=self._idle_for)
         active = evaluate(self.state_file, reasons)
         hold, now = float(bool(active)), boot_time()
         if hold != self._hold_sent or now - self._sent_at >= _HOLD_S:
             self._hold_sent, self._sent_at = hold, now
             self.publish(_HOLD, hold)
-        stop = bool(active.keys() - {"driver_lost", "two_pumps"})
-        if self._lost and lost is None and stop:
-            self._told = False  # it may have been started again
-        self._lost = lost is not None
-        self._tell_driver(stop)
+        if not lost and _ABSENT & self.decision.active.keys():  # another one, or started again
+            if self._driver is not None:
+                self.destroy_client(self._driver)
+            self._driver = self._told = None
+        self._tell_driver(bool(active.keys() - _ABSENT))
         runs = share is not None and share > RUNNING_SHARE
         state = "running" if runs else "off"
         why = f"the command is {command:g}" if self._command.good else "no valid command arrives"
@@ -124,7 +132,7 @@ class ExternalPumpNode(ActuatorNode):
         if flow is None:
             state = "unknown" if state == "off" else state
             reported = "it is unknown whether the pump has stopped"
-        self.reports.diagnose("driver", lost, "your own pump driver is responding")
+        self.reports.diagnose("driver", lost or idle, "your own pump driver is responding")
         at_rest = share is not None and not runs
         return Decision(active, state, f"{why}; {reported}", at_rest, share, flow)
 
@@ -132,15 +140,13 @@ class ExternalPumpNode(ActuatorNode):
         publishers = self._flow.publishers
         if second := publishers.describe_second():
             return Diagnosis.of("two_pumps", topic=publishers.full_name, problem=second)
+        why = str(self._flow.diagnosis or "")
         if not publishers.compatible:
-            return Diagnosis.of("driver_lost", "lease", topic=publishers.full_name)
-        if (why := self._flow.diagnosis) is not None:
-            case = "awaited" if why.code in AWAITED else "age"
-            return Diagnosis.of("driver_lost", case, why=why.sentence)
-        return None
+            why = f"{publishers.full_name} has no live publisher"
+        return Diagnosis.if_any("driver_lost", why)
 
     def _tell_driver(self, stop: bool) -> None:
-        """Call the driver's ``~/stop``, if it offers one, when a hold or a fault begins or ends."""
+        """Call the driver's ``~/stop``, if it offers one, unless it knows the present state."""
         if self._driver is None:
             offered = dict(self.get_service_names_and_types())
             for info in self.get_publishers_info_by_topic(self._flow.publishers.full_name):

@@ -14,7 +14,7 @@ from greenroof_ros.live.devices.drive import DriveEndpoint
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.exchange import CHOICE, Endpoint, read_endpoint
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS, ModbusSensor, read_sensors
-from greenroof_ros.live.pumping.state_file import GUARD, STATE_FILE
+from greenroof_ros.live.pumping.state_file import GUARD
 from greenroof_ros.live.supervisor import ACTUATORS_SILENT_S, SiteProcess
 from greenroof_ros.live.upkeep import check_site, silence_limit
 from greenroof_ros.ros.alarms import ROLE
@@ -103,7 +103,7 @@ class LiveSite:
         name, common = self.controller.name, {"site_file": str(arguments.site)}
         self.nodes: dict[str, tuple[str, dict[str, Any]]] = {
             pump: (f"{_LIVE}.{module}", {
-                **common, **drive, "state_file": str(state / STATE_FILE),
+                **common, **drive, "state_file": str(state / f"{PUMP}.json"),
             }),
             name: (f"{_LIVE}.controller", {
                 **common, **self.parameters, "external_pump": not drive,

@@ -78,14 +78,7 @@ _INPUTS = {
 _INPUT_PARTS = {
     "command": ("command",), "levels": ("cistern_level", "roof_level"), "frost": ("frost",),
 }
-# The other parts, with the codes that they report, the most important first, and those of them that
-# need nobody at once.
-_PARTS = {
-    "flow": ("two_pumps",),
-    "drive": ("drive_lost", "runs_on", "drive_fault", "drive_local", "second_master",
-              "start_failed"),
-    "drive timeout": ("drive_timeout", "drive_guards_later"),
-}
+# The codes that need nobody at once.
 _WARNINGS = {"drive_local", "second_master", "start_failed", "drive_guards_later"}
 # The fields of a request for a dose.
 _DOSE = (
@@ -122,7 +115,7 @@ class PumpNode(ActuatorNode):
             endpoint, timeout_limit_s=values["drive_timeout_limit"],
             stops_locally=values["local_settings_stop_the_pump"],
         )
-        self.reports.hardware = str(endpoint)
+        self.reports.hardware = f"{endpoint.file}, {endpoint}"
         settings = {setting.name: values[setting.name] for setting in pump_parameters(self.site)}
         self._control = PumpControl(
             self.site,
@@ -133,11 +126,9 @@ class PumpNode(ActuatorNode):
         )
         self._resetting_until = -math.inf
         self._levels = Levels(self.site, values, self.subscribe)
-        of_levels = {"cistern_level": self._levels.cistern, "roof_level": self._levels.roof}
-        self._by_name = {
-            name: of_levels.get(name) or self.subscribe(topic, optional=name == "flow")
-            for name, topic in _INPUTS.items()
-        }
+        for topic in _INPUTS.values():
+            if topic not in self.inputs:
+                self.subscribe(topic, optional=topic == _INPUTS["flow"])
         self._flows = self.subscribe(FLOW, optional=True).publishers
         self.open_outputs(FLOW, STATE)
         self.open_service("dose", SetParametersAtomically, self._dose)
@@ -169,8 +160,7 @@ class PumpNode(ActuatorNode):
         self._exchange.start()
 
     def on_inputs(self) -> None:
-        """Decide, and publish the flow."""
-        self.decide()
+        """Publish the flow."""
         flow = self.decision.flow or 0.0  # a number for every tick, also if it is unknown
         if self._levels.cistern.good and self._levels.roof.good:
             self._levels.expect(flow)
@@ -208,52 +198,50 @@ class PumpNode(ActuatorNode):
     def _observe(self, snapshot: DriveSnapshot, now: float) -> Observation:
         status = snapshot.status_at(now)
         values = {
-            name: float(entry.value) if self.acted and entry.good else None
-            for name, entry in self._by_name.items()
+            name: float(entry.value) if self.acted and (entry := self.inputs[topic]).good else None
+            for name, topic in _INPUTS.items()
         }
         if values["flow"] is None and status is not None:
             values["flow"] = status.flow
-        # A pump that turns backwards is no fault of the drive that could be acknowledged.
-        resetting = now < self._resetting_until and (
-            status is None or status.speed is None or status.speed >= -STANDSTILL
-        )
         return Observation(
             **values,
             displacements=self._levels.displacements,
             time_ns=time.time_ns(),
             speed=None if status is None else status.speed,
-            # A fault that is being acknowledged does not count.
-            reasons=[
-                reason for reason in self._reasons(snapshot, now)
-                if not resetting or reason.code not in ("runs_on", "drive_fault")
-            ],
+            reasons=[reason for _, reason in self._reasons(snapshot, now)],
         )
 
-    def _reasons(self, snapshot: DriveSnapshot, now: float) -> Iterator[Diagnosis]:
-        """Yield this node's own reasons for keeping the pump off."""
+    def _reasons(self, snapshot: DriveSnapshot, now: float) -> Iterator[tuple[str, Diagnosis]]:
+        """Yield this node's own reasons for keeping the pump off, each with the part it is about.
+
+        The most important reason of a part comes first.
+        """
         # Another pump node may use the same drive; then neither runs it.
         if second := self._flows.describe_second():
-            yield Diagnosis.of("two_pumps", topic=self._flows.full_name, problem=second)
-        yield from filter(None, (snapshot.second_master, snapshot.start_failed))
+            yield "flow", Diagnosis.of("two_pumps", topic=self._flows.full_name, problem=second)
         status = snapshot.status_at(now)
         if status is None:
             problem = snapshot.problem or f"it has not responded for {LIMIT_S:g} s"
-            yield Diagnosis.of("drive_lost", problem=problem)
-            return
-        if status.fault and status.runs_on:
-            yield Diagnosis.of("runs_on", "drive", fault=status.fault)
+            yield "drive", Diagnosis.of("drive_lost", problem=problem)
+        # A fault that is being acknowledged does not count, unless the pump turns backwards.
+        elif now < self._resetting_until and (status.speed or 0.0) >= -STANDSTILL:
+            pass
+        elif status.fault and status.runs_on:
+            yield "drive", Diagnosis.of("runs_on", "drive", fault=status.fault)
         elif status.fault:
-            yield Diagnosis.of("drive_fault", fault=status.fault)
-        if not status.remote:
-            yield Diagnosis.of("drive_local", "local")
-        if not status.ready and not status.running:
-            yield Diagnosis.of("drive_not_ready")
+            yield "drive", Diagnosis.of("drive_fault", fault=status.fault)
+        if status is not None and not status.remote:
+            yield "drive", Diagnosis.of("drive_local", "local")
+        for reason in filter(None, (snapshot.second_master, snapshot.start_failed)):
+            yield "drive", reason
+        if status is not None and not status.ready and not status.running:
+            yield "motor", Diagnosis.of("drive_not_ready")
         # Nothing might stop it if this computer failed, or nothing keep it off after a restart.
-        if snapshot.unguarded:
-            yield snapshot.unguarded
+        if status is not None and snapshot.unguarded:
+            yield "drive timeout", snapshot.unguarded
         if not self.state_file.saved:
             why = self.state_file.problem or "the state is not saved yet"
-            yield Diagnosis.of("state_not_kept", why=why)
+            yield "state file", Diagnosis.of("state_not_kept", why=why)
 
     # --- reports ----------------------------------------------------------------------------------
 
@@ -271,25 +259,20 @@ class PumpNode(ActuatorNode):
         super().report()
         diagnose, endpoint = self.reports.diagnose, self._exchange.endpoint
         for part, names in _INPUT_PARTS.items():
-            bad = bad_inputs(self._by_name[name] for name in names)
+            bad = bad_inputs(self.inputs[_INPUTS[name]] for name in names)
             diagnose(part, bad, "the latest value is used")
         if unverified := ", ".join(endpoint.file.unverified):
             diagnose("drive file", Diagnosis.of(
                 "drive_file_unverified", file=str(endpoint.file.path), settings=unverified
             ), level=WARN)
         snapshot, now = self._exchange.snapshot, boot_time()
-        found = {reason.code: reason for reason in self._reasons(snapshot, now)}
-        well = {
-            "flow": "this is the only pump node", "drive": f"connected to {endpoint.file}",
-            "drive timeout":
-                f"if this computer fails, the drive stops after {snapshot.timeout_s or 0:g} s",
-        }
-        if "drive_lost" in found:
-            del well["drive timeout"]  # it stays as it was
-        else:
-            self.reports.hardware = f"{endpoint.file}, {endpoint}"
+        found = dict(reversed([*self._reasons(snapshot, now)]))
+        well = {"flow": "this is the only pump node", "drive": f"connected to {endpoint.file}"}
+        if snapshot.status_at(now) is not None:  # otherwise the timeout stays as it was
+            after = snapshot.timeout_s or 0.0
+            well["drive timeout"] = f"if this computer fails, the drive stops after {after:g} s"
         for part, words in well.items():
-            reason = next((found[code] for code in _PARTS[part] if code in found), None)
+            reason = found.get(part)
             warns = reason is not None and reason.code in _WARNINGS
             diagnose(part, reason, words, WARN if warns else ERROR)
 

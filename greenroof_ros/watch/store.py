@@ -19,6 +19,7 @@ import numpy as np
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.text import clean_text
+from greenroof_ros.base.times import clock_time
 from greenroof_ros.interface.alarm import Alarm
 from greenroof_ros.interface.states import PLANT, PUMP
 from greenroof_ros.interface.topics import read_topics
@@ -342,6 +343,4 @@ class GraphStore(Reports):
 
     def time_text(self, at: float) -> str:
         """Write a time (s since 1970) on the site's clock, with the date unless it is today."""
-        local = self.local(at)
-        same = local.date() == self.local(self.now or at).date()
-        return local.strftime("%H:%M" if same else "%d %b %H:%M")
+        return clock_time(self.local(at), self.local(self.now or at))

@@ -6,15 +6,16 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
-from itertools import pairwise
 from typing import Any
 
 import pytest
 from checked_nodes import start_node
 from graphs import Process
 from places import CHECKOUT, CONFIG
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
-from ros_rig import ERROR, LATE, Observer
+from rclpy.parameter import Parameter
+from ros_rig import ERROR, LATE, OK, Observer
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
@@ -34,7 +35,6 @@ class Rig:
         self.command = 0.5
         self.flows: list[float] = observer.collect("/pump/flow")
         self.holds: list[float] = observer.collect("/pump/hold")
-        self.hold_times = observer.times("/pump/hold")
         self.states: list[PumpState] = observer.collect(
             "/pump/state", lambda message: PumpState.read(message.data)
         )
@@ -90,21 +90,26 @@ def rig(observer: Observer) -> Iterator[Rig]:
     rig.peers.destroy_node()
 
 
-def test_a_killed_driver_is_an_alarm_within_its_lease(rig: Rig) -> None:
+def test_a_driver_that_is_killed_or_not_alone_is_an_alarm_within_its_lease(rig: Rig) -> None:
     """And /pump/hold is 1 until it is back, also for one that was stopped only."""
     rig.start()
     driver = rig.drive()
     rig.play(rig.runs, "running")
-    driver.send_signal(signal.SIGSTOP)
     lost = rig.observer.shows("/pump_guard: driver", ERROR, "not responding")
-    assert rig.play(lambda: lost() and rig.holds[-1] == 1.0, "the alarm") < 4
-    rig.play(lambda: rig.states[-1].codes == ("driver_lost",), "its state")
-    assert rig.states[-1].state == "unknown"
-    driver.send_signal(signal.SIGCONT)
-    rig.play(rig.runs, "running again")
-    driver.kill()
-    assert rig.play(lambda: lost() and rig.holds[-1] == 1.0, "the alarm") < 4
-    rig.drive()
+    for fault in (signal.SIGSTOP, signal.SIGKILL):
+        driver.send_signal(fault)
+        assert rig.play(lambda: lost() and rig.holds[-1] == 1.0, "the alarm") < 4
+        rig.play(lambda: rig.states[-1].codes == ("driver_lost",), "its state")
+        assert rig.states[-1].state == "unknown"
+        if fault == signal.SIGSTOP:
+            driver.send_signal(signal.SIGCONT)
+        else:
+            rig.drive()
+        rig.play(rig.runs, "running again")
+    second = rig.observer.publisher("/pump/flow")
+    rig.play(lambda: rig.holds[-1] == 1.0, "a hold")
+    rig.play(rig.observer.shows("/pump_guard: driver", ERROR, "2 publishers"), "its alarm")
+    rig.observer.node.destroy_publisher(second)
     rig.play(rig.runs, "running again")
 
 
@@ -120,55 +125,62 @@ def test_a_hold_reaches_the_driver_and_is_kept(rig: Rig) -> None:
     node.kill()
     node.wait()
     rig.start()
-    began = len(rig.hold_times)
-    rig.play(lambda: len(rig.hold_times) >= began + 5, "messages")
-    times = rig.hold_times[began:]
-    assert max(after - before for before, after in pairwise(times)) < 3
+    began = len(rig.holds)
+    assert rig.play(lambda: len(rig.holds) >= began + 5, "messages") < 3 * 5
     assert {*rig.holds[-4:]} == {1.0} and rig.flows[-1] == 0.0
     assert rig.states[-1].codes == ("hold",)
     assert rig.call(Trigger, "release").success
     rig.play(rig.runs, "running again")
 
 
-DEAF = (
-    ("self.held or not well or not 0 <= command < math.inf", "False"),
-    ("else math.nan", "else 0.5"), ("self.create_service(", "(lambda *_: None)("),
-)
+def test_a_driver_is_told_the_present_state_when_either_appears(rig: Rig) -> None:
+    """Also another driver than the first one, and a hold that ends while the guard is down."""
+    node, first = rig.start(), rig.drive()
+    rig.play(rig.runs, "running")
+    first.kill()
+    rig.play(lambda: rig.states[-1].codes == ("driver_lost",), "its loss")
+    rig.drive(DRIVER.read_text().replace('"my_pump"', '"another_pump"'))
+    rig.play(rig.runs, "running again")
+    until = time.time() + 10
+    fields = {"owner": "me", "until": until}.items()
+    assert rig.call(SetParametersAtomically, "hold", parameters=[
+        Parameter(name, value=value).to_parameter_msg() for name, value in fields
+    ]).result.successful
+    rig.play(lambda: rig.flows[-1] == 0.0, "a stop", 20)
+    node.kill()
+    node.wait()
+    rig.play(lambda: time.time() > until, "its end")
+    rig.start()
+    rig.play(rig.runs, "running again")
+
+
+def test_a_driver_that_pumps_nothing_is_reported(rig: Rig) -> None:
+    """And held off by nothing, since it may have its own reason."""
+    rig.start(follow_time=0.1)
+    rig.drive(DRIVER.read_text().replace("* MAX_FLOW, 0.1", "* 0.09 * MAX_FLOW, 0.1"))
+    idle = rig.observer.shows("/pump_guard: driver", ERROR, "hardly any flow for 12 s")
+    assert rig.play(idle, "a report") > 12
+    assert (rig.holds[-1], rig.states[-1].codes) == (0.0, ())
+    rig.command = 0.1  # the driver may deliver this in pulses
+    rig.play(rig.observer.shows("/pump_guard: driver", OK), "its end")
 
 
 def test_a_driver_that_does_not_stop_is_a_fault(rig: Rig) -> None:
     """That a person must reset; who holds it is told that it cannot be reached."""
-    text = DRIVER.read_text()
-    for old, new in DEAF:
-        assert old in text
-        text = text.replace(old, new)
-    text = text.replace("target, step = min(command, 1.0)", "target, step = 0.5")
     rig.start(follow_time=2.0)
-    rig.drive(text)
+    rig.drive(DRIVER.read_text().replace("min(command, 1.0)", "0.5").replace(
+        "self.create_service(", "(lambda *_: None)("
+    ))
     rig.play(rig.runs, "running")
     answer = rig.call(SetBool, "stop", data=True)
     assert not answer.success and "stop the pump yourself" in answer.message
     assert rig.call(Trigger, "release").success
     rig.command = 0.0
     rig.play(lambda: rig.states[-1].state == "fault", "a fault", 30)
-    assert rig.states[-1].codes == ("runs_on",) and "although the pump should be off" in (
-        rig.states[-1].why
-    )
+    assert rig.states[-1].codes == ("runs_on",)
     assert rig.holds[-1] == 1.0
-    rig.play(rig.observer.shows("/pump_guard: pump", ERROR, "should be off"), "its alarm")
     assert not rig.call(Trigger, "clear").success
     assert rig.call(Trigger, "reset").success
-
-
-def test_two_drivers_are_told_to_stop(rig: Rig) -> None:
-    rig.start()
-    rig.drive()
-    rig.play(rig.runs, "running")
-    second = rig.observer.publisher("/pump/flow")
-    rig.play(lambda: rig.holds[-1] == 1.0, "a hold")
-    rig.play(rig.observer.shows("/pump_guard: driver", ERROR, "2 publishers"), "its alarm")
-    rig.observer.node.destroy_publisher(second)
-    rig.play(rig.runs, "running again")
 
 
 def test_check_pump_passes_the_example(rig: Rig) -> None:
@@ -210,8 +222,5 @@ def test_the_controller_commands_0_during_a_hold_and_without_news_of_it(observer
         "live.controller --controller onoff", site_file=site, external_pump=True,
         recovery_time=0.3, hold_limit=1.0,
     )
-    play(newest(0.0), "0 without a hold to read", None)
-    play(newest(1.0), "a command", 0.0)
-    play(newest(0.0), "0 during a hold", 1.0)
-    play(newest(1.0), "a command", 0.0)
-    play(newest(0.0), "0 once /pump/hold is too old", None)
+    for hold, command in ((None, 0.0), (0.0, 1.0), (1.0, 0.0), (0.0, 1.0), (None, 0.0)):
+        play(newest(command), f"{command} at a hold of {hold}", hold)

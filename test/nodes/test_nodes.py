@@ -98,8 +98,6 @@ REFUSED = {
     "live.station --sensors sensors_mqtt.yaml --ros-args -p level_limit:=4.0":
         "line 16: cistern.max_age = 5.0: must be at most 4 s, since older values than",
     "live.station --sensors login.yaml": "/no/greenroof/broker.yaml: ",
-    f"live.pump {DRIVE} -p site_file:=slow.yaml -p command_limit:=3.0":
-        "command_limit of pump = 3.0: must exceed tau of the",
     f"live.pump {DRIVE} -p folow_time:=9.0":
         "folow_time of pump = '9.0': there is no such parameter; did you mean follow_time?",
 }
@@ -109,7 +107,6 @@ REFUSED = {
 def test_what_is_refused(domain: int, tmp_path: Path, command: str) -> None:
     """Exit code 2 and one clear line: a supervisor need not restart it."""
     for file, name, old, new in (
-        ("site.yaml", "slow.yaml", "tau: 1.0 ", "tau: 3.0 "),
         ("sensors.yaml", "sensors.yaml", "period: 1.0", "period: 2.6"),
         ("sensors_mqtt.yaml", "sensors_mqtt.yaml", "", ""),
         ("sensors_mqtt.yaml", "login.yaml", "# login: /etc/", "login: /no/"),

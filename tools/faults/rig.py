@@ -45,7 +45,7 @@ BOOT_S = 2.0
 # depends on them.
 SHORTENED = {"recovery_time": 1.0}
 PUMP_SHORTENED = {
-    **SHORTENED, "min_on": 1.0, "min_off": 1.0, "starts_per_hour": 3600.0,
+    **SHORTENED, "min_on": 1.0, "min_off": 1.0,
     "local_settings_stop_the_pump": True,  # as the simulated Grundfos is set
 }
 # The paper's site, but with a roof that takes an hour to fill: ten times its target.

@@ -25,8 +25,9 @@ The check maintains three balances of water (m3) for which the levels do not acc
   only the first balance remains effective.
 
 Water is counted even while a level is unknown, and the balances resume when the level is known
-again. A sensor that is silent intermittently therefore hides no loss. Jumps of a level that water
-cannot cause do not count.
+again. A sensor that is silent intermittently, or shows a spike, therefore hides no loss. If a level
+has jumped meanwhile, though, by more than the tolerance and as no water can, either the readings
+before or those after it are wrong, and all the balances begin anew.
 
 On a field-capacity soil, only the share of the pumped volume that the soil retains at the target
 counts; the rest percolates. This share is smallest at the target: at all other levels at which the
@@ -62,7 +63,7 @@ import math
 from typing import NamedTuple
 
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.live.pumping.limits import PumpSettings
+from greenroof_ros.live.pumping.limits import Observation, PumpSettings
 from greenroof_ros.physics.cistern import low_outlet_flow
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.soil import retained_share
@@ -133,37 +134,31 @@ class DeliveryCheck:
         self._share_at_target = retained_share(self._p, site.x2_star)
         self._share_on_roof = MIN_DELIVERY * self._share_at_target
         self._retained_share = self._share_at_target  # share retained at the last known wetness
+        self._displaced = 0.0, 0.0  # by jumps until the last reading of both levels (m)
+        self._begin()
+
+    def _begin(self) -> None:
         self._sums = _Sums()
         self._missing, self._lost, self._not_drawn = _Balance(), _Balance(), _Balance()
         # For cistern and roof: the newest level (m), and the sums when it last changed.
         self._last_change = [(math.nan, _Sums()), (math.nan, _Sums())]
         self._mean = _Sums()
         self._watched = 0.0
-        self._displaced: tuple[float, float] | None = None  # by jumps, at the first reading (m)
         self._rain_on_roof = 0.0  # most since the minimum of the third balance (m3)
 
     def step(
-        self,
-        dt: float,
-        cistern_level: float | None,
-        roof_level: float | None,
-        min_pumped: float,
-        max_pumped: float,
-        displacements: tuple[float, float] = (0.0, 0.0),
+        self, dt: float, observed: Observation, min_pumped: float, max_pumped: float
     ) -> Diagnosis | None:
         """Update the balances with the sensors' readings, and return the fault, or None.
 
         Args:
             dt: time since the last step (s).
-            cistern_level: level of the cistern (m); None if unknown.
-            roof_level: level of the roof (m); None if unknown.
+            observed: the levels, and the displacements of their readings by jumps.
             min_pumped: volume that was or should have been pumped since the last step (m3).
             max_pumped: maximum volume that can have been pumped (m3), which is the worst case if
                 the speed was unknown.
-            displacements: total displacements of the cistern's and the roof's readings by jumps so
-                far (m).
         """
-        site = self._site
+        site, cistern_level, roof_level = self._site, observed.cistern_level, observed.roof_level
         if roof_level is not None:
             self._retained_share = retained_share(self._p, site.roof_volume(roof_level))
         highest = site.z_o if cistern_level is None else cistern_level + self._offset
@@ -176,13 +171,13 @@ class DeliveryCheck:
         ))
         if cistern_level is None or roof_level is None:
             return None
-        self._displaced = self._displaced or displacements
-        cistern = cistern_level - displacements[0] + self._displaced[0]
-        roof = roof_level - displacements[1] + self._displaced[1]
+        before, self._displaced = self._displaced, observed.displacements
+        if math.dist(before, self._displaced) > self._tolerance:
+            self._begin()
         present = self._sums._replace(
-            cistern=cistern * site.a1,
-            cistern_to_outlet=min(cistern, site.z_o - self._offset) * site.a1,
-            roof=min(roof, site.z_veg + self._offset) * site.a2,
+            cistern=cistern_level * site.a1,
+            cistern_to_outlet=min(cistern_level, site.z_o - self._offset) * site.a1,
+            roof=min(roof_level, site.z_veg + self._offset) * site.a2,
         )
         for tank, level in enumerate((cistern_level, roof_level)):
             if level != self._last_change[tank][0]:

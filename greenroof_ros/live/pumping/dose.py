@@ -19,8 +19,10 @@ _SLOWS_S = 30.0
 # How long a dose is still reported after its end (s).
 _REPORTED_S = 60.0
 
-DONE, ENDED = "done", "ended"
-"""How a dose is over: all of it was delivered, or it ended early."""
+
+def litres(volume: float) -> str:
+    """Return a volume (m3) in words, in litres."""
+    return f"{1000 * volume:.0f} litres"
 
 
 @dataclass
@@ -33,7 +35,7 @@ class Dose:
         age: time since the request, or, once the dose is over, since its end (s).
         delivered: volume delivered so far (m3).
         begun: whether the pump was ever on for it.
-        over: ``done`` or ``ended``; empty until the dose is over.
+        over: ``done`` if all of it was delivered, ``ended`` if it ended early; empty until then.
         why: what the pump is doing for the dose, or why the dose is waiting or has ended.
     """
 
@@ -46,11 +48,16 @@ class Dose:
     why: str = ""
 
     @property
+    def flow(self) -> float:
+        """The most that may flow now (m3/s)."""
+        return (self.volume - self.delivered) / _SLOWS_S
+
+    @property
     def sentence(self) -> str:
         """State of the dose, as a sentence."""
-        progress = f"{self.delivered:.3f} of {self.volume:g} m3"
-        if self.over == DONE:
-            return f"the dose of {self.volume:g} m3 was delivered"
+        progress = f"{1000 * self.delivered:.0f} of {litres(self.volume)}"
+        if self.over == "done":
+            return f"the dose of {litres(self.volume)} was delivered"
         if self.over:
             return f"the dose ended early, after {progress}: {self.why}"
         return f"a dose: {progress}; {self.why}"
@@ -110,7 +117,7 @@ class Doses:
         if self._largest is None or self.refusal:
             return self.refusal
         if not self.minimum <= volume <= self._largest:  # nor a NaN
-            return f"a dose must be from {self.minimum:.3f} to {self._largest:g} m3 (max_dose)"
+            return f"a dose is from {math.ceil(1000 * self.minimum)} to {litres(self._largest)}"
         if not abs(age) <= EXPIRES_S or requested_at <= before:
             return (
                 f"the request was made {age:.0f} s ago: it must be newer than {EXPIRES_S:g} s, the "
@@ -136,17 +143,11 @@ class Doses:
             return
         dose.delivered += delivered
         if dose.delivered >= dose.volume:
-            self.end("all of it was delivered", DONE)
+            self.end("all of it was delivered", "done")
         elif not dose.begun and dose.age > EXPIRES_S:
             self.end(f"it could not be started within {EXPIRES_S:g} s: {dose.why}")
 
-    def share(self, max_flow: float) -> float:
-        """Return the share of the maximum flow (m3/s) that the current dose requires."""
-        dose = self.present
-        assert dose is not None
-        return min(1.0, (dose.volume - dose.delivered) / (_SLOWS_S * max_flow))
-
-    def end(self, why: str, over: str = ENDED) -> None:
+    def end(self, why: str, over: str = "ended") -> None:
         """End the current dose, if there is one, for a reason in words."""
         if (dose := self.present) is not None:
             dose.over, dose.why, dose.age = over, why, 0.0

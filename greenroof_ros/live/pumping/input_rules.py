@@ -190,10 +190,8 @@ class InputRules:
         self._received_at, self._broken = now, self._newest
         self._good_since: float | None = None
 
-    def receive(
-        self, now: float, value: object, refused: Diagnosis | None = None
-    ) -> Diagnosis | None:
-        """Receive a value, and check it.
+    def receive(self, now: float, value: object, refused: Diagnosis | None = None) -> None:
+        """Receive a value, which the next check judges.
 
         Args:
             now: time of a steady clock (s).
@@ -204,7 +202,6 @@ class InputRules:
         self._received_at, self._newest = now, refused
         if refused is None and self.level is not None and isinstance(value, float):
             self._newest = self.level.check(now, value)
-        return self.check(now)
 
     def check(self, now: float, publishers: str = "") -> Diagnosis | None:
         """Return the diagnosis of an input that must not be used; None if it may be used.

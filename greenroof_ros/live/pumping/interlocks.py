@@ -70,11 +70,11 @@ def evaluate(state_file: StateFile, reasons: Iterable[Diagnosis]) -> dict[str, D
         if table[code].kind == LATCHED and (gives_way or not state_file.state.fault):
             state_file.change(fault=reason.sentence, fault_code=code)
     stored = state_file.state
-    kept = [Diagnosis.if_any("state_unknown", stored.unknown), state_file.active_hold]
-    if stored.fault:
-        known = stored.fault_code in table and table[stored.fault_code].kind == LATCHED
-        # The sentence as it was when the fault latched.
-        kept.append(Diagnosis(stored.fault_code if known else "state_unknown", stored.fault))
+    kept = [state_file.active_hold]
+    if stored.fault:  # its sentence is as it was when it latched
+        row = table.get(stored.fault_code)
+        code = stored.fault_code if row and row.kind == LATCHED else "state_unknown"
+        kept.append(Diagnosis(code, stored.fault))
     return _in_order([*present.values(), *filter(None, kept)])
 
 

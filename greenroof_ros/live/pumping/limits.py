@@ -11,11 +11,10 @@ from dataclasses import dataclass, replace
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.parameter import Parameter, entry, parameters_of
-from greenroof_ros.base.times import to_people
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.pumping.state_file import DAY_S, StateFile
 from greenroof_ros.physics.parameters import plant_parameters
-from greenroof_ros.physics.pump import flow_at, maximum_pump_flow, speed_for
+from greenroof_ros.physics.pump import flow_at, maximum_pump_flow
 from greenroof_ros.physics.soil import retained_share, water_to_raise
 from greenroof_ros.site.site import Site
 
@@ -76,18 +75,8 @@ class PumpSettings:
         "is delivered in pulses",
         0.01, 1.0, unit="1", default=_MIN_FLOW,
     )
-    min_on: float = entry(
-        "minimum time for which the pump must stay on after a "
-        "start", 0.0, 3600.0, unit="s", default=10.0
-    )
-    min_off: float = entry(
-        "minimum time for which the pump must stay off after a "
-        "stop", 0.0, 3600.0, unit="s", default=10.0
-    )
-    starts_per_hour: float = entry(
-        "maximum number of starts in any hour; by default, the number in the site "
-        "file", 1.0, 3600.0, unit="1/h"
-    )
+    min_on: float = entry("minimum time on after a start", 0.0, 3600.0, unit="s", default=10.0)
+    min_off: float = entry("minimum time off after a stop", 0.0, 3600.0, unit="s", default=10.0)
     max_run: float = entry(
         "maximum time on without a break of the same length; by default, the time in which a fifth "
         "of the maximum flow fills an empty roof",
@@ -105,8 +94,7 @@ class PumpSettings:
     )
     level_tolerance: float = entry(
         "maximum unexplained change of a mean level that the delivery check tolerates; must exceed "
-        "the sensor's resolution. The default is 13 times the noise of the mean if readings arrive "
-        "every second with errors of 5 mm",
+        "the sensor's resolution",
         1e-4, 1.0, unit="m", default=0.006,
     )
     level_offset: float = entry(
@@ -136,7 +124,6 @@ def pump_parameters(site: Site) -> tuple[Parameter, ...]:
     per_day = _MARGIN * (filling + evapotranspiration / retained_share(p, site.x2_star))
     min_flow = _MIN_FLOW * maximum_pump_flow(p, site.cistern_volume(site.suction_level))
     of_site = {
-        "starts_per_hour": site.starts_per_hour,
         "max_run": min(DAY_S, round(filling / min_flow) + 1.0),
         "max_volume_per_day": round(per_day, 3),
     }
@@ -175,7 +162,7 @@ class PumpLimits:
     def wait(self) -> tuple[float, str]:
         """Return the time until a pump that is off may start (s), and the reason."""
         now, starts = self._state_file.state.elapsed, self._state_file.state.starts
-        min_off, allowed = self._settings.min_off, int(self._settings.starts_per_hour)
+        min_off, allowed = self._settings.min_off, int(self._site.starts_per_hour)
         waits = [
             (0.0, ""),
             (min_off - (now - self._off_since), f"it must stay off for at least {min_off:g} s"),
@@ -211,8 +198,7 @@ class PumpLimits:
             yield Diagnosis.of("frost")
         quiet = self._site.quiet
         if quiet is not None and quiet.quiet_at(observed.time_ns):
-            until = to_people(quiet.end_after(observed.time_ns))
-            yield Diagnosis.of("quiet_hours", until=until)
+            yield Diagnosis.of("quiet_hours", until=f"{quiet.end_after(observed.time_ns):%H:%M}")
         if on and self.since_start >= settings.max_run:
             self._rests_until = stored.elapsed + settings.max_run
         if (rest := self._rests_until - stored.elapsed) > 0:
@@ -259,11 +245,6 @@ class Pulses:
         flow = self.min_share(cistern_level) * flow_at(self._site, 1.0, cistern_level)
         return self._settings.min_on * flow
 
-    def speed(self, share: float, cistern_level: float) -> float:
-        """Return the speed for a share of the flow, from the minimum speed to 1."""
-        speed = speed_for(self._site, share, cistern_level)
-        return min(1.0, max(self._settings.min_speed, speed))
-
     def count(self, delivered: float, dt: float) -> None:
         """Subtract the volume delivered in dt (m3), and add the volume that `update` demanded."""
         volume, most = self.outstanding + self._wanted * dt - delivered, 2 * self._pulse
@@ -286,7 +267,7 @@ class Pulses:
             self.clear()
             return command
         self._wanted = command * flow_at(self._site, 1.0, cistern_level)
-        between_starts = self._wanted * _HOUR_S / self._settings.starts_per_hour
+        between_starts = self._wanted * _HOUR_S / self._site.starts_per_hour
         self._pulse = max(self.min_pulse(cistern_level), between_starts)
         due = self.outstanding > 0 if on else self.due_in == 0
         return minimum if command > 0 and due else 0.0

@@ -9,16 +9,18 @@ from collections.abc import Iterator
 from greenroof_ros.base.times import duration
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.pumping.delivery import DeliveryCheck
-from greenroof_ros.live.pumping.dose import Doses
+from greenroof_ros.live.pumping.dose import Doses, litres
 from greenroof_ros.live.pumping.interlocks import Decision, Following, evaluate, state_of
 from greenroof_ros.live.pumping.limits import Observation, Pulses, PumpLimits, PumpSettings
 from greenroof_ros.live.pumping.state_file import SAVE_EVERY_S, StateFile
-from greenroof_ros.physics.pump import STANDSTILL, flow_at
+from greenroof_ros.physics.pump import STANDSTILL, flow_at, speed_for
 from greenroof_ros.site.site import Site
 
 # A measured flow above this multiple of the maximum flow is implausible.
 _MAX_FLOW = 1.5
 _FULL = "the roof is at its target"
+# After a longer time (s), only this much counts as a silence of the drive, which nobody has read.
+_READ_EVERY_S = 1.0
 AFTERFLOW_S = 12.0
 """time for which a meter may show a flow after its end (s); sensor_file allows 10 s"""
 
@@ -52,10 +54,8 @@ class PumpControl:
         self._pulses = Pulses(site, settings)
         self.doses = Doses(site, time.time())
         self._request: float | None = None
-        self._unknown_for = 0.0
-        # Highest speed that the drive may have had when it last answered, share of the rated speed;
-        # 1 at first, since it may not be stopped yet.
-        self._max_speed = 1.0
+        # For how long the pump may still be turning while its drive does not respond (s).
+        self._may_turn_for = drive_stops_after
         self.discard_evidence()
 
     def discard_evidence(self) -> None:
@@ -74,24 +74,33 @@ class PumpControl:
         """
         speed = observed.speed
         turning = speed is not None and abs(speed) > STANDSTILL
+        rests = self._request is None and speed is not None and not turning
         level = self._site.z_o if observed.cistern_level is None else observed.cistern_level
         computed = None
         if speed is not None and observed.cistern_level is not None:
             computed = flow_at(self._site, max(0.0, speed), level)
-        flow = self._flow(observed, computed, level)
+        # A meter's offset does not count while the pump stands, nor an implausible value.
+        plausible = _MAX_FLOW * flow_at(self._site, 1.0, level)
+        measured = observed.flow
+        flow = computed if measured is None or measured > plausible else measured
+        if rests and not self._flowed_for:
+            flow = 0.0
         # A meter may show no flow while the pump runs, if a valve is closed or the meter is broken.
         least = dt * max(flow or 0.0, computed or 0.0)
-        most = max(least, self._unseen_volume(dt, speed, level))
+        most = least
+        if speed is not None or self._request is not None:
+            self._may_turn_for = 0.0 if rests else self._drive_stops_after
+        if speed is None:
+            seconds = min(dt, self._may_turn_for)
+            self._may_turn_for -= min(seconds, _READ_EVERY_S)
+            most = max(least, seconds * flow_at(self._site, 1.0, level))
         self._state_file.count(dt, most)
-        under_way = self.doses.present is not None
         self.doses.advance(dt, most)
         self._pulses.count(dt * (flow or 0.0), dt)
-        undelivered = self._delivery.step(
-            dt, observed.cistern_level, observed.roof_level, least, most, observed.displacements,
-        )
+        undelivered = self._delivery.step(dt, observed, least, most)
         on = self._request is not None and speed is not None
         active = evaluate(self._state_file, [
-            *self._limits.reasons(observed, on), *self._faults(dt, observed, level),
+            *self._limits.reasons(observed, on), *self._faults(dt, observed, level, rests),
             *filter(None, (undelivered,)), *observed.reasons,
         ])
         full = observed.roof_level is not None and observed.roof_level >= self._site.z_veg
@@ -105,8 +114,6 @@ class PumpControl:
         else:
             assert observed.command is not None
             self.doses.minimum = self._pulses.min_pulse(level)
-            if under_way and self.doses.present is None:
-                self._pulses.clear()  # commands during a dose leave nothing outstanding
             request, why = self._follow(min(1.0, observed.command), level, full)
             state = "off" if request is None else "running"
         if (request is None) != (self._request is None):
@@ -117,7 +124,7 @@ class PumpControl:
 
         at_rest = request is None and not turning and self._flowed_for <= AFTERFLOW_S
         if speed is None:
-            at_rest = self._must_be_at_rest
+            at_rest = self._may_turn_for <= 0
             if not at_rest:
                 why += "; it is unknown whether the pump has stopped"
                 state = "unknown" if state == "off" else state
@@ -126,54 +133,20 @@ class PumpControl:
         elif turning and state == "off":
             state = "stopping"
         elif turning and active:
-            why += f"; the pump is still turning, at {speed:.2f} of its rated speed"
+            why += "; the pump is still turning"
         if at_rest and flow is None:
             flow = 0.0
         return Decision(active, state, why, at_rest, speed, flow, request)
 
-    def _flow(
-        self, observed: Observation, computed: float | None, level: float
-    ) -> float | None:
-        """Return the current flow (m3/s), measured if that is plausible; None if unknown.
-
-        Args:
-            observed: the measurements.
-            computed: expected flow at the current speed (m3/s); None if unknown.
-            level: level of the cistern (m).
-        """
-        speed, measured = observed.speed, observed.flow
-        rests = speed is not None and abs(speed) <= STANDSTILL
-        if rests and self._request is None and not self._flowed_for:
-            return 0.0  # whatever the meter's offset
-        plausible = _MAX_FLOW * flow_at(self._site, 1.0, level)
-        return measured if measured is not None and measured <= plausible else computed
-
-    def _unseen_volume(self, dt: float, speed: float | None, level: float) -> float:
-        """Return the most that a drive that does not respond can have pumped in dt (m3)."""
-        before = self._max_speed
-        self._max_speed = max(before if speed is None else speed, self._request or 0.0)
-        if speed is not None:
-            self._unknown_for = 0.0
-            return 0.0
-        most = max(0.0, min(dt, self._drive_stops_after - self._unknown_for))
-        self._unknown_for += dt
-        if self._max_speed <= STANDSTILL:
-            return 0.0
-        return most * flow_at(self._site, min(1.0, self._max_speed), level)
-
-    @property
-    def _must_be_at_rest(self) -> bool:
-        """Whether a pump of unknown speed has stopped, at the latest by the drive's timeout."""
-        return self._max_speed <= STANDSTILL or self._unknown_for > self._drive_stops_after
-
-    def _faults(self, dt: float, observed: Observation, level: float) -> Iterator[Diagnosis]:
+    def _faults(
+        self, dt: float, observed: Observation, level: float, rests: bool
+    ) -> Iterator[Diagnosis]:
         """Yield the faults of a pump that does not do what the drive reports or is told."""
         speed, request = observed.speed, self._request or 0.0
         # A drive knows the state of its motor, and a relay its last command; neither detects a
         # welded contact.
         minimum = self._settings.min_flow * flow_at(self._site, 1.0, level)
         measured = observed.flow or 0.0
-        rests = self._request is None and speed is not None and abs(speed) <= STANDSTILL
         self._flowed_for = self._flowed_for + dt if rests and measured > minimum else 0.0
         if self._flowed_for > AFTERFLOW_S:
             yield Diagnosis.of("runs_on", "flow", flow=measured, time=self._flowed_for)
@@ -196,8 +169,8 @@ class PumpControl:
         pulses, on = self._pulses, self._request is not None
         minimum, dose, why = pulses.min_share(level), self.doses.present, "as commanded"
         if dose is not None:  # without pulses
-            command = max(minimum, self.doses.share(flow_at(self._site, 1.0, level)))
-            why = f"a dose of {dose.volume:g} m3"
+            command = min(1.0, max(minimum, dose.flow / flow_at(self._site, 1.0, level)))
+            why = f"a dose of {litres(dose.volume)}"
         command = 0.0 if full else command
         share = pulses.update(command, level, on)
         if command < minimum:
@@ -213,7 +186,8 @@ class PumpControl:
         if not on and wait > 0:
             request, why = None, f"it may start in {duration(math.ceil(wait))}: {why_wait}"
         else:
-            request = pulses.speed(share, level)
+            speed = speed_for(self._site, share, level)
+            request = min(1.0, max(self._settings.min_speed, speed))
         if dose is not None:
             dose.why, dose.begun = why, dose.begun or request is not None
         return request, why

@@ -7,8 +7,8 @@ it may have no end. The state file promises:
 - There is one hold at a time. A later request replaces its owner and reason, but never shortens it:
   the later end applies, and a hold without an end counts as the latest.
 - A hold ends at the specified time on the system clock, or when anyone releases it.
-- If it is unknown whether there was a hold or a fault, the pump stays off until someone who has
-  checked the pump clears this state.
+- If it is unknown whether there was a hold or a fault, this is a latched fault: the pump stays off
+  until someone who has checked the pump clears it.
 
 The file has two lines, each with its checksum, its number, and the state as JSON, padded with
 blanks to one page. They are overwritten in turn, in place, so a hold or a fault can be saved even
@@ -18,7 +18,8 @@ the torn line may have contained a hold or a fault, so it is unknown whether the
 and faults are also unknown if the file cannot be read, has another format, is an older copy or that
 of another site, or is missing while the file ``.number`` next to it shows that there was one. That
 file contains the number of the last line; the first number is random, so the numbers differ between
-sites.
+sites. If the files are removed while a process uses them, it makes them anew within a minute.
+A process that is killed in that minute forgets what they contained.
 
 The disk thread writes the file, so a slow disk does not delay the control of the pump. Only one
 process of a machine uses the file.
@@ -31,14 +32,12 @@ is more than 24 h old.
 
 from __future__ import annotations
 
-import errno
 import json
 import math
 import os
 import secrets
 import time
 import zlib
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
 from datetime import datetime, timezone, tzinfo
 from pathlib import Path
@@ -49,17 +48,16 @@ from greenroof_ros.base.disk import DISK, PATIENCE_S
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import replace_file, replace_text
 from greenroof_ros.base.processes import LockedError, acquire_name_lock
-from greenroof_ros.base.times import to_people
+from greenroof_ros.base.times import clock_time
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.boot_clock import boot_id, boot_time
 
 DAY_S = 86_400.0
-STATE_FILE = "pump.json"
-"""the file's name in the directory of a live site"""
 GUARD = "pump_guard"
 """name of the node that keeps the file if the user's own node runs the pump"""
 SAVE_EVERY_S = 10.0
 """While the pump is on, at most this much of its use is not yet on the disk (s)."""
+_SAVE_OFF_S = 60.0  # as it is while the pump is off, in case that the files were removed
 MAX_TIME = 1e11
 """No hold ends later (s since 1970)."""
 # Length of a slot (s), and the number of slots that the last 24 h touch.
@@ -70,9 +68,9 @@ _LINE = 4096
 # how many of them a line contains.
 _MAX_STARTS, _SAVED_STARTS = 3600, 100
 # The texts that people write or read, and the maximum length of each.
-_TEXTS, _MAX_TEXT = {"hold_owner", "hold_reason", "unknown", "fault"}, 350
-# The format of the file. In another one, a key has another meaning; a new key does not change it.
-_VERSION = 1
+_TEXTS, _MAX_TEXT = {"hold_owner", "hold_reason", "fault"}, 350
+# The format of the file, which changes with the keys and their meanings.
+_VERSION = 2
 # The number next to the file may be behind by this much: each kill between the two adds 1.
 _UNNOTED = 10_000
 # A service waits this long for the disk (s), well below the silence after which a node is killed.
@@ -88,8 +86,6 @@ class StoredState:
         hold_reason: reason for the hold; may be empty.
         hold_since: time of the request for the hold (s since 1970); None if unknown.
         hold_until: end of the hold on the system clock (s since 1970); None if it has no end.
-        unknown: reason why it is unknown whether there was a hold or a fault; empty if this is
-            known.
         fault: the latched fault; empty if there is none.
         fault_code: code of the fault's interlock.
         elapsed: time since the file was created (s), on the clock that the module describes.
@@ -105,7 +101,6 @@ class StoredState:
     hold_reason: str = ""
     hold_since: float | None = None
     hold_until: float | None = None
-    unknown: str = ""
     fault: str = ""
     fault_code: str = ""
     elapsed: float = 0.0
@@ -140,28 +135,24 @@ class StateFile:
         saved: whether the state has been saved since the start.
     """
 
-    def __init__(
-        self, file: Path | None, zone: tzinfo = timezone.utc,
-        system_clock: Callable[[], float] = time.time,
-    ) -> None:
+    def __init__(self, file: Path | None, zone: tzinfo = timezone.utc) -> None:
         """Read the file, and create it if it is missing.
 
         Args:
             file: the file; None to keep the state in memory only.
             zone: time zone in which the times of a hold are shown.
-            system_clock: function that returns the time (s since 1970).
 
         Raises:
             ConfigurationError: if another process uses the file.
         """
         self.state = StoredState()
         self.file, self.problem, self.saved = file, "", file is None
-        self._zone, self._clock = zone, system_clock
+        self._zone = zone
         # The latest state to write, the last one that was written, the number of its line, and
-        # whether there is a whole file.
+        # whether the file was whole when it was read.
         self._latest = self._written = self.state
-        self._number, self._exists = 0, False
-        self._unsaved_s, self._unseen_s = 0.0, 0.0
+        self._number, self._whole = 0, False
+        self._unseen_s = 0.0
         self._lock: socket | None = None
         if file is not None:
             try:
@@ -179,12 +170,12 @@ class StateFile:
     def active_hold(self) -> Diagnosis | None:
         """Owner, start, end and reason of the hold as a diagnosis; None if there is no hold."""
         state, ends = self.state, self.state.hold_until
-        if not state.hold_owner or (ends is not None and self._clock() >= ends):
+        if not state.hold_owner or (ends is not None and time.time() >= ends):
             return None
-        known = {"owner": state.hold_owner}
+        known, now = {"owner": state.hold_owner}, datetime.fromtimestamp(time.time(), self._zone)
         for name, at in ("since", state.hold_since), ("until", ends):
             if at is not None:
-                known[name] = to_people(datetime.fromtimestamp(at, self._zone))
+                known[name] = clock_time(datetime.fromtimestamp(at, self._zone), now)
         if state.hold_reason:
             known["reason"] = state.hold_reason
         return Diagnosis.of("hold", *known, **known)
@@ -198,7 +189,7 @@ class StateFile:
         ends = [until, self.state.hold_until] if self.active_hold else [until]
         last = None if None in ends else max(end for end in ends if end is not None)
         self.change(
-            hold_owner=owner, hold_reason=reason, hold_since=self._clock(), hold_until=last,
+            hold_owner=owner, hold_reason=reason, hold_since=time.time(), hold_until=last,
         )
         return last == until
 
@@ -226,10 +217,6 @@ class StateFile:
         new = min(int(now // _SLOT_S - before // _SLOT_S), _SLOTS)
         *earlier, present = (*(self.state.volumes or (0.0,)), *[0.0] * new)[-_SLOTS:]
         self.state = replace(self.state, elapsed=now, volumes=(*earlier, present + volume))
-        if volume:  # otherwise nothing needs to be written
-            self._unsaved_s += dt
-        if self._unsaved_s >= SAVE_EVERY_S:
-            self.save()
 
     def count_unseen(self, max_run: float, flow: float) -> None:
         """Add the worst-case usage after a node that ended before it had confirmed the pump off.
@@ -246,12 +233,13 @@ class StateFile:
 
     def save(self) -> None:
         """Queue the state for writing, after any write in progress."""
-        self._unsaved_s = 0.0
         self._latest = replace(self.state, boot=boot_id(), boot_s=boot_time())
         self.check()
 
     def check(self) -> None:
-        """Write the state if it could not be written before."""
+        """Write the state if that is due, or was not possible before; to be called every second."""
+        if boot_time() - self._latest.boot_s >= (SAVE_EVERY_S if self.state.on else _SAVE_OFF_S):
+            self.save()
         if self._lock is not None and self._latest is not self._written:
             DISK.do(self._write)
             if DISK.late:
@@ -283,7 +271,7 @@ class StateFile:
         assert self.file is not None
         file, state, number = self.file, self._latest, self._number + 1
         try:
-            if self._exists:
+            if self._whole and file.exists() and _number_file(file).exists():
                 _overwrite(file, _LINE * ((number + 1) % 2), _format(number, state))
                 _overwrite(_number_file(file), 0, b"%-24d\n" % number)
             else:
@@ -293,7 +281,7 @@ class StateFile:
                 directory = os.open(file.parent, os.O_RDONLY)
                 os.fsync(directory)
                 os.close(directory)
-            self._number, self._exists = number, True
+            self._number, self._whole = number, True
             self._written, self.problem, self.saved = state, "", True
         except OSError as error:
             self.problem = (
@@ -324,13 +312,15 @@ class StateFile:
         if noted and not problems and not 0 <= self._number - noted <= _UNNOTED:
             problems, self._number = ["it is an older copy, or belongs to another site"], noted
         if problems:
-            state = replace(state, unknown=state.unknown or (
+            why = (
                 f"{file} cannot be read ({'; '.join(problems)}), so it is unknown whether there "
                 "was a hold or a fault; check the pump, then reset the fault"
-            ))
-        self.state, self._exists = state, noted is not None and not problems
+            )
+            before = f"; before, {state.fault}" if state.fault else ""
+            state = replace(state, fault_code="state_unknown", fault=why + before)
+        self.state, self._whole = state, noted is not None and not problems
         self._unseen_s = math.inf
-        if "" != state.boot == boot_id():
+        if state.boot == boot_id():
             self._unseen_s = boot_time() - state.boot_s
             self.count(self._unseen_s, 0.0)
 
@@ -352,18 +342,16 @@ def _read_number(file: Path) -> int | None:
 def _overwrite(file: Path, start: int, content: bytes) -> None:
     """Write bytes at a place in an existing file.
 
-    They are written by one call, which is not interrupted by a kill.
+    They fit in the stream's buffer, and so are written by one call, which no kill interrupts.
 
     Raises:
         OSError: if the disk is full or fails.
     """
-    descriptor = os.open(file, os.O_RDWR)
-    try:
-        if os.pwrite(descriptor, content, start) < len(content):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        os.fdatasync(descriptor)
-    finally:
-        os.close(descriptor)
+    with file.open("r+b", buffering=2 * _LINE) as stream:
+        stream.seek(start)
+        stream.write(content)
+        stream.flush()
+        os.fdatasync(stream.fileno())
 
 
 def _parse(line: bytes) -> dict[int, StoredState]:
@@ -376,11 +364,13 @@ def _parse(line: bytes) -> dict[int, StoredState]:
     if checksum != b"%08x" % zlib.crc32(text):
         raise ValueError("its checksum is wrong")
     content = json.loads(text)
-    if content["version"] != _VERSION:
-        raise ValueError(f"its format is {content['version']}, but this version reads {_VERSION}")
-    if "use" in content:  # by an earlier version, with the time on in each slot
-        content["volumes"] = [volume for _, volume in content["use"]]
+    if content["version"] == 1:  # of an earlier version of this package
         content.setdefault("hold_since", None)
+        content.setdefault("volumes", [volume for _, volume in content.get("use", ())])
+        if content["unknown"]:
+            content |= {"fault": content["unknown"], "fault_code": "state_unknown"}
+    elif content["version"] != _VERSION:
+        raise ValueError(f"its format is {content['version']}, but this version reads {_VERSION}")
     state = StoredState(**{field.name: content[field.name] for field in fields(StoredState)})
     return {content["sequence"]: replace(
         state, volumes=tuple(state.volumes), starts=tuple(state.starts)
