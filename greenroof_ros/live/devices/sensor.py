@@ -337,6 +337,7 @@ class MqttReader(Reader):
         """
         super().__init__(section, sensor, sensor.max_age)
         broker, self._topic = sensor.place
+        self._starting = True  # until the first reading or failure
         # When the last message arrived, and until when messages are ignored (s, `boot_time`).
         self._received_at = self._ignoring_until = -math.inf
         self._client = make_client(
@@ -355,7 +356,7 @@ class MqttReader(Reader):
 
     def _on_connect(self) -> None:
         self._received_at = -math.inf
-        self.fail("has sent nothing yet")
+        self._expect("has sent nothing yet")
         self._client.subscribe(self._topic)
 
     def _on_disconnect(self, why: str) -> None:
@@ -367,15 +368,29 @@ class MqttReader(Reader):
             return
         now = boot_time()
         if retained:
-            self.fail("has not yet sent a new message; the retained message may be old")
+            self._expect("has not yet sent a new message; the retained message may be old")
             return
         before, self._received_at = self._received_at, now
         if now - before > self.max_age:
             self._ignoring_until = now + _IGNORING_S
-            self.fail("is sending again, but its first messages may be old")
+            self._expect("is sending again, but its first messages may be old")
         elif now >= self._ignoring_until:
+            self._starting = False
             with self.reading():
                 self.add(read_number(payload, self.sensor.value))
+
+    def fail(self, why: str, code: str = "sensor_lost") -> None:
+        """Record a failed reading with its reason and condition code."""
+        self._starting = False
+        super().fail(why, code)
+
+    def _expect(self, why: str) -> None:
+        """Record why there is no reading yet; at the start, only a long silence is a failure."""
+        with self._lock:
+            if self._starting:
+                self._reading = Reading(boot_time())
+            else:
+                self.fail(why)
 
 
 def read_number(payload: bytes, path: str) -> float:
