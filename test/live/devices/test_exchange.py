@@ -439,7 +439,7 @@ def test_a_ramp_is_waited_for_at_the_end_but_no_drive_that_turns_on(
 
 def test_a_serial_line_whose_plug_is_pulled() -> None:
     with closing(SerialWire(rtu_server(acs880()))) as plug, closing(
-        DriveExchange(DriveEndpoint(ABB, parse_address(plug.line, "at")))
+        DriveExchange(DriveEndpoint(ABB, parse_address(plug.at, "at")))
     ) as driver:
         driver.start()
         wait(lambda: driver.snapshot.connected)

@@ -143,7 +143,7 @@ def test_a_sensor_next_to_a_silent_or_wrong_one_on_a_serial_line() -> None:
         return body + crc(body) if data[request[0]] else b""
 
     with closing(SerialWire(reply)) as wire:
-        first, second = readers(wire.line, {"device_id": 1}, {"device_id": 2})
+        first, second = readers(wire.at, {"device_id": 1}, {"device_id": 2})
         for wrong, problem in (
             ("FFFF", "which is not from 0 to 6 m"), ("27102710", "the response does not fit"),
             ("", "no valid response within 0.25 s"),
@@ -173,7 +173,7 @@ def test_a_late_answer_is_no_value_of_the_next_register(late_s: float) -> None:
         def send() -> None:
             ((_, late),) = answer(request, data[request[9]]) or []
             with suppress(OSError, IndexError):
-                wire.newest.sendall(newest[:4] + late[4:])
+                wire.open[-1].sendall(newest[:4] + late[4:])
 
         threading.Timer(wait_s, send).start()
         return []
