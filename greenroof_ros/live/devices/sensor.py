@@ -159,7 +159,7 @@ class Reader:
             max_age: longest silence after which the sensor is lost (s).
         """
         self.sensor, self.max_age, self._unit = sensor, max_age, QUANTITIES[section].unit
-        self._reading = Reading(boot_time())
+        self._reading, self._starting = Reading(boot_time()), True  # until a reading or failure
         self._values: deque[float] = deque(maxlen=sensor.median)
         spread_s = _FLOW_SPREAD_S if section == "flow_meter" else math.inf
         self._total = Total(sensor, self._unit, spread_s) if sensor.counts else None
@@ -178,6 +178,7 @@ class Reader:
     def fail(self, why: str, code: str = "sensor_lost") -> None:
         """Record a failed reading with its reason and condition code."""
         with self._lock:
+            self._starting = False
             self._values.clear()
             if self._total is not None:
                 self._total.sensor_lost()
@@ -337,7 +338,6 @@ class MqttReader(Reader):
         """
         super().__init__(section, sensor, sensor.max_age)
         broker, self._topic = sensor.place
-        self._starting = True  # until the first reading or failure
         # When the last message arrived, and until when messages are ignored (s, `boot_time`).
         self._received_at = self._ignoring_until = -math.inf
         self._client = make_client(
@@ -378,11 +378,6 @@ class MqttReader(Reader):
             self._starting = False
             with self.reading():
                 self.add(read_number(payload, self.sensor.value))
-
-    def fail(self, why: str, code: str = "sensor_lost") -> None:
-        """Record a failed reading with its reason and condition code."""
-        self._starting = False
-        super().fail(why, code)
 
     def _expect(self, why: str) -> None:
         """Record why there is no reading yet; at the start, only a long silence is a failure."""
