@@ -232,8 +232,8 @@ def test_a_drive_that_refuses_to_stop_is_left_in_silence(bench: Bench, ran: bool
     assert "rejected with exception 6" in bench.now.problem and bench.now.status is None
     assert bench.connections == (3 if ran else 2)  # the running one was not yet told to stop
     assert bench.drive.written[-1] == (1, 0)  # follows the refused word
-    for bench.speed in (None, 0.5):  # a demand does not break the silence
-        bench.wait(2.0)
+    bench.speed = 0.5  # neither a demand nor a reset breaks the silence
+    bench.wait(2.0)
     bench.exchange.reset()
     bench.until(lambda: len(bench.silences()) == 2)
     assert min(bench.silences()) > 9.9
@@ -247,8 +247,7 @@ def test_a_drive_that_refuses_to_stop_is_left_in_silence(bench: Bench, ran: bool
     bench.drive.refused = {0}
     bench.until(lambda: SILENT in bench.now.problem)
     before = bench.connections
-    assert bench.close() < 2.0
-    assert bench.connections == before + 1 and bench.now.status is None
+    assert bench.close() < 2.0 and bench.connections == before + 1 and bench.now.status is None
 
 
 Speed = float | None | Callable[[float], float]
@@ -266,7 +265,7 @@ class RunningOn:
     """
 
     def __init__(self, bench: Bench, speed: Speed = 0.5) -> None:
-        self.bench, self.speed, self.local = bench, speed, False
+        self.bench, self.speed, self.local, self.silent = bench, speed, False, False
         self.faults, self.left = set[str](), list[float]()
         bench.run()
         self._began = bench.clock.now
@@ -288,30 +287,33 @@ class RunningOn:
 
     def listen(self, until: float) -> None:
         """Note what is reported until a time (s)."""
-        was_silent = True
         while self.seconds < until:
             self.bench.step()
             if (status := self.bench.now.status) is not None:
                 self.faults.add(status.fault)
                 assert status.runs_on == (status.fault == FALLEN)
-            if (is_silent := SILENT in self.bench.now.problem) and not was_silent:
+            was_silent, self.silent = self.silent, SILENT in self.bench.now.problem
+            if self.silent and not was_silent:
                 self.left.append(self.seconds)
-            was_silent = is_silent
 
 
+NEVER = math.inf, math.inf
 FALLEN = "the drive acknowledges *stop*, but its speed has not fallen for 10 s"
-# Until when (s), the speed, and "local" for local control or "asked" if half speed is asked for;
-# the first silence (s), and the faults.
+# Until when (s), the speed, and what else is so; the first silence (s), and the faults.
 COURSES: dict[str, tuple[list[tuple[float, Speed, str]], float, float, set[str]]] = {
     # A ramp of 1 % in 9 s, which is slow but falls; then noise at standstill.
-    "obeys": ([(470, lambda now: max(0.019, 0.5 - 0.01 * (now // 9)), "")], 0, 0, {""}),
+    "obeys": ([(470, lambda now: max(0.019, 0.5 - 0.01 * (now // 9)), "")], *NEVER, {""}),
     # Has not fallen for 10 s; left for 10 s; and again when the longest ramp has passed.
     "runs on": ([(165, 0.5, "")], 10.0, 10.5, {"", FALLEN}),
+    # What is known of the speed outlives connections that break.
+    "breaks": ([(0.7 * part, 0.5, "cut") for part in range(1, 25)], 10.0, 15.0, {"", FALLEN}),
     # From 5 s on two answers in turn end a connection; 10 s later that is long enough, and is
     # noticed at the next end of a connection, at most 5 s later.
     "speed not read": ([(5, 0.0, ""), (165, None, "")], 15.0, 5.0 + exchange.UNREAD_S, {""}),
+    # A meter shows that it runs although it reports rest.
+    "rest is not true": ([(5, 0.0, "flows")], 0.0, 0.5, {""}),
     # One that stood, or was run, or is in a person's hands at 9 s, begins again.
-    **{what: ([(9, 0.5, ""), (9.5, speed, how), (18, 0.5, ""), (80, 0.5, "local")], 0, 0, {""})
+    **{what: ([(9, 0.5, ""), (9.5, speed, how), (18, 0.5, ""), (80, 0.5, "local")], *NEVER, {""})
        for what, speed, how in (
            ("stood", 0.0, ""), ("was run", 0.5, "asked"), ("in local control", 0.5, "local"))},
 }
@@ -326,34 +328,17 @@ def test_one_that_is_not_seen_to_slow_down_is_left_again_and_again(
     drive = RunningOn(bench, parts[0][1])
     for until, drive.speed, how in parts:
         drive.local, bench.speed = how == "local", 0.5 if how == "asked" else None
+        bench.exchange.flows_at_rest = how == "flows"
+        if how == "cut":
+            bench.cable.close()
         drive.listen(until)
-    assert drive.faults == faults and bool(drive.left) == bool(first)
+    assert drive.faults == faults and bool(drive.left) == math.isfinite(first)
     assert all(first <= at <= latest for at in drive.left[:1])
     longest = LIMIT_S + MAX_RAMP_S + exchange.UNREAD_S
     assert all(longest - 5.5 < b - a < longest for a, b in pairwise(drive.left))
-    assert all(silence > 9.9 for silence in bench.silences()[:len(drive.left)])
-    drive.speed = 0.0
+    drive.speed, bench.exchange.flows_at_rest = 0.0, False
     bench.until_reported(lambda status: status.at_rest and not status.fault)
-
-
-def test_what_is_known_of_the_speed_outlives_connections_that_break(bench: Bench) -> None:
-    drive = RunningOn(bench)
-    while FALLEN not in drive.faults and drive.seconds < 60:
-        drive.listen(drive.seconds + 0.7)
-        bench.cable.close()
-    assert 10 < drive.seconds < 15
-
-
-def test_one_that_is_known_to_run_although_it_reports_rest_is_left(bench: Bench) -> None:
-    """Only after *stop*: another order may just have started it."""
-    bench.exchange.flows_at_rest = True
-    drive = RunningOn(bench, 0.0)
-    bench.speed = 0.5
-    drive.listen(5.0)
-    bench.until(lambda: bench.now.connected)
-    bench.speed = None
-    drive.listen(drive.seconds + 1.0)
-    assert f"standstill, but water flows; {SILENT}" in bench.now.problem
+    assert all(silence > 9.9 for silence in bench.silences()[:len(drive.left)])
 
 
 def test_what_someone_changes_at_the_panel_is_noticed(bench: Bench) -> None:
@@ -398,17 +383,14 @@ def test_a_second_driver_on_the_same_machine_keeps_off() -> None:
     """Only the supervisor's stop ignores the lock, of its own driver."""
     with closing(Wire(acs880())) as wire:
         at = DriveEndpoint(ABB, parse_address(wire.gateway, "at"))
-        with closing(DriveExchange(at)) as second:
-            with acquire_drive_lock(at):
-                second.start()
-                holder = f"process {os.getpid()} on this computer"
-                wait(lambda: holder in second.snapshot.problem)
-                with pytest.raises(DriveInUseError, match=holder):
-                    stop_drive(at, driver=1)
-                assert wire.connections == 0
-                assert str(stop_drive(at, driver=os.getpid())) == "speed 0.0%, off"
-            wait(lambda: second.snapshot.connected)
-        acquire_drive_lock(at).close()
+        with closing(DriveExchange(at)) as second, acquire_drive_lock(at):
+            second.start()
+            holder = f"process {os.getpid()} on this computer"
+            wait(lambda: holder in second.snapshot.problem)
+            with pytest.raises(DriveInUseError, match=holder):
+                stop_drive(at, driver=1)
+            assert wire.connections == 0
+            assert str(stop_drive(at, driver=os.getpid())) == "speed 0.0%, off"
 
 
 def test_who_stops_the_drive_of_a_dead_driver_keeps_other_drivers_off_and_tries_three_times(
@@ -417,10 +399,10 @@ def test_who_stops_the_drive_of_a_dead_driver_keeps_other_drivers_off_and_tries_
     """A drive that turns on is left after 1 s here."""
     monkeypatch.setattr(exchange, "STEADY_S", 1.0)
     drive = acs880()
+    drive.on_write = lambda _address, _word: None
+    drive.values.update({3: 0x1137, 4: 20000})
     with closing(Wire(drive)) as wire, ThreadPoolExecutor() as pool:
         at = DriveEndpoint(ABB, parse_address(wire.gateway, "at"))
-        drive.values.update({3: 0x1137, 4: 20000})
-        drive.on_write = lambda _address, _word: None
         stop = pool.submit(stop_drive, at)
         wait(lambda: wire.requests)
         with pytest.raises(DriveInUseError):
