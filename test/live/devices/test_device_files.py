@@ -14,7 +14,7 @@ from greenroof_ros.live.devices.drive import Drive, DriveEndpoint
 from greenroof_ros.live.devices.drive_file import find_drive_file, read_drive_file
 from greenroof_ros.live.devices.exchange import read_endpoint
 from greenroof_ros.live.devices.modbus_line import Address, parse_address
-from greenroof_ros.live.devices.sensor_file import ModbusSensor, read_sensors
+from greenroof_ros.live.devices.sensor_file import read_sensors
 
 ABB = read_drive_file(find_drive_file("abb_acs880"))
 MODBUS, MQTT, DRIVE = "sensors.yaml", "sensors_mqtt.yaml", "drives/abb_acs880.yaml"
@@ -99,22 +99,12 @@ def test_no_addresses(drive: str, text: str, message: str) -> None:
 
 
 def test_a_drive_has_one_lock_by_any_name_of_its_host_or_line(tmp_path: Path) -> None:
-    """A serial line is locked with all its devices."""
+    """A serial line is locked with all its devices; sensors share it by any name, too."""
     (tmp_path / "by-id").symlink_to(tmp_path / "ttyUSB0")
     for *names, lock in (
         ("tcp://localhost", "tcp://127.0.0.1:502", "gateway://127.0.0.1,1", "127.0.0.1-502-1"),
         (f"{tmp_path}/ttyUSB0,1", f"{tmp_path}/by-id,2", f"{tmp_path}/ttyUSB0".strip("/")),
     ):
         assert {DriveEndpoint(ABB, parse_address(name)).lock_name() for name in names} == {lock}
-
-
-def test_two_sensors_share_a_serial_line_by_any_name(tmp_path: Path) -> None:
-    link, file = tmp_path / "line", tmp_path / "own.yaml"
-    link.symlink_to("/dev/ttyS0")
-    text = (CONFIG / "sensors.yaml").read_text().replace("tcp://127.0.0.1:5031", str(link))
-    file.write_text(text.replace("tcp://127.0.0.1:5030", "/dev/ttyS0"))
-    cistern, roof = read_sensors(file).by_section.values()
-    assert isinstance(cistern, ModbusSensor) and isinstance(roof, ModbusSensor)
-    assert cistern.place.connection == roof.place.connection
-
-
+    first, second = (parse_address(f"{tmp_path}/{name}") for name in ("by-id", "ttyUSB0"))
+    assert first.connection == second.connection

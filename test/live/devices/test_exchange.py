@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import pytest
 from clocked_exchange import STEP_S, Bench, Cable
-from modbus_wire import Answer, SerialWire, Wire, acs880, rtu_server
+from modbus_wire import Answer, Wire, acs880
 from places import CHECKOUT
 from simulators import until as wait
 
@@ -253,48 +253,21 @@ def test_a_drive_that_refuses_to_stop_is_left_in_silence(bench: Bench, ran: bool
 Speed = float | None | Callable[[float], float]
 
 
-class RunningOn:
-    """A drive that acknowledges *stop*, and whose speed the test defines; what is reported of it.
+def answer_at(bench: Bench, speed: Speed, seconds: float, local: bool, request: bytes) -> Answer:
+    """Answer as a drive that acknowledges *stop*, at a share of the rated speed.
 
-    Attributes:
-        speed: share of the rated speed, or that by the time (s) since the beginning, when the
-            drive is at half of its speed; None cannot be read.
+    Args:
+        bench: the drive with its exchange.
+        speed: its speed, or that by the time; None cannot be read.
+        seconds: the time (s).
         local: whether it is in local control.
-        faults: all faults that were reported.
-        left: when each silence began.
+        request: the request.
     """
-
-    def __init__(self, bench: Bench, speed: Speed = 0.5) -> None:
-        self.bench, self.speed, self.local, self.silent = bench, speed, False, False
-        self.faults, self.left = set[str](), list[float]()
-        bench.run()
-        self._began = bench.clock.now
-        bench.answer, bench.speed = self._answer, None
-        bench.asked.clear()
-
-    @property
-    def seconds(self) -> float:
-        return self.bench.clock.now - self._began
-
-    def _answer(self, request: bytes) -> Answer:
-        drive = self.bench.drive
-        speed = self.speed(self.seconds) if callable(self.speed) else self.speed
-        drive.values.pop(4, None)
-        if speed is not None:
-            drive.values[4] = round(20000 * speed)
-        drive.values[3] = 0x1031 if self.local else 0x1231
-        return drive(request)
-
-    def listen(self, until: float) -> None:
-        """Note what is reported until a time (s)."""
-        while self.seconds < until:
-            self.bench.step()
-            if (status := self.bench.now.status) is not None:
-                self.faults.add(status.fault)
-                assert status.runs_on == (status.fault == FALLEN)
-            was_silent, self.silent = self.silent, SILENT in self.bench.now.problem
-            if self.silent and not was_silent:
-                self.left.append(self.seconds)
+    bench.drive.values[3] = 0x1031 if local else 0x1231
+    bench.drive.values.pop(4, None)
+    if (at := speed(seconds) if callable(speed) else speed) is not None:
+        bench.drive.values[4] = round(20000 * at)
+    return bench.drive(request)
 
 
 NEVER = math.inf, math.inf
@@ -324,21 +297,31 @@ def test_one_that_is_not_seen_to_slow_down_is_left_again_and_again(
     bench: Bench, course: str
 ) -> None:
     """During the silence, the fault is seen."""
-    parts, first, latest, faults = COURSES[course]
-    drive = RunningOn(bench, parts[0][1])
-    for until, drive.speed, how in parts:
-        drive.local, bench.speed = how == "local", 0.5 if how == "asked" else None
-        bench.exchange.flows_at_rest = how == "flows"
+    parts, first, latest, expected = COURSES[course]
+    bench.run()
+    began, faults, left, was_silent = bench.clock.now, set[str](), list[float](), False
+    bench.asked.clear()
+    for until, speed, how in parts:
+        bench.speed, bench.exchange.flows_at_rest = 0.5 if how == "asked" else None, how == "flows"
+        bench.answer = lambda request, speed=speed, how=how: answer_at(  # type: ignore[misc]
+            bench, speed, bench.clock.now - began, how == "local", request)
         if how == "cut":
             bench.cable.close()
-        drive.listen(until)
-    assert drive.faults == faults and bool(drive.left) == math.isfinite(first)
-    assert all(first <= at <= latest for at in drive.left[:1])
+        while bench.clock.now - began < until:
+            bench.step()
+            if (status := bench.now.status) is not None:
+                faults.add(status.fault)
+                assert status.runs_on == (status.fault == FALLEN)
+            silent = SILENT in bench.now.problem
+            left += [bench.clock.now - began] * (silent and not was_silent)
+            was_silent = silent
+    assert faults == expected and bool(left) == math.isfinite(first)
+    assert all(first <= at <= latest for at in left[:1])
     longest = LIMIT_S + MAX_RAMP_S + exchange.UNREAD_S
-    assert all(longest - 5.5 < b - a < longest for a, b in pairwise(drive.left))
-    drive.speed, bench.exchange.flows_at_rest = 0.0, False
+    assert all(longest - 5.5 < b - a < longest for a, b in pairwise(left))
+    bench.answer, bench.exchange.flows_at_rest = bench.drive, False
     bench.until_reported(lambda status: status.at_rest and not status.fault)
-    assert all(silence > 9.9 for silence in bench.silences()[:len(drive.left)])
+    assert all(silence > 9.9 for silence in bench.silences()[:len(left)])
 
 
 def test_what_someone_changes_at_the_panel_is_noticed(bench: Bench) -> None:
@@ -360,23 +343,18 @@ def test_a_ramp_is_waited_for_at_the_end_but_no_drive_that_turns_on(
     bench: Bench, falls_for: float, took: float, stands: bool
 ) -> None:
     """One that does not obey is left soon, so that its own timeout stops it."""
-    RunningOn(bench, lambda now: 0.5 * max(0.0, 1.0 - now / falls_for))
+    bench.run()
+    began, bench.speed = bench.clock.now, None
+    bench.answer = lambda request: answer_at(
+        bench, lambda now: 0.5 * max(0.0, 1.0 - now / falls_for), bench.clock.now - began, False,
+        request,
+    )
     assert bench.close() == pytest.approx(took, abs=1.0)
     assert bench.drive.values[0] == 0x047E and not bench.now.connected
     assert bench.now.status is not None and bench.now.status.at_rest == stands
     if not stands:
         with pytest.raises(OSError, match=r"not stopped .*speed 50.0%.* timeout \(5 s\) can"):
             bench.exchange.outcome()
-
-
-def test_a_serial_line_whose_plug_is_pulled() -> None:
-    with closing(SerialWire(rtu_server(acs880()))) as plug, closing(
-        DriveExchange(DriveEndpoint(ABB, parse_address(plug.at, "at")))
-    ) as driver:
-        driver.start()
-        wait(lambda: driver.snapshot.connected)
-        plug.close()
-        wait(lambda: not driver.snapshot.connected, seconds=1.0)
 
 
 def test_a_second_driver_on_the_same_machine_keeps_off() -> None:

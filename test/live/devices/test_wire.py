@@ -13,7 +13,7 @@ from dataclasses import asdict
 from typing import Any
 
 import pytest
-from modbus_wire import Answer, Registers, SerialWire, Wire, acs880, crc, frame, rtu_server, script
+from modbus_wire import Answer, Registers, SerialWire, Wire, acs880, frame, rtu_server, script
 from simulators import until
 
 from greenroof_ros.live.devices.drive import Drive, DriveStatus
@@ -296,16 +296,3 @@ def test_an_echo_is_no_value() -> None:
     """As an answer, the echo of this request would have two bytes of data."""
     with pytest.raises(DriveError, match="does not fit"):
         against(lambda request: [(0, request)], lambda drive: drive.line.read(0x02BE, 1))
-
-
-def test_start_on_a_serial_line() -> None:
-    """The same words as over TCP, between slave address and CRC."""
-    requests, answer = script(ABB_START)
-
-    def over_line(_request: bytes) -> bytes:
-        (_, data), = answer(b"") or []
-        return data[6:] + crc(data[6:])
-
-    with closing(SerialWire(over_line)) as wire:
-        talk("abb_acs880", wire.at, run)
-        assert wire.requests == [request[6:] + crc(request[6:]) for request in requests]
