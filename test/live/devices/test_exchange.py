@@ -30,7 +30,7 @@ from greenroof_ros.live.devices.exchange import (
     acquire_drive_lock,
     stop_drive,
 )
-from greenroof_ros.live.devices.modbus_line import DriveError, parse_address
+from greenroof_ros.live.devices.modbus_line import Address, DriveError, parse_address
 
 PERIOD_S, DEAD_MAN_S, TIMEOUT_S = 0.1, 1.0, 0.5
 SILENT = "nothing is sent for 10 s"
@@ -106,8 +106,7 @@ def test_one_lost_answer_stops_nothing_and_a_half_open_connection_heals(bench: B
 
 
 def test_a_drive_that_closes_its_connections_is_left_in_silence_after_a_while(bench: Bench) -> None:
-    """Not at once: if its own timeout is off, only a new connection can stop it.
-    """
+    """Not at once: if its own timeout is off, only a new connection can stop it."""
     bench.run()
     for seconds, silent in ((4.0, False), (17.0, True)):
         bench.lose()
@@ -118,20 +117,17 @@ def test_a_drive_that_closes_its_connections_is_left_in_silence_after_a_while(be
         bench.until_half()
 
 
-def test_after_each_connection_the_drive_is_off_while_it_may_not_guard(
-    monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_after_each_connection_the_drive_is_off_while_it_may_not_guard(bench: Bench) -> None:
     """For 30 s; a cut cable looks like a power cycle, so they begin again."""
-    with closing(Bench(monkeypatch, SHIPPED)) as bench:
-        bench.speed = 0.5
-        bench.exchange.start()
-        for _ in range(2):
-            bench.until(lambda: bench.now.connected)
-            assert "is not effective for 30 s after power-up" in str(bench.now.unguarded)
-            assert bench.until_written(RUN) >= 30.0 - 2 * PERIOD_S
-            bench.until_half()
-            bench.lose()
-            bench.answer = bench.drive
+    bench.exchange.endpoint, bench.speed = DriveEndpoint(SHIPPED, Address(line="there")), 0.5
+    bench.exchange.start()
+    for _ in range(2):
+        bench.until(lambda: bench.now.connected)
+        assert "is not effective for 30 s after power-up" in str(bench.now.unguarded)
+        assert bench.until_written(RUN) >= 30.0 - 2 * PERIOD_S
+        bench.until_half()
+        bench.lose()
+        bench.answer = bench.drive
 
 
 def test_after_any_failure_the_next_step_begins_again(
@@ -195,17 +191,12 @@ def test_another_master_is_given_way_and_a_reset_meanwhile_is_forgotten(bench: B
     bench.drive.values.update(TRIPPED)
     bench.connect()
     bench.written_in(rounds=2)
-
-    def overwrite(address: int, _word: int) -> None:
-        if address == 0:
-            bench.drive.values[0] = 0x0001
-
-    obeys, bench.drive.on_write = bench.drive.on_write, overwrite
+    obeys = bench.drive.on_write
+    bench.drive.on_write = lambda _address, _word: bench.drive.values.update({0: 0x0001})
     bench.until(lambda: "someone else is writing to the drive" in bench.now.problem)
     bench.exchange.reset()
     bench.wait(2 * PERIOD_S)
-    bench.drive.on_write = obeys
-    bench.drive.values[0] = 0x047E
+    bench.drive.on_write, bench.drive.values[0] = obeys, 0x047E
     assert ACKNOWLEDGE not in bench.written_in(rounds=5)
     bench.drive.values.update({3: 0x1231, 400: 0})
     bench.speed = 0.5
@@ -361,14 +352,16 @@ def test_a_second_driver_on_the_same_machine_keeps_off() -> None:
     """Only the supervisor's stop ignores the lock, of its own driver."""
     with closing(Wire(acs880())) as wire:
         at = DriveEndpoint(ABB, parse_address(wire.gateway, "at"))
-        with closing(DriveExchange(at)) as second, acquire_drive_lock(at):
-            second.start()
-            holder = f"process {os.getpid()} on this computer"
-            wait(lambda: holder in second.snapshot.problem)
-            with pytest.raises(DriveInUseError, match=holder):
-                stop_drive(at, driver=1)
-            assert wire.connections == 0
-            assert str(stop_drive(at, driver=os.getpid())) == "speed 0.0%, off"
+        with closing(DriveExchange(at)) as second:
+            with acquire_drive_lock(at):
+                second.start()
+                holder = f"process {os.getpid()} on this computer"
+                wait(lambda: holder in second.snapshot.problem)
+                with pytest.raises(DriveInUseError, match=holder):
+                    stop_drive(at, driver=1)
+                assert wire.connections == 0
+                assert str(stop_drive(at, driver=os.getpid())) == "speed 0.0%, off"
+            wait(lambda: second.snapshot.connected)
 
 
 def test_who_stops_the_drive_of_a_dead_driver_keeps_other_drivers_off_and_tries_three_times(
