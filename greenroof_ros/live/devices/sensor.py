@@ -322,6 +322,10 @@ class MqttReader(Reader):
     A message counts as a reading at the time of its arrival. Retained messages, and the first
     messages after a silence or a lost connection, do not count as readings, since they may be of
     any age.
+
+    Attributes:
+        start: function that connects, and starts the client's thread.
+        close: function that disconnects.
     """
 
     sensor: MqttSensor
@@ -343,14 +347,7 @@ class MqttReader(Reader):
         self._client = make_client(
             broker, f"greenroof_{section}", self._on_connect, self.receive, self._on_disconnect,
         )
-
-    def start(self) -> None:
-        """Connect, and start the client's thread."""
-        self._client.loop_start()
-
-    def close(self) -> None:
-        """Disconnect."""
-        self._client.disconnect()
+        self.start, self.close = self._client.loop_start, self._client.disconnect
 
     # --- in the client's thread -------------------------------------------------------------------
 
