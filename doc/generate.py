@@ -676,13 +676,13 @@ def nodes() -> str | None:
     """Return the parameters that each node declares; None without ROS 2."""
     if importlib.util.find_spec("rclpy") is None:
         return None
+    from rclpy.parameter import Parameter as RosParameter
+
     from greenroof_ros.live import controller as live_controller
     from greenroof_ros.live import external_pump, pump, sensors
     from greenroof_ros.live import recorder as live_recorder
     from greenroof_ros.live import weather as live_weather
     from greenroof_ros.nodes import alarms, controller, plant, recorder, weather
-    from greenroof_ros.ros.parameters import type_name
-
     site = read_site(default_site_file())
     declared = {
         "plant": plant.parameters(site), "weather": weather.parameters(site),
@@ -696,7 +696,9 @@ def nodes() -> str | None:
     of_nodes: dict[tuple[str, str, str], list[str]] = {}
     for node, parameters in declared.items():
         for parameter in parameters:
-            row = (*_declared(parameter, type_name(parameter)), parameter.meaning)
+            kind = RosParameter.Type.from_parameter_value(parameter.default).name
+            name = kind.lower().replace("_", " ")
+            row = (*_declared(parameter, name), parameter.meaning)
             of_nodes.setdefault(row, []).append(node)
     settings = {f"`{parameter.name}`" for parameter in pump_parameters(site)}
     shared = [

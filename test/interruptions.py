@@ -54,7 +54,7 @@ _GREENROOF = {
     "weather": "weather rain.csv --output out.csv",
     "fetch": "fetch-forecast --output out.csv --url",
     "watch": "watch",
-    "live": "live --state out --sensors sensors.yaml --thermometer external "
+    "live": "live --state out --sensors sensors.yaml --forecast forecast.csv "
     f"--drive danfoss_fc202 --drive-at {_DRIVE}",
 }
 COMMANDS = {

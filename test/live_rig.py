@@ -19,13 +19,10 @@ QUICK = "/**:\n  ros__parameters:\n    recovery_time: 1.0\n"
 
 @contextmanager
 def live(
-    domain: int, cwd: Path, *arguments: str, code: int = 0, stderr: int | None = None,
-    command: tuple[str, ...] = ("bringup.live",),
+    domain: int, cwd: Path, *arguments: str, code: int = 0, stderr: int | None = None
 ) -> Iterator[Process]:
     """Bring up a site; on request it must end as expected, together with all of its nodes."""
-    process = Process(
-        domain, *command, "--state", "run", *arguments, cwd=cwd, stderr=stderr,
-    )
+    process = Process(domain, "bringup.live", "--state", "run", *arguments, cwd=cwd, stderr=stderr)
     yield process
     nodes = process.nodes().values()
     process.process.send_signal(signal.SIGTERM)
@@ -44,7 +41,7 @@ class Hardware(Simulator):
         )
         self.domain, self.cwd, self.file = domain, cwd, guarding("abb_acs880", cwd)
 
-    def be_a_site(self, parameters: str = "") -> tuple[str, ...]:
+    def be_a_site(self) -> tuple[str, ...]:
         """Return bringup's options for a site without sensors and with an old forecast."""
         cistern, roof = free_ports(2)
         text = (CONFIG / "sensors.yaml").read_text()
@@ -53,7 +50,7 @@ class Hardware(Simulator):
             .replace("period: 1.0", "period: 0.5")
         )
         write_forecast(self.cwd / "forecast.csv", timedelta(days=2000), 0.0, 12.0)
-        (self.cwd / "nodes.yaml").write_text(f"{QUICK}    min_off: 1.0\n{parameters}")
+        (self.cwd / "nodes.yaml").write_text(f"{QUICK}    min_off: 1.0\n")
         return (
             "--controller", "onoff", "--sensors", "sensors.yaml", "--forecast", "forecast.csv",
             "--drive", self.file, "--drive-at", self.address, "--node-parameters", "nodes.yaml",
@@ -74,12 +71,8 @@ class Hardware(Simulator):
         time.sleep(0.1)
         return super().speed()
 
-    def until_it_pumps(self, seconds: float = 90) -> None:
-        wait_for(lambda: self.speed() > 0.9, seconds, "the pump")
+    def until_it_pumps(self) -> None:
+        wait_for(lambda: self.speed() > 0.9, 90, "the pump")
 
-    def speeds_for(self, seconds: float) -> list[float]:
-        """Return the pump's speeds during this time (s)."""
-        until, speeds = time.monotonic() + seconds, []
-        while time.monotonic() < until:
-            speeds.append(self.speed())
-        return speeds
+    def until_it_stands(self) -> None:
+        wait_for(lambda: self.speed() == 0, 60, "a pump that stands")

@@ -28,10 +28,6 @@ from greenroof_ros.simulation import screen, summary
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration
 from greenroof_ros.simulation.run import Run
 
-# How long messages of a node that is not composed here are still received after the last tick (s):
-# a node that publishes twice per tick can be found only then.
-_EXTRA_S = 0.5
-
 
 def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
     """Create the run's directory, run the nodes, write the summary, and return the exit code.
@@ -65,7 +61,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
                 status, reason, code = summary.FAILED, *explain(error)
                 print_line(f"error: {reason}")
             try:
-                if end_nodes([*nodes.values()], reason or None) != (reason or None):
+                if end_nodes([*nodes.values()], reason or None) is not None:
                     code = EXIT_FAILED  # the bag cannot be closed
                 _summarize(nodes, run, status, reason, arguments, directory)
             finally:
@@ -87,35 +83,33 @@ def _run_nodes(
     """
     plant = nodes[PLANT] = PlantNode()
     nodes["weather"] = RecordedWeather()
-    has_controller = run.controller.reference != EXTERNAL
-    if has_controller:
+    if run.controller.reference != EXTERNAL:
         nodes[run.controller.name] = SimulatedController(run.controller.reference)
     if not arguments.no_record:
         nodes[RECORDER] = RecorderNode()
-    nodes[ROLE] = AlarmsNode()
-    extra_s = 0.0 if has_controller and arguments.pump != EXTERNAL else _EXTRA_S
-    watchdog, finished_at = Watchdog(exits=True), time.monotonic()
+    in_lockstep = [*nodes.values()]
+    alarms = nodes[ROLE] = AlarmsNode()
+    watchdog = Watchdog(exits=True)
 
     def may_end() -> bool:
-        nonlocal finished_at
         watchdog.report(plant.limit())
         signals.check()
-        for node in nodes.values():
+        try:
+            alarms.check(time.monotonic())
+        except Exception as error:  # whatever it is, it does not end the run
+            progress.warn([f"there may be no alarms: {explain(error)[0]}"])
+        for node in in_lockstep:
             progress.warn(node.warnings)
         if plant.acted:
             progress.show_tick(**plant.progress())
         else:
-            missing = ", ".join(map(plant.peers.name_of, plant.peers.absent()))
+            missing = ", ".join(plant.absent())
             progress.show(f"waiting for {missing}" if missing else "starting", 0.0)
-        now = time.monotonic()
-        if not all(node.finished for node in nodes.values()):
-            finished_at = now
-            return False
-        return now - finished_at >= extra_s
+        return all(node.finished for node in in_lockstep)
 
     with RunProgress(run.steps, run.site.tau, LINES) as progress:
         try:
-            spin([*nodes.values()], may_end)
+            spin(in_lockstep, may_end, [alarms])
         finally:
             watchdog.stop()
 
@@ -126,11 +120,9 @@ def _summarize(
 ) -> None:
     """Write the summary of a run, and print it if the run is complete."""
     plant, controller = map(nodes.get, (PLANT, run.controller.name))
-    refused: Counter[str] = Counter()
-    for node in nodes.values():
-        refused.update({name: entry.refused for name, entry in node.inputs.items()})
+    refused = sum((Counter(node.refused) for node in nodes.values()), Counter[str]())
     happened = {
-        "refused": dict(+refused),
+        "refused": dict(refused),
         "last_tick": plant.progress()["tick"] if plant is not None and plant.acted else None,
         **({} if controller is None else controller.progress()),
     }

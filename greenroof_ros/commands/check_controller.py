@@ -10,21 +10,17 @@ from greenroof_ros.ros.domain import prepare_ros
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.horizon import MAX_HORIZON
 
-_ABOUT = (
-    "Check that a controller behaves as the node graph, simulate, studies and reports require: "
-    "its commands are finite, not negative, and the same for the same inputs, and it copes with "
-    "skipped ticks, with missing forecasts and with its parameters.\n\n"
-    "With --node, check a running node, in any language, for 'greenroof run --controller "
-    "external'. The check takes the place of all other nodes, so do not start a run. At the end, "
-    "it stops the node."
-)
-
 
 def make_parser() -> Parser:
     """Return the command's parser."""
     parser = Parser(
         prog="greenroof check-controller",
-        description=_ABOUT,
+        description="Check that a controller behaves as the node graph, simulate, studies and "
+        "reports require: its commands are finite, not negative, and the same for the same inputs, "
+        "and it copes with skipped ticks, with missing forecasts and with its parameters.\n\n"
+        "With --node, check a running node, in any language, for 'greenroof run --controller "
+        "external'. The check takes the place of all other nodes, so do not start a run. At the "
+        "end, it stops the node.",
         epilog="examples:\n  greenroof check-controller my_package.my_module:MyController\n"
         "  python my_node.py &\n  greenroof check-controller --node controller\n\n"
         "exit codes: 0 all checks passed, 1 a check failed, 2 the controller cannot be "

@@ -7,11 +7,6 @@ from greenroof_ros.nodes.check_results import NODE, print_results
 from greenroof_ros.ros.domain import prepare_ros
 from greenroof_ros.site.file import read_site
 
-_ABOUT = (
-    "THE PUMP WILL RUN, while its driver receives invented levels and invented weather: with a "
-    "real pump, make sure that there is water in the cistern, room on the roof and no frost. The "
-    "check takes the place of all other nodes, so do not start a run."
-)
 _LIMIT = (
     "The flows that the driver reports are the only evidence: topics cannot show whether the "
     "pump's shaft has really stopped, so watch the pump."
@@ -23,7 +18,10 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="greenroof check-pump",
         description="Check through topics whether a running pump driver, in any language, follows "
-        f"the interface.\n\n{_ABOUT}\n\n{_LIMIT}",
+        "the interface.\n\nTHE PUMP WILL RUN, while its driver receives invented levels and "
+        "invented weather: with a real pump, make sure that there is water in the cistern, room on "
+        "the roof and no frost. The check takes the place of all other nodes, so do not start a "
+        f"run.\n\n{_LIMIT}",
         epilog="example:\n  python my_driver.py &\n  greenroof check-pump --node pump\n\n"
         "exit codes: 0 all checks passed, 1 a check failed, 2 the driver was not found, 3 a "
         "graph is running",

@@ -83,7 +83,7 @@ class PumpRequest:
 
         def receive(name: str, message: bytes, *_: Any) -> None:
             if name == DIAGNOSTICS and (received := read_message(name, message)) is not None:
-                reports.receive(time.monotonic(), 0.0, received[1])
+                reports.receive(time.monotonic(), received[1])
 
         try:
             with closing(GraphClient(arguments.namespace, receive)) as client:

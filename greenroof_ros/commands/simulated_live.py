@@ -19,7 +19,7 @@ from greenroof_ros.site.site import Site
 
 _DRIVE = "danfoss_fc202"
 # Options of `greenroof live` that name the devices, and therefore have no effect here.
-_DEVICES = "--sensors", "--drive", "--drive-at", "--pump", "--thermometer"
+_DEVICES = "--sensors", "--drive", "--drive-at", "--pump"
 # How full the cistern, and the roof relative to its target, are at the start: the roof is thirsty.
 _CISTERN, _ROOF = 0.6, 0.7
 # Time for which the simulated devices may end (s).

@@ -10,9 +10,8 @@ from dataclasses import asdict, dataclass
 # The states of a node: it waits for its peers; they are there; the run is over; it is ending.
 STARTING, READY, FINISHED, ENDED = STATES = ("starting", "ready", "finished", "ended")
 
-# Roles in the interface that the code treats specially, and how to call one whose node is unknown.
+# Roles in the interface that the code treats specially.
 PLANT, PUMP, RECORDER = "plant", "pump", "recorder"
-ROLES = {"controller": "the controller", PUMP: "the pump driver"}
 
 
 class DriveState(enum.Enum):

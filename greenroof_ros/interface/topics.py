@@ -99,6 +99,11 @@ class Topic:
         return Range(self.low, self.high, self.unit)
 
     @property
+    def senders(self) -> frozenset[str]:
+        """The nodes that may publish the topic, in a simulated or in a live graph."""
+        return frozenset((*self.publishers, *self.live_publishers))
+
+    @property
     def graph_name(self) -> str:
         """The relative name used in the code of nodes, so that a graph can have a namespace."""
         return self.name if self.absolute else self.name.removeprefix("/")
@@ -140,8 +145,7 @@ def node_names() -> frozenset[str]:
     """Return the names of all nodes and of a live site's processes, except for a controller's."""
     roles = {
         role for topic in read_topics().values()
-        for role in (*topic.publishers, *topic.subscribers, *topic.live_publishers,
-                     *topic.live_subscribers)
+        for role in (*topic.senders, *topic.subscribers, *topic.live_subscribers)
     }
     return frozenset(roles - {"controller"} | {"bringup", "station"})
 

@@ -15,6 +15,7 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -37,12 +38,10 @@ from greenroof_ros.ros.parameters import declare, site_file
 from greenroof_ros.ros.watchdog import time_limit
 
 _FLOW, _GAUGE, _HOLD = "/pump/flow", "/gauge/precipitation", "/pump/hold"
-# On/off takes over once the controller has failed, or a forecast has been missing, for this
-# multiple of recovery_time. A short gap, such as after a pause of the node itself, then starts no
-# pump.
-_GIVEN_UP = 3
-# How long after a failure the controller is tried again while on/off commands, as such a multiple.
-_ASKED_AGAIN = 60
+# Multiples of recovery_time: for how long the controller must have failed, or a forecast have been
+# missing, before on/off control takes over, so that a short gap starts no pump; and how long after
+# a failure the controller is tried again while on/off control commands.
+_STAND_IN_AFTER, _RETRY_AFTER = 3, 60
 # How long the import of its class, and then its first instantiation, which imports a solver, may
 # each take (s). Both, and the start of ROS before them, fit into the 30 s for which a starting node
 # may be silent.
@@ -97,6 +96,8 @@ class LiveControllerNode(ControllerNode, LiveNode):
         with time_limit(_STARTING_S):
             _ = choice.kind
         self.prepare(choice)
+        # The pump node alone limits how often the pump starts, and states when it may start next.
+        self._site = replace(self._site, starts_per_hour=math.inf)
         values = declare(self, [STATE_FILE, EXTERNAL_PUMP, *LIVE_PARAMETERS])
         self._levels = Levels(self._site, values, self.subscribe)
         self._cistern, self._roof = self._levels.cistern, self._levels.roof
@@ -107,10 +108,9 @@ class LiveControllerNode(ControllerNode, LiveNode):
         )
         self._hold = self.subscribe(_HOLD) if values[EXTERNAL_PUMP.name] else None
         self._stand_in = OnOff(self._site, FRACTION.default)
-        self._stand_in_after = _GIVEN_UP * values[RECOVERY.name]
-        self._asked_again_after = _ASKED_AGAIN * values[RECOVERY.name]
+        self._stand_in_after = _STAND_IN_AFTER * values[RECOVERY.name]
+        self._retry_after = _RETRY_AFTER * values[RECOVERY.name]
         self._failure, self._failed_at = "", -math.inf  # the controller's last (steady clock, s)
-        self._lacking_since = math.inf  # lacking a forecast or a working controller (s)
         self._stand_in_since = ""  # when on/off took over, in words; empty if not
         file = values[STATE_FILE.name]
         self._learned_file = NumberFile(Path(file)) if file else None
@@ -120,6 +120,8 @@ class LiveControllerNode(ControllerNode, LiveNode):
             self._learned = self._learned_file.read() if self._learned_file is not None else {}
         with self._controllers_code(_STARTING_S):
             self.make_controller()
+        # When the controller last worked, and had a forecast if it needs one (steady clock, s).
+        self._worked_at = time.monotonic()
 
     # --- the controller's code ----------------------------------------------------------------
 
@@ -129,10 +131,9 @@ class LiveControllerNode(ControllerNode, LiveNode):
         try:
             with self.deciding(), time_limit(limit):
                 yield
-            return
         except BaseException as error:  # signals do not raise exceptions in this process
             self._failure = str(locate_error(self._choice.kind, error))
-        self._failed_at, self.controller = time.monotonic(), None
+            self._failed_at, self.controller = time.monotonic(), None
 
     def make_controller(self) -> None:
         """Create a new controller with the values that the previous controller had learned."""
@@ -158,39 +159,33 @@ class LiveControllerNode(ControllerNode, LiveNode):
 
     def find_command(self, allowed: bool) -> tuple[float, Outputs]:
         """Return the command of the controller or of on/off, and the former's optional outputs."""
-        held = self._hold is not None and bool(self._hold.value)
-        allowed = allowed and not held
-        command, outputs, decided = 0.0, Outputs(), False
-        failed_for = time.monotonic() - self._failed_at
-        if not self._failure or not self._stand_in_since or failed_for >= self._asked_again_after:
+        allowed = allowed and not (self._hold is not None and self._hold.value)
+        command, outputs = 0.0, Outputs()
+        may_retry = time.monotonic() - self._failed_at >= self._retry_after
+        if not self._stand_in_since or (may_retry and self._may_use_forecast):
             with self._controllers_code(deciding_limit(self._site.tau)):
-                command, outputs, decided = self._command_by_controller(allowed)
-        if decided and failed_for >= self._stand_in_after:
-            self._failure = ""
+                command, outputs = self._command_by_controller(allowed)
         self._update_stand_in()
         self._save_learned(_SAVE_S)
         if self._stand_in_since:
             levels = self._cistern.value, self._roof.value
-            command = self._stand_in.command(*levels, (), ()) if allowed else 0.0
-        if command and (self._quiet or held or not self.good):
+            command = self._stand_in.command(*levels, (), ())
+        if self._quiet or not (allowed and self.good):
             command = 0.0
         # An unknown flow counts as 0, since the pump may be stopped: a constant level is then not
         # frozen.
         self._levels.expect(self._flow.value if self._flow.good else 0.0)
         return command, outputs
 
-    def _command_by_controller(self, allowed: bool) -> tuple[float, Outputs, bool]:
-        """Return the controller's command and outputs, and whether it has decided.
+    def _command_by_controller(self, allowed: bool) -> tuple[float, Outputs]:
+        """Return the controller's command and outputs.
 
         A forecast that the controller cannot use is rejected.
         """
-        is_new = self.controller is None
-        if is_new:
+        if self.controller is None:
             self.make_controller()
         allowed = may_decide(self.controller, allowed, self._quiet)
         decides = allowed and self._may_use_forecast
-        if decides and self._stand_in_since and not is_new:
-            self.make_controller()
         measured = self._gauge.value if self._gauge.good else 0.0
         set_optional(self.controller, gauge_rain=measured)
         try:
@@ -198,12 +193,15 @@ class LiveControllerNode(ControllerNode, LiveNode):
         except ControllerError:
             raise
         except ConfigurationError as error:
-            self._rain.refuse(str(error))  # any other error is the controller's
+            why = Diagnosis.of("input_refused", "refused", why=str(error))
+            self._rain.refuse(why)  # any other error is the controller's
             decides = allowed and self._may_use_forecast
             command, outputs = self.decide(decides)
         learned = getattr(self.controller, "learned", None) or {}
         self._learned = {name: float(value) for name, value in learned.items()}
-        return command, outputs, decides
+        if decides and time.monotonic() - self._failed_at >= self._stand_in_after:
+            self._failure = ""
+        return command, outputs
 
     @property
     def _may_use_forecast(self) -> bool:
@@ -223,12 +221,12 @@ class LiveControllerNode(ControllerNode, LiveNode):
         """
         now = time.monotonic()
         if not self._failure and self._may_use_forecast:
-            self._lacking_since, self._stand_in_since = math.inf, ""
-        else:
-            self._lacking_since = min(self._lacking_since, now)
-            if not self._stand_in_since and now - self._lacking_since >= self._stand_in_after:
-                began = from_epoch_ns(self.time_ns).replace(microsecond=0)
-                self._stand_in_since = to_people(began)
+            self._worked_at, self._stand_in_since = now, ""
+        elif not self._stand_in_since and now - self._worked_at >= self._stand_in_after:
+            began = from_epoch_ns(self.time_ns).replace(microsecond=0)
+            self._stand_in_since = to_people(began)
+        if self._stand_in_since:
+            self.controller = None  # what it knows of the roof would be outdated
         since, bad, choice = self._stand_in_since, self._find_bad_forecast(), self._choice
         if self._failure or "command" in self.reports.parts:
             failed = Diagnosis.of(

@@ -16,10 +16,10 @@ from greenroof_ros.interface.topics import Topic
 from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.pumping.input_rules import AWAITED, InputRules
 from greenroof_ros.ros.inputs import Input
-from greenroof_ros.ros.publishers import DISCOVERY_S, Publishers
+from greenroof_ros.ros.publishers import Publishers
 
-# How many messages on a topic can wait for the recorder while it or the machine is busy.
-_RECORDED_DEPTH = 1000
+# A node's name and its other endpoints may be discovered this long after its publisher (s).
+_DISCOVERY_S = 1.0
 _UNKNOWN = "unknown"
 
 
@@ -31,22 +31,16 @@ class LivePublishers(Publishers):
     publishers count; they are known from events.
     """
 
-    def __init__(
-        self, node: Node, topic: Topic, *, optional: bool = False, recorded: bool = False
-    ) -> None:
+    def __init__(self, node: Node, topic: Topic, *, optional: bool = False) -> None:
         """Prepare for a subscription.
 
         Args:
             node: the subscribing node.
             topic: topic in the interface.
             optional: whether the node acts without the topic.
-            recorded: whether the node only records the topic, and must not miss a message.
         """
-        super().__init__(node, topic, replace(
-            topic.qos, durability="volatile", depth=_RECORDED_DEPTH if recorded else 1,
-            # Every message on a topic with a lease restarts a timer in every reader.
-            lease_s=math.inf if recorded else topic.qos.lease_s,
-        ), optional=optional or recorded)
+        required = replace(topic.qos, durability="volatile", depth=1)
+        super().__init__(node, topic, required, optional=optional)
         self._by_lease = math.isfinite(self.required.lease_s)
         self._alive = 0  # counted only if there is a lease
         self._incompatible_at = -math.inf  # when the middleware last reported an incompatible one
@@ -84,7 +78,7 @@ class LivePublishers(Publishers):
         if self._incompatible_at > -math.inf:
             if incompatible := self.describe_incompatible():
                 return incompatible
-            if time.monotonic() - self._incompatible_at > DISCOVERY_S:
+            if time.monotonic() - self._incompatible_at > _DISCOVERY_S:
                 self._incompatible_at = -math.inf  # it has gone
         return super().describe_second()
 
@@ -134,15 +128,9 @@ class LiveInput(Input):
         """Check the latest value at the current time."""
         self.diagnosis = self.rules.check(boot_time(), self.publishers.describe_second())
 
-    def refuse(self, why: str) -> None:
-        """Reject the latest value because the node cannot use it.
-
-        Args:
-            why: the reason.
-        """
-        self.refused += 1
-        refused = Diagnosis.of("input_refused", "refused", why=why)
-        self.rules.receive(boot_time(), None, refused)
+    def refuse(self, why: Diagnosis) -> None:
+        """Reject the latest value because the node cannot use it."""
+        self.rules.receive(boot_time(), None, why)
         self.check()
 
     def _refuse(self, value: float, why: str) -> None:

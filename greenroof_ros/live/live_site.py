@@ -16,8 +16,7 @@ from greenroof_ros.live.devices.exchange import CHOICE, Endpoint, read_endpoint
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS, ModbusSensor, read_sensors
 from greenroof_ros.live.pumping.state_file import GUARD, STATE_FILE
 from greenroof_ros.live.supervisor import ACTUATORS_SILENT_S, SiteProcess
-from greenroof_ros.live.upkeep import silence_limit
-from greenroof_ros.live.valve import refuse_valve
+from greenroof_ros.live.upkeep import check_site, silence_limit
 from greenroof_ros.ros.alarms import ROLE
 from greenroof_ros.ros.arguments import add_graph_arguments
 from greenroof_ros.simulation.options import add_controller_arguments, read_controller
@@ -26,7 +25,7 @@ from greenroof_ros.site.file import read_site
 STATION = "station"
 """name of the process with all nodes but the pump's and the controller's"""
 _LIVE = "greenroof_ros.live"
-# What a drive or a sensor on a broker may name a file for.
+# What a sensor on a broker may name a file for.
 _BROKER_FILES = "login", "authority"
 # Length of the forecast that people are shown if the controller ignores it (h).
 _SHOWN_H = 12.0
@@ -56,11 +55,11 @@ class LiveSite:
             ConfigurationError: if an option, or a file that it names, is invalid or missing.
         """
         site = read_site(arguments.site)
-        refuse_valve(site, arguments.site)
+        check_site(site, arguments.site)
         self.tau = site.tau
         self.controller, given = read_controller(arguments)
         self.parameters = self.controller.complete_parameters(site, given)
-        drive = _read_drive(arguments)
+        drive = read_drive(arguments)
         self.drive_at = drive.get("address")
         self.drive: Endpoint | None = None
         if drive:
@@ -71,23 +70,22 @@ class LiveSite:
             arguments.sensors = str(Path(arguments.sensors).resolve())
             sensors = {**read_sensors(Path(arguments.sensors)).by_section}
         if arguments.forecast not in (None, OPEN_METEO):
-            arguments.forecast = str(Path(arguments.forecast).resolve())
-        measures_frost = arguments.thermometer is not None or "thermometer" in sensors
-        has_forecast, has_weather = arguments.forecast is not None, arguments.weather is None
+            arguments.forecast = file = str(Path(arguments.forecast).resolve())
+            refuse((not file.lower().endswith(".csv"), "--forecast", file,
+                    "must be a FILE.csv, which is read again whenever it is replaced"))
+        sees_frost = arguments.sensors == EXTERNAL or "thermometer" in sensors
+        has_weather = arguments.weather is None
+        lacks_forecast = has_weather and arguments.forecast is None
         for option, is_missing in {
             "--sensors": arguments.sensors is None,
             "--drive, or --pump external": not drive and not arguments.pump,
             "--forecast, or a controller without a forecast, such as onoff":
-                has_weather and not has_forecast and self.controller.needs_forecast,
-            "--forecast, or a thermometer, which shows frost":
-                has_weather and not has_forecast and not measures_frost,
+                lacks_forecast and self.controller.needs_forecast,
+            "--forecast, or a thermometer, which shows frost": lacks_forecast and not sees_frost,
         }.items():
             refuse((is_missing, option, None, "is missing; what nodes of your own publish is "
                     "external, see greenroof live --help"))
         refuse(
-            (has_forecast and arguments.forecast != OPEN_METEO
-             and not arguments.forecast.lower().endswith(".csv"), "--forecast",
-             arguments.forecast, "must be a FILE.csv, which is read again whenever it is replaced"),
             (isinstance(self.drive, DriveEndpoint) and self.drive.address.line and any(
                 sensor.place.connection == self.drive.address.connection
                 for sensor in sensors.values() if isinstance(sensor, ModbusSensor)
@@ -97,10 +95,9 @@ class LiveSite:
         )
         self.forecast: str | None = arguments.forecast
         of_sensors = [getattr(each, key, "") for each in sensors.values() for key in _BROKER_FILES]
-        named = drive.get("drive"), *(drive.get(f"broker_{key}") for key in _BROKER_FILES)
-        self.files = [
-            Path(file) for file in (sensors and arguments.sensors, *named, *of_sensors) if file
-        ]
+        of_drive = [value for name, value in drive.items() if name != "address"]
+        own = [arguments.sensors] if sensors else []
+        self.files = [Path(file) for file in (*own, *of_drive, *of_sensors) if file]
         state = arguments.state.resolve()
         pump, module = (PUMP, "pump") if drive else (GUARD, "external_pump")
         name, common = self.controller.name, {"site_file": str(arguments.site)}
@@ -128,12 +125,10 @@ class LiveSite:
                 "fetch": fetched, "all_members": kind.ensemble,
                 "horizon": self.parameters.get("horizon", shown),
             }
-        optional = {
-            RECORDER,
-            *(QUANTITIES[each].live_publishers[0] for each in QUANTITIES if each not in TANKS),
-        }
+        gauges = {QUANTITIES[each].live_publishers[0] for each in {*sensors} - {*TANKS}}
         self.nodes[ROLE] = "greenroof_ros.nodes.alarms", {
-            "directory": str(state), "expected": " ".join(sorted({*self.nodes} - optional)),
+            "directory": str(state),
+            "expected": " ".join(sorted({*self.nodes} - gauges - {RECORDER})),
         }
         station = [f"{_LIVE}.{STATION}", *(["--weather"] if has_weather else [])]
         if sensors:
@@ -147,7 +142,7 @@ class LiveSite:
         )
 
 
-def _read_drive(arguments: argparse.Namespace) -> dict[str, str]:
+def read_drive(arguments: argparse.Namespace) -> dict[str, str]:
     """Return the pump node's parameters of the drive (CHOICE); empty if there is no drive.
 
     Raises:
@@ -185,7 +180,7 @@ def make_parser() -> Parser:
     group.add_argument(
         "--sensors", metavar="{FILE,external}",
         help="read the sensors that this file describes (see config/sensors.yaml); external: your "
-        "own nodes publish /cistern/level and /roof/level",
+        "own nodes publish /cistern/level, /roof/level and, without a forecast, /gauge/temperature",
     )
     weather = group.add_mutually_exclusive_group()
     weather.add_argument(
@@ -199,11 +194,6 @@ def make_parser() -> Parser:
         help="external: your own node publishes the weather and the forecast",
     )
     group.add_argument(
-        "--thermometer", choices=[EXTERNAL],
-        help="external: your own node publishes /gauge/temperature (degC), because the sensor file "
-        "contains no thermometer; without --forecast, nothing else can indicate frost",
-    )
-    group.add_argument(
         "--state", type=Path, default=Path("live"), metavar="DIR",
         help="directory for the state that must survive a restart (holds, faults, pump usage in "
         "the last 24 h), the bag, the logs and the summary (default: live)",
@@ -214,12 +204,16 @@ def make_parser() -> Parser:
         "disk space for it at the start (default: %(default)g MB)",
     )
     add_graph_arguments(parser)
-    group = parser.add_argument_group(
-        "the drive", "The pump node runs a drive over Modbus, or a relay over MQTT.")
+    add_drive(parser)
+    return parser
+
+
+def add_drive(parser: Parser) -> None:
+    """Add the options that choose a drive."""
+    group = parser.add_argument_group("the drive", "a drive over Modbus, or a relay over MQTT")
     options = {
         "--drive": "{NAME,FILE}", "--drive-at": "ADDRESS", "--broker-login": "FILE",
         "--broker-authority": "FILE",
     }
     for parameter, (option, metavar) in zip(CHOICE, options.items(), strict=True):
         group.add_argument(option, default="", metavar=metavar, help=parameter.meaning)
-    return parser

@@ -24,12 +24,11 @@ from greenroof_ros.live.levels import LIMITS, RECOVERY
 from greenroof_ros.live.live_input import LiveInput, LivePublishers, bad_inputs
 from greenroof_ros.live.live_topics import read_live_topics
 from greenroof_ros.live.pumping.input_rules import AWAITED, InputRules, LevelRule
-from greenroof_ros.live.upkeep import send_beat
-from greenroof_ros.live.valve import refuse_valve
+from greenroof_ros.live.upkeep import check_site, send_beat
 from greenroof_ros.ros.diagnostics import ERROR, WARN
 from greenroof_ros.ros.executable import node_command
 from greenroof_ros.ros.graph_node import GraphNode
-from greenroof_ros.ros.messages import decoder, qos_profile
+from greenroof_ros.ros.messages import qos_profile
 from greenroof_ros.ros.reports import PAUSE_S
 from greenroof_ros.ros.spin import start_receiving
 from greenroof_ros.site.site import Site
@@ -85,11 +84,11 @@ class LiveNode(GraphNode):
         """Declare the parameter ``site_file``, and read the site; its tau is the node's period.
 
         Raises:
-            ConfigurationError: if the file or a value in it is invalid, or the site's outlet has a
-                valve.
+            ConfigurationError: if the file or a value in it is invalid, or a live site cannot serve
+                the site.
         """
         site = super().declare_site()
-        refuse_valve(site, Path(self.get_parameter("site_file").value))
+        check_site(site, Path(self.get_parameter("site_file").value))
         self._period = site.tau
         self._due = boot_time() + min(site.tau, _FIRST_S)
         return site
@@ -118,24 +117,10 @@ class LiveNode(GraphNode):
             if now >= self._ignoring_until:
                 entry.receive(message)
 
-        self._open(publishers, receive)
-        return entry
-
-    def record(self, name: str, callback: Callable[[bytes], None]) -> None:
-        """Pass every serialised message on a topic of any type to a callback."""
-        topic = self.interface[name]
-        decode = decoder(topic.type)
-
-        def receive(message: bytes) -> None:
-            decode(message)  # a malformed message is not recorded
-            callback(message)
-
-        self._open(LivePublishers(self, topic, recorded=True), receive)
-
-    def _open(self, publishers: LivePublishers, callback: Callable[[bytes], None]) -> None:
-        self.peers.publishers[publishers.topic.name] = publishers
+        self.peers[name] = publishers
         profile = qos_profile(publishers.required)  # it requests no past messages
-        self.open_subscription(publishers.topic, callback, profile, publishers.events())
+        self.open_subscription(publishers.topic, receive, profile, publishers.events())
+        return entry
 
     # --- running ----------------------------------------------------------------------------
 
@@ -147,13 +132,11 @@ class LiveNode(GraphNode):
     @property
     def good(self) -> bool:
         """Whether all required inputs satisfy their rules."""
-        self.check_inputs()
         return self._find_bad_input() is None
 
     def _find_bad_input(self) -> Diagnosis | None:
-        return bad_inputs(
-            entry for entry in self.inputs.values() if not entry.publishers.optional
-        )
+        self.check_inputs()
+        return bad_inputs(each for each in self.inputs.values() if not each.publishers.optional)
 
     def check_inputs(self) -> None:
         """Check all inputs at the current time; after a pause of this process, all are too old."""
@@ -191,7 +174,6 @@ class LiveNode(GraphNode):
         if now < self._due:
             return
         self._due += (math.floor((now - self._due) / self._period) + 1) * self._period
-        self.check_inputs()
         bad = self._find_bad_input()
         level = WARN if bad is not None and bad.code in AWAITED else ERROR
         self.reports.diagnose("inputs", bad, "all inputs are valid", level)
@@ -220,8 +202,7 @@ class LiveNode(GraphNode):
         if passed > PAUSE_S:
             self._ignoring_until = now + PAUSE_S
             for entry in self.inputs.values():
-                entry.rules.receive(now, None, Diagnosis.of("input_paused", time=passed))
-                entry.check()
+                entry.refuse(Diagnosis.of("input_paused", time=passed))
 
     def report_state(self, **values: Any) -> None:
         """Report the node's state, and send a heartbeat, since bringup must notice a hang soon."""

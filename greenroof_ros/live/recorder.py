@@ -4,8 +4,7 @@ Messages go into the files of a bag, split by size and by day (UTC), with their 
 and are on the disk after 10 s. The oldest files are removed when the bag reaches its limit. A full
 disk stops the recording and raises an alarm; the node keeps running, and tries again every minute.
 If the disk hangs, up to 32 MB of messages wait in memory until the disk responds; this, too, raises
-an alarm. A report on /diagnostics is recorded if a state, a level or a diagnosis has changed;
-otherwise, one report per node is recorded every ten seconds.
+an alarm. Of /alarms, only changes are recorded, and /diagnostics, of which they are made, is not.
 """
 
 from __future__ import annotations
@@ -14,7 +13,9 @@ from greenroof_ros.ros import begin_node
 
 begin_node(__name__)
 
+import math
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,20 +23,21 @@ from typing import Any
 
 from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.parameter import Parameter
-from greenroof_ros.interface.conditions import Diagnosis, identity_of
+from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.live_bag import LiveBag
 from greenroof_ros.live.node import LiveNode, live_command
+from greenroof_ros.ros.messages import decoder, qos_profile
 from greenroof_ros.ros.parameters import declare
-from greenroof_ros.ros.reports import read_statuses
 from greenroof_ros.site.site import Site
 
 # A file of the bag is neither larger than this nor than a tenth of the whole bag.
 _FILE_BYTES, _MB = 100e6, 1e6
 # How long the node waits for the disk at its end (s).
 _WRITTEN_S = 4.0
-# Interval at which a report on /diagnostics that shows no change is recorded (s).
-_UNCHANGED_S = 10.0
-_DIAGNOSTICS = "/diagnostics"
+# How many messages on a topic can wait while the node or the machine is busy.
+_DEPTH = 1000
+# Where a message on /alarms begins after its time stamp (bytes).
+_CONTENT = 12
 
 
 def parameters(site: Site | None = None) -> list[Parameter]:
@@ -50,34 +52,8 @@ def parameters(site: Site | None = None) -> list[Parameter]:
     ]
 
 
-Recorded = dict[str, tuple[list[tuple[object, ...]], float]]
-"""what each sender's last recorded report showed, and when it arrived (steady clock, s)"""
-
-
-def shows_change(message: bytes, now: float, recorded: Recorded) -> bool:
-    """Return whether a report shows a change, or is the sender's first in ten seconds.
-
-    Args:
-        message: a serialised ``diagnostic_msgs/msg/DiagnosticArray``.
-        now: time of the steady clock (s).
-        recorded: the last recorded reports, by sender.
-    """
-    _, statuses = read_statuses(message)
-    # A node's own message is its state; any other is a sentence, which may contain numbers.
-    shown: list[tuple[object, ...]] = [
-        (status.name, status.level, identity_of(status.values),
-         status.message if "role" in status.values else "") for status in statuses
-    ]
-    sender = statuses[0].name if statuses else ""
-    before, recorded_at = recorded.get(sender, (None, 0.0))
-    if shown == before and now - recorded_at < _UNCHANGED_S:
-        return False
-    recorded[sender] = shown, now
-    return True
-
-
 class LiveRecorderNode(LiveNode):
-    """Node that records the topics of a live graph, and /diagnostics, under their full names.
+    """Node that records the topics of a live graph under their full names.
 
     The disk thread writes the bag. The node's own thread receives messages and reports its state,
     and never waits for a disk.
@@ -90,6 +66,7 @@ class LiveRecorderNode(LiveNode):
         total = values["total_limit"] * _MB
         topics = {
             self.resolve_topic_name(topic.graph_name): topic for topic in self.interface.values()
+            if topic.name != "/diagnostics"
         }
         self._bag = LiveBag(
             Path(values["directory"]).resolve(),
@@ -97,16 +74,24 @@ class LiveRecorderNode(LiveNode):
             file_bytes=int(min(_FILE_BYTES, total / 10)),
             total_bytes=int(total),
         )
-        self._recorded: Recorded = {}
+        self._alarms = b""  # the last content of /alarms
         for name, topic in topics.items():
-            self.record(topic.name, partial(self._queue, name))
+            # No past messages; and a lease would restart a timer in this reader at every message.
+            qos = replace(topic.qos, durability="volatile", depth=_DEPTH, lease_s=math.inf)
+            queue = partial(self._queue, name, topic.name == "/alarms", decoder(topic.type))
+            self.open_subscription(topic, queue, qos_profile(qos))
 
-    def _queue(self, name: str, message: bytes) -> None:
-        """Queue a message for writing, with its time of arrival."""
-        now = time.monotonic()
-        if name == _DIAGNOSTICS and not shows_change(message, now, self._recorded):
-            return
-        DISK.do(partial(self._bag.write, name, time.time_ns(), message, now), len(message))
+    def _queue(
+        self, name: str, are_alarms: bool, decode: Callable[[bytes], Any], message: bytes
+    ) -> None:
+        """Queue a message for writing, with its time of arrival; a malformed one is refused."""
+        decode(message)
+        if are_alarms:
+            before, self._alarms = self._alarms, message[_CONTENT:]
+            if self._alarms == before:
+                return
+        write = partial(self._bag.write, name, time.time_ns(), message, time.monotonic())
+        DISK.do(write, len(message))
 
     def on_timer(self, now: float) -> None:
         """Flush the bag if a flush is due, and report the state of the recording."""

@@ -13,22 +13,22 @@ from greenroof_ros.ros import begin_node
 
 begin_node(__name__)
 
+import math
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from greenroof_ros.base.command_line import command
+from greenroof_ros.base.command_line import Parser, command
 from greenroof_ros.base.standard_error import Lines
 from greenroof_ros.live.node import LiveNode, spin
 from greenroof_ros.live.recorder import LiveRecorderNode
 from greenroof_ros.live.sensors import sensor_makers
-from greenroof_ros.live.upkeep import count_restart
+from greenroof_ros.live.upkeep import Restarts, send_beat
 from greenroof_ros.live.weather import LiveWeatherNode
 from greenroof_ros.nodes.alarms import AlarmsNode
 from greenroof_ros.ros.errors import print_failure
-from greenroof_ros.ros.executable import NodeParser, run_nodes
+from greenroof_ros.ros.executable import parse_own_arguments, run_nodes
 from greenroof_ros.ros.spin import end_nodes
 
 Make = Callable[[], LiveNode | AlarmsNode]
@@ -40,44 +40,39 @@ def keep_nodes(
     """Run nodes, and make those again that fail, until a check ends them.
 
     Args:
-        makers: functions that make the nodes.
+        makers: functions that make the nodes; the last one makes the alarms node.
         nodes: the nodes, in the same order; from then on, those that are running.
         check: function that is called at least 20 times a second and may raise an exception.
     """
-    made: dict[LiveNode | AlarmsNode, Make] = dict(zip(nodes, makers, strict=True))
-    required = {make for node, make in made.items() if isinstance(node, AlarmsNode)}
-    restarts = {make: deque[float]() for make in makers}
-    due: dict[Make, float] = {}  # when a node is made again (steady clock, s)
+    made = dict(zip(makers, nodes, strict=True))
+    restarts = {make: Restarts() for make in makers}
 
-    def postpone(make: Make) -> bool:
-        """Set when a node is made again; return False if it has failed too often."""
-        wait = count_restart(restarts[make], time.monotonic())
-        if wait is not None:
-            due[make] = time.monotonic() + wait
-        return wait is not None
+    def postpone(make: Make, error: Exception) -> str:
+        """Set when a node is made again; return why it failed."""
+        restarts[make].postpone(time.monotonic())
+        if make is makers[-1] and math.isinf(restarts[make].due):
+            raise error  # nobody else reports an alarm
+        return print_failure(error)[0]
 
     def fail(node: LiveNode | AlarmsNode, error: Exception) -> None:
-        failure, _ = print_failure(error)
-        nodes.remove(node)
+        make = next(make for make, each in made.items() if each is node)
+        failure = postpone(make, error)
+        nodes.remove(made.pop(make))
         end_nodes([node], failure)
         node.destroy_node()
-        make = made.pop(node)
-        if not postpone(make) and make in required:
-            raise error  # without it, nobody reports an alarm
 
     def make_due() -> None:
         check()
-        for make in [make for make, at in due.items() if at <= time.monotonic()]:
-            del due[make]
-            try:
-                node = make()
-            except Exception as error:
-                print_failure(error)
-                if not postpone(make) and make in required:
-                    raise
-            else:
-                made[node] = make
-                nodes.append(node)
+        if not any(isinstance(node, LiveNode) for node in nodes):
+            send_beat(False)  # the alarms node sends none
+        for make in makers:
+            if make not in made and time.monotonic() >= restarts[make].due:
+                try:
+                    made[make] = make()
+                except Exception as error:
+                    postpone(make, error)
+                else:
+                    nodes.append(made[make])
 
     spin(nodes, make_due, fail)
 
@@ -85,10 +80,10 @@ def keep_nodes(
 @command
 def main() -> int:
     """Run the nodes."""
-    parser = NodeParser(description=__doc__)
+    parser = Parser(description=__doc__)
     parser.add_argument("--sensors", type=Path, help="sensor file")
     parser.add_argument("--weather", action="store_true", help="run the weather node")
-    arguments = parser.parse_own_args()
+    arguments = parse_own_arguments(parser)
     # In the order in which they end.
     makers: list[Make] = [LiveRecorderNode, partial(AlarmsNode, Lines(1))]
     if arguments.weather:

@@ -19,7 +19,7 @@ from logging.handlers import RotatingFileHandler
 from pathlib import Path
 from typing import IO, cast
 
-from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, EXIT_OCCUPIED, EXIT_USAGE
+from greenroof_ros.base.command_line import EXIT_FAILED, EXIT_OCCUPIED, EXIT_USAGE
 from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.processes import child_environment
 from greenroof_ros.live import upkeep
@@ -70,8 +70,7 @@ class SiteProcess:
         silence_s: how long it may be silent (s).
         popen: the running process as far as known; None if it is not running.
         pid: its last process id.
-        restarts: times of its recent restarts (steady clock, s).
-        due: time of its next start (steady clock, s); infinite if it stays off.
+        restarts: its recent restarts, and when it is started next.
         silent_at: time at which it will count as hung without another heartbeat (steady clock, s).
         beats: whether it has ever sent a heartbeat.
         reached: whether it has ever reached the pump's drive.
@@ -90,8 +89,8 @@ class SiteProcess:
         """
         self.name, self.words, self.silence_s = name, words, silence_s
         self.popen: subprocess.Popen[bytes] | None = None
-        self.pid, self.due, self.silent_at = 0, 0.0, 0.0
-        self.restarts = deque[float]()
+        self.restarts = upkeep.Restarts()
+        self.pid, self.silent_at = 0, 0.0
         self.beats = self.reached = False
         self.failure = ""
         self.last_lines: deque[str] = deque(maxlen=_LAST_LINES)
@@ -118,14 +117,15 @@ class LiveSupervisor:
 
     Each process sends heartbeats on a pipe. A process that ends or is silent for too long is
     restarted after an increasing delay; after too many restarts, it stays off, and the others live
-    on. Only without the station, whose alarms nobody else reports, does the site end.
+    on. Only without the station, whose alarms nobody else reports, does the site end. A start that
+    the system refuses, for instance for lack of processes or descriptors, is no failure of the
+    process, and is tried again every 10 s.
 
     The supervisor has no influence on whether the pump may run. A pump node that has died cannot
     stop the drive, so the supervisor stops the drive. The supervisor also stops the drive at the
     end, whatever the pump node reports.
 
     Attributes:
-        ready: whether every process has sent a heartbeat since the start of the site.
         may_run: warning that the pump may still be running after the end; empty if the pump is
             stopped.
     """
@@ -149,7 +149,7 @@ class LiveSupervisor:
             prepare: function called before every start of a process; it returns additions to its
                 environment, or raises an :class:`OSError`.
         """
-        self.ready, self.may_run = False, ""
+        self.may_run = ""
         self._actuators, self._station = actuators, station
         self._processes = actuators, controller, station  # in the order in which they end
         self._ros_arguments, self._prepare = ros_arguments, prepare
@@ -157,7 +157,8 @@ class LiveSupervisor:
         self._stopper = ThreadPoolExecutor(1)
         self._stopper.submit(int)  # start its thread now: the system may be out of threads later
         self._stopping: Future[tuple[bool, str]] | None = None
-        self._stop_message, self._stop_again_at = "", math.inf
+        # When to stop the drive without the pump node (steady clock, s), and the last outcome.
+        self._stop_at, self._stop_message = math.inf, ""
         self._selector = selectors.DefaultSelector()
         self._updated_at = time.monotonic()
 
@@ -169,16 +170,11 @@ class LiveSupervisor:
         if self._stopping is not None:
             self._stopping.result()
         for process in self._processes:
-            if process.popen is not None:
-                # A stopped process would not receive SIGTERM.
-                process.popen.send_signal(signal.SIGCONT)
-        for process in self._processes:
             how = self._end(process)
             if process is self._actuators and self._stop_drive is not None and process.pid:
                 may_run, message = self._stop_drive(process.pid, process.reached)
                 self.may_run = message if may_run else ""
-                if may_run or process.popen is None or process.popen.returncode != EXIT_DONE:
-                    self._tell(f"{process.name}: {how}; {message}")
+                self._tell(f"{process.name}: {how}; {message}")
 
     def _end(self, process: SiteProcess) -> str:
         """Stop a process with SIGTERM, or kill it if it takes too long; return how it ended.
@@ -188,7 +184,8 @@ class LiveSupervisor:
         """
         if (popen := process.popen) is None:
             return process.failure
-        popen.send_signal(signal.SIGTERM)
+        for number in (signal.SIGCONT, signal.SIGTERM):  # a stopped process must receive the latter
+            popen.send_signal(number)
         limit = ACTUATORS_ENDING_S if process is self._actuators else ENDING_S
         kill_at = time.monotonic() + limit
         while popen.poll() is None and time.monotonic() < kill_at + KILLING_S:
@@ -253,62 +250,60 @@ class LiveSupervisor:
 
         Raises:
             NodeFailed: if the station was restarted too often, or if a process ended because of
-                invalid parameters or another graph before all processes were ready.
+                invalid parameters or another graph before its first heartbeat.
         """
         now = time.monotonic()
         paused, self._updated_at = now - self._updated_at > PAUSE_S, now
         for process in self._processes:
             if paused:
                 process.silent_at = max(process.silent_at, now + process.silence_s)
-            if process.popen is not None:
-                if failure := _find_failure(process.popen, now >= process.silent_at):
-                    self._handle_failure(process, failure, now)
-            elif now >= process.due and not (
+            if (popen := process.popen) is not None:
+                if failure := _find_failure(popen, now >= process.silent_at):
+                    self._handle_failure(process, failure, popen.returncode, now)
+            elif now >= process.restarts.due and not (
                 process is self._actuators and self._stopping is not None
             ):
                 try:
                     self._start(process)
                 except OSError as error:
-                    self._handle_failure(process, f"cannot be started: {error.strerror}", now)
-        self.ready |= all(process.beats for process in self._processes)
-        if self._stopping is not None and self._stopping.done():
-            may_run, message = self._stopping.result()
-            if message != self._stop_message:
-                self._tell(f"{self._actuators.name}: did not stop the drive; {message}")
-            self._stopping, self._stop_message = None, message
-            self._stop_again_at = now + upkeep.MAX_WAIT_S if may_run else math.inf
-        if now >= self._stop_again_at and self._actuators.popen is None:
-            self._begin_stop()  # nobody else stops it
+                    wait = upkeep.MAX_WAIT_S
+                    process.restarts.due = now + wait
+                    why = f"cannot be started: {error.strerror}"
+                    self._tell(f"{process.name}: {why}; is tried again in {wait:g} s")
+        self._stop_if_due(now)
 
-    def _handle_failure(self, process: SiteProcess, failure: str, now: float) -> None:
+    def _handle_failure(
+        self, process: SiteProcess, failure: str, code: int | None, now: float
+    ) -> None:
         """Report that a process failed, and schedule its restart; for the pump, stop the drive.
 
         Raises:
             NodeFailed: if the site must end.
         """
         self.read(0.0)  # its last lines and heartbeats
-        code = EXIT_FAILED if process.popen is None else process.popen.returncode
-        is_refused = code in (EXIT_USAGE, EXIT_OCCUPIED) and not self.ready
-        wait = upkeep.count_restart(process.restarts, now)
         process.popen, process.failure = None, failure
-        process.due = math.inf if wait is None else now + wait
-        off = "has failed too often, and stays off until the site is restarted"
-        then = off if wait is None else f"starts again in {wait:g} s"
-        if is_refused or (wait is None and process is self._station):
+        then = process.restarts.postpone(now)
+        if process.beats or code not in (EXIT_USAGE, EXIT_OCCUPIED):
+            code = EXIT_FAILED
+        if code != EXIT_FAILED or (process is self._station and math.isinf(process.restarts.due)):
             self._tell("\n  ".join([f"last lines of {process.name}:", *process.last_lines]))
-            raise NodeFailed(f"{process.name} {failure}", code if is_refused else EXIT_FAILED)
+            raise NodeFailed(f"{process.name} {failure}", code)
         self._tell(f"{process.name}: {failure}; {then}")
         if process is self._actuators:
-            self._stop_message = ""
-            self._begin_stop()
+            self._stop_at, self._stop_message = now, ""
 
-    def _begin_stop(self) -> None:
-        """Begin to stop the drive without the pump node."""
-        self._stop_again_at = math.inf
-        if self._stop_drive is not None and self._stopping is None:
-            self._stopping = self._stopper.submit(
-                self._stop_drive, self._actuators.pid, self._actuators.reached
-            )
+    def _stop_if_due(self, now: float) -> None:
+        """Stop the drive while there is no pump node to do so, again and again until it stands."""
+        pump = self._actuators
+        if self._stopping is not None and self._stopping.done():
+            may_run, message = self._stopping.result()
+            if message != self._stop_message:
+                self._tell(f"{pump.name}: did not stop the drive; {message}")
+            self._stopping, self._stop_message = None, message
+            self._stop_at = now + upkeep.MAX_WAIT_S if may_run else math.inf
+        if self._stop_drive is not None and pump.popen is None and now >= self._stop_at:
+            self._stop_at = math.inf
+            self._stopping = self._stopper.submit(self._stop_drive, pump.pid, pump.reached)
 
 
 def _find_failure(popen: subprocess.Popen[bytes], is_silent: bool) -> str:

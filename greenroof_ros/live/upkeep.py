@@ -1,4 +1,4 @@
-"""What bringup and the processes of a live site agree on: heartbeats, time limits and restarts.
+"""What bringup and a live site's processes agree on: sites, heartbeats, time limits and restarts.
 
 The heartbeat of a process is one byte with each report, on a pipe to bringup. A pipe is used rather
 than a topic, since discovery can take seconds, and bringup must not miss a process that hangs. This
@@ -7,9 +7,14 @@ module does not require ROS.
 
 from __future__ import annotations
 
+import math
 import os
 from collections import deque
 from contextlib import suppress
+from pathlib import Path
+
+from greenroof_ros.base.command_line import refuse
+from greenroof_ros.site.site import Site
 
 PIPE = "GREENROOF_ROS_HEARTBEAT"
 """environment variable with the file descriptor of the pipe's end, which does not block"""
@@ -20,6 +25,21 @@ _FIRST_WAIT_S, MAX_WAIT_S = 1.0, 10.0
 # How long a controller may take to decide (s), or the tick if that is longer; and how much longer
 # its process may be silent before the supervisor kills it. The pump stops by the command's age.
 _DECIDING_S, _SILENT_S = 3.0, 2.0
+
+
+def check_site(site: Site, file: Path | None) -> None:
+    """Reject a site that a live site cannot serve.
+
+    Raises:
+        ConfigurationError: if the site has a valve at its low outlet, or no pump.
+    """
+    refuse(
+        (not site.irrigated, f"{file}: irrigation", site.irrigation,
+         "must be left out: a live site runs a pump, and this site has none"),
+        (site.low_outlet_valve, f"{file}: low_outlet_valve", True,
+         "must be false: a live site cannot command the valve yet, so the valve would not move "
+         "although the controller's plan relies on it"),
+    )
 
 
 def send_beat(reached: bool) -> None:
@@ -40,20 +60,30 @@ def silence_limit(tau: float) -> float:
     return deciding_limit(tau) + _SILENT_S
 
 
-def count_restart(restarts: deque[float], now: float) -> float | None:
-    """Count a restart, and return how long to wait before it (s), which doubles every time.
+class Restarts:
+    """The recent restarts of a process or a node.
 
-    Args:
-        restarts: times of the recent restarts of the process or node (steady clock, s).
-        now: time of the failure (steady clock, s).
-
-    Returns:
-        The time; None if there have been too many restarts, so that there must be no other.
+    Attributes:
+        due: time of the next start (steady clock, s); infinite if there must be no other.
     """
-    while restarts and now - restarts[0] > _WINDOW_S:
-        restarts.popleft()
-    count = len(restarts)
-    if count >= MAX_RESTARTS:
-        return None
-    restarts.append(now)
-    return min(_FIRST_WAIT_S * 2.0**count, MAX_WAIT_S)
+
+    def __init__(self) -> None:
+        """Begin without a restart: the first start is due."""
+        self.due = 0.0
+        self._times = deque[float]()
+
+    def postpone(self, now: float) -> str:
+        """Set when to start again after a failure, and return that in words.
+
+        Args:
+            now: time of the failure (steady clock, s).
+        """
+        while self._times and now - self._times[0] > _WINDOW_S:
+            self._times.popleft()
+        if len(self._times) >= MAX_RESTARTS:
+            self.due = math.inf
+            return "has failed too often, and stays off until the site is restarted"
+        wait = min(_FIRST_WAIT_S * 2.0 ** len(self._times), MAX_WAIT_S)
+        self._times.append(now)
+        self.due = now + wait
+        return f"starts again in {wait:g} s"

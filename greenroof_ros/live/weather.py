@@ -12,7 +12,7 @@ from greenroof_ros.ros import begin_node
 begin_node(__name__)
 
 import math
-from datetime import datetime, timedelta, timezone
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,18 +20,8 @@ from typing import Any
 from greenroof_ros.base.disk import DISK, DiskThread
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import from_epoch_ns, to_people
-from greenroof_ros.forecast.live import (
-    ForecastFile,
-    LiveForecast,
-    NoForecastError,
-)
-from greenroof_ros.forecast.service import (
-    ATTRIBUTION,
-    MAX_DAYS,
-    Fetcher,
-    ForecastFiles,
-    Service,
-)
+from greenroof_ros.forecast.live import ForecastFile, LiveForecast, NoForecastError
+from greenroof_ros.forecast.service import ATTRIBUTION, MAX_DAYS, Fetcher, ForecastFiles, Service
 from greenroof_ros.forecast.steps import Outlook
 from greenroof_ros.interface.conditions import Diagnosis
 from greenroof_ros.live.levels import live_parameters
@@ -43,8 +33,6 @@ from greenroof_ros.ros.diagnostics import ERROR, WARN
 from greenroof_ros.ros.parameters import declare, look_ahead_parameters, site_file
 from greenroof_ros.site.site import Site
 
-# How long the start waits for the first forecast (s), which is more than most files take.
-_FIRST_READ_S = 1.0
 # Interval at which forecasts are fetched (s).
 _FETCH_S = 1800.0
 _GAUGES = ("/gauge/precipitation", "/gauge/temperature")
@@ -61,8 +49,7 @@ def parameters(site: Site) -> list[Parameter]:
         ),
         Parameter(
             "fetch", False, meaning="whether forecasts are fetched from Open-Meteo (its ensembles, "
-                "with all_members), and stored in the file that the parameter forecast names, and "
-                "next to it; if false, another program writes that file",
+                "with all_members), and archived in the file that the parameter forecast names",
         ),
         Parameter("fetch_url", "", meaning="address of an Open-Meteo-compatible server; if empty, "
             "Open-Meteo's own server is used"),
@@ -100,7 +87,6 @@ class LiveWeatherNode(WeatherNode, LiveNode):
         )
         if self._file is not None:
             self._reader.do(self._file.update)
-            self._reader.wait(_FIRST_READ_S)
             if values["fetch"]:
                 self._fetch(values, file)
         self._rain_gauge, self._thermometer = (
@@ -194,24 +180,22 @@ class LiveWeatherNode(WeatherNode, LiveNode):
         self.reports.diagnose("frost", diagnosis, "the temperature is known", level)
 
     def _diagnose_gauge(self, part: str, gauge: LiveInput) -> None:
-        """Report the state of a gauge unless it is still awaited; a site may have no gauges."""
+        """Report the state of a gauge unless it is awaited; a site may have no gauges."""
         bad = gauge.diagnosis
-        is_awaited = bad is not None and bad.code in AWAITED and part not in self.reports.parts
-        if is_awaited or not gauge.received:
+        if not gauge.received or (bad is not None and bad.code in AWAITED):
             return
         diagnosis = bad and Diagnosis.of(
             "gauge_bad", problem=bad, topic=gauge.publishers.full_name
         )
-        well = f"{gauge.name} is good"
-        self.reports.diagnose(part, diagnosis, well, WARN, bad.code if bad else "")
+        cause = bad.code if bad else ""
+        self.reports.diagnose(part, diagnosis, f"{gauge.name} is good", WARN, cause)
 
 
 def _find_monthly_mean(site: Site, now: datetime) -> float | None:
     """Return the mean evapotranspiration of the bed in a month (m3/s), if known."""
     if site.monthly_evapotranspiration is None:
         return None
-    at_site = now.astimezone(timezone(timedelta(hours=site.utc_offset or 0.0)))
-    reference = site.monthly_evapotranspiration[at_site.month - 1]
+    reference = site.monthly_evapotranspiration[now.astimezone(site.zone).month - 1]
     return site.crop_coefficient * reference / 1000 / 86400 * site.a2
 
 

@@ -13,7 +13,7 @@ from greenroof_ros.base.disk import DiskThread
 from greenroof_ros.base.files import replace_text
 from greenroof_ros.interface.alarm import Alarm, to_record
 from greenroof_ros.results.alarm_file import read_alarms
-from greenroof_ros.ros.alarms import name_source
+from greenroof_ros.ros.alarms import describe_alarm
 
 # Size beyond which the file is written anew, with this many of the newest alarms (bytes).
 _FULL, _KEPT = 1_000_000, 1000
@@ -45,10 +45,8 @@ class AlarmLog:
         self._tell, self._file = tell, file
         self._alarms: dict[int, Alarm] = {}
         self._problem = ""  # why all alarms must be written anew; empty if a line may be added
-        self._given_up = False  # whether reading the file took too long
         self._write_all = partial(self._write, None)  # the same object, so that it is queued once
         if file is not None and not (_DISK.do(self._resume) and _DISK.wait(_RESUMED_S)):
-            self._given_up = True
             tell(f"warning: {file}: the disk does not respond{_NOT_SHOWN}")
         self.last_number = max(self._alarms, default=0)
 
@@ -65,20 +63,22 @@ class AlarmLog:
         except (OSError, ValueError) as error:
             self._tell(f"warning: {error}{_NOT_SHOWN}")
         else:
-            if not self._given_up:  # later, it would replace alarms of the same numbers
-                self._alarms.update(read)
-                self._write_all()
+            for number, alarm in read.items():
+                self._alarms.setdefault(number, alarm)  # if it came late, there are new ones
+            self._write_all()
 
     def add(self, changed: Iterable[Alarm]) -> None:
         """Print and store alarms; a new level or cause is stored but not printed."""
         for alarm in changed:
-            title = f"{'alarm' if alarm.is_serious else 'warning'} {alarm.number}"
-            source = name_source(alarm.name)
+            title, text = _name(alarm), describe_alarm(alarm)
             if alarm.ended is not None:
-                self._tell(f"{title} is over, after {alarm.seconds:.1f} s: {source}")
+                self._tell(f"{title} is over, after {alarm.seconds:.1f} s: {text}")
             elif alarm.number not in self._alarms:
-                follows = f" (follows from {name_source(alarm.follows)})" if alarm.follows else ""
-                self._tell(f"{title}: {source}: {alarm.sentence}{follows}")
+                roots = "".join(
+                    f" (follows from {_name(each)})" for each in self._alarms.values()
+                    if each.name == alarm.follows and each.ended is None
+                )
+                self._tell(f"{title}: {text}{roots}")
             self._alarms[alarm.number] = alarm
             _DISK.do(partial(self._write, alarm))
         for number in [*self._alarms][:-_KEPT]:
@@ -113,3 +113,7 @@ class AlarmLog:
     def wait(self, seconds: float) -> None:
         """Wait for a limited time (s) until everything is written."""
         _DISK.wait(seconds)
+
+
+def _name(alarm: Alarm) -> str:
+    return f"{'alarm' if alarm.is_serious else 'warning'} {alarm.number}"

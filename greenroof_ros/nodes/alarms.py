@@ -19,13 +19,12 @@ from rclpy.time import Time
 
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.standard_error import Lines
-from greenroof_ros.interface.alarm import ALARMS, ERROR
-from greenroof_ros.interface.states import READY
+from greenroof_ros.interface.alarm import ALARMS, ERROR, advise
+from greenroof_ros.interface.states import DriveState
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.nodes.alarm_log import AlarmLog
-from greenroof_ros.nodes.start_list import StartList
 from greenroof_ros.ros.alarm_status import to_status
-from greenroof_ros.ros.alarms import RESTARTED, ROLE, Judge
+from greenroof_ros.ros.alarms import RESTARTED, ROLE, Diagnoses, Judge
 from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.messages import qos_profile
 from greenroof_ros.ros.parameters import declare
@@ -36,6 +35,10 @@ from greenroof_ros.site.site import Site
 _JUDGE_S, _PUBLISH_S = 0.25, 1.0
 # How long the end waits for the disk and for the reader of standard output (s).
 _WRITTEN_S = 2.0
+# For how long a condition must have lasted before it is listed at the start, at least (s).
+_SETTLED_S = 1.0
+# States of the pump node in which it cannot run its drive yet.
+_NOT_READY = {DriveState.CONNECTING.value, DriveState.REFUSED.value}
 # Messages that may wait: all nodes share the topic. Other devices publish with any QoS profile.
 _DEPTH = 64
 
@@ -63,23 +66,25 @@ class AlarmsNode(GraphNode):
         super().__init__(ROLE, ROLE, read_topics())
         values = declare(self, parameters())
         self._lines = lines
-        tell: Callable[[str], None] = lines.print_line if lines is not None else lambda _: None
+        self._tell: Callable[[str], None] = lambda _: None
+        if lines is not None:
+            self._tell = lines.print_line
         directory: str = values["directory"]
-        self._log = AlarmLog(tell, Path(directory) / ALARMS if directory else None)
+        self._log = AlarmLog(self._tell, Path(directory) / ALARMS if directory else None)
         self._judge = Judge(self._log.last_number)
         self._reports = Reports(self.get_namespace(), values["expected"].split())
-        self._start = StartList(tell) if directory else None
+        self._starting = bool(directory)
+        self._missing: list[tuple[str, str]] = []  # names and codes in the list that was printed
         self._checked, self._published = time.monotonic(), -math.inf
         self.open_outputs("/alarms")
         reports = self.interface["/diagnostics"]
         self.open_subscription(reports, self._receive, qos_profile(replace(
             reports.qos, reliability="best_effort", durability="volatile", depth=_DEPTH
         )))
-        self.reports.state = READY
 
     def _receive(self, message: bytes) -> None:
         stamp_ns, statuses = read_statuses(message)
-        self._reports.receive(time.monotonic(), self._now, statuses, stamp_ns)
+        self._reports.receive(time.monotonic(), statuses, stamp_ns)
 
     @property
     def _now(self) -> float:
@@ -88,7 +93,6 @@ class AlarmsNode(GraphNode):
 
     # --- running, beside other nodes ------------------------------------------------------------
 
-    finished = acted = True
     wait_s = _JUDGE_S
 
     def on_start(self) -> None:
@@ -116,17 +120,47 @@ class AlarmsNode(GraphNode):
         if why := os.environ.pop(RESTARTED, ""):  # only this process can report that, and once
             name = self.get_fully_qualified_name()
             diagnoses[f"{name}: station"] = StatusDiagnosis.of(
-                name, "station", ROLE, "station_restarted", ERROR, 0.0, now, why=why
+                name, "station", ROLE, "station_restarted", ERROR, now, why=why
             )
         starting = self._reports.is_starting(now)
         changed = self._judge.update(now, self._now, diagnoses, starting=starting)
         self._log.add(changed)
-        if self._start is not None and self._start.update(now, diagnoses, self._reports):
-            self._start = None
+        if self._starting:
+            self._list_missing(now, diagnoses)
         if changed or now - self._published >= _PUBLISH_S:
             self._published = now
             self._publish_alarms()
             self._log.write()
+
+    def _list_missing(self, now: float, diagnoses: Diagnoses) -> None:
+        """Print what keeps a starting site from pumping, with remedies, or that the start is over.
+
+        The list covers everything that is missing or wrong, except warnings and mere consequences.
+        It is printed again when its codes change, not when its sentences change, since these
+        contain numbers. The start is over when nothing keeps the pump off; later losses raise
+        alarms.
+        """
+        wrong = {
+            name: diagnosis for name, diagnosis in diagnoses.items()
+            if diagnosis.is_serious and diagnosis.role != ROLE
+        }
+        faulty = {each.role for each in wrong.values() if each.stops_pump}
+        lines = {
+            (name, each.code):
+                f"  {name}: {each.sentence}. {advise(each.code, each.role, each.node)}"
+            for name, each in wrong.items()
+            if now - each.began >= max(_SETTLED_S, each.condition.lasts)
+            and not _is_consequence(each, faulty - {each.role})
+        }
+        if lines and [*lines] != self._missing:
+            self._missing = [*lines]
+            self._tell("\n".join(["missing:", *lines.values()]))
+        cistern, roof = map(self._reports.value, ("cistern_level", "roof_level"))
+        known = isinstance(cistern, (int, float)) and isinstance(roof, (int, float))
+        kept_off = any(each.stops_pump for each in wrong.values())
+        if known and not kept_off and self._reports.value("drive_state") not in _NOT_READY:
+            self._starting = False
+            self._tell(f"running: cistern {cistern:.3f} m, roof {roof:.4f} m")
 
     def _publish_alarms(self) -> None:
         array = DiagnosticArray()
@@ -145,3 +179,9 @@ class AlarmsNode(GraphNode):
         self._log.wait(_WRITTEN_S)
         if self._lines is not None:
             self._lines.wait(_WRITTEN_S)
+
+
+def _is_consequence(diagnosis: StatusDiagnosis, faulty: set[str]) -> bool:
+    """Return whether all topics that a node lacks come from nodes with faults of their own."""
+    senders = [topic.senders for name, topic in read_topics().items() if name in diagnosis.about]
+    return bool(senders) and all(map(faulty.intersection, senders))

@@ -15,9 +15,9 @@ import math
 import secrets
 import time
 from array import array
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from greenroof_ros.base.errors import OccupiedError
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.interface.states import PLANT
@@ -40,8 +40,6 @@ from greenroof_ros.site.site import Site
 _AHEAD = 32
 # The longest time to wait for the other nodes to appear, which takes seconds on a busy machine (s).
 _START_LIMIT_S = 30.0
-# If a tick is late by more than this (s), the delay is not made up.
-_LATE_S = 1.0
 
 
 def parameters(site: Site) -> list[Parameter]:
@@ -97,8 +95,6 @@ class PlantNode(LockstepNode):
         self._tick_s = site.tau / values["speed"] if values["speed"] else 0.0
         self._external = values["pump"] == "external"
         sensor_and_pump = SensorAndPump(**{name: values[name] for name in PARAMETERS})
-        if self._external:
-            sensor_and_pump.refuse_external_pump()
         start_ns = epoch_ns(read_start(values["start"]))
         self._site = VirtualSite(
             site, *volumes, start_ns, sensor_and_pump, self._run_length + 1
@@ -110,7 +106,7 @@ class PlantNode(LockstepNode):
         # How many ticks the recorder has flushed; without a recorder, it does not matter.
         self._written: float = 0 if values["record"] else math.inf
         self._paused = True  # the tick waits for the start, for the pace or for the recorder
-        self._pace = self.create_timer(_LATE_S, self._publish_if_due, clock=STEADY)
+        self._pace = self.create_timer(1.0, self._publish_if_due, clock=STEADY)
         self._pace.cancel()
         self._began = self._waiting_since = time.monotonic()
 
@@ -154,11 +150,6 @@ class PlantNode(LockstepNode):
     def on_inputs(self) -> None:
         """Compute the next tick of the plant from the inputs of this tick."""
         site = self._site
-        if self._paused:
-            raise OccupiedError(
-                f"answers to tick {site.tick} arrived before the tick was published: nodes of an "
-                "earlier run are still in this graph; stop them"
-            )
         if site.tick == 0:
             self._began = time.monotonic()  # before this, the other nodes were still joining
         if self._frost is not None:
@@ -210,8 +201,6 @@ class PlantNode(LockstepNode):
                 self._pace.timer_period_ns = math.ceil(1e9 * wait)
                 self._pace.reset()
                 return
-            if wait < -_LATE_S:  # a pump's minimum times must not pass faster than in reality
-                self._began -= wait
         self._publish_tick()
 
     def _on_written(self, ticks: float) -> None:
@@ -234,11 +223,11 @@ class PlantNode(LockstepNode):
         limit = self.limit()
         is_late = now - self._waiting_since > limit
         if self._paused and not self.acted:
-            if not (absent := self.peers.absent()):
+            if not (absent := self.absent()):
                 self._publish_tick()
             elif is_late:
                 raise LockstepError(
-                    f"the run did not start within {limit:g} s: {self.peers.describe(absent)}"
+                    f"the run did not start within {limit:g} s: {_describe(absent)}"
                 )
             return
         waits_for_time = self._paused and not (self.finished or self._is_behind)
@@ -246,8 +235,9 @@ class PlantNode(LockstepNode):
             return
         missing = "/recorder/written from recorder"
         if not self._paused:
-            awaited = [name for name in self.inputs if name in self.awaited]
-            missing = self.peers.describe_silent(awaited)
+            # In the order of the inputs, each node waits for the nodes before it.
+            silent = self.by_role(name for name in self.inputs if name in self.awaited)
+            missing = _describe(dict([*silent.items()][:1]))
         raise LockstepError(f"tick {self._site.tick}: no message within {limit:g} s on {missing}")
 
     def limit(self) -> float:
@@ -270,6 +260,11 @@ class PlantNode(LockstepNode):
         """Return the metrics, events and duration (s of wall time) of the run."""
         wall_s = time.monotonic() - self._began
         return {**self._metrics.results(self._site.state)._asdict(), "wall_s": wall_s}
+
+
+def _describe(missing: Mapping[str, Sequence[str]]) -> str:
+    """Return a text that lists missing topics, and the roles that should publish them."""
+    return "; ".join(f"{', '.join(names)} from {role}" for role, names in missing.items())
 
 
 main = node_command(PlantNode, __doc__)

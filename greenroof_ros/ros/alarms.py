@@ -22,7 +22,8 @@ ROLE = "alarms"
 """role and name of the alarms node"""
 RESTARTED = "GREENROOF_ROS_RESTARTED"
 """environment variable with the reason why the process of the alarms node was restarted"""
-# Devices that fall silent within this time of one another (s) do so for one reason.
+# Devices that fall silent, and alarms that end, within this time of one another (s) do so for one
+# reason.
 _TOGETHER_S = 15.0
 # The part about what a node receives, which explains nothing elsewhere.
 _INPUTS = "inputs"
@@ -39,8 +40,6 @@ Diagnoses = Mapping[str, StatusDiagnosis]
 class Judge:
     """The derivation of alarms from diagnoses.
 
-    Arguments named ``wall`` are times on the steady clock (s).
-
     Attributes:
         present: the active alarms, by status name.
         over: the latest past alarms, latest first.
@@ -54,6 +53,8 @@ class Judge:
         self.over: deque[Alarm] = deque(maxlen=_MAX_OVER)
         self.missing: dict[str, Alarm] = {}
         self._number = number
+        # The causes from which alarms have followed, and until when (steady clock, s), by name.
+        self._followed: dict[str, tuple[str, float]] = {}
 
     @property
     def shown(self) -> list[Alarm]:
@@ -61,12 +62,12 @@ class Judge:
         return [*self.present.values(), *self.over, *self.missing.values()]
 
     def update(
-        self, wall: float, now: float, diagnoses: Diagnoses, *, starting: bool = False
+        self, steady: float, now: float, diagnoses: Diagnoses, *, starting: bool = False
     ) -> list[Alarm]:
         """Update the alarms, and return those that begin, end, or change in level or cause.
 
         Args:
-            wall: current time on the steady clock (s).
+            steady: current time on the steady clock (s).
             now: current time of the graph (s since 1970).
             diagnoses: all current diagnoses, by status name.
             starting: True while the site is starting; nodes and values that are merely late then
@@ -75,15 +76,15 @@ class Judge:
         groups = dict(_group_devices(diagnoses))
         diagnoses = {**diagnoses, **{group.name: group for group in groups.values()}}
         causes = find_causes(diagnoses, groups)
-        changed, self.missing = [*self._end(wall, now, diagnoses)], {}
+        changed, self.missing = [*self._end(steady, now, diagnoses)], {}
         # Causes first: what follows from something that is not yet an alarm is not one, either.
         for name in sorted(diagnoses, key=lambda name: name in causes):
             diagnosis, before = diagnoses[name], self.present.get(name)
-            has_lasted = wall - diagnosis.began >= diagnosis.condition.lasts
+            has_lasted = steady - diagnosis.began >= diagnosis.condition.lasts
             cause = causes.get(name, "")
             alarm = replace(
                 diagnosis, sentence=_headline(diagnosis), follows=cause,
-                since=diagnosis.since or now - (wall - diagnosis.began),
+                since=now - (steady - diagnosis.began),
             )
             if before is not None:
                 follows = cause if cause in self.present else ""
@@ -98,25 +99,47 @@ class Judge:
                 self._number += 1
                 alarm = replace(alarm, number=self._number)
             self.present[name] = alarm
+            if alarm.follows:
+                self._followed[name] = alarm.follows, steady
             if before is None or (alarm.level, alarm.follows) != (before.level, before.follows):
                 changed.append(alarm)
         return changed
 
-    def _end(self, wall: float, now: float, diagnoses: Diagnoses) -> Iterator[Alarm]:
+    def _end(self, steady: float, now: float, diagnoses: Diagnoses) -> Iterator[Alarm]:
         """End the alarms whose diagnosis has ended or has been replaced by another diagnosis."""
         for name, alarm in [*self.present.items()]:
             diagnosis = diagnoses.get(name)
             if diagnosis is None or diagnosis.identity != alarm.identity:
                 del self.present[name]
                 # The stamp of its node may be ahead of this clock, which may also be set back.
-                ended, seconds = max(now, alarm.since), round(wall - alarm.began, 1)
-                self.over.appendleft(replace(alarm, ended=ended, seconds=seconds))
+                ended, seconds = max(now, alarm.since), round(steady - alarm.began, 1)
+                cause, until = self._followed.pop(name, ("", 0.0))
+                # It may end a little later than its cause.
+                follows = cause if steady - until <= _TOGETHER_S else ""
+                over = replace(alarm, ended=ended, seconds=seconds, follows=follows)
+                self.over.appendleft(over)
                 yield self.over[0]
 
 
-def name_source(name: str) -> str:
-    """Return a plain name for the source of an alarm: ``Roof sensor`` for ``/roof_sensor: x``."""
-    return name.partition(": ")[0].rpartition("/")[2].replace("_", " ").capitalize()
+def name_source(name: str, role: str = "") -> str:
+    """Return a plain name for the source of a status: ``Roof sensor`` for ``/roof_sensor: x``.
+
+    Args:
+        name: name of the status.
+        role: role of the node; a controller is called by its role.
+    """
+    plain = name.partition(": ")[0].rpartition("/")[2].replace("_", " ")
+    return "Controller" if role == "controller" else f"{plain[:1].upper()}{plain[1:]}"
+
+
+def describe_alarm(alarm: Alarm) -> str:
+    """Return an alarm with its source, as all that shows alarms does: ``Roof sensor: no answer``.
+
+    The alarms node itself is not named as a source.
+    """
+    if alarm.role == ROLE:
+        return alarm.sentence[:1].upper() + alarm.sentence[1:]
+    return f"{name_source(alarm.name, alarm.role)}: {alarm.sentence}"
 
 
 def _headline(diagnosis: StatusDiagnosis) -> str:
@@ -168,8 +191,8 @@ def find_causes(
     """Return the name of the root cause of every diagnosis that follows from another diagnosis.
 
     An error does not follow from a warning. A state of the pump that requires a visit to the pump
-    does not follow from any other diagnosis, because advice about a cause would conceal the need
-    for this visit.
+    follows only from the loss of the device that would know more, because advice about another
+    cause would conceal the need for this visit.
 
     Args:
         diagnoses: diagnoses of the graph's nodes, by status name.
@@ -206,18 +229,16 @@ def _find_senders(diagnosis: StatusDiagnosis) -> set[str]:
     """Return the roles that publish the data that a part of a node lacks."""
     if not diagnosis.part or not diagnosis.condition.no_data:
         return set()
-    topics = [topic for name, topic in read_topics().items() if name in diagnosis.about]
-    return {
-        role for topic in topics for role in (*topic.publishers, *topic.live_publishers)
-        if role != diagnosis.role
-    }
+    topics = read_topics()
+    found = (topics[name].senders for name in diagnosis.about if name in topics)
+    return set[str]().union(*found) - {diagnosis.role}
 
 
 def _rank(diagnosis: StatusDiagnosis, cause: StatusDiagnosis, senders: set[str]) -> int:
     """Return how well one diagnosis explains another: 1 is best, and 0 is not at all."""
     part, about, own = diagnosis.part, {*diagnosis.about}, diagnosis.node == cause.node
     condition, interlock = diagnosis.condition, diagnosis.condition.interlock
-    if part == PUMP and condition.needs_operator:
+    if part == PUMP and condition.needs_operator and cause.part not in condition.explained_by:
         return 0
     reports_more = cause.part in (condition.explained_by if interlock is None else interlock.parts)
     rules = (

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.duration import Duration
 from rclpy.time import Time
 
 from greenroof_ros.base.times import iso
@@ -23,9 +22,6 @@ from greenroof_ros.ros.messages import qos_profile
 # The levels of a diagnosis, as ROS tools know them.
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
-# Maximum length of a value on /diagnostics (characters), such as the rain events of a run of
-# decades: observers read no report larger than a megabyte.
-_MAX_LENGTH = 16_000
 # How often the state is published while it does not change (s).
 _PUBLISH_S = 1.0
 
@@ -161,18 +157,11 @@ class NodeDiagnostics:
             array.status.append(DiagnosticStatus(
                 level=status.level, name=f"{name}: {part}" if part else name,
                 message=status.message, hardware_id=(part and self.hardware) or self.machine,
-                values=[
-                    KeyValue(key=key, value=text) for key, text in texts.items()
-                    if len(text) <= _MAX_LENGTH
-                ],
+                values=[KeyValue(key=key, value=text) for key, text in texts.items()],
             ))
         # Before simulated time begins, the system's, since 0 is no time to tools.
         array.header.stamp = Time(nanoseconds=self._node.time_ns or time.time_ns()).to_msg()
         self._publisher.publish(array)
-
-    def flush(self, seconds: float) -> None:
-        """Wait up to the given time (s) until all readers have received all reports."""
-        self._publisher.wait_for_all_acked(Duration(seconds=seconds))
 
 
 def _follow(

@@ -5,12 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, NoReturn
 
 from rclpy.utilities import remove_ros_args
 
-from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, EXIT_USAGE, command
+from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, Parser, command
 from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.ros.errors import print_failure
 from greenroof_ros.ros.graph_node import GraphNode
@@ -19,19 +18,13 @@ from greenroof_ros.ros.parameters import refuse_unknown
 from greenroof_ros.ros.spin import destroy_nodes, end_nodes, ros, spin
 
 
-class NodeParser(argparse.ArgumentParser):
-    """Parser for the node's own arguments, as opposed to ROS arguments, with one-line errors."""
-
-    def error(self, message: str) -> NoReturn:
-        """Print an error as one line, and exit."""
-        self.exit(EXIT_USAGE, f"error: {message}; --help lists the node's arguments\n")
-
-    def parse_own_args(self) -> argparse.Namespace:
-        """Return the process's own arguments."""
-        try:
-            return self.parse_args(remove_ros_args(sys.argv)[1:])
-        except RuntimeError as error:  # rcl cannot parse the arguments
-            self.error(" ".join(str(error).split()))
+def parse_own_arguments(parser: Parser) -> argparse.Namespace:
+    """Return the process's own arguments, as opposed to its ROS arguments."""
+    try:
+        own: argparse.Namespace = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    except RuntimeError as error:  # rcl cannot parse the arguments
+        parser.error(" ".join(str(error).split()))
+    return own
 
 
 def node_command(
@@ -41,8 +34,8 @@ def node_command(
     """Return the main function of a node's executable.
 
     Args:
-        make: function that returns the node, or the nodes, of this process; its argument is the
-            value of the option, if there is an option.
+        make: function that returns the node; its argument is the value of the option, if there is
+            an option.
         purpose: docstring of the node's module, which describes the node.
         option: the option that the node requires, such as ``--controller``; empty for none.
         spin: function that runs the nodes and, 20 times a second, calls its second argument, which
@@ -51,23 +44,22 @@ def node_command(
 
     @command
     def main() -> int:
-        parser = NodeParser(description=purpose, allow_abbrev=False)
+        parser = Parser(description=purpose)
         if option:
             parser.add_argument(option, dest="value", required=True)
-        arguments = parser.parse_own_args()
-        return run_nodes(partial(make, *vars(arguments).values()), spin or spin_alone)
+        arguments = parse_own_arguments(parser)
+        return run_nodes(lambda: [make(*vars(arguments).values())], spin or spin_alone)
 
     return main
 
 
 def run_nodes(
-    make: Callable[[], GraphNode | Sequence[GraphNode]],
-    spin: Callable[[Any, Callable[[], None]], None],
+    make: Callable[[], Sequence[GraphNode]], spin: Callable[[Any, Callable[[], None]], None]
 ) -> int:
     """Run the nodes of this process until the run is over, a signal stops them, or a node fails.
 
     Args:
-        make: class of the node, or a function that returns the node or the nodes.
+        make: function that returns the nodes.
         spin: function that runs the nodes; see :func:`node_command`.
 
     Returns:
@@ -79,8 +71,7 @@ def run_nodes(
         code, failure = EXIT_DONE, None
         nodes: Sequence[GraphNode] = ()
         try:
-            made = make()
-            nodes = [made] if isinstance(made, GraphNode) else made
+            nodes = make()
             for node in nodes:
                 refuse_unknown(node, sys.argv)
             spin(nodes, signals.check)

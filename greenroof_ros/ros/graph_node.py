@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +22,11 @@ from greenroof_ros.base.files import as_started
 from greenroof_ros.interface.states import ENDED, FINISHED, READY, STARTING
 from greenroof_ros.interface.topics import Topic
 from greenroof_ros.ros.diagnostics import NodeDiagnostics
-from greenroof_ros.ros.errors import LockstepError, MalformedMessageError, describe
+from greenroof_ros.ros.errors import MalformedMessageError
 from greenroof_ros.ros.inputs import Input
 from greenroof_ros.ros.messages import encoder, message_class, qos_profile
 from greenroof_ros.ros.parameters import declare, site_file
-from greenroof_ros.ros.peers import Peers
+from greenroof_ros.ros.publishers import Publishers
 from greenroof_ros.ros.rclpy_internals import raw_publish
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
@@ -45,12 +45,9 @@ class GraphNode(Node):
     Attributes:
         role: the node's role in the interface: its name, or ``controller``.
         failure: the error that prevents the node from continuing; None if there is none.
-        on_failure: callback, without arguments, for an error that prevents the node from
-            continuing.
-        malformed: number of malformed messages that no input received, by topic.
         inputs: the topics that the node acts on, keyed by their names in the interface.
         interface: all topics of the graph, by name.
-        peers: the nodes that publish the node's inputs.
+        peers: the publishers of every topic that the node receives, by its name in the interface.
         reports: object that reports the node's state.
         tick: number of the node's next tick.
         warnings: sentences about incompatible publishers of the node's inputs.
@@ -73,18 +70,17 @@ class GraphNode(Node):
             raise ConfigurationError(" ".join(str(error).split())) from error
         self.role = role
         self.failure: Exception | None = None
-        self.on_failure: Callable[[], None] = lambda: None
-        self.malformed = Counter[str]()
         self.interface = interface
         self.inputs: Mapping[str, Input] = {}
-        self.peers = Peers()
+        self.peers: dict[str, Publishers] = {}
         self.tick = 0
         self.warnings: Sequence[str] = ()
         self.reports = NodeDiagnostics(self, role)
         self._reported = 0.0
-        # The publisher of every topic; its method to publish, and the encoder of its messages.
-        self._outputs: dict[str, Publisher] = {}
-        self._publish: dict[str, tuple[Callable[[bytes], None], Callable[[Any], bytes]]] = {}
+        # Every topic's publisher, its method to publish, and the encoder of its messages.
+        self._outputs: dict[
+            str, tuple[Publisher, Callable[[bytes], None], Callable[[Any], bytes]]
+        ] = {}
         # What every report contains, and what is added at the end.
         self._always: dict[str, Any] = {}
 
@@ -123,12 +119,12 @@ class GraphNode(Node):
                 message_class(topic.type), topic.graph_name, qos_profile(topic.qos),
                 event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
             )
-            self._outputs[name] = publisher
-            self._publish[name] = raw_publish(publisher), encoder(topic.type, topic.dimensions)
+            encode = encoder(topic.type, topic.dimensions)
+            self._outputs[name] = publisher, raw_publish(publisher), encode
 
     def publish(self, name: str, value: Any) -> None:
         """Publish a value on a topic whose publisher :meth:`open_outputs` has created."""
-        publish, encode = self._publish[name]
+        _, publish, encode = self._outputs[name]
         publish(encode(value))
 
     def open_subscription(
@@ -137,15 +133,14 @@ class GraphNode(Node):
     ) -> None:
         """Pass every serialised message of a topic to a callback, and store an error raised by it.
 
-        A malformed message is dropped and counted, since any program may publish on the topic.
+        A malformed message is dropped, since any program may publish on the topic.
         """
 
         def guarded(message: bytes) -> None:
             """Store an error until the run ends; the executor would print it with a traceback."""
             try:
-                callback(message)
-            except MalformedMessageError:
-                self.malformed[topic.name] += 1
+                with suppress(MalformedMessageError):
+                    callback(message)
             except Exception as error:
                 self.fail(error)
 
@@ -154,16 +149,28 @@ class GraphNode(Node):
             event_callbacks=events or SubscriptionEventCallbacks(use_default_callbacks=False),
         )
 
+    def create_service(
+        self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any
+    ) -> Any:
+        """Create a service that survives every request, as those of rclpy for parameters do not.
+
+        A request that fails gets the response that was prepared for it.
+        """
+
+        def guarded(request: Any, response: Any) -> Any:
+            try:
+                return callback(request, response)
+            except Exception as error:
+                self.get_logger().error(f"{srv_name}: a request failed: {error}")
+                return response
+
+        return super().create_service(srv_type, srv_name, guarded, **options)
+
     # --- running ----------------------------------------------------------------------------
 
     def fail(self, error: Exception) -> None:
         """Store the error that ends the run, unless an earlier error is stored."""
-        if self.failure is not None:
-            return
-        if not isinstance(error, (LockstepError, ConfigurationError, OSError)):
-            error = LockstepError(f"{self.get_name()}: {describe(error)}")
-        self.failure = error
-        self.on_failure()
+        self.failure = self.failure or error
 
     @property
     def acted(self) -> bool:
@@ -179,6 +186,11 @@ class GraphNode(Node):
     def good(self) -> bool:
         """Whether the node may act on all inputs that it requires."""
         return all(entry.good for entry in self.inputs.values())
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """The number of refused values by topic, without topics that have none."""
+        return {name: entry.refused for name, entry in self.inputs.items() if entry.refused}
 
     @property
     def ready(self) -> bool:
@@ -201,15 +213,33 @@ class GraphNode(Node):
             return
         self._reported = now
         self.check_peers()
-        if not self.ready and self.acted and not self.peers.absent():
+        if not self.ready and self.acted and not self.absent():
             self.reports.state = READY
         self.report_state()
 
     def check_peers(self) -> None:
-        """Warn about incompatible publishers, until every input has a publisher."""
-        before, self.warnings = self.warnings, [] if self.ready else self.peers.warnings()
-        for sentence in set(self.warnings).difference(before):
-            self.get_logger().warning(sentence)
+        """Find incompatible publishers, until every input has a publisher."""
+        self.warnings = [
+            f"{peer.full_name} {problem}" for peer in self.peers.values()
+            if not self.ready and (problem := peer.describe_incompatible())
+        ]
+
+    def absent(self) -> dict[str, list[str]]:
+        """Return the required inputs without a compatible publisher; see :meth:`by_role`."""
+        return self.by_role(
+            name for name, peer in self.peers.items() if not (peer.optional or peer.compatible)
+        )
+
+    def by_role(self, names: Iterable[str]) -> dict[str, list[str]]:
+        """Return the full names of inputs, by the role that should publish them.
+
+        If the interface names two roles for an input, the last one is meant: the flow of a pump
+        that the plant does not simulate is missing from the pump driver.
+        """
+        roles: dict[str, list[str]] = {}
+        for peer in map(self.peers.__getitem__, names):
+            roles.setdefault(peer.topic.publishers[-1], []).append(peer.full_name)
+        return roles
 
     # --- ending -----------------------------------------------------------------------------
 
@@ -228,15 +258,13 @@ class GraphNode(Node):
         self.note_failure(failure)
         self.report_state()
         until = time.monotonic() + _FLUSH_S
-        for publisher in self._outputs.values():
+        for publisher in self.publishers:
             publisher.wait_for_all_acked(Duration(seconds=max(0.0, until - time.monotonic())))
-        self.reports.flush(max(0.0, until - time.monotonic()))
 
     def report_state(self, **values: Any) -> None:
         """Report the node's state together with the given values."""
-        refused = Counter({name: entry.refused for name, entry in self.inputs.items()})
         self.reports.publish({
             **values, **self.progress(),
-            **({} if self.ready else {"waiting": list(self.peers.absent())}),
-            "refused": +(refused + self.malformed), "warnings": self.warnings, **self._always,
+            **({} if self.ready else {"waiting": list(self.absent())}),
+            "refused": self.refused, "warnings": self.warnings, **self._always,
         })

@@ -43,7 +43,7 @@ from greenroof_ros.ros.errors import LockstepError
 from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.inputs import Input
 from greenroof_ros.ros.messages import decoder, qos_profile
-from greenroof_ros.ros.publishers import DISCOVERY_S, Publishers
+from greenroof_ros.ros.publishers import Publishers
 
 CLOCK, RUN = "/clock", "/run"
 
@@ -96,7 +96,7 @@ class LockstepNode(GraphNode):
         """Act on the inputs, all of which have received their messages of the tick."""
 
     def summary(self) -> dict[str, Any]:
-        """Return the values that the node adds to its report at the end of the run."""
+        """Return the values that the node adds to the summary of the run at its end."""
         return {}
 
     # --- setting up -------------------------------------------------------------------------
@@ -115,10 +115,10 @@ class LockstepNode(GraphNode):
             """Store a message, and let the node act if no other message is awaited."""
             entry.receive(message)
             if name not in awaited:
-                senders = ", ".join(self.peers.publishers[name].names(DISCOVERY_S))
                 raise self.conflict(
-                    f"{entry.name} has a second message in tick {self.tick} ({senders}); another "
-                    "publisher, or a node of an earlier run, is in this graph"
+                    f"{entry.name} has a second message in tick {self.tick} "
+                    f"({', '.join(self.peers[name].names())}); another publisher, or a node of "
+                    "an earlier run, is in this graph"
                 )
             awaited.discard(name)
             if not awaited:
@@ -131,7 +131,7 @@ class LockstepNode(GraphNode):
         """Pass every serialised message of a topic to a callback, without waiting for it."""
         topic = self.interface[name]
         required = replace(topic.qos, lease_s=math.inf)  # no lease in a simulation
-        self.peers.publishers[name] = Publishers(self, topic, required)
+        self.peers[name] = Publishers(self, topic, required)
         self.open_subscription(topic, callback, qos_profile(required))
 
     # --- running ----------------------------------------------------------------------------
@@ -164,9 +164,8 @@ class LockstepNode(GraphNode):
         return (LockstepError if self.acted else OccupiedError)(what)
 
     def finish(self) -> None:
-        """Set the state to finished, and report the state and the node's summary."""
+        """Set the state to finished, and report it."""
         self.result = self.summary()
-        self._always |= self.result
         self.reports.state = FINISHED
         self.report_state()
 
@@ -177,8 +176,9 @@ class LockstepNode(GraphNode):
             LockstepError: if an input has a second publisher; an OccupiedError before the run.
         """
         super().check_peers()
-        if not self.finished and (second := self.peers.describe_second()):
-            raise self.conflict(second)
+        for peer in () if self.finished else self.peers.values():
+            if second := peer.describe_second():
+                raise self.conflict(f"{peer.full_name} {second}")
 
     # --- ending -----------------------------------------------------------------------------
 
@@ -191,7 +191,7 @@ class LockstepNode(GraphNode):
         Raises:
             LockstepError: if the plant stopped before the run was over.
         """
-        plant_ended = CLOCK in self.peers.publishers and not self.peers.publishers[CLOCK].count
+        plant_ended = CLOCK in self.peers and not self.peers[CLOCK].count
         if not self.finished:
             if self.run and plant_ended:
                 raise LockstepError("the plant has stopped, which ends the run")
@@ -201,4 +201,4 @@ class LockstepNode(GraphNode):
     def all_arrived(self) -> bool:
         """Return True if all subscribers have received all messages of the node."""
         now = Duration()
-        return all(publisher.wait_for_all_acked(now) for publisher in self._outputs.values())
+        return all(publisher.wait_for_all_acked(now) for publisher, *_ in self._outputs.values())

@@ -23,8 +23,6 @@ from greenroof_ros.ros.parameter_file import check_value
 from greenroof_ros.site.horizon import MAX_HORIZON
 
 _LONG = 2**62  # beyond any number that a node uses
-# The name of every Python type in ROS 2.
-_KINDS = {float: "double", int: "integer", bool: "bool", str: "string", list: "string array"}
 
 
 def site_file() -> Parameter:
@@ -47,11 +45,6 @@ def look_ahead_parameters() -> list[Parameter]:
             "controller that uses them (lookahead); false: publish only the first member",
         ),
     ]
-
-
-def type_name(parameter: Parameter) -> str:
-    """Return the ROS 2 name of a parameter's type."""
-    return _KINDS[type(parameter.default)]
 
 
 # --- declared by a node -----------------------------------------------------------------------

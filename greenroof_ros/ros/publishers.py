@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 from rclpy.node import Node
 
 from greenroof_ros.interface.topics import Qos, Topic
 from greenroof_ros.ros.messages import find_lacking
-
-# A node's name and its other endpoints may be discovered this long after its publisher (s).
-DISCOVERY_S = 1.0
-UNKNOWN = "a node whose name is unknown"
-"""stands for the name of a node"""
 
 
 class Publishers:
@@ -56,19 +50,9 @@ class Publishers:
         """The number of publishers that have a compatible quality of service."""
         return len(self._endpoints()) - len(self._incompatible())
 
-    def names(self, wait_s: float = 0.0) -> list[str]:
-        """Return the names of the publishers' nodes.
-
-        Args:
-            wait_s: maximum wait for names that have not been discovered yet (s); after the first
-                messages, discovery may take :data:`DISCOVERY_S`.
-        """
-        until, names = time.monotonic() + wait_s, {UNKNOWN}
-        while UNKNOWN in names:
-            names = {name_owner(info) for info in self._endpoints()}
-            if time.monotonic() >= until:
-                break
-        return sorted(names)
+    def names(self) -> list[str]:
+        """Return the names of the publishers' nodes."""
+        return sorted({name_owner(info) for info in self._endpoints()})
 
     def describe_second(self) -> str:
         """Return a predicate that reports a second publisher, or "" if there is none."""
@@ -109,4 +93,5 @@ def name_owner(info: Any) -> str:
     A node that joins the graph just before another node is killed may discover the topics of the
     killed node, but never its name.
     """
-    return UNKNOWN if info.node_name == "_NODE_NAME_UNKNOWN_" else str(info.node_name)
+    unknown = info.node_name == "_NODE_NAME_UNKNOWN_"
+    return "a node whose name is unknown" if unknown else str(info.node_name)

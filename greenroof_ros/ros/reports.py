@@ -11,6 +11,7 @@ import json
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -79,7 +80,7 @@ def read_statuses(message: bytes) -> tuple[int, list[Status]]:
 
 @dataclass(frozen=True)
 class StatusDiagnosis(Alarm):
-    """What is wrong with a node or one of its parts: an alarm that has no number yet.
+    """What is wrong with a node or one of its parts: an alarm without number and time.
 
     Attributes:
         began: beginning of the fault on the steady clock (s).
@@ -87,18 +88,19 @@ class StatusDiagnosis(Alarm):
         line: the broker, gateway or serial line of the part's device; empty if unknown.
     """
 
+    since: float = 0.0
     began: float = 0.0
     was_good: bool = False
     line: str = ""
 
     @classmethod
     def of(
-        cls, node: str, part: str, role: str, code: str, level: int, since: float, began: float,
+        cls, node: str, part: str, role: str, code: str, level: int, began: float,
         **values: float | str,
     ) -> StatusDiagnosis:
         """Return a diagnosis with the sentence of the conditions table, and with these values."""
         sentence = Diagnosis.of(code, **values).sentence
-        return cls(0, node, part, role, code, LEVELS[level], sentence, since, began=began)
+        return cls(0, node, part, role, code, LEVELS[level], sentence, began=began)
 
     @property
     def identity(self) -> tuple[str, str]:
@@ -128,7 +130,6 @@ class NodeReport:
         values: all other values in the node's report.
         began: time at which the present process first reported (steady clock, s).
         received_at: time at which the last report was received (steady clock, s).
-        last_time: time at which the last report was received, in the graph's time (s since 1970).
         parts: states of the node's parts, keyed by part name.
     """
 
@@ -138,70 +139,67 @@ class NodeReport:
     values: Mapping[str, Any] = field(default_factory=dict)
     began: float = 0.0
     received_at: float = -math.inf
-    last_time: float = 0.0
     parts: dict[str, StatusDiagnosis] = field(default_factory=dict)
-    # last_time and received_at of the process before, unless it reported that it ended.
-    _lost: tuple[float, float] | None = field(default=None, init=False)
+    # received_at of the process before, unless it reported that it ended.
+    _lost: float | None = field(default=None, init=False)
 
     @property
     def has_ended(self) -> bool:
         """Whether the node has reported that its run is over or that it is stopping."""
         return self.state in (FINISHED, ENDED)
 
-    def is_online(self, wall: float) -> bool:
+    def is_online(self, steady: float) -> bool:
         """Return True if the node's reports are currently arriving."""
-        return not self.has_ended and wall - self.received_at <= SILENT_S
+        return not self.has_ended and steady - self.received_at <= SILENT_S
 
     def receive(
-        self, wall: float, now: float, state: str, values: Mapping[str, Any],
-        parts: Sequence[Status] = (),
+        self, steady: float, state: str, values: Mapping[str, Any], parts: Sequence[Status] = ()
     ) -> None:
         """Store a report of the node; see the attributes."""
         if values["process"] != self.values.get("process"):
             died = self.values and not self.has_ended
-            self._lost = (self.last_time, self.received_at) if died else None
-            self.began, self.values, self.parts = wall, {}, {}
-        self.state, self.values, self.received_at, self.last_time = state, values, wall, now
-        reported = (self._read_part(wall, now, status) for status in parts[:_PARTS])
+            self._lost = self.received_at if died else None
+            self.began, self.values, self.parts = steady, {}, {}
+        self.state, self.values, self.received_at = state, values, steady
+        reported = (self._read_part(steady, status) for status in parts[:_PARTS])
         self.parts = {diagnosis.part: diagnosis for diagnosis in reported}
 
-    def _read_part(self, wall: float, now: float, status: Status) -> StatusDiagnosis:
+    def _read_part(self, steady: float, status: Status) -> StatusDiagnosis:
         part = clean_text(status.name.partition(": ")[2], _NAME)
         values = {key: clean_text(text) for key, text in status.values.items()}
         about = (values.get("topics") or values.get("topic", "")).split()[:_ABOUT]
         namespace = self.name.rpartition("/")[0]
-        line, age = _LINE.search(status.hardware), _read_age(values.get("age_s", ""))
+        line = _LINE.search(status.hardware)
         before, (code, fault) = self.parts.get(part), identity_of(values)
-        since, began = now - age, wall - age
+        began = steady - _read_age(values.get("age_s", ""))
         if before is not None and before.identity == (code, fault):
-            since, began = before.since, before.began
+            began = before.began
         return StatusDiagnosis(
             0, self.name, part, self.role, code, LEVELS[status.level],
-            clean_text(status.message) or "reports nothing", since, fault=fault, began=began,
+            clean_text(status.message) or "reports nothing", fault=fault, began=began,
             about=tuple(topic.removeprefix(namespace) for topic in about),
             was_good=status.level == OK or (before is not None and before.was_good),
             line=clean_text(line[1] or line[2]) if line else "",
         )
 
-    def diagnoses(self, wall: float) -> Iterator[StatusDiagnosis]:
+    def diagnoses(self, steady: float) -> Iterator[StatusDiagnosis]:
         """Yield what is wrong with the node and its parts."""
         diagnose = partial(StatusDiagnosis.of, self.name, "", self.role)
-        last = self.last_time, self.received_at
+        last = self.received_at
         failure, waiting = self.values.get("failure"), self.values.get("waiting")
         if self.has_ended:
             if failure:
-                yield diagnose("node_failed", ERROR, *last, failure=clean_text(str(failure)))
+                yield diagnose("node_failed", ERROR, last, failure=clean_text(str(failure)))
             return
         if not self.values:
-            yield diagnose("node_awaited", STALE, *last)
-        elif not self.is_online(wall):
-            yield diagnose("not_heard", STALE, *last, time=SILENT_S)
-        elif self._lost is not None and wall - self.began <= _REPLACED_S:
-            yield diagnose("not_heard", STALE, *self._lost, time=SILENT_S)
+            yield diagnose("node_awaited", STALE, last)
+        elif not self.is_online(steady):
+            yield diagnose("not_heard", STALE, last, time=SILENT_S)
+        elif self._lost is not None and steady - self.began <= _REPLACED_S:
+            yield diagnose("not_heard", STALE, self._lost, time=SILENT_S)
         elif self.state == STARTING and isinstance(waiting, list):
             about = tuple(clean_text(str(peer), _NAME) for peer in waiting[:_ABOUT])
-            since = self.last_time - (self.received_at - self.began)
-            awaits = diagnose("peers_awaited", WARN, since, self.began, peers=", ".join(about))
+            awaits = diagnose("peers_awaited", WARN, self.began, peers=", ".join(about))
             yield replace(awaits, about=about)
         # That of a silent node stays.
         yield from (part for part in self.parts.values() if part.level != LEVELS[OK])
@@ -229,14 +227,11 @@ class Reports:
         self._namespace = "/" + namespace.strip("/")
         self.expected = {f"{namespace.rstrip('/')}/{name}": name for name in expected}
 
-    def receive(
-        self, wall: float, now: float, statuses: Sequence[Status], stamp_ns: int = 0
-    ) -> None:
+    def receive(self, steady: float, statuses: Sequence[Status], stamp_ns: int = 0) -> None:
         """Receive the statuses from a message; invalid content raises no exception.
 
         Args:
-            wall: current time (steady clock, s).
-            now: current time of the graph (s since 1970).
+            steady: current time (steady clock, s).
             statuses: the statuses; a node reports its own state and those of its parts together.
             stamp_ns: time stamp of the message (ns since 1970); in a simulation, the time of the
                 tick.
@@ -251,7 +246,7 @@ class Reports:
             if node is None or node.role != role:
                 continue
             parts = [part for part in statuses if part.name.startswith(f"{status.name}: ")]
-            node.receive(wall, now, status.message, values, parts)
+            node.receive(steady, status.message, values, parts)
             if node.role == PLANT and values.get("tick") and 0 < stamp_ns < _LAST_NS:
                 self.time_ns = stamp_ns
 
@@ -284,14 +279,14 @@ class Reports:
         values = (node.values.get(key) for node in latest)
         return next((value for value in values if value is not None), None)
 
-    def is_starting(self, wall: float) -> bool:
+    def is_starting(self, steady: float) -> bool:
         """Return True if the site is starting: its online nodes all started less than 60 s ago."""
-        up = [node.values.get("up_s") for node in self.nodes.values() if node.is_online(wall)]
+        up = [node.values.get("up_s") for node in self.nodes.values() if node.is_online(steady)]
         return bool(up) and all(isinstance(age, (int, float)) and age < _START_S for age in up)
 
-    def diagnoses(self, wall: float) -> dict[str, StatusDiagnosis]:
+    def diagnoses(self, steady: float) -> dict[str, StatusDiagnosis]:
         """Return everything that is wrong, by the name of its status."""
-        self._awaited_since = min(self._awaited_since, wall)
+        self._awaited_since = min(self._awaited_since, steady)
         awaited = [
             NodeReport(
                 name, node if node in node_names() else "controller",
@@ -300,7 +295,7 @@ class Reports:
         ]
         return {
             diagnosis.name: diagnosis for node in (*awaited, *self.nodes.values())
-            for diagnosis in node.diagnoses(wall)
+            for diagnosis in node.diagnoses(steady)
         }
 
 
@@ -319,8 +314,6 @@ def _read_value(text: str) -> Any:
 
 def _read_age(text: str) -> float:
     """Return the number of seconds in a text; 0 if the text is not a number of seconds."""
-    try:
-        seconds = float(text)
-    except ValueError:
-        return 0.0
-    return seconds if 0 <= seconds < 1e9 else 0.0
+    with suppress(ValueError):
+        return seconds if 0 <= (seconds := float(text)) < 1e9 else 0.0
+    return 0.0

@@ -52,7 +52,9 @@ def ros(arguments: Sequence[str]) -> Iterator[None]:
         rclpy.try_shutdown()
 
 
-def spin(nodes: Sequence[LockstepNode], may_end: Callable[[], bool]) -> None:
+def spin(
+    nodes: Sequence[LockstepNode], may_end: Callable[[], bool], beside: Sequence[GraphNode] = ()
+) -> None:
     """Run nodes until they may stop.
 
     The executor loops over the messages, since a loop in Python would take a seventh of the time of
@@ -64,6 +66,7 @@ def spin(nodes: Sequence[LockstepNode], may_end: Callable[[], bool]) -> None:
         nodes: the nodes.
         may_end: function, called 20 times a second, that returns True if the nodes may stop; it can
             raise an error to end the run.
+        beside: nodes that only receive messages here: ``may_end`` has to check them.
 
     Raises:
         LockstepError: if the graph cannot continue.
@@ -76,9 +79,8 @@ def spin(nodes: Sequence[LockstepNode], may_end: Callable[[], bool]) -> None:
         if not pause.done():
             pause.set_result(None)
 
-    for node in nodes:
-        node.on_failure = stop
-        start_receiving(executor, node)
+    for each in (*nodes, *beside):
+        start_receiving(executor, each)
     # The timeout alone is not enough: while messages are waiting, rclpy's fast executor does not
     # return.
     nodes[0].create_timer(_CHECK_S, stop, clock=STEADY)
@@ -124,12 +126,12 @@ def end_nodes(nodes: Sequence[GraphNode], failure: str | None) -> str | None:
         failure: description of the error that ended the run; None if there was none.
 
     Returns:
-        The description of the first error, either the given error or an error raised while a node
-        was stopping; None if there was no error.
+        The description of the first error raised while a node was stopping, such as a bag that
+        cannot be closed; None if there was no such error.
     """
     for node in nodes:
         node.note_failure(failure)
-    stopped = threading.Event()
+    stopped, unstopped = threading.Event(), None
     reporter = threading.Thread(target=_report, args=(nodes, stopped), daemon=True)
     reporter.start()
     for node in nodes:
@@ -137,13 +139,13 @@ def end_nodes(nodes: Sequence[GraphNode], failure: str | None) -> str | None:
             node.on_stop()
         except Exception as error:  # the other nodes must stop too
             why, _ = explain(error)
-            failure = failure or why
+            unstopped = unstopped or why
             print(f"error: {why}", file=sys.stderr)
     stopped.set()
     reporter.join()
     for node in nodes:
-        node.end(failure)
-    return failure
+        node.end(failure or unstopped)
+    return unstopped
 
 
 def _report(nodes: Sequence[GraphNode], stopped: threading.Event) -> None:

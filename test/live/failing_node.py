@@ -1,8 +1,7 @@
 """Live nodes whose code fails while they run; the first argument states which.
 
 ``alone`` is a process with one node, which needs three seconds to stop its device. ``station`` is a
-station of two nodes, of which the first fails again and again, and the second goes on. ``alarms``
-is one whose alarms node fails.
+station whose recorder fails again and again, and ``alarms`` one whose alarms node fails.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from greenroof_ros.ros.executable import run_nodes
 
 
 class Failing(LiveNode):
-    def __init__(self, stop_s: float) -> None:
+    def __init__(self, stop_s: float = 0.0) -> None:
         super().__init__("recorder", "recorder")
         self._stop_s = stop_s
 
@@ -29,11 +28,6 @@ class Failing(LiveNode):
         time.sleep(self._stop_s)
 
 
-class Working(LiveNode):
-    def __init__(self) -> None:
-        super().__init__("weather", "weather")
-
-
 class FailingAlarms(AlarmsNode):
     def check(self, now: float) -> None:
         print(1 / 0)
@@ -42,7 +36,8 @@ class FailingAlarms(AlarmsNode):
 kind = sys.argv[1]
 sys.argv[1:] = ["--ros-args"]
 if kind == "alone":
-    sys.exit(run_nodes(partial(Failing, 3.0), spin))
+    sys.exit(run_nodes(lambda: [Failing(3.0)], spin))
 upkeep.MAX_WAIT_S, upkeep.MAX_RESTARTS = 0.5, 2
-makers = [partial(Failing, 0.0) if kind == "station" else FailingAlarms, Working]
+working = partial(LiveNode, "weather", "weather")
+makers = {"station": [Failing, working, AlarmsNode], "alarms": [working, FailingAlarms]}[kind]
 sys.exit(run_nodes(lambda: [make() for make in makers], partial(station.keep_nodes, makers)))

@@ -3,91 +3,95 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
+import socket
+import subprocess
+import sys
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from graphs import alive, wait_for
+from graphs import alive, files_of, wait_for
 from places import CHECKOUT
 
-from greenroof_ros.base.disk import DISK
 from greenroof_ros.live import upkeep
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, SiteProcess
 
-TOO_LONG_S = 60
 NAMES = ("pump", "controller", "station")
 
 
 class Site:
-    """A supervisor, and a record of what its processes and drive have done."""
+    """A supervisor, and a record of what its processes and drive have done.
+
+    Attributes:
+        pids: the process ids of each process, one for each start.
+        stops: of each stop of the drive the time, how often the pump had been started, and whether
+            the drive counted as reached.
+    """
 
     def __init__(self, directory: Path, kinds: tuple[str, str, str], silence_s: float):
         """Begin without a process. See :mod:`small_node` for their kinds."""
-        self.marks = directory / "marks"
-        self.marks.mkdir(exist_ok=True)
+        self.pids: dict[str, list[int]] = {name: [] for name in NAMES}
         self.told: list[str] = []
-        self.stops: list[tuple[float, bool]] = []
+        self.stops: list[tuple[float, int, bool]] = []
         self.may_run = False  # whether the drive cannot be stopped
-        self.longest_step = 0.0  # of the supervision (s)
 
         def stop_drive(_pump_node: int, reached: bool) -> tuple[bool, str]:
-            self.stops.append((time.monotonic(), reached))
+            self.stops.append((time.monotonic(), len(self.pids["pump"]), reached))
             return self.may_run, "the drive stands"
 
+        self.processes = [
+            SiteProcess(name, ["small_node", kind, str(directory / "reached")], directory, limit)
+            for name, kind, limit in zip(NAMES, kinds, (2.0, silence_s, silence_s), strict=True)
+        ]
         self.supervisor = LiveSupervisor(
-            *(
-                SiteProcess(
-                    name, ["small_node", kind, str(self.marks)], directory,
-                    2.0 if name == "pump" else silence_s,
-                ) for name, kind in zip(NAMES, kinds, strict=True)
-            ),
-            [], stop_drive, self._tell, dict,
+            *self.processes, [], stop_drive, self.told.append, dict
         )
         self._ending = ExitStack()
         self._ending.callback(self.supervisor.end)
-        self.end = self._ending.close
 
-    def _tell(self, text: str) -> None:
-        if not text.startswith("for people"):
-            self.told.append(text)
+    def end(self) -> None:
+        """End all processes; none may be left."""
+        self._ending.close()
+        assert not any(alive(pid) for pids in self.pids.values() for pid in pids)
 
-    def until(self, condition: Callable[[], object], seconds: float = TOO_LONG_S) -> None:
+    def until(self, condition: Callable[[], object]) -> None:
         """Supervise until a condition holds."""
 
         def step() -> bool:
-            began = time.monotonic()
             self.supervisor.read()
             self.supervisor.update()
-            self.longest_step = max(self.longest_step, time.monotonic() - began)
+            for process in self.processes:
+                if process.pid and process.pid not in self.pids[process.name]:
+                    self.pids[process.name].append(process.pid)
             return bool(condition())
 
-        wait_for(step, seconds, "what the test waits for")
+        wait_for(step, 60, "what the test waits for")
 
     def until_ready(self) -> None:
-        self.until(lambda: self.supervisor.ready)
-
-    def until_restarted(self, kind: str) -> None:
-        """Supervise until a process of this kind has been started once more, and runs."""
-        starts = len(self.starts(kind))
-        self.until(lambda: len(self.starts(kind)) > starts)
+        self.until(lambda: all(process.beats for process in self.processes))
 
     def during(self, seconds: float) -> None:
         ended = time.monotonic() + seconds
         self.until(lambda: time.monotonic() > ended)
 
-    def starts(self, kind: str) -> list[tuple[int, float]]:
-        """Return process id and time of each start of a process of this kind."""
-        with suppress(FileNotFoundError):
-            words = [line.split() for line in (self.marks / "starts").read_text().splitlines()]
-            return [(int(pid), float(at)) for name, pid, at in words if name == kind]
-        return []
+    def kill(self, name: str, number: signal.Signals = signal.SIGKILL) -> tuple[int, float]:
+        """Send a signal to a process, and return its process id and the time."""
+        os.kill(self.pids[name][-1], number)
+        return self.pids[name][-1], time.monotonic()
 
-    def pid(self, kind: str) -> int:
-        return self.starts(kind)[-1][0]
+    def restart(self, name: str, number: signal.Signals = signal.SIGKILL) -> tuple[int, float]:
+        """Send a signal, and supervise until the process has been started once more."""
+        starts, sent = len(self.pids[name]), self.kill(name, number)
+        self.until(lambda: len(self.pids[name]) > starts)
+        return sent
+
+    def said(self) -> list[str]:
+        """Return what was told, but for what the processes themselves print for people."""
+        return [text for text in self.told if not text.startswith("for people")]
 
 
 Make = Callable[..., Site]
@@ -109,57 +113,49 @@ def make_site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Make]
 
 def test_a_process_that_died_or_hangs_is_started_again(make_site: Make, tmp_path: Path) -> None:
     """Nothing is left open from its predecessor: a site runs for months."""
-    before = _open_files()
     site = make_site(silence_s=4.0)
     site.until_ready()
     site.during(0.5)
-    running = _open_files() - before
-    killed, died = site.pid("controller"), time.monotonic()
-    os.kill(killed, signal.SIGKILL)
-    site.until_restarted("controller")
+    running = len(files_of(os.getpid()))
+    _, died = site.restart("controller")
+    assert time.monotonic() - died >= 1
     site.during(0.5)
-    assert site.starts("controller")[-1][1] - died >= 1
-    # Relative to what was open: files left by other tests can be closed at any time.
-    assert (_open_files() - before).total() == running.total() > 0
-    hung, stopped = site.pid("station"), time.monotonic()
-    os.kill(hung, signal.SIGSTOP)
-    site.until_restarted("station")
+    assert len(files_of(os.getpid())) <= running
+    hung, stopped = site.restart("station", signal.SIGSTOP)
     assert time.monotonic() - stopped > 3.5 and not alive(hung)
-    assert site.told == [
-        "controller: ended (SIGKILL); starts again in 1 s",
-        "station: did not respond: killed; starts again in 1 s",
-    ]
     assert not site.stops
     site.end()
-    assert not any(alive(pid) for name in NAMES for pid, _ in site.starts(name))
+    assert site.said() == [
+        "controller: ended (SIGKILL); starts again in 1 s",
+        "station: did not respond: killed; starts again in 1 s",
+        "pump: ended (exit code 0); the drive stands",
+    ]
     assert "controller was started" in (tmp_path / "controller.log").read_text()
 
 
-def test_the_drive_is_stopped_for_a_pump_node_that_cannot(make_site: Make) -> None:
+def test_the_drive_is_stopped_for_a_pump_node_that_cannot(
+    make_site: Make, tmp_path: Path
+) -> None:
     """Once, before the node is restarted, dead or silent; also if it is dead at the end.
 
     Once the drive was reached, it always counts as reached.
     """
     site = make_site()
     site.until_ready()
-    os.kill(site.pid("pump"), signal.SIGKILL)
-    site.until_restarted("pump")
-    ((stopped, reached),) = site.stops
-    assert stopped < site.starts("pump")[1][1] and not reached
-    (site.marks / "reached").touch()
+    site.restart("pump")
+    assert [stop[1:] for stop in site.stops] == [(1, False)]
+    (tmp_path / "reached").touch()
+    site.during(1.0)
+    (tmp_path / "reached").unlink()
     site.during(0.5)
-    (site.marks / "reached").unlink()
-    site.during(0.5)
-    hung, began = site.pid("pump"), time.monotonic()
-    os.kill(hung, signal.SIGSTOP)
-    site.until(lambda: len(site.stops) == 2)
-    assert 1.5 < site.stops[1][0] - began < 4.5 and site.stops[1][1] and not alive(hung)
-    site.until_restarted("pump")
-    os.kill(site.pid("pump"), signal.SIGKILL)
+    hung, began = site.restart("pump", signal.SIGSTOP)
+    assert site.stops[1][1:] == (2, True) and not alive(hung)
+    assert 1.5 < site.stops[1][0] - began < 4.5
+    site.kill("pump")
     time.sleep(0.2)
     site.end()
     assert len(site.stops) == 3  # at the end, regardless of what the pump node reports
-    assert site.told == [
+    assert site.said() == [
         "pump: ended (SIGKILL); starts again in 1 s",
         "pump: did not stop the drive; the drive stands",
         "pump: did not respond: killed; starts again in 2 s",
@@ -176,74 +172,100 @@ def test_a_pump_node_that_fails_again_and_again_stays_off(
     monkeypatch.setattr(upkeep, "MAX_WAIT_S", 0.5)
     site = make_site("fails", "controller", "station")
     site.may_run = True
-    site.until(lambda: len(site.starts("fails")) == 2 and len(site.stops) >= 5)
+    site.until(lambda: len(site.pids["pump"]) == 2 and len(site.stops) >= 5)
     site.may_run = False
     tried = len(site.stops)
     site.during(2.0)
-    assert tried <= len(site.stops) <= tried + 1 and len(site.starts("fails")) == 2
-    assert site.told[0] == "pump: ended (exit code 1); starts again in 0.5 s"
-    assert (
-        "pump: ended (exit code 1); has failed too often, and stays off until the site is "
-        "restarted"
-    ) in site.told
-    assert alive(site.pid("controller")) and alive(site.pid("station"))
+    assert tried <= len(site.stops) <= tried + 1 and len(site.pids["pump"]) == 2
+    assert site.said()[0] == "pump: ended (exit code 1); starts again in 0.5 s"
+    assert "has failed too often, and stays off until the site is restarted" in site.said()[2]
+    assert all(alive(site.pids[name][-1]) for name in ("controller", "station"))
 
 
-def test_wrong_parameters_are_never_tried_again(make_site: Make) -> None:
-    site = make_site("pump", "wrong", "station")
+def test_a_start_that_the_system_refuses_is_no_failure_of_the_process(
+    make_site: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without descriptors for longer than the restarts would last, and then started."""
+    monkeypatch.setattr(upkeep, "MAX_RESTARTS", 1)
+    monkeypatch.setattr(upkeep, "MAX_WAIT_S", 0.2)
+    site = make_site()
+    site.until_ready()
+    site.kill("station")
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    refused = "station: cannot be started: Too many open files; is tried again in 0.2 s"
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (3, hard))
+        site.until(lambda: site.told.count(refused) > 5)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    site.until(lambda: len(site.pids["station"]) == 2)
+
+
+@pytest.mark.parametrize(("lost", "why", "code", "last_line", "starts"), [
+    ("wrong", "exit code 2", 2, "error: parameter x must be a number", 1),
+    ("station", "SIGKILL", 1, "station was started", 2),
+])
+def test_what_ends_the_site(
+    make_site: Make, monkeypatch: pytest.MonkeyPatch, lost: str, why: str, code: int,
+    last_line: str, starts: int,
+) -> None:
+    """Wrong parameters are never tried again. The station, which tells of alarms, knows why it was
+    restarted; without it, the site ends.
+    """
+    monkeypatch.setattr(upkeep, "MAX_RESTARTS", 1)
+    site = make_site("pump", "controller", lost)
+    if lost == "station":
+        site.until_ready()
+        site.kill("station")
+        site.until(lambda: "for people: ended (SIGKILL)" in site.told)
+        site.kill("station")
     with pytest.raises(NodeFailed) as failed:
         site.until(lambda: False)
     site.end()
-    assert (str(failed.value), failed.value.code) == ("controller ended (exit code 2)", 2)
-    assert site.told[0].splitlines()[-1] == "  error: parameter x must be a number"
-    assert not any(alive(pid) for name in NAMES for pid, _ in site.starts(name))
+    assert (str(failed.value), failed.value.code) == (f"station ended ({why})", code)
+    assert any(text.endswith(f"\n  {last_line}") for text in site.told)
+    assert len(site.pids["station"]) == starts
 
 
-def test_without_the_station_the_site_ends(
-    make_site: Make, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """It has the alarms node, and is told why it was restarted."""
-    monkeypatch.setattr(upkeep, "MAX_RESTARTS", 1)
+def test_a_pause_of_the_machine_is_nobodys_silence(make_site: Make) -> None:
     site = make_site()
-    heard: list[str] = []
-    monkeypatch.setattr(site.supervisor, "_tell", heard.append)
     site.until_ready()
-    os.kill(site.pid("station"), signal.SIGKILL)
-    site.until(lambda: "for people: ended (SIGKILL)" in heard)
-    os.kill(site.pid("station"), signal.SIGKILL)
-    with pytest.raises(NodeFailed, match=r"station ended \(SIGKILL\)"):
-        site.until(lambda: False)
-    site.end()
-    assert (tmp_path / "station.log").read_text() == 2 * "station was started\n"
-    assert not any(alive(pid) for name in NAMES for pid, _ in site.starts(name))
-
-
-def _open_files() -> Counter[str]:
-    """Return what this process has open, and how often."""
-    counts: Counter[str] = Counter()
-    for file in Path("/proc/self/fd").iterdir():
-        with suppress(FileNotFoundError):  # the listing itself
-            counts[str(file.readlink())] += 1
-    return counts
-
-
-def test_a_log_that_cannot_be_written_delays_no_one(make_site: Make, tmp_path: Path) -> None:
-    """Supervision goes on; what was printed meanwhile is in the log afterwards.
-
-    A supervisor that was itself stopped blames no process: what it missed is not a silence.
-    """
-    log = tmp_path / "station.log"
-    os.mkfifo(log)  # opening it for writing blocks until someone reads
-    site = make_site(silence_s=3.0)
-    site.until_ready()
-    site.during(3)
-    assert DISK.late
-    assert site.longest_step < 2.0
-    reading = os.open(log, os.O_RDONLY)
-    site.until(lambda: not DISK.late)
-    assert os.read(reading, 1000) == b"station was started\n"
-    os.close(reading)
-    time.sleep(4.0)  # longer than the limit
+    for name in NAMES:
+        site.kill(name, signal.SIGSTOP)
+    time.sleep(3.0)  # longer than the pump node may be silent
+    for name in NAMES:
+        site.kill(name, signal.SIGCONT)
+    site.supervisor.update()
     site.during(1)
-    site.end()
-    assert not site.told
+    assert not site.said()
+
+
+def test_who_does_not_read_stops_no_process(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Neither bringup its nodes, nor systemd bringup; the time limit is the test."""
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    monkeypatch.setenv(upkeep.PIPE, str(writing))
+    for reached in (False, True):
+        upkeep.send_beat(reached)
+        assert os.read(reading, 10) == bytes([reached])
+    for _ in range(100_000):
+        upkeep.send_beat(True)
+    os.close(reading)
+    upkeep.send_beat(True)
+    os.close(writing)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(str(tmp_path / "notify"))
+        code = "from greenroof_ros.live.site_run import notify\n" \
+            "for _ in range(10_000): notify('WATCHDOG=1')"
+        environment = {"NOTIFY_SOCKET": str(tmp_path / "notify")}
+        command = [sys.executable, "-c", code]
+        subprocess.run(command, env=environment, timeout=300, check=True, cwd=CHECKOUT)
+
+
+@pytest.mark.parametrize(("tau", "decides", "silent"), [(1.0, 3.0, 5.0), (8.0, 8.0, 10.0)])
+def test_a_controller_that_may_still_decide_is_not_killed(
+    tau: float, decides: float, silent: float
+) -> None:
+    assert (upkeep.deciding_limit(tau), upkeep.silence_limit(tau)) == (decides, silent)

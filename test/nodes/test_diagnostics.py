@@ -7,9 +7,9 @@ from pathlib import Path
 
 from graphs import Process
 from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import GetParameters
 from ros_rig import OK, Observer, check_diagnostics
 from rosgraph_msgs.msg import Clock
-from test_nodes import parameter
 
 
 def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
@@ -31,7 +31,9 @@ def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
         "--output", "run", "--namespace", "site1", "--hours", "0.2",
         "--speed", "120", "--parameters", "mine.yaml", cwd=tmp_path,
     )
-    weight = parameter(observer, "/site1/mpc", "weight")
+    (weight,) = observer.call(
+        GetParameters, "/site1/mpc/get_parameters", names=["weight"]
+    ).values
     assert (weight.type, weight.double_value) == (ParameterType.PARAMETER_DOUBLE, 5.0)
 
     def ended() -> bool:

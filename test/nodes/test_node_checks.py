@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import re
 import subprocess
-import sys
 from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 from checked_nodes import changed, start_node
-from commands import Forked
-from graphs import Process, environment, wait_for
+from graphs import Process, wait_for
 from peers import Peer, in_domain
 from places import CHECKOUT, CONFIG
 from std_msgs.msg import Float64
@@ -27,7 +25,7 @@ DRIVER = changed(
 )
 ANSWER = "        publisher.publish(Float64(data=command()))\n"
 COMMAND = "GAIN * (TARGET - roof)"
-VALVE = ("--site", str(CONFIG / "site_valve.yaml"))
+VALVE, SITE = ("-p", "valve:=true"), ("--site", str(CONFIG / "site_valve.yaml"))
 
 
 class Case(NamedTuple):
@@ -40,20 +38,20 @@ class Case(NamedTuple):
 
 
 CONTROLLERS = {
-    "valve": Case({}, {}, ("-p", "valve:=true"), VALVE),
-    # This package's lookahead has a memory and limits the starts.
-    "lookahead": Case({}, {}, check=("--horizon", "120")),
+    "example": Case({}, {}, VALVE, (*SITE, "--horizon", "120")),
     "obeys_too_much": Case({
         'tick["weather/frost"] != 0': 'tick["weather/frost"] not in (0.0, 1.0)',
+        "    finite = all": "    finite = True or all",
         " or not math.isfinite(roof)": "",
         "SUCTION <= cistern < math.inf": "SUCTION <= cistern",
         COMMAND: f'{COMMAND} + 0.0 * sum(tick["forecast/precipitation"][-10:])',
     }, {
-        "0 in frost": r"0\.4\d+ on /pump/command after 0 s with 1 on /weather/frost",
-        "while /cistern/level": r"0\.4\d+ on /pump/command .* inf on /cistern/level",
+        "0 in frost": r"0\.5\d+ on /pump/command, .* after 0 s with 1 on /weather/frost",
+        "while /cistern/level": r"0\.5\d+ on /pump/command, .* inf on /cistern/level",
         "while /roof/level": "nan on /pump/command with nan on /roof/level; it must be",
         "while /forecast/prec": "nan on /pump/command with nan on /forecast/precipitation",
-    }),
+        "while /weather/frost": "1 on /outlet/command .* nan on /weather/frost",
+    }, VALVE, SITE),
     "careless": Case({
         'tick["weather/frost"] != 0': 'tick["weather/frost"] == 1',
         f"max({COMMAND}, 0.0)": COMMAND,
@@ -67,22 +65,13 @@ CONTROLLERS = {
         "in any order": "before the last input in /cistern/level, .*/forecast/precipitation$",
         "ends with": "still runs 10 s after /clock",
     }),
-    "early": Case(
-        {"node.create_timer": "publisher.publish(Float64())\nnode.create_timer"},
-        {"waters": "1 messages on /pump/command before any input; nothing else"},
-    ),
     "by_arrival": Case({  # takes the first level of a tick for that of the cistern
         ANSWER: "        levels = [tick[topic] for topic in tick if 'level' in topic]\n"
         f"        tick.update(zip(INPUTS, levels))\n{ANSWER}",
     }, {"in any order": r"0 on /pump/command if the inputs come in the order /.*, but 0\.4"}),
-    "opens": Case({"    finite = all": "    finite = True or all"}, {
-        "while /weather/frost": "1 on /outlet/command .* nan on /weather/frost",
-        "while /roof/level": "1 on /outlet/command .* nan on /roof/level",
-    }, ("-p", "valve:=true"), VALVE),
     "doubled": Case({ANSWER: 2 * ANSWER}, {"frost": "2 messages on /pump/command in tick 0"}),
     "never_waters": Case(
-        {"GAIN = 20.0": "GAIN = 0.0"},
-        {"waters": "0 on /pump/command after 3600 s with usual inputs; nothing"},
+        {"GAIN = 20.0": "GAIN = 0.0"}, {"waters": "0 on /pump/command after 3600 s .*; nothing"},
     ),
     "volatile": Case({
         ", durability=DurabilityPolicy.TRANSIENT_LOCAL": "",
@@ -130,13 +119,7 @@ def start(domain: int, cwd: Path, name: str, text: str, case: Case) -> subproces
     """Start a node in a namespace of its own, as its user would."""
     for old, new in case.changes.items():
         text = changed(text, old, new)
-    if name != "lookahead":
-        return start_node(domain, cwd, name, text, "--ros-args", "-r", f"__ns:=/{name}", *case.node)
-    return Forked(
-        [sys.executable, "-m", "greenroof_ros.nodes.controller", "--controller", name,
-         "--ros-args", "-r", f"__ns:=/{name}", "-r", "__node:=controller"],
-        cwd=cwd, env=environment(domain),
-    )
+    return start_node(domain, cwd, name, text, "--ros-args", "-r", f"__ns:=/{name}", *case.node)
 
 
 def check(domain: int, cwd: Path, name: str, kind: str, *options: str) -> Process:
@@ -144,49 +127,30 @@ def check(domain: int, cwd: Path, name: str, kind: str, *options: str) -> Proces
     return Process(domain, f"quick_check_{kind}", "--node", f"/{name}/{kind}", *options, cwd=cwd)
 
 
-def wrong_verdict(process: Process, case: Case) -> str:
-    """Return the verdict of a check unless exactly the right lines failed; empty if they did."""
-    code, lines = process.wait(180), process.stdout().splitlines()
-    failed = [line for line in lines if line.startswith("  failed: ")]
-    right = code == bool(case.failures) and len(failed) == len(case.failures) and all(
-        any(re.search(f"{title}.*{problem}", line) for line in failed)
-        for title, problem in case.failures.items()
-    )
-    return "" if right else f"{process.process.args}: {code}, {lines}, {process.stderr()}"
-
-
-def wrong_verdicts(
-    domain: int, cwd: Path, kind: str, text: str, cases: dict[str, Case]
-) -> list[str]:
-    """Check some nodes side by side, and return the verdicts that are wrong."""
-    cwd.mkdir()
-    nodes = {name: start(domain, cwd, name, text, case) for name, case in cases.items()}
-    try:
-        checks = {name: check(domain, cwd, name, kind, *cases[name].check) for name in cases}
-        wrong = [wrong_verdict(checks[name], cases[name]) for name in cases]
-        if kind == "pump":
-            said = checks["example"].stdout()
-            assert re.match(r"THE PUMP WILL RUN\. .* takes up to \d minutes", said)
-            assert "are the only evidence" in said
-            assert nodes["example"].wait(300) == 0  # as the controller, the check, has gone
-    finally:
-        for node in nodes.values():
-            node.kill()
-            node.wait(300)
-    return list(filter(None, wrong))
-
-
-@pytest.mark.parametrize(("kind", "some"), [
-    ("controller", slice(0, None, 2)), ("controller", slice(1, None, 2)), ("pump", slice(None)),
-], ids=["controllers", "more controllers", "pumps"])
+@pytest.mark.parametrize(("kind", "name"), [
+    *(("controller", name) for name in CONTROLLERS), *(("pump", name) for name in DRIVERS),
+])
 def test_examples_pass_and_broken_nodes_fail_for_what_is_broken(
-    domain: int, tmp_path: Path, kind: str, some: slice
+    domain: int, tmp_path: Path, kind: str, name: str
 ) -> None:
-    """Nodes are checked in real time; as the machine can stall, failed checks are repeated."""
+    """Exactly the lines of what is broken fail."""
     text, cases = (DRIVER, DRIVERS) if kind == "pump" else (CONTROLLER, CONTROLLERS)
-    cases = dict([*cases.items()][some])
-    wrong = wrong_verdicts(domain, tmp_path / "once", kind, text, cases)
-    assert not wrong or not wrong_verdicts(domain, tmp_path / "again", kind, text, cases), wrong
+    case = cases[name]
+    node = start(domain, tmp_path, name, text, case)
+    try:
+        process = check(domain, tmp_path, name, kind, *case.check)
+        code, said = process.wait(180), process.stdout()
+        failed = [line for line in said.splitlines() if line.startswith("  failed: ")]
+        assert code == bool(case.failures), process.stderr()
+        assert len(failed) == len(case.failures), said
+        for title, problem in case.failures.items():
+            assert any(re.search(f"{title}.*{problem}", line) for line in failed), said
+        assert kind != "pump" or re.match(r"THE PUMP WILL RUN\. .* takes up to \d minutes", said)
+        if not failed:
+            assert node.wait(300) == 0  # as the check, which plays all other nodes, has gone
+    finally:
+        node.kill()
+        node.wait(300)
 
 
 def test_without_a_node_or_with_a_second_graph_it_explains(domain: int, tmp_path: Path) -> None:
@@ -214,8 +178,7 @@ def test_publisher_that_does_not_fit_is_named_at_once(domain: int, tmp_path: Pat
         wait_for(lambda: "warning" in process.stderr(), 60, "a warning")
         process.process.terminate()
         assert process.wait(300) == 130
-    warnings = [line for line in process.stderr().splitlines() if "warning" in line]
-    assert warnings == [
+    assert process.stderr().count("warning: ") == process.stderr().count(
         "warning: /pump/flow has a publisher with an incompatible QoS (pump): it must have "
-        "transient local durability; change its QoS, or stop it"
-    ]
+        "transient local durability; change its QoS, or stop it\n"
+    ) == 1

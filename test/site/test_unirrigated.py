@@ -10,7 +10,7 @@ from places import CHECKOUT, CONFIG
 
 import greenroof_ros as gr
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.live.valve import refuse_valve
+from greenroof_ros.live.upkeep import check_site
 from greenroof_ros.site.file import format_site, read_site
 
 _PUMP = ("a_hat", "c_hat", "a_pump", "D", "F", "k_L", "l", "z_pump", "z_H")
@@ -28,7 +28,7 @@ def test_a_site_without_irrigation_needs_no_pump(tmp_path: Path) -> None:
     copy.write_text(format_site(site), encoding="utf-8")
     assert read_site(copy) == site
     with pytest.raises(ConfigurationError, match="a live site runs a pump"):
-        refuse_valve(site, file)
+        check_site(site, file)
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
