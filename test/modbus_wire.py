@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import select
 import socket
 import struct
@@ -29,7 +30,7 @@ class Wire:
         self.resets = 0  # number of connections that the other side reset instead of closing
         self._listener = socket.create_server(("127.0.0.1", port))
         self.port: int = self._listener.getsockname()[1]
-        self._open: list[socket.socket] = []
+        self.open: list[socket.socket] = []
         threading.Thread(target=self._accept, daemon=True).start()
 
     @property
@@ -46,17 +47,12 @@ class Wire:
         """The same address, as a gateway to a drive's serial port."""
         return f"gateway://127.0.0.1:{self.port}"
 
-    @property
-    def newest(self) -> socket.socket:
-        """The newest connection."""
-        return self._open[-1]
-
     def close(self) -> None:
-        for each in (self._listener, *self._open):
+        for each in (self._listener, *self.open):
             with contextlib.suppress(OSError):
                 each.shutdown(socket.SHUT_RDWR)
             each.close()
-        self._open.clear()
+        self.open.clear()
 
     def _accept(self) -> None:
         while True:
@@ -65,7 +61,7 @@ class Wire:
             except OSError:
                 return
             self.connections += 1
-            self._open.append(connection)
+            self.open.append(connection)
             threading.Thread(target=self._serve, args=(connection,), daemon=True).start()
 
     def _serve(self, connection: socket.socket) -> None:
@@ -94,22 +90,23 @@ def script(dialogue: str) -> tuple[list[bytes], Callable[[bytes], Answer]]:
     transaction (2 bytes, 1, 2, ...), protocol 0000, length, and unit 1.
 
     Args:
-        dialogue: ``WORD : REQUEST -> ANSWER : REMARK``, one to a line; without an answer it is the
-            request, repeated.
+        dialogue: ``REGISTER? WORD ...`` or ``REGISTER= WORD``, in hexadecimal digits and separated
+            by commas; ``! CODE`` after a step is its exception.
     """
     requests, answers = [], []
-    for number, line in enumerate(dialogue.strip().splitlines(), start=1):
-        request, _, answer = line.split(":")[1].partition("->")
-        for text, frames in ((request, requests), (answer or request, answers)):
-            body = b"\1" + frame(text)
-            frames.append(struct.pack(">HHH", number, 0, len(body)) + body)
-    remaining = iter(answers)
-
-    def answer_next(_request: bytes) -> Answer:
-        data = next(remaining, b"")
-        return [(0.0, data)] if data else []
-
-    return requests, answer_next
+    steps = re.findall(r"(\w{4})([?=])([ \w]+)(?:!([ \w]+))?", dialogue)
+    for number, (register, sign, words, refused) in enumerate(steps, start=1):
+        data = frame(words)
+        request = answer = b"\6" + frame(register) + data
+        if sign == "?":
+            request = b"\3" + frame(register) + struct.pack(">H", len(data) // 2)
+            answer = b"\3" + bytes([len(data)]) + data
+        if refused:
+            answer = bytes([request[0] | 0x80]) + frame(refused)
+        for body, frames in ((request, requests), (answer, answers)):
+            frames.append(struct.pack(">HHHB", number, 0, len(body) + 1, 1) + body)
+    remaining = iter([[(0.0, answer)] for answer in answers])
+    return requests, lambda _request: next(remaining, [])
 
 
 class Registers:
@@ -201,7 +198,7 @@ class SerialWire:
         self.requests: list[bytes] = []
         self._ours, self._theirs = os.openpty()
         tty.setraw(self._theirs)
-        self.line = os.ttyname(self._theirs)
+        self.at = os.ttyname(self._theirs)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()

@@ -1,4 +1,4 @@
-"""Numbers are kept by the disk's thread, even if the disk hangs or is full."""
+"""A file of numbers is replaced as a whole."""
 
 from __future__ import annotations
 
@@ -6,47 +6,15 @@ import os
 from pathlib import Path
 
 import pytest
-from graphs import wait_for
 from refusals import refusal
 
-from greenroof_ros.base.disk import DISK
 from greenroof_ros.live.number_file import NumberFile
-
-TOO_LONG_S = 60
 
 
 def test_what_is_no_mapping_of_numbers_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "numbers.json"
     file.write_text('{"a": NaN}')
     refusal(NumberFile(file).read, match=r"numbers\.json.*a = 'NaN': must be a finite number")
-
-
-def test_a_disk_that_hangs_holds_no_one_up(tmp_path: Path) -> None:
-    """With a pipe that no one reads, neither waits for ever; the newest is written later."""
-    os.mkfifo(tmp_path / ".numbers.json.part")
-    numbers = NumberFile(tmp_path / "numbers.json")
-    numbers.write({"a": 1.0})
-    numbers.close()
-    wait_for(lambda: DISK.late, TOO_LONG_S, "a late disk")
-    numbers.write({"a": 2.0})
-    woken = (tmp_path / ".numbers.json.part").rename(tmp_path / "pipe")
-    with woken.open() as pipe:  # the disk works again
-        assert '"a": ' in pipe.read()
-    numbers.close()
-    assert numbers.read() == {"a": 2.0}
-
-
-def test_what_went_wrong_is_tried_again(tmp_path: Path) -> None:
-    """The next process reads it."""
-    file = tmp_path / "state" / "numbers.json"
-    file.parent.write_text("a file where a directory is due")
-    numbers = NumberFile(file)
-    for values in ({"a": 1.0}, {"a": 1.5, "b": -0.1}):
-        numbers.write(values)
-        numbers.close()
-        assert bool(numbers.problem) == file.parent.is_file()
-        file.parent.unlink() if numbers.problem else None
-    assert NumberFile(file).read() == {"a": 1.5, "b": -0.1}
 
 
 def test_the_file_is_on_the_disk_before_it_takes_the_place_of_the_old_one(

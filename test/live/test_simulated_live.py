@@ -38,7 +38,3 @@ def test_a_new_site_is_watered_within_a_minute(domain: int, tmp_path: Path) -> N
     assert (summary["status"], summary["alarms"]) == ("done", [])
 
 
-@pytest.mark.graph
-def test_a_device_of_ones_own_is_refused(domain: int, tmp_path: Path) -> None:
-    site = Process(domain, "simulators live", "--drive=abb_acs880", cwd=tmp_path)
-    assert site.wait(60) == 2 and "--drive: must be left out" in site.stderr()

@@ -341,9 +341,9 @@ class DriveEndpoint:
         return str(self.address)
 
     @property
-    def guard(self) -> Timeout | None:
-        """The drive's communication timeout at this address; None if its file describes none."""
-        return self.file.timeout.get(self.address.interface)
+    def guard(self) -> Timeout:
+        """The drive's communication timeout at this address."""
+        return self.file.timeout.get(self.address.interface, Timeout("", "not described"))
 
     def lock_name(self) -> str:
         """Return the name of the drive's lock, which is the same for all spellings of the address.

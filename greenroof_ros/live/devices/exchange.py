@@ -207,6 +207,7 @@ class DriveExchange:
 
     Attributes:
         endpoint: the drive.
+        snapshot: the latest snapshot.
         flows_at_rest: whether the caller knows that the pump is running although the drive reports
             standstill.
     """
@@ -229,7 +230,7 @@ class DriveExchange:
         self._closing = self._done = False
         self._wake = threading.Event()
         self._thread = threading.Thread(target=self._work, name="drive", daemon=True)
-        self._snapshot, self._lock = DriveSnapshot(), threading.Lock()
+        self.snapshot, self._lock = DriveSnapshot(), threading.Lock()
         self.endpoint, self.flows_at_rest = endpoint, False
         self._drive: Drive | Relay = endpoint.connection()
         self._drive_lock: socket.socket | None = None
@@ -243,8 +244,6 @@ class DriveExchange:
         # Time until which another writer is given way, from which the drive's own timeout is
         # effective, and at which the settings were read.
         self._other_until = self._guarded_from = self._settings_read_at = -math.inf
-        guard = endpoint.guard
-        self._unguarded_s = 0.0 if guard is None else guard.unguarded_after_power_up_s
         self._useless: Diagnosis | None = None  # why its own timeout is unusable
         # Number of consecutive rounds without a valid answer.
         self._unanswered = 0
@@ -255,11 +254,6 @@ class DriveExchange:
         # The fall of the speed since *stop* became the last order; None if the drive runs, is at
         # rest, or is left to another master or to a person at its panel.
         self._fall: Fall | None = None
-
-    @property
-    def snapshot(self) -> DriveSnapshot:
-        """The latest snapshot."""
-        return self._snapshot
 
     @property
     def started(self) -> bool:
@@ -311,13 +305,12 @@ class DriveExchange:
         guard = self.endpoint.guard
         if seconds is not None and seconds > self._timeout_limit_s:
             note = f"it is {seconds:g} s, but must be at most {self._timeout_limit_s:g} s"
-        elif seconds is not None and guard and guard.local_settings_decide:
+        elif seconds is not None and guard.local_settings_decide:
             note = "" if self._stops_locally else (
                 "it depends on drive settings that cannot be read: set the drive to stop the pump, "
                 "check that it does, and confirm this (local_settings_stop_the_pump: true)"
             )
-        repair = guard.how_to_set if guard else "not described"
-        return Diagnosis.of("drive_timeout", note=note, repair=repair) if note else None
+        return Diagnosis.of("drive_timeout", note=note, repair=guard.how_to_set) if note else None
 
     def request_speed(self, speed: float | None) -> None:
         """Request a speed (share of the rated speed), or off (None); valid for `DEAD_MAN_S`.
@@ -346,7 +339,7 @@ class DriveExchange:
         the silence; until then, its status is unknown.
         """
         self._reset_requested = True
-        if not self._snapshot.connected:
+        if not self.snapshot.connected:
             self._update(status=None)
         self._wake.set()
 
@@ -354,7 +347,7 @@ class DriveExchange:
 
     def _update(self, **changes: Any) -> None:
         with self._lock:
-            self._snapshot = replace(self._snapshot, **changes)
+            self.snapshot = replace(self.snapshot, **changes)
 
     def _pause(self, seconds: float) -> None:
         """Wait for a given time (s), or until the thread is woken."""
@@ -364,7 +357,7 @@ class DriveExchange:
     def _target_speed(self) -> float | None:
         speed, at = self._requested
         fresh = boot_time() - at <= DEAD_MAN_S  # a suspension counts
-        may_run = fresh and self._snapshot.connected and not self._closing
+        may_run = fresh and self.snapshot.connected and not self._closing
         return speed if may_run and self._unguarded() is None else None
 
     def _unguarded(self) -> Diagnosis | None:
@@ -375,7 +368,8 @@ class DriveExchange:
         """
         if time.monotonic() >= self._guarded_from:
             return None
-        return Diagnosis.of("drive_guards_later", time=self._unguarded_s)
+        time_s = self.endpoint.guard.unguarded_after_power_up_s
+        return Diagnosis.of("drive_guards_later", time=time_s)
 
     def _work(self) -> None:
         while not self._done:
@@ -422,7 +416,7 @@ class DriveExchange:
             if fall is not None:  # that timeout may ramp it down
                 fall.since = now + wait_s + MAX_RAMP_S
         self._connect_at, self._done = now + wait_s, self._last_attempt
-        status = self._snapshot.status if unseen else None
+        status = self.snapshot.status if unseen else None
         self._update(problem=problem, connected=False, status=status)
         self._drive.line.close()
 
@@ -433,7 +427,7 @@ class DriveExchange:
         self._unanswered, self._stopped, self._reset_requested = 0, None, False
         drive.line.connect()
         self._settings_read_at = -math.inf
-        self._guarded_from = time.monotonic() + self._unguarded_s
+        self._guarded_from = time.monotonic() + self.endpoint.guard.unguarded_after_power_up_s
         self._stop()
         # Learn whether the control word can be read back: no other master has had time to write
         # yet.
@@ -488,7 +482,7 @@ class DriveExchange:
         where, fall = self.endpoint, self._fall
         if fall is None:
             return
-        if status.at_rest and self.flows_at_rest and self._snapshot.connected:
+        if status.at_rest and self.flows_at_rest and self.snapshot.connected:
             fall.since = -math.inf
             raise DriveError("drive", f"{where}: the drive reports standstill, but water flows")
         if status.at_rest or not status.remote:
@@ -514,7 +508,7 @@ class DriveExchange:
         if reset and other is None:
             self._drive.reset()
         speed, against = self._target_speed(), (
-            self._snapshot.second_master or self._snapshot.start_failed)
+            self.snapshot.second_master or self.snapshot.start_failed)
         if speed is None or against:
             self._stop()
             return against.sentence if against else ""

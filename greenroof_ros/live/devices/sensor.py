@@ -159,7 +159,7 @@ class Reader:
             max_age: longest silence after which the sensor is lost (s).
         """
         self.sensor, self.max_age, self._unit = sensor, max_age, QUANTITIES[section].unit
-        self._reading = Reading(boot_time())
+        self._reading, self._starting = Reading(boot_time()), True  # until a reading or failure
         self._values: deque[float] = deque(maxlen=sensor.median)
         spread_s = _FLOW_SPREAD_S if section == "flow_meter" else math.inf
         self._total = Total(sensor, self._unit, spread_s) if sensor.counts else None
@@ -178,6 +178,7 @@ class Reader:
     def fail(self, why: str, code: str = "sensor_lost") -> None:
         """Record a failed reading with its reason and condition code."""
         with self._lock:
+            self._starting = False
             self._values.clear()
             if self._total is not None:
                 self._total.sensor_lost()
@@ -321,6 +322,10 @@ class MqttReader(Reader):
     A message counts as a reading at the time of its arrival. Retained messages, and the first
     messages after a silence or a lost connection, do not count as readings, since they may be of
     any age.
+
+    Attributes:
+        start: function that connects, and starts the client's thread.
+        close: function that disconnects.
     """
 
     sensor: MqttSensor
@@ -342,20 +347,13 @@ class MqttReader(Reader):
         self._client = make_client(
             broker, f"greenroof_{section}", self._on_connect, self.receive, self._on_disconnect,
         )
-
-    def start(self) -> None:
-        """Connect, and start the client's thread."""
-        self._client.loop_start()
-
-    def close(self) -> None:
-        """Disconnect."""
-        self._client.disconnect()
+        self.start, self.close = self._client.loop_start, self._client.disconnect
 
     # --- in the client's thread -------------------------------------------------------------------
 
     def _on_connect(self) -> None:
         self._received_at = -math.inf
-        self.fail("has sent nothing yet")
+        self._expect("has sent nothing yet")
         self._client.subscribe(self._topic)
 
     def _on_disconnect(self, why: str) -> None:
@@ -367,15 +365,24 @@ class MqttReader(Reader):
             return
         now = boot_time()
         if retained:
-            self.fail("has not yet sent a new message; the retained message may be old")
+            self._expect("has not yet sent a new message; the retained message may be old")
             return
         before, self._received_at = self._received_at, now
         if now - before > self.max_age:
             self._ignoring_until = now + _IGNORING_S
-            self.fail("is sending again, but its first messages may be old")
+            self._expect("is sending again, but its first messages may be old")
         elif now >= self._ignoring_until:
+            self._starting = False
             with self.reading():
                 self.add(read_number(payload, self.sensor.value))
+
+    def _expect(self, why: str) -> None:
+        """Record why there is no reading yet; at the start, only a long silence is a failure."""
+        with self._lock:
+            if self._starting:
+                self._reading = Reading(boot_time())
+            else:
+                self.fail(why)
 
 
 def read_number(payload: bytes, path: str) -> float:

@@ -6,8 +6,7 @@ import asyncio
 import contextlib
 import json
 import time
-from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -63,19 +62,15 @@ class SimulatedSite:
         self.virtual_site = VirtualSite(site, *volumes, 0, SensorAndPump())
         self.pumped, self._rained, self._flowing = 0.0, 0.0, 0.0
         self._sensors = sensors.by_section
-        lines: defaultdict[str, defaultdict[int, dict[str, ModbusSensor]]] = defaultdict(
-            lambda: defaultdict(dict)
-        )
-        for section, sensor in self._sensors.items():
-            if isinstance(sensor, ModbusSensor):
-                lines[sensor.address][sensor.device_id][section] = sensor
+        modbus = [each for each in self._sensors.values() if isinstance(each, ModbusSensor)]
+        lines = {sensor.address: sensor.serial for sensor in modbus}
         self.servers = [
             Server(
-                parse_address(address),
-                [make_device(each, partial(self._read, part)) for each, part in devices.items()],
-                next(iter(next(iter(devices.values())).values())).serial,
-            )
-            for address, devices in lines.items()
+                parse_address(line),
+                [make_device(number, partial(self._read, line, number)) for number in sorted(
+                    {sensor.device_id for sensor in modbus if sensor.address == line})],
+                serial,
+            ) for line, serial in lines.items()
         ]
 
     @property
@@ -85,10 +80,12 @@ class SimulatedSite:
 
     # --- sensors ----------------------------------------------------------------------------------
 
-    def _read(self, sensors: Mapping[str, ModbusSensor]) -> dict[int, int]:
-        """Return the current values of the registers of these sensors."""
+    def _read(self, line: str, device_id: int) -> dict[int, int]:
+        """Return the current values of the registers of a device."""
         return {
-            sensor.register + offset: word for section, sensor in sensors.items()
+            sensor.register + offset: word for section, sensor in self._sensors.items()
+            if isinstance(sensor, ModbusSensor)
+            and (sensor.address, sensor.device_id) == (line, device_id)
             for offset, word in enumerate(self.words(section, sensor))
         }
 

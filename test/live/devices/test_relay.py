@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import getpass
 import itertools
 import json
 import re
@@ -14,7 +13,7 @@ from pathlib import Path
 import pytest
 from asking import Asking
 from brokers import Mosquitto, Talker, needs_mosquitto
-from places import CHECKOUT
+from rig_simulators import FAULTS
 from simulators import Simulator
 from simulators import until as wait
 
@@ -24,7 +23,6 @@ from greenroof_ros.live.devices.modbus_line import DriveError
 
 pytestmark = needs_mosquitto
 
-MAKES = ("shelly_gen2", "tasmota")
 TIMER_S = 3.0
 # Time that a busy machine may add.
 SLACK_S = 1.0
@@ -43,10 +41,8 @@ def switched(tap: Talker, on: bool) -> list[float]:
 class Bench(Asking):
     """A relay and a broker."""
 
-    def __init__(
-        self, make: str, directory: Path, *, broker: tuple[str, ...] = ()
-    ) -> None:
-        self.broker = Mosquitto(directory, *broker)
+    def __init__(self, make: str, directory: Path) -> None:
+        self.broker = Mosquitto(directory)
         self.at = read_endpoint(find_drive_file(make), f"{self.broker.address}/roof", "at")
         self.relay = Simulator(
             "drive_simulator", "--drive", make, "--at", str(self.at), "--timeout", f"{TIMER_S:g}"
@@ -78,20 +74,10 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
         yield bench
 
 
-@pytest.mark.parametrize("make", MAKES)
+@pytest.mark.parametrize("make", ["shelly_gen2", "tasmota"])
 def test_it_is_switched_renewed_and_left_off(make: str, tmp_path: Path) -> None:
-    """Off first; *on* is renewed within a third of the timer; no message is retained.
-
-    The broker lets through what doc/reference/drive-files.md says; all connect anonymously.
-    """
-    page = (CHECKOUT / "doc/reference/drive-files.md").read_text(encoding="utf-8")
-    block = page.partition(f"# {make}\n")[2].partition("\n\n")[0].partition("```")[0]
-    topics = [line.split()[2] for line in block.splitlines() if line.startswith("topic ")]
-    assert len(topics) > 1
-    rules = (f"topic readwrite {topic.replace('roof-pump', 'roof')}\n" for topic in topics)
-    (tmp_path / "acl").write_text("".join(rules))
-    lines = f"user {getpass.getuser()}", "allow_anonymous true", f"acl_file {tmp_path / 'acl'}"
-    with closing(Bench(make, tmp_path, broker=lines)) as bench, Talker(bench.broker, "#") as tap:
+    """Off first; *on* is renewed within a third of the timer; no message is retained."""
+    with closing(Bench(make, tmp_path)) as bench, Talker(bench.broker, "#") as tap:
         bench.connect()
         assert (bench.now.timeout_s, bench.now.unguarded) == (TIMER_S, None)
         wait(lambda: switched(tap, on=False), 5)
@@ -140,31 +126,7 @@ def test_one_that_nothing_would_switch_off_is_not_switched_on(
         for fault, parameter, note in faults:
             bench.relay.inject(fault, parameter)
             wait(lambda note=note: re.search(note, str(bench.now.unguarded)), 10)  # type: ignore[misc]
-            assert bench.now.timeout_s is None
-            wait(lambda: "its own timer is not effective" in bench.now.problem, 10)
         assert not switched(tap, on=True) and not bench.closed
-
-
-def test_a_broker_that_stalls_is_given_up_and_delivers_no_on_afterwards(bench: Bench) -> None:
-    """Each *on* requires an answer before it, so at most one can be left waiting."""
-    bench.run()
-    bench.broker.pause()
-    assert wait(lambda: not bench.closed, 20) < TIMER_S + SLACK_S
-    wait(lambda: not bench.now.connected, 10)
-    bench.speed = None
-    time.sleep(2.0)
-    bench.broker.resume()
-    assert closed_for(bench, 6.0) < 0.3
-    wait(lambda: bench.now.connected, 20)
-
-
-def closed_for(bench: Bench, seconds: float) -> float:
-    """Return how long the contact is closed during a period (s)."""
-    closed, ended = [], time.monotonic() + seconds
-    while time.monotonic() < ended:
-        closed.append(bench.closed)
-        time.sleep(0.005)
-    return seconds * sum(closed) / len(closed)
 
 
 def test_an_on_that_waits_on_a_stalled_connection_has_an_off_behind_it(bench: Bench) -> None:
@@ -181,19 +143,21 @@ def test_an_on_that_waits_on_a_stalled_connection_has_an_off_behind_it(bench: Be
         relay.line.close()
         resumed = time.monotonic()
         bench.broker.resume()
-        assert closed_for(bench, 2.0) < 0.3
-        (on,) = (at for at in switched(tap, on=True) if at > resumed)
-        assert any(on < at < on + 0.3 for at in switched(tap, on=False))
+        wait(lambda: switched(tap, on=True)[-1:] > [resumed], 5)
+        on = switched(tap, on=True)[-1]
+        wait(lambda: any(on < at < on + 0.3 for at in switched(tap, on=False)), 5)
+        wait(lambda: not bench.closed, 0.5)
 
 
-@pytest.mark.parametrize("fault", ["silence", "garbage", "late"])
+@pytest.mark.parametrize("fault", ["silence", "garbage", "late", "a broker that hangs"])
 def test_a_relay_that_is_not_understood_is_off_within_its_timer(bench: Bench, fault: str) -> None:
-    """It still obeys, so the end of the connection switches it off at once."""
+    """If it still obeys, the end of the connection switches it off at once."""
     bench.run()
-    bench.relay.inject(fault)
+    hangs = fault not in FAULTS
+    bench.broker.pause() if hangs else bench.relay.inject(fault)
     assert wait(lambda: not bench.closed, 20) < TIMER_S + SLACK_S
     wait(lambda: "no valid reply with StatusSTS.POWER within 1 s" in bench.now.problem, 10)
-    bench.relay.inject("none")
+    bench.broker.resume() if hangs else bench.relay.inject("none")
     wait(lambda: bench.closed, 60)
 
 
@@ -216,24 +180,18 @@ def test_a_hand_at_its_button_is_noticed_and_answered(bench: Bench) -> None:
         assert wait(lambda: not bench.closed, 5) < 0.5 + SLACK_S
         if bench.now.second_master:
             break
-    assert bench.now.second_master is not None
-    assert "someone else has switched the relay on" in bench.now.second_master.sentence
+    assert "someone else has switched the relay on" in str(bench.now.second_master)
     bench.exchange.close()  # now the supervisor's stop answers it
     bench.relay.take_over(True)
     wait(lambda: bench.closed, 5)
-    assert str(stop_drive(bench.at)) == "speed 0.0%, off"
-    assert not bench.closed
+    assert str(stop_drive(bench.at)) == "speed 0.0%, off" and not bench.closed
 
 
 def test_one_that_does_not_switch_on_reports_it(bench: Bench) -> None:
-    """That it is not switched again before off was asked for is in test_exchange.py."""
-    with Talker(bench.broker) as tap:
-        bench.connect()
-        bench.relay.inject("deaf")
-        bench.ask_no_more()
-        wait(lambda: bench.exchange.request_speed(1.0) or bench.now.start_failed, 10)
-        assert "is still off after 2 s" in str(bench.now.start_failed)
-        assert len(switched(tap, on=True)) == 1
+    bench.connect()
+    bench.relay.inject("deaf")
+    bench.speed = 1.0
+    wait(lambda: "is still off after 2 s" in str(bench.now.start_failed), 10)
 
 
 def test_a_retained_message_is_no_answer(bench: Bench) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 from collections.abc import Sequence
 
 import pytest
@@ -84,23 +83,3 @@ def test_as_much_is_published_as_the_total_rises(
     result = published(monkeypatch, messages, messages[-1][0] + within, **sensor)
     assert result[0] == pytest.approx(risen, abs=LOOK_MM if sensor is GAUGE else 0.2)
     assert result[1] <= highest * (1 + 1e-9) and result[2] == refused
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_no_water_vanishes_or_appears_however_the_messages_come(
-    monkeypatch: pytest.MonkeyPatch, seed: int
-) -> None:
-    """Tips at random; messages repeated, delayed, lost; connections lost, too."""
-    dice = random.Random(seed)
-    at, total, messages = 0.0, 400.0, [(0.0, 400.0)]
-    for _ in range(100):
-        at += dice.choice((0.1, 0.3, 5.0, 30.0, 60.0)) * dice.uniform(0.5, 1.5)
-        total += 0.2 * dice.choice((0, 0, 1, 1, 2, 7))
-        messages += [(at, total)] * dice.choice((0, 1, 1, 2, 3))
-        if dice.random() < 0.1:
-            messages.append((at, None))
-    messages.append((at + 1.0, total))
-    sum_mm, highest, refused = published(monkeypatch, messages, at + 4000)
-    assert refused == 0
-    assert sum_mm == pytest.approx(total - 400, abs=LOOK_MM)
-    assert highest <= 1e-4

@@ -1,19 +1,12 @@
-"""The simulated site: two tanks with level sensors, in process; and as a program."""
+"""The simulated site: two tanks with level sensors."""
 
 from __future__ import annotations
 
-from contextlib import ExitStack, closing
-from pathlib import Path
-
 import pytest
-from brokers import mosquitto, needs_mosquitto
-from graphs import free_ports
 from paper import PAPER_SITE
 from places import CONFIG
-from simulators import Simulator, until
 
-from greenroof_ros.live.devices.sensor import ModbusReader, MqttReader, SensorLine
-from greenroof_ros.live.devices.sensor_file import ModbusSensor, read_sensors
+from greenroof_ros.live.devices.sensor_file import read_sensors
 from greenroof_ros.live.simulators.site import SimulatedSite
 
 SENSORS = read_sensors(CONFIG / "sensors.yaml")
@@ -41,28 +34,3 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for() -> None:
     assert read == pytest.approx([1e4 * cistern, 1e4 * roof], abs=1)
 
 
-@needs_mosquitto
-def test_sensors_on_mqtt_next_to_one_on_modbus(tmp_path: Path) -> None:
-    """The roof's 3.44 m3 are 5 cm on 68.8 m2; 36 mm/h are 1e-5 m/s, counted tick by tick."""
-    file, (port,) = tmp_path / "sensors.yaml", free_ports(1)
-    modbus = (CONFIG / "sensors.yaml").read_text().partition("\nroof:")[0]
-    mqtt = "roof:" + (CONFIG / "sensors_mqtt.yaml").read_text().partition("\nroof:")[2]
-    with mosquitto(tmp_path) as broker, ExitStack() as stack:
-        file.write_text(f"{modbus}\n{mqtt}".replace(":5030", f":{port}").replace(
-            "mqtt://127.0.0.1:1883", broker.address).replace("max_age: 60.0", "max_age: 10.0"))
-        stack.enter_context(Simulator(
-            "site_simulator", "--sensors", str(file), "--workbench", "0", "--cistern", "50",
-            "--roof", "3.44", "--rain", "36", "--constant-evapotranspiration", "0",
-        ))
-        readers: dict[str, ModbusReader | MqttReader] = {}
-        for section, sensor in read_sensors(file).by_section.items():
-            readers[section] = stack.enter_context(closing(
-                ModbusReader(section, sensor, SensorLine(), 5.0)
-                if isinstance(sensor, ModbusSensor) else MqttReader(section, sensor)
-            ))
-            readers[section].start()
-        until(lambda: all(reader.snapshot.value for reader in readers.values()), 20)
-        assert readers["cistern"].snapshot.value == pytest.approx(2.0, abs=1e-3)
-        assert readers["roof"].snapshot.value == pytest.approx(0.05, abs=5e-4)
-        assert readers["rain_gauge"].snapshot.value == pytest.approx(1e-5, rel=0.6)
-        assert readers["thermometer"].snapshot.value == 15.0
