@@ -185,7 +185,7 @@ def _drives() -> Iterator[Case]:
             yield Case(f"site:{drive}", "unstoppable", fault, _UNSTOPPABLE)
         yield Case(f"site:{drive}", "drive", "says_running", _DELIVERY)
         yield Case(f"site:{drive}", "unstoppable", "says_stopped", replace(
-            _UNSTOPPABLE, bound="welded", signs=_pump("delivery")))
+            _UNSTOPPABLE, bound="welded", signs=_pump("runs_on")))
         yield Case(f"metered:{drive}", "drive", "says_stopped", Expected(
             bound="flows on", signs=_pump("runs_on"), recovery="latches"))
         # Its connections break before it can be judged on one.
@@ -215,7 +215,7 @@ def _relays() -> Iterator[Case]:
             yield Case(rig, "drive", target, lost)
         yield Case(rig, "drive", "deaf", replace(lost, signs=_pump("second_master")))
         yield Case(rig, "unstoppable", "welded", Expected(
-            stops=None, watch=0.0, bound="welded", recovery="latches", signs=_pump("delivery")))
+            stops=None, watch=0.0, bound="welded", recovery="latches", signs=_pump("runs_on")))
         for fault in ("kill", "stop long"):
             yield Case(rig, fault, "pump", _process("pump", fault))
         yield Case(rig, "kill both", "pump and bringup", _ENDS)

@@ -219,11 +219,14 @@ class DeliveryCheck:
             return _missing_on_roof(since)
         since = self._lost.since_min
         if self._lost.rise > self._tolerance * in_cistern:
-            fell = -since.cistern_to_outlet
-            return Diagnosis.of(
-                "delivery", "cistern", "contactor" if since.roof > fell / 2 else "leak",
-                cistern=fell, minutes=since.elapsed / 60, pumped=since.max_pumped,
-            )
+            fell, values = -since.cistern_to_outlet, {
+                "minutes": since.elapsed / 60, "pumped": since.max_pumped,
+            }
+            more = since.roof > fell / 2
+            if more and since.max_pumped < fell / 2:
+                return Diagnosis.of("runs_on", "levels", cistern=fell, **values)
+            cause = "more" if more else "leak"
+            return Diagnosis.of("delivery", "cistern", cause, cistern=fell, **values)
         since = self._not_drawn.since_min
         rain_on_roof = since.roof - MIN_DELIVERY * since.retained
         rain_on_roof += MAX_LOSS * on_roof * since.elapsed
