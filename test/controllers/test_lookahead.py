@@ -239,8 +239,7 @@ def test_it_fills_its_own_soil(exponent: float) -> None:
     """To its target in a minute, with TAW times the integral of dS / (1 - S^beta)."""
     site = replace(FIELD_CAPACITY, tau=60.0, percolation_exponent=exponent)
     begin, end = (
-        (volume - site.wilting_volume) / site.available_volume
-        for volume in (0.999 * site.x2_star, site.x2_star)
+        (share * site.x2_star - site.wilting_volume) / site.available_volume for share in (0.999, 1)
     )
     needed, _ = quad(lambda filled: site.available_volume / (1 - filled**exponent), begin, end)
     command = lookahead(site).command(2.0, 0.999 * site.z_veg, DRY, DRY)

@@ -67,12 +67,6 @@ def test_any_consistent_site_is_read_back(
 MONTHS = [0.0, 1, *[2.5] * 9, 20.0]
 
 
-def test_site_climate(tmp_path: Path) -> None:
-    site = read_site(write(tmp_path, monthly_evapotranspiration=MONTHS, crop_coefficient=0.5))
-    assert site.monthly_evapotranspiration == tuple(MONTHS)
-    assert PAPER_SITE.monthly_evapotranspiration is None
-
-
 @pytest.mark.parametrize("key", [key for key in TABLE_I if key not in ("x2_star", "z_cap")])
 def test_missing(tmp_path: Path, key: str) -> None:
     """The error has the file, and a remedy that works; the other two follow from these."""

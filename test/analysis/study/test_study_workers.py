@@ -269,12 +269,10 @@ def test_dask(dask: Dask, tmp_path: Path) -> None:
 def test_without_numba_the_study_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Once, for seasons that only together have 100,000 ticks; not for solvers, nor if done."""
+    """Once, for runs that only together have 100,000 ticks; not for those that are done."""
     (tmp_path / "sitecustomize.py").write_text('import sys\nsys.modules["numba"] = None\n')
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
-    window = f"weather: {{file: {WEATHER}, start: 2021-07-07T02:00, hours: 14}}"
-    text = f"site: {CONFIG / 'site.yaml'}\n{window}\ninitial: [low-low, high-low]\nbound_block: 0"
-    name = grid(tmp_path, f"{text}\ncontrollers: {{onoff: }}\n")
-    options = name, "--no-trajectories", "--output", "out"
+    text = edit_grid("hours: 0.25", "hours: 7").partition("  mpc:")[0]
+    options = grid(tmp_path, f"bound_block: 0{text}  onoff:\n"), "--no-trajectories"
     notes = [study(tmp_path, *options).stderr.count("note: numba ") for _ in range(2)]
     assert notes == [1, 0]
