@@ -24,14 +24,14 @@ VENV_OPTIONS := --system-site-packages
 RUN_EXTRAS := [pump,mqtt,watch,foxglove]
 STUDY_EXTRAS := [study]
 TEST_EXTRAS := [pump,mqtt,watch,foxglove,study,dask,test]
-BENCH_EXTRAS := [study,bench]
+BENCH_EXTRAS := [study,gym,bench]
 DOCS_EXTRAS := [pump,mqtt,watch,foxglove,study,dask,docs]
 else
 VENV_OPTIONS :=
 RUN_EXTRAS := [ros,pump,mqtt,watch,foxglove]
 STUDY_EXTRAS := [study]
 TEST_EXTRAS := [ros,pump,mqtt,watch,foxglove,study,dask,test]
-BENCH_EXTRAS := [ros,study,bench]
+BENCH_EXTRAS := [ros,study,gym,bench]
 DOCS_EXTRAS := [ros,pump,mqtt,watch,foxglove,study,dask,docs]
 endif
 
@@ -113,8 +113,13 @@ docs: $(FOR_DOCS)
 	@$(BIN)/python -m sphinx -W --keep-going -q --fresh-env --jobs auto -b html doc doc/_build
 	@echo "written: doc/_build/index.html"
 
+# BESIDE=DIR compares this checkout with another one.
 bench: $(FOR_BENCH)
+ifeq ($(BESIDE),)
 	@$(BIN)/python tools/bench.py
+else
+	@$(BIN)/python tools/beside.py $(BESIDE)
+endif
 
 doc-commands: $(FOR_TEST)
 	@GREENROOF_ROS_TEST_DOCS=1 $(BIN)/python -m pytest test/doc/test_commands.py -k as_written \

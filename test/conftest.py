@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,6 +16,7 @@ from places import CONFIG, DATA, Once
 from studies import study
 
 from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.physics import compiled
 from greenroof_ros.physics.compiled import can_compile
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.loop import simulate
@@ -120,6 +122,23 @@ def end_leftover_runs() -> Iterator[None]:
     """End runs that a failed test left behind, so that they cannot meet the next test's runs."""
     yield
     Process.end_all()
+
+
+@pytest.fixture(scope="module", params=[True, False], ids=["compiled", "plain"])
+def way(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Simulate with numba, whatever the number of ticks, and without it."""
+    cached = compiled.can_compile, compiled.compiled
+    with pytest.MonkeyPatch.context() as patch:
+        if request.param:
+            pytest.importorskip("numba")
+            patch.setattr(compiled, "MIN_COMPILED", 0)
+        else:
+            patch.setitem(sys.modules, "numba", None)
+        for function in cached:
+            function.cache_clear()
+        yield
+    for function in cached:
+        function.cache_clear()
 
 
 @pytest.fixture(scope="session")

@@ -152,39 +152,6 @@ def measure_simulated(*arguments: str) -> tuple[float, dict[str, float]]:
     return (time.perf_counter() - began) / run.steps, controller.statistics() or {}
 
 
-def measure_buildings(count: int = 1000) -> tuple[float, float]:
-    """Return the times of a one-minute tick of a building among many, and of one by itself (s).
-
-    Many are compiled if numba is installed; the one is stepped tick by tick, as for any controller.
-    """
-    from dataclasses import replace
-
-    import numpy as np
-
-    from greenroof_ros.controllers.registry import find_controller
-    from greenroof_ros.simulation.inputs import make_inputs
-    from greenroof_ros.simulation.loop import Simulation
-    from greenroof_ros.simulation.season import Case, simulate_season
-    from greenroof_ros.site.file import read_site
-
-    site = read_site(CONFIG / "site_valve.yaml", {"tau": 60.0})
-    run = make_inputs(find_controller("onoff"), {
-        "site": site, "outlet": "drain", "start": "2021-07-07T00:00", "hours": 72.0,
-    }).build()
-    random = np.random.default_rng(1)
-    cases = [
-        Case(replace(site, a1=site.a1 * size), run.parameters, run, run.x1, run.x2 * filled)
-        for size, filled in random.uniform((0.2, 0.9), (2.0, 1.0), (count, 2))
-    ]
-    simulate_season(cases[:5])  # compiles, as fewer ticks would not be
-    began = time.perf_counter()
-    for _ in Simulation(run).ticks():
-        pass
-    between = time.perf_counter()
-    simulate_season(cases)
-    return (time.perf_counter() - between) / run.steps / count, (between - began) / run.steps
-
-
 def measure_do_mpc(steps: int = 30) -> float:
     """Return the time of a do-mpc step on the same problem (s).
 
@@ -255,7 +222,6 @@ MEASURED = {
     "p99": "the same, 99th percentile",
     "plan": "longest decision of `lookahead`, with a plan / mean decision of `mpc`",
     "do_mpc": "do-mpc step / MPC step of `simulate`",
-    "many": "tick of a building among 1,000 / tick of one building with any controller",
 }
 
 
@@ -276,13 +242,10 @@ def main() -> None:
             rows["p99"].append(ahead["p99_s"] / mpc["p99_s"])
             rows["plan"].append(ahead["max_s"] / mpc["mean_s"])
             rows["do_mpc"].append(peer / step)
-            many, one = measure_buildings()
-            rows["many"].append(many / one)
             print(
                 f"round {number + 1} of {ROUNDS}, load before it {load:.1f}: "
                 f"echo {recorded.echo * 1e6:.0f} us, tick {recorded.tick * 1e6:.0f} us, "
-                f"MPC step {step * 1e6:.0f} us, do-mpc {peer * 1e6:.0f} us, "
-                f"building among 1,000 {many * 1e9:.0f} ns",
+                f"MPC step {step * 1e6:.0f} us, do-mpc {peer * 1e6:.0f} us",
                 file=sys.stderr, flush=True,
             )
     print(head(["measured together", "median", "rounds"]))

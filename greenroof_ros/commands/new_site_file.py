@@ -17,6 +17,7 @@ from greenroof_ros.base.files import default_site_file
 from greenroof_ros.physics.cistern import EMPTIED_H, find_outlet_radius
 from greenroof_ros.site.clock import standard_offset
 from greenroof_ros.site.file import LITRES_PER_HOUR, SUBSTRATES, read_site
+from greenroof_ros.site.site import MUCH_RAIN
 
 _TEMPLATE = Path(__file__).with_name("new_site.yaml").read_text(encoding="utf-8")
 # An entry, which may be a comment, its unit, and its meaning that ends with its source in brackets.
@@ -67,6 +68,10 @@ def format_new_site(
         "no_rate": not given.keys().isdisjoint(("pump_flow", "emitters")),
         "utc_offset": standard_offset(zone) if zone else float(round(given["longitude"] / 15)),
         "mains_flow": max(_MAINS_FLOW, float(f"{1.2 * litres * LITRES_PER_HOUR:.2g}")),
+        "overflow": _find_overflow_radius(
+            given["catchment_area"], float(given.get("d", ASSUMED["d"])) - height
+        ),
+        "much_rain": f"{MUCH_RAIN:g}",
         "valve_radius": _find_radius(given["cistern_volume"], height, height - 0.1),
         "middle": height / 2,
         "orifice_radius": _find_radius(given["cistern_volume"], height, height / 2),
@@ -89,6 +94,13 @@ def format_new_site(
         return f"{f'{off}{key}: {value}':<29} # {entry['unit']:<7} {entry['meaning']}{source}"
 
     return _ENTRY.sub(complete, text)
+
+
+def _find_overflow_radius(catchment: float, below: float) -> float:
+    """Return the radius (m) of an overflow for a catchment (m2) at a height below the roof (m)."""
+    paper, inflow = read_site(default_site_file()), MUCH_RAIN / 3.6e6 * catchment
+    share = inflow / paper.c_out / math.sqrt(max(below, 0.01) / 2)
+    return max(paper.r_o, math.ceil(100 * paper.r_o * math.sqrt(share)) / 100)
 
 
 def _find_radius(volume: float, height: float, head: float) -> float:

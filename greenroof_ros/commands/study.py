@@ -37,6 +37,8 @@ from greenroof_ros.base.files import find_shipped, replace_text, shared_director
 from greenroof_ros.base.processes import InterruptedRun, Signals
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.text import escape
+from greenroof_ros.controllers.onoff import OnOff
+from greenroof_ros.physics.compiled import note_if_slow
 from greenroof_ros.simulation.screen import print_weather
 from greenroof_ros.weather.summary import as_lines
 
@@ -144,6 +146,8 @@ def main() -> int:
         if (identity := case.discharge_bound_identity)
         and identity not in store.discharge_bounds
     }
+    compiled = (case for case in open_cases if case.inputs.controller.kind is OnOff)
+    note_if_slow(sum(case.ticks for case in (*compiled, *unbounded_discharges.values())))
     signals: Signals | None = None
     try:
         if open_cases or unbounded or unbounded_discharges:

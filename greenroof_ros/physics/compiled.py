@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -26,6 +27,11 @@ import numpy as np
 
 _PACKAGE = __name__.partition(".")[0]
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+
+# numba reads this when it is imported. Intel's functions of vectors (SVML) round in other ways than
+# the C library, which plain Python uses. A program that sets the variable, or has imported numba,
+# has made its own choice.
+_NO_SVML = "NUMBA_DISABLE_INTEL_SVML"
 
 # Number of ticks that take a second or more without numba.
 _MANY_TICKS = 100_000
@@ -72,13 +78,17 @@ def compiled(function: _Function) -> _Function:
     """
     if not can_compile():
         return function
+    own = _NO_SVML in os.environ
+    os.environ.setdefault(_NO_SVML, "1")
     import numba
 
+    if not own:
+        del os.environ[_NO_SVML]
     together, copies = _called_by(function, {}), {}
-    digest = hashlib.sha256(repr([*map(_describe, together)]).encode()).hexdigest()[:12]
+    described = repr([getattr(numba.config, "USING_SVML", None), *map(_describe, together)])
+    digest = hashlib.sha256(described.encode()).hexdigest()[:12]
     for each in together:
         copy = FunctionType(each.__code__, dict(each.__globals__), each.__name__, each.__defaults__)
-        copy.__module__ = each.__module__
         copy.__qualname__ = f"{each.__qualname__}_{digest}"
         copies[each] = copy
     made: dict[Any, Any] = {

@@ -29,7 +29,7 @@ def step(
 ) -> tuple[State, Flows]:
     """Return the state after a tick, and the flows in it, Eqs. (1) to (4).
 
-    Of the paper's flows, ``outflow`` is q_out, ``pump`` q_pump, and ``percolated`` q_drain.
+    Of the paper's flows, ``outflow`` is q_out, ``pump`` q_pump, and ``drainage`` q_drain.
 
     Args:
         p: parameters of the plant.

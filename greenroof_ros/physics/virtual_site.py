@@ -8,7 +8,6 @@ levels and decides on a command, and the site executes the command and proceeds 
 
 from __future__ import annotations
 
-from greenroof_ros.physics.compiled import compiled
 from greenroof_ros.physics.parameters import Flows, State, plant_parameters
 from greenroof_ros.physics.sensor_and_pump import (
     SensorAndPump,
@@ -48,14 +47,10 @@ class VirtualSite:
         """
         self.state = State(x1, x2, site.initial_layer)
         self.tick, self.frost = 0, 0.0
-        self._site, self._parameters, self._step = site, plant_parameters(site), step
+        self._site, self._parameters = site, plant_parameters(site)
         self._start_ns, self._tick_ns = start_ns, round(site.tau * 1e9)
         self._errors = read_errors(sensor_and_pump, ticks).tolist()
         self._switch = [*make_switch(sensor_and_pump, site.tau)]
-
-    def compile(self) -> None:
-        """Compute the following ticks with the compiled plant, which takes a while to load."""
-        self._step = compiled(step)
 
     @property
     def time_ns(self) -> int:
@@ -98,7 +93,7 @@ class VirtualSite:
         switched = switch_pump(self._switch, command, may_run)
         closed = self.frost != 0 and self._parameters.valve_closed_in_frost
         self.outlet = 0.0 if closed else outlet
-        self._after, flows = self._step(
+        self._after, flows = step(
             self._parameters, self.state, precipitation, evapotranspiration, switched,
             self.outlet, pumped,
         )

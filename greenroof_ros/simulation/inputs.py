@@ -135,8 +135,7 @@ class RunInputs:
         _refuse_what_nodes_refuse(site, series, x1, x2)
         parameters = self.controller.complete_parameters(site, self.parameters)
         if "min_on" in parameters:  # the controller knows the limits of its pumps
-            min_on = max(parameters["min_on"], self.sensor_and_pump.pump_min_on)
-            parameters["min_on"] = min_on
+            parameters["min_on"] = max(parameters["min_on"], self.sensor_and_pump.pump_min_on)
         forecast = make_forecast(
             weather, series, site, start, parameters.get("horizon", 0.0), self.forecast,
             *find_needs(self.controller, parameters),
@@ -250,14 +249,13 @@ def _find_weather(weather: Any) -> Any:
 
 def _refuse_what_nodes_refuse(site: Site, series: WeatherSeries, x1: float, x2: float) -> None:
     """Reject values that the nodes would reject, so that runs with and without ROS agree."""
-    topics = read_topics()
     for name, value in (
         ("/cistern/level", site.cistern_level(x1)),
         ("/roof/level", site.roof_level(x2)),
         ("/weather/precipitation", series.precipitation.maximum),
         ("/weather/evapotranspiration", series.evapotranspiration.maximum),
     ):
-        topic = topics[name]
+        topic = read_topics()[name]
         if value > topic.high:
             raise ConfigurationError(
                 f"{name} would reach {value:g} {topic.unit} in the run, but at most {topic.high:g} "

@@ -89,12 +89,11 @@ class Simulation:
         run, site, controller, until = self._run, self.site, self._controller, 0
         policy, outlet, own_steps = self._outlet, 1.0, self._own_steps
         forecast, irrigated = run.forecast, run.site.irrigated
-        has_quiet_hours = run.site.quiet is not None
         for k in range(run.steps + 1):
             if k == until:
                 precipitation, evapotranspiration, frost, until = run.series.at(k)
                 site.frost = frost
-            if has_quiet_hours:
+            if run.site.quiet is not None:
                 set_optional(controller, time_ns=site.time_ns)
             cistern_level, roof_level = site.observe()
             rain, evaporated, *_ = forecast.at(k)
@@ -146,9 +145,8 @@ def record(
             rows.extend(values(tick))
         if tick.k % _REPORTED == 0:
             progress(tick.k / run.steps)
-    if not every:
-        return None
-    return _make_trajectory(run, np.frombuffer(rows).reshape(-1, len(KEPT)), every)
+    kept = np.frombuffer(rows).reshape(-1, len(KEPT))
+    return _make_trajectory(run, kept, every) if every else None
 
 
 def _make_trajectory(run: Run, rows: NDArray[np.float64], every: int) -> Trajectory:

@@ -1,7 +1,9 @@
 """Runs under on/off control and the policies of the valve: compiled, for one site or for many.
 
 The results equal those of :class:`.loop.Simulation` bit for bit, whatever the site: the same
-functions of numbers decide, step the plant and add up the sums. Threads share the sites.
+functions of numbers decide, step the plant and add up the sums. Only the evapotranspiration of a
+bed that differs from that of the first site with its weather is scaled, to within a rounding error
+(1e-15 of it). Threads share the sites.
 
 Sites with the same weather and the same clock are simulated together. What their ticks have in
 common is read in blocks, so that a season of seconds needs no more memory than one of minutes.

@@ -20,7 +20,7 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import is_there, read_yaml, shared_directory
 from greenroof_ros.base.parameter import Parameter, entry, make_record, parameters_of
 from greenroof_ros.site.clock import standard_offset
-from greenroof_ros.site.site import HIGH, Site, describe_max_volume
+from greenroof_ros.site.site import HIGH, MUCH_RAIN, Site, describe_max_volume
 
 LITRES_PER_HOUR = 1 / 3.6e6
 """factor from l/h to m3/s, and from mm/h on 1 m2 to m3/s"""
@@ -416,12 +416,14 @@ def _find_contradictions(site: Site, given: Collection[str]) -> Iterator[tuple[s
             yield name, (
                 f"must be {formula} = {product:g} m3; leave this line out to have it computed"
             )
-    climate, top = site.monthly_evapotranspiration, site.d / HIGH
+    climate = site.monthly_evapotranspiration
+    inflow = MUCH_RAIN / 3.6e6 * (site.effective_catchment + site.drainage_to_cistern * site.a2)
+    top = max(HIGH * site.z_o, site.z_o + (inflow / site.c_out) ** 2)
     for name, holds, expected in (
         ("monthly_evapotranspiration", climate is None or len(climate) == 12,
          "a list of twelve numbers, January to December"),
-        ("z_o", site.z_o < top, f"below d / {HIGH} = {top:.4g} m, so that even a cistern "
-         f"filled above its overflow is below the roof at d = {site.d:g} m"),
+        ("z_o", top < site.d, f"lower, or r_o larger, so that the water stays below the roof at d "
+         f"= {site.d:g} m; at {HIGH} z_o, or in rain of {MUCH_RAIN:g} mm/h, it is at {top:.4g} m"),
         ("initial_layer", site.initial_layer <= site.layer_storage, "at most the volume of the "
          f"drainage layer, a2 drainage_storage = {site.layer_storage:g} m3"),
         ("z_veg", site.x2_star < site.z_cap,

@@ -20,6 +20,10 @@ _EARTH_KM = 6371.0
 _ROUNDING = 1 + 1e-9
 HIGH = 1.3
 """the high states of Table II, as multiples of the volumes at the overflow and at the target"""
+MUCH_RAIN = 500.0
+"""rain (mm/h) that the overflow of a cistern must carry, and above which a note is printed: the
+record of an hour is 401 mm (Shangdu, China, 1975)
+"""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,7 +33,7 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.http import ServiceError, check_url, name_url, request
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.times import FIRST_YEAR, duration, to_minutes
-from greenroof_ros.site.site import Site
+from greenroof_ros.site.site import Place
 from greenroof_ros.weather.description import find_service
 from greenroof_ros.weather.open_meteo import VARIABLES, make_parameters
 from greenroof_ros.weather.quantities import PRECIPITATION
@@ -95,7 +95,7 @@ class Source(NamedTuple):
         ]
 
 
-def open_meteo_archive(site: Site, years: range, today: date, url: str = "") -> Source:
+def open_meteo_archive(site: Place, years: range, today: date, url: str = "") -> Source:
     """Return Open-Meteo's archive as a source for a site, with one block per year.
 
     Years follow the site's clock, but blocks are in UTC, so the blocks include an additional day at
@@ -164,7 +164,7 @@ def eccc_station(station: int, years: range, today: date, url: str = "") -> Sour
 
 
 def fetch(
-    source: Source, site: Site, directory: Path, pause_s: float | None, progress: ProgressBar
+    source: Source, site: Place, directory: Path, pause_s: float | None, progress: ProgressBar
 ) -> list[Path]:
     """Fetch the blocks that are not in a directory yet, and return the files of all blocks.
 
@@ -207,7 +207,7 @@ def fetch(
     return files
 
 
-def _check(file: Path, source: Source, block: Block, site: Site) -> None:
+def _check(file: Path, source: Source, block: Block, site: Place) -> None:
     """Check that a response is for the site and contains the whole block.
 
     Raises:
@@ -252,7 +252,7 @@ def _is_empty(file: Path) -> bool:
     ) is not None
 
 
-def join_blocks(files: Sequence[Path], site: Site, years: range) -> Records:
+def join_blocks(files: Sequence[Path], site: Place, years: range) -> Records:
     """Join blocks, and return the hours that belong to the years on the site's clock.
 
     Args:

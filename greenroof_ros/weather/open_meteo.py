@@ -19,7 +19,7 @@ import numpy as np
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import read_text
 from greenroof_ros.base.ranges import Range
-from greenroof_ros.site.site import Place, Site
+from greenroof_ros.site.site import Place
 from greenroof_ros.weather.description import END, REANALYSIS, TIME, Description
 from greenroof_ros.weather.quantities import (
     DEW_POINT,
@@ -52,7 +52,7 @@ _STATED = {
 }
 
 
-def make_parameters(site: Site, **more: str | float) -> dict[str, str | float]:
+def make_parameters(site: Place, **more: str | float) -> dict[str, str | float]:
     """Return the parameters of a request for hours in UTC, in the service's default units.
 
     Args:

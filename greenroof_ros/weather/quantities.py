@@ -6,6 +6,8 @@ import re
 from fractions import Fraction
 from typing import NamedTuple
 
+from greenroof_ros.site.site import MUCH_RAIN as MUCH_RAIN
+
 PRECIPITATION = "precipitation"
 EVAPOTRANSPIRATION = "evapotranspiration"
 RADIATION = "solar radiation"
@@ -17,10 +19,6 @@ PRESSURE = "station pressure"
 
 FOR_EVAPOTRANSPIRATION = (TEMPERATURE, DEW_POINT, WIND, PRESSURE)
 """the quantities from which evapotranspiration is computed if a file lacks it"""
-
-MUCH_RAIN = 500.0
-"""rain (mm/h) above which a note is printed: the record of an hour is 401 mm (Shangdu, China, 1975)
-"""
 
 
 class Unit(NamedTuple):

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from paper import PAPER_SITE, advance, lookahead, paper_run, site_with, virtual_site
 from places import CONFIG
+from scipy.integrate import quad
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.lookahead import Lookahead
@@ -231,6 +232,19 @@ def test_what_is_above_the_outlet_is_not_counted_on() -> None:
     assert controller.command(3.9, 0.0, DRY, DRY) > 0.9
     lifted = site.a1 * (site.z_o - site.suction_level)
     assert planned_volumes(controller).sum() == pytest.approx(lifted)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 3.0])
+def test_it_fills_its_own_soil(exponent: float) -> None:
+    """To its target in a minute, with TAW times the integral of dS / (1 - S^beta)."""
+    site = replace(FIELD_CAPACITY, tau=60.0, percolation_exponent=exponent)
+    begin, end = (
+        (share * site.x2_star - site.wilting_volume) / site.available_volume for share in (0.999, 1)
+    )
+    needed, _ = quad(lambda filled: site.available_volume / (1 - filled**exponent), begin, end)
+    command = lookahead(site).command(2.0, 0.999 * site.z_veg, DRY, DRY)
+    pumped = 60 * command * site.b * math.sqrt(2.0 + site.c_hat - site.d)
+    assert pumped == pytest.approx(needed, abs=3e-6)
 
 
 def test_water_that_fades_is_pumped_once() -> None:

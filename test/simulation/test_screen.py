@@ -11,14 +11,6 @@ from greenroof_ros.simulation import screen
 from greenroof_ros.simulation.loop import simulate
 
 
-def test_one_peak_is_enough() -> None:
-    """The others are only in files."""
-    whole, _ = simulate(paper_run("--controller", "onoff", "--hours", "2"))
-    words = [word for word, *_ in screen.rows(whole)]
-    assert {"outflow", "pumped", "retention of the roof", "discharge", "retention"} <= {*words}
-    assert [word for word in words if "peak" in word] == ["peak discharge, 5 min"]
-
-
 def test_no_raw_data() -> None:
     """No dictionary, list or None in any row, for a run in which everything happened."""
     run = paper_run(

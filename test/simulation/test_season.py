@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from itertools import cycle
 from typing import Any
@@ -19,7 +18,6 @@ from places import CONFIG, DATA
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.physics import compiled as compilation
 from greenroof_ros.results.trajectory import Trajectory
 from greenroof_ros.simulation.inputs import make_inputs
 from greenroof_ros.simulation.loop import Simulation, record, simulate
@@ -79,21 +77,6 @@ def run_of(site: Site, **given: Any) -> Run:
     }).build()
 
 
-@pytest.fixture(scope="module", params=[True, False], ids=["compiled", "plain"])
-def way(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Simulate with numba, and without it."""
-    pytest.importorskip("numba")
-    cached = compilation.can_compile, compilation.compiled
-    with pytest.MonkeyPatch.context() as patch:
-        if not request.param:
-            patch.setitem(sys.modules, "numba", None)
-        for function in cached:
-            function.cache_clear()
-        yield
-    for function in cached:
-        function.cache_clear()
-
-
 @pytest.mark.parametrize("name", CASES)
 def test_a_season_is_its_run_tick_by_tick(name: str, way: None) -> None:
     """Each figure of the summary and each value of the trajectory, bit for bit."""
@@ -119,7 +102,8 @@ def test_a_season_is_its_run_tick_by_tick(name: str, way: None) -> None:
     ), tau=st.sampled_from([5.0, 60.0, 600.0]),
 )
 def test_any_site(
-    site: Site, fill: tuple[float, float], hours: list[tuple[float, float, bool]], tau: float
+    way: None, site: Site, fill: tuple[float, float], hours: list[tuple[float, float, bool]],
+    tau: float,
 ) -> None:
     site = replace(site, tau=tau)
     run = run_of_hours(hours, fill[0] * site.a1 * site.z_o, fill[1] * site.z_cap, site)
@@ -154,7 +138,7 @@ BATCH = (
 )
 
 
-def test_a_batch_has_the_results_of_its_runs() -> None:
+def test_a_batch_has_the_results_of_its_runs(way: None) -> None:
     """A run in March, and roofs of two sizes, in two threads; water balances.
 
     Evapotranspiration is scaled from the bed of the first site, so the last bits differ.

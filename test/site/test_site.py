@@ -54,7 +54,7 @@ def test_packaged_site_is_table_i() -> None:
 
 
 @settings(max_examples=20)
-@given(site=sites())
+@given(site=sites().map(lambda site: replace(site, a_in=site.a_in / 5e5)))  # no overflow is small
 @example(replace(PAPER_SITE, k_L=0.0, z_pump=0.0, z_H=0.0))
 def test_any_consistent_site_is_read_back(
     tmp_path_factory: pytest.TempPathFactory, site: Site
@@ -65,12 +65,6 @@ def test_any_consistent_site_is_read_back(
 
 
 MONTHS = [0.0, 1, *[2.5] * 9, 20.0]
-
-
-def test_site_climate(tmp_path: Path) -> None:
-    site = read_site(write(tmp_path, monthly_evapotranspiration=MONTHS, crop_coefficient=0.5))
-    assert site.monthly_evapotranspiration == tuple(MONTHS)
-    assert PAPER_SITE.monthly_evapotranspiration is None
 
 
 @pytest.mark.parametrize("key", [key for key in TABLE_I if key not in ("x2_star", "z_cap")])
@@ -116,7 +110,10 @@ CLOCK: dict[str, object] = {
         # A value that contradicts another.
         (PAPERS, {"x2_star": 3.145}, "x2_star", "a2 z_veg = 3.14416 m3"),
         (PAPERS, {"z_cap": 34.5}, "z_cap", "a2 z_soil = 34.4 m3; leave this line out to have it"),
-        (PAPERS, {"z_o": 300}, "z_o", "below d / 1.3 = 12.31 m, so that even a cistern filled"),
+        (PAPERS, {"z_o": 300}, "z_o", "lower, or r_o larger, so that the water stays below t"),
+        # Eq. (2) for 300 m2 * 500 mm/h = 0.0417 m3/s: 3 m + (0.0417 / 0.0053)^2 m.
+        (PAPERS, {"a_in": 300, "r_o": 0.025}, "z_o", "lower, or r_o larger, so that the water "
+         "stays below the roof at d = 16 m; at 1.3 z_o, or in rain of 500 mm/h, it is at 64.68 m"),
         (PAPERS, {"c_hat": 15.25}, "c_hat", "above d - z_pump - z_H = 15.25 m"),
         (PAPERS, {"tau": 1.0000000001}, "tau", "a whole number of nanoseconds"),
         (PAPERS, {"z_veg": 0.5, "x2_star": 34.4}, "z_veg", "below z_cap / a2 = 0.5 m"),

@@ -51,6 +51,7 @@ class Case:
         forecast_file: file of forecasts; None for a model.
         bound_block: length of the time blocks that have one variable each when the minimum possible
             deviation is computed (s); 0 to compute no bound.
+        ticks: number of ticks.
     """
 
     inputs: RunInputs
@@ -59,6 +60,7 @@ class Case:
     weather_name: str
     forecast_file: InputFile | None
     bound_block: float
+    ticks: int
 
     @property
     def controller(self) -> str:

@@ -188,7 +188,7 @@ class _Grid:
             ),
             file, files,
             self._weathers.setdefault(files, unique_name(Path(name), self._weathers.values())),
-            forecast_file, self._bound_block(site),
+            forecast_file, self._bound_block(site), run.steps,
         )
 
     def _expand_sites(self) -> Iterator[tuple[Site, InputFile]]:

@@ -5,19 +5,15 @@ Clocks change on 14 March 2021.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
 from datetime import datetime, timedelta, timezone
 from typing import Any
 
 import numpy as np
 import polars
-import pytest
 from paper import VALVE
 from places import CONFIG
 
 import greenroof_ros as gr
-from greenroof_ros.physics import compiled
 
 FIRST = datetime(2021, 3, 12, 5, tzinfo=timezone.utc)
 
@@ -46,20 +42,3 @@ IMPERFECT = {
     "roof_noise": 0.002, "roof_offset": -0.001, "noise_seed": 2, "pump_min_on": 300.0,
     "pump_min_off": 1200.0,
 }
-
-
-@pytest.fixture(scope="module", params=[True, False], ids=["compiled", "plain"])
-def way(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Simulate with numba, whatever the number of ticks, and without it."""
-    cached = compiled.can_compile, compiled.compiled
-    with pytest.MonkeyPatch.context() as patch:
-        if request.param:
-            pytest.importorskip("numba")
-            patch.setattr(compiled, "MIN_COMPILED", 0)
-        else:
-            patch.setitem(sys.modules, "numba", None)
-        for function in cached:
-            function.cache_clear()
-        yield
-    for function in cached:
-        function.cache_clear()

@@ -8,14 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commanded_sites import FIELD_CAPACITY, IMPERFECT, VALVE_SITE, way, weather
+from commanded_sites import FIELD_CAPACITY, IMPERFECT, VALVE_SITE, weather
 from paper import VALVE
 from refusals import refusal
 
 import greenroof_ros as gr
 from greenroof_ros.simulation.loop import Simulation
-
-__all__ = ["way"]
 
 
 def test_a_loop_of_five_lines_is_on_off() -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import polars
 import pytest
-from commanded_sites import FIELD_CAPACITY, FIRST, IMPERFECT, VALVE_SITE, way, weather
+from commanded_sites import FIELD_CAPACITY, FIRST, IMPERFECT, VALVE_SITE, weather
 from places import CONFIG
 from refusals import refusal
 
@@ -19,8 +19,6 @@ import greenroof_ros as gr
 from greenroof_ros.base.errors import ConfigurationError
 
 gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed")
-
-__all__ = ["way"]
 
 ID = "greenroof_ros.gym:GreenRoofVector-v1"
 MINUTES = gr.read_site(tau=60.0, M=1)

@@ -25,7 +25,7 @@ def test_default_volumes_and_targets() -> None:
     site = read_site(VALVE)
     assert choose_volumes(site) == [1.6, 2.5, 4.0, 6.3, 10.0, 16.0, 25.0, 40.0]
     assert choose_targets(site) == [35.0, 39.0, 43.0]
-    large = read_site(VALVE, {"a_in": 30_000.0})
+    large = read_site(VALVE, {"a_in": 30_000.0, "r_o": 1.0})
     assert choose_volumes(large)[:2] == [160.0, 250.0]  # 4 mm on 27,069 m2 are 108 m3
 
 

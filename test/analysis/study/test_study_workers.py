@@ -264,3 +264,15 @@ def test_dask(dask: Dask, tmp_path: Path) -> None:
     assert sorted(status) == ["done"] * done + ["not run"] * (12 - done)
     dask.scheduler.wait()
     check_refusal("does not answer")
+
+
+def test_without_numba_the_study_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Once, for runs that only together have 100,000 ticks; not for those that are done."""
+    (tmp_path / "sitecustomize.py").write_text('import sys\nsys.modules["numba"] = None\n')
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    text = edit_grid("hours: 0.25", "hours: 7").partition("  mpc:")[0]
+    options = grid(tmp_path, f"bound_block: 0{text}  onoff:\n"), "--no-trajectories"
+    notes = [study(tmp_path, *options).stderr.count("note: numba ") for _ in range(2)]
+    assert notes == [1, 0]
