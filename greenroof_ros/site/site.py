@@ -208,9 +208,8 @@ class Pump:
         "ratio of hydraulic to electric power of pump and motor", 0.001, 1.0, unit="1", default=0.5,
     )
     starts_per_hour: float = entry(
-        "maximum number of pump starts per hour; more starts cause a warning in a simulation; the "
-        "controller lookahead and the pump node of a live site prevent them",
-        1.0, 3600.0, unit="1/h", default=20.0,
+        "maximum number of pump starts per hour, which lookahead and a live site's pump node keep; "
+        "more cause a warning in a simulation", 1.0, 3600.0, unit="1/h", default=20.0,
     )
     max_dose: float | None = entry(
         "maximum volume of a dose that a person may request; if omitted, doses cannot be requested",

@@ -18,6 +18,7 @@ from graphs import environment
 
 import greenroof_ros as gr
 from greenroof_ros.results.versions import format_versions, versions
+from greenroof_ros.simulation import summary
 from greenroof_ros.simulation.directory import make_run_directory
 
 
@@ -43,6 +44,11 @@ def test_file_that_has_no_room(tmp_path: Path) -> None:
     done = run_in_shell(f"ulimit -f 100; {command}", tmp_path)
     file = tmp_path / "run" / "trajectory.csv"
     assert (done.returncode, done.stderr.splitlines()[-1]) == (1, f"error: {file}: File too large")
+
+
+def test_a_summary_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match=r"No such file or directory: '.*gone/summary.json'"):
+        summary.write({"status": "done"}, tmp_path / "gone")
 
 
 def test_output_that_no_one_reads(tmp_path: Path) -> None:
