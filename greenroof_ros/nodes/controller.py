@@ -6,9 +6,9 @@ any class given as ``package.module:Class``. The node has the name of the contro
 
 from __future__ import annotations
 
-from greenroof_ros.ros import begin_node
+from greenroof_ros.base.interrupts import begin_program
 
-begin_node(__name__)
+begin_program(__name__)
 
 import copy
 from collections import deque

@@ -114,7 +114,7 @@ class Judge:
                 # The stamp of its node may be ahead of this clock, which may also be set back.
                 ended, seconds = max(now, alarm.since), round(steady - alarm.began, 1)
                 cause, until = self._followed.pop(name, ("", 0.0))
-                follows = cause if steady - until <= _TOGETHER_S else ""  # it may end a little later
+                follows = cause if steady - until <= _TOGETHER_S else ""  # it may end later
                 self.over.appendleft(replace(
                     alarm, ended=ended, seconds=seconds, follows=follows
                 ))
