@@ -65,9 +65,7 @@ class AlarmsNode(GraphNode):
         super().__init__(ROLE, ROLE, read_topics())
         values = declare(self, parameters())
         self._lines = lines
-        self._tell: Callable[[str], None] = lambda _: None
-        if lines is not None:
-            self._tell = lines.print_line
+        self._tell: Callable[[str], object] = str if lines is None else lines.print_line
         directory: str = values["directory"]
         self._log = AlarmLog(self._tell, Path(directory) / ALARMS if directory else None)
         self._judge = Judge(self._log.last_number)

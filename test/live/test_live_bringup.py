@@ -92,7 +92,7 @@ def test_a_site_is_kept_up_and_systemd_told(
         file.parent.mkdir()
         write_forecast(file, timedelta(minutes=1), 0.0, 12.0)
         site.until(lambda: 0 < newest(commands) <= 0.4, 60, "mpc")
-        site.until(lambda: " s: Weather\n" in process.stderr(), 60, "its end")
+        site.until(lambda: " s: Weather: no forecast covers" in process.stderr(), 60, "its end")
         beats = systemd.times("WATCHDOG=1")
         assert max(b - a for a, b in pairwise(beats)) < 10  # WatchdogSec of greenroof.service
     wait_for(lambda: systemd.times("STOPPING=1"), 60, "STOPPING=1")
@@ -204,7 +204,7 @@ def test_what_dies_while_bringup_cannot_replace_it(
             hardware.until_it_stands()
         process.until_printed("station: ended (SIGKILL); starts again in 1 s")
         hardware.until_it_pumps()
-        process.until_printed(": Alarms: the program of the sensors, the weather, the rec")
+        process.until_printed(": The program of the sensors, the weather, the rec")
     commands = values_in(tmp_path / "run" / "bag", "/pump/command")
     assert {value for _, value in commands} == {0.0, 0.95}
     codes = [alarm["code"] for alarm in summary_of(tmp_path / "run")["alarms"]]
