@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, ClassVar
@@ -154,14 +154,9 @@ class Process:
 
     def __init__(
         self, domain: int, module: str, *arguments: str, cwd: Path,
-        ignored: Iterable[signal.Signals] = (), stderr: int | None = None,
+        stderr: int | None = None,
     ) -> None:
-        """Start it with some signals ignored; its standard error goes to a file unless given."""
-
-        def prepare() -> None:
-            for number in ignored:
-                signal.signal(number, signal.SIG_IGN)
-
+        """Start it; its standard error goes to a file unless given."""
         self.cwd = cwd
         number = len(list(cwd.glob("*.err")))
         self._out = (cwd / f"{number}-{module}.out").open("w+")
@@ -172,7 +167,6 @@ class Process:
             stderr=self._err if stderr is None else stderr,
             # If pytest's worker is killed, the graph ends with it.
             env={**child_environment(), **environment(domain)}, start_new_session=True,
-            preexec_fn=prepare if ignored else None,
         )
         self.started.append(self)
 

@@ -88,18 +88,19 @@ def _run_nodes(
     if not arguments.no_record:
         nodes[RECORDER] = RecorderNode()
     in_lockstep = [*nodes.values()]
-    alarms = nodes[ROLE] = AlarmsNode()
+    nodes[ROLE] = AlarmsNode()
+    beside = [nodes[ROLE]]
     watchdog = Watchdog(exits=True)
 
     def may_end() -> bool:
         watchdog.report(plant.limit())
         signals.check()
-        try:
-            alarms.check(time.monotonic())
-        except Exception as error:  # whatever it is, it does not end the run
-            progress.warn([f"there may be no alarms: {explain(error)[0]}"])
-        for node in in_lockstep:
-            progress.warn(node.warnings)
+        for node in beside:
+            try:
+                node.check(time.monotonic())
+            except Exception as error:  # whatever it is, it does not end the run
+                progress.print_line(f"warning: there are no more alarms: {explain(error)[0]}")
+                beside.clear()
         if plant.acted:
             progress.show_tick(**plant.progress())
         else:
@@ -109,7 +110,7 @@ def _run_nodes(
 
     with RunProgress(run.steps, run.site.tau, LINES) as progress:
         try:
-            spin(in_lockstep, may_end, [alarms])
+            spin(in_lockstep, may_end, beside)
         finally:
             watchdog.stop()
 

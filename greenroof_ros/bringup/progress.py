@@ -1,8 +1,7 @@
-"""The progress of a run: its simulated time, levels and command, and its warnings."""
+"""The progress of a run: its simulated time, levels and command."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 from greenroof_ros.base.progress import ProgressBar
@@ -22,14 +21,6 @@ class RunProgress(ProgressBar):
         """
         super().__init__(file)
         self._steps, self._tau = steps, tau
-        self._warned: set[str] = set()
-
-    def warn(self, warnings: Iterable[str]) -> None:
-        """Print the warnings that have not been printed yet, above the bar."""
-        for text in warnings:
-            if text not in self._warned:
-                self._warned.add(text)
-                self.print_line(f"warning: {text}")
 
     def show_tick(
         self, tick: int, cistern_level: float, roof_level: float, command: float

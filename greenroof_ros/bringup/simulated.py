@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from functools import partial
 
 from greenroof_ros.base.command_line import Parser, command
@@ -12,7 +11,6 @@ from greenroof_ros.ros.arguments import add_graph_arguments
 from greenroof_ros.ros.domain import prepare_ros
 from greenroof_ros.simulation import screen
 from greenroof_ros.simulation.options import add_output_arguments, add_run_arguments, build_run
-from greenroof_ros.simulation.run import Run
 
 
 def make_parser() -> Parser:
@@ -35,24 +33,14 @@ def make_parser() -> Parser:
     return parser
 
 
-def simulated_run(arguments: argparse.Namespace) -> Run:
-    """Create the run that the command line describes, and check it.
-
-    Raises:
-        ConfigurationError: if an option, or a file given by an option, is invalid.
-    """
-    run = build_run(arguments)
-    screen.print_weather(run.series.summary)
-    if arguments.pump == EXTERNAL:
-        run.sensor_and_pump.refuse_external_pump()
-    return run
-
-
 @command
 def main() -> int:
     """Start the graph, supervise it until the run is over, and stop it."""
     arguments = make_parser().parse_args()
-    run = simulated_run(arguments)
+    run = build_run(arguments)
+    screen.print_weather(run.series.summary)
+    if arguments.pump == EXTERNAL:
+        run.sensor_and_pump.refuse_external_pump()
     prepare_ros()
     from greenroof_ros.bringup.composition import run_graph
     return bring_up(arguments, partial(run_graph, run, arguments))

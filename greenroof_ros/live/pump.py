@@ -13,9 +13,9 @@ since 1970) delivers a volume once, or returns the reason for rejecting the requ
 
 from __future__ import annotations
 
-from greenroof_ros.ros import begin_node
+from greenroof_ros.base.interrupts import begin_program
 
-begin_node(__name__)
+begin_program(__name__)
 
 import math
 import time

@@ -9,9 +9,9 @@ an alarm. Of /alarms, only changes are recorded, and /diagnostics, of which they
 
 from __future__ import annotations
 
-from greenroof_ros.ros import begin_node
+from greenroof_ros.base.interrupts import begin_program
 
-begin_node(__name__)
+begin_program(__name__)
 
 import math
 import time

@@ -9,9 +9,9 @@ Without the alarms node, and if a node hangs, bringup restarts the process.
 
 from __future__ import annotations
 
-from greenroof_ros.ros import begin_node
+from greenroof_ros.base.interrupts import begin_program
 
-begin_node(__name__)
+begin_program(__name__)
 
 import math
 import time

@@ -35,7 +35,7 @@ class AlarmLog:
         last_number: number of the last alarm in the file.
     """
 
-    def __init__(self, tell: Callable[[str], None], file: Path | None) -> None:
+    def __init__(self, tell: Callable[[str], object], file: Path | None) -> None:
         """Continue the file from earlier starts, and end the alarms that are still active in it.
 
         Args:

@@ -29,7 +29,6 @@ from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.messages import qos_profile
 from greenroof_ros.ros.parameters import declare
 from greenroof_ros.ros.reports import PAUSE_S, Reports, StatusDiagnosis, read_statuses
-from greenroof_ros.site.site import Site
 
 # Interval at which the alarms are judged, and at which they are published without a change (s).
 _JUDGE_S, _PUBLISH_S = 0.25, 1.0
@@ -43,7 +42,7 @@ _NOT_READY = {DriveState.CONNECTING.value, DriveState.REFUSED.value}
 _DEPTH = 64
 
 
-def parameters(site: Site | None = None) -> list[Parameter]:
+def parameters(site: object = None) -> list[Parameter]:
     """Return the node's parameters, which are the same at every site."""
     return [
         Parameter(
@@ -66,9 +65,7 @@ class AlarmsNode(GraphNode):
         super().__init__(ROLE, ROLE, read_topics())
         values = declare(self, parameters())
         self._lines = lines
-        self._tell: Callable[[str], None] = lambda _: None
-        if lines is not None:
-            self._tell = lines.print_line
+        self._tell: Callable[[str], object] = str if lines is None else lines.print_line
         directory: str = values["directory"]
         self._log = AlarmLog(self._tell, Path(directory) / ALARMS if directory else None)
         self._judge = Judge(self._log.last_number)

@@ -6,9 +6,9 @@ any class given as ``package.module:Class``. The node has the name of the contro
 
 from __future__ import annotations
 
-from greenroof_ros.ros import begin_node
+from greenroof_ros.base.interrupts import begin_program
 
-begin_node(__name__)
+begin_program(__name__)
 
 import copy
 from collections import deque
@@ -70,7 +70,6 @@ class ControllerNode(GraphNode):
         """
         self._choice, self._site = choice, self.declare_site()
         self._values = declare(self, choice.parameters_on(self._site))
-        self._may_change = {each.name for each in choice.kind.parameters if each.may_change}
         self._changes: deque[dict[str, Any]] = deque(maxlen=_CHANGES)
         self._change_count = 0
         self._optional = optional_topics(choice.outputs)
@@ -99,7 +98,7 @@ class ControllerNode(GraphNode):
         tried = copy.copy(self.controller)
         for each in changes:
             try:
-                if each.name in self._may_change and tried is not None:
+                if each.name in self._values and tried is not None:
                     setattr(tried, each.name, each.value)
             except (Exception, SystemExit) as error:  # whatever a user's class raises
                 reason = str(locate_error(self._choice.kind, error))
@@ -109,7 +108,7 @@ class ControllerNode(GraphNode):
     def _apply_changes(self, changes: list[RosParameter]) -> None:
         """Apply changes that every check has accepted."""
         for each in changes:
-            if each.name not in self._may_change:
+            if each.name not in self._values:
                 continue
             if self.controller is not None:
                 setattr(self.controller, each.name, each.value)

@@ -7,9 +7,9 @@ publishes the clock and the levels of tick k + 1, followed by the flows of tick 
 
 from __future__ import annotations
 
-from greenroof_ros.ros import begin_node
+from greenroof_ros.base.interrupts import begin_program
 
-begin_node(__name__)
+begin_program(__name__)
 
 import math
 import secrets

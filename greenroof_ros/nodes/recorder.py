@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from greenroof_ros.ros import begin_node
+from greenroof_ros.base.interrupts import begin_program
 
-begin_node(__name__)
+begin_program(__name__)
 
 from collections import deque
 from collections.abc import Callable
@@ -24,10 +24,9 @@ from greenroof_ros.ros.executable import node_command
 from greenroof_ros.ros.lockstep import CLOCK, LockstepNode
 from greenroof_ros.ros.messages import decode_clock, decoder
 from greenroof_ros.ros.parameters import declare, site_file
-from greenroof_ros.site.site import Site
 
 
-def parameters(site: Site | None = None) -> list[Parameter]:
+def parameters(site: object = None) -> list[Parameter]:
     """Return the node's parameters, which are the same at every site."""
     return [
         site_file(),

@@ -129,16 +129,13 @@ class NodeDiagnostics:
         """Publish the node's state with the given values, and the states of its parts.
 
         A report is published if a state, a level or a diagnosis has changed, and otherwise once a
-        second. The level is ERROR if the values include a failure, and WARN if they include
-        warnings. The level of a node that waits for its peers is OK, with the code
-        ``peers_awaited``.
+        second. The level is ERROR if the values include a failure. The level of a node that waits
+        for its peers is OK, with the code ``peers_awaited``.
         """
         self.urgent, self.values = False, values
         level, code = OK, "peers_awaited" if self.state == STARTING else ""
         if "failure" in values:
             level, code = ERROR, "node_failed"
-        elif values["warnings"]:
-            level, code = WARN, "input_publishers"
         own = self.parts[""] = _follow(self.parts[""], level, self.state, {"code": code})
         shown = self.state, [
             (part, status.level, identity_of(status.values)) for part, status in self.parts.items()

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -50,7 +50,6 @@ class GraphNode(Node):
         peers: the publishers of every topic that the node receives, by its name in the interface.
         reports: object that reports the node's state.
         tick: number of the node's next tick.
-        warnings: sentences about incompatible publishers of the node's inputs.
     """
 
     def __init__(self, name: str, role: str, interface: Mapping[str, Topic]) -> None:
@@ -74,13 +73,10 @@ class GraphNode(Node):
         self.inputs: Mapping[str, Input] = {}
         self.peers: dict[str, Publishers] = {}
         self.tick = 0
-        self.warnings: Sequence[str] = ()
         self.reports = NodeDiagnostics(self, role)
         self._reported = 0.0
         # Every topic's publisher, its method to publish, and the encoder of its messages.
-        self._outputs: dict[
-            str, tuple[Publisher, Callable[[bytes], None], Callable[[Any], bytes]]
-        ] = {}
+        self._outputs: dict[str, tuple[Publisher, Any, Any]] = {}
         # What every report contains, and what is added at the end.
         self._always: dict[str, Any] = {}
 
@@ -218,11 +214,7 @@ class GraphNode(Node):
         self.report_state()
 
     def check_peers(self) -> None:
-        """Find incompatible publishers, until every input has a publisher."""
-        self.warnings = [
-            f"{peer.full_name} {problem}" for peer in self.peers.values()
-            if not self.ready and (problem := peer.describe_incompatible())
-        ]
+        """Check the publishers of the inputs; called four times a second."""
 
     def absent(self) -> dict[str, list[str]]:
         """Return the required inputs without a compatible publisher; see :meth:`by_role`."""
@@ -266,5 +258,5 @@ class GraphNode(Node):
         self.reports.publish({
             **values, **self.progress(),
             **({} if self.ready else {"waiting": list(self.absent())}),
-            "refused": self.refused, "warnings": self.warnings, **self._always,
+            "refused": self.refused, **self._always,
         })

@@ -15,7 +15,7 @@ end a run:
 
 - a message that does not arrive within the peer limit (before the first responses: within 30 s, if
   that is longer); the plant detects this fault, and names the topics that it is waiting for;
-- a second publisher, or a second message before the node has acted;
+- an incompatible or second publisher, or a second message before the node has acted;
 - a second message after the node has acted. This message counts for the next tick, and is detected
   when the actual message of the next tick arrives; after the last tick, any message ends the run.
   A message that does not reach the recorder is detected by the plant, which waits for its bag.
@@ -170,15 +170,14 @@ class LockstepNode(GraphNode):
         self.report_state()
 
     def check_peers(self) -> None:
-        """Refuse a second publisher of an input.
+        """Refuse an incompatible publisher of an input, and a second one.
 
         Raises:
-            LockstepError: if an input has a second publisher; an OccupiedError before the run.
+            LockstepError: if there is such a publisher; an OccupiedError before the run.
         """
-        super().check_peers()
         for peer in () if self.finished else self.peers.values():
-            if second := peer.describe_second():
-                raise self.conflict(f"{peer.full_name} {second}")
+            if problem := peer.describe_incompatible() or peer.describe_second():
+                raise self.conflict(f"{peer.full_name} {problem}")
 
     # --- ending -----------------------------------------------------------------------------
 

@@ -5,10 +5,10 @@ numbers, rows of numbers and the clock in a third of the time that the generated
 types needs, because the generated code first creates a Python object for every field. The generated
 code also leaves the padding of a message uninitialised; this module sets it to 0, so that two
 identical runs write identical bags. All messages are written in little-endian byte order, which
-every machine that runs ROS 2 uses. The generated code decodes all other messages, such as
-big-endian messages and messages with a layout. A publisher may send any bytes: if they do not form
-a message of the type, decoding raises a :class:`~greenroof_ros.ros.errors.MalformedMessageError`,
-and no other error.
+every machine that runs ROS 2 uses; a number or a clock in another order is malformed. The generated
+code decodes all other messages, such as those with a layout. A publisher may send any bytes: if
+they do not form a message of the type, decoding raises a
+:class:`~greenroof_ros.ros.errors.MalformedMessageError`, and no other error.
 """
 
 from __future__ import annotations
@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
-from rosgraph_msgs.msg import Clock
-from std_msgs.msg import Float64, Float64MultiArray, String
+from std_msgs.msg import Float64MultiArray, String
 
 from greenroof_ros.interface.topics import Qos
 from greenroof_ros.ros.errors import MalformedMessageError
@@ -115,33 +114,32 @@ def decoder(type_name: str) -> Callable[[bytes], Any]:
     MalformedMessageError if the bytes are not a message of the type.
     """
     return {
-        "std_msgs/msg/Float64": _decode_number,
+        "std_msgs/msg/Float64": lambda message: _unpack(_NUMBER, message)[0],
         "std_msgs/msg/Float64MultiArray": lambda message: decode_numbers(message).values,
         "rosgraph_msgs/msg/Clock": decode_clock,
     }.get(type_name, partial(deserialize, message_class(type_name)))
 
 
-def deserialize(kind: Any, message: bytes, size: int | None = None) -> Any:
+def deserialize(kind: Any, message: bytes) -> Any:
     """Deserialise the bytes of a message, and return an object of its class.
 
     Args:
         kind: class of the message.
         message: bytes of the message.
-        size: required number of bytes; None if any number is allowed.
 
     Raises:
         MalformedMessageError: if the bytes do not form a message of the class.
     """
     with suppress(Exception):  # errors of the middleware or of the class
-        if size in (None, len(message)):
-            return deserialize_message(message, kind)
+        return deserialize_message(message, kind)
     raise MalformedMessageError(f"{len(message)} bytes are not a valid {kind.__name__} message")
 
 
-def _decode_number(message: bytes) -> float:
-    if len(message) == _NUMBER.size and message.startswith(_HEADER):
-        return float(_NUMBER.unpack(message)[1])
-    return float(deserialize(Float64, message, _NUMBER.size).data)
+def _unpack(layout: struct.Struct, message: bytes) -> tuple[Any, ...]:
+    """Return what follows the header of a little-endian message."""
+    if len(message) == layout.size and message.startswith(_HEADER):
+        return layout.unpack(message)[1:]
+    raise MalformedMessageError(f"{len(message)} bytes are not such a little-endian message")
 
 
 def decode_clock(message: bytes) -> int:
@@ -150,11 +148,7 @@ def decode_clock(message: bytes) -> int:
     Raises:
         MalformedMessageError: if the bytes are not a clock message, or if the time is before 1970.
     """
-    if len(message) == _CLOCK.size and message.startswith(_HEADER):
-        _, seconds, nanoseconds = _CLOCK.unpack(message)
-    else:
-        stamp = deserialize(Clock, message, _CLOCK.size).clock
-        seconds, nanoseconds = stamp.sec, stamp.nanosec
+    seconds, nanoseconds = _unpack(_CLOCK, message)
     if seconds < 0:
         raise MalformedMessageError(f"the time {seconds} s is before 1970")
     return int(seconds) * _NS + int(nanoseconds)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from greenroof_ros.interface.alarm import ERROR, LEVELS, OTHER, STALE, WARN, Alarm, advise
 from greenroof_ros.interface.conditions import read_conditions
-from greenroof_ros.ros.alarm_status import read_status, to_status
 from greenroof_ros.ros.alarms import Judge, find_causes
 from greenroof_ros.ros.reports import StatusDiagnosis
 
@@ -128,9 +126,6 @@ def test_what_follows_from_another_one() -> None:
     # Frost is told by the weather node, with its temperature.
     (wrong("/weather: frost", "freezing", level=WARN),
      wrong("/pump: pump", "frost", level=WARN) | wrong("/pump: frost", "frost", level=WARN), {}),
-    # A second controller explains that there is no command.
-    (wrong("/pump: command", "input_publishers"),
-     wrong("/pump: pump", "command_unknown", level=WARN), {}),
     # A level that only its readers find wrong: the pump node knows the most about it.
     (wrong("/pump: levels", "input_frozen", "/roof/level"),
      wrong("/mpc: inputs", "input_frozen", "/roof/level"), {}),
@@ -189,24 +184,3 @@ def test_every_code_has_words_for_whoever_stands_at_the_pump() -> None:
             assert not re.search(r"\bros2\b|\b[a-z]+_[a-z]+|\bm3\b", advice), (code, advice)
     assert "greenroof release --namespace site1" in advise("hold", "pump", "/site1/pump")
     assert advise("of another version", "pump", "/pump") == OTHER
-
-
-@pytest.mark.parametrize(("change", "level", "left_out"), [
-    ({}, 2, set()), ({"level": "warn", "number": 0}, 1, {"number"}),
-    ({"ended": 1_700_000_060.0, "seconds": 60.5}, 0, set()),
-    ({"ended": 1_700_000_060.0, "seconds": 60.5, "level": "warn"}, 0, set()),
-])
-def test_status_of_an_alarm(change: dict[str, Any], level: int, left_out: set[str]) -> None:
-    """A status has the level as now, and plain values; what does not apply is left out."""
-    alarm = replace(Alarm(
-        7, "/site1/pump", "inputs", "pump", "input_silent", "error", "the roof sensor is silent",
-        since=1_700_000_000.0, follows="/site1/roof_sensor: sensor", about=("/roof/level", "/x"),
-        fault="F 7",
-    ), **change)
-    shown, values = to_status(alarm)
-    assert shown == level and not left_out & values.keys()
-    assert (values["since"], values["about"]) == ("2023-11-14T22:13:20.000+00:00", "/roof/level /x")
-    assert read_status(alarm.name, shown, alarm.sentence, values) == alarm
-    for broken in ({"number": "x"}, {"since": "now"}, {"seconds": "long"}):  # of any program
-        with pytest.raises(ValueError, match=r"x|now|long"):
-            read_status("/pump", 2, "", broken)

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import re
 import signal
-import time
-from contextlib import closing
 from pathlib import Path
 
 import pytest
+from bag_topics import MPC_TOPICS, bag_topics
 from commands import run_command
-from disks import small_disk
-from graphs import Process, assert_on_loopback_alone, environment, messages_of, summary_of
-from peers import in_domain
+from graphs import (
+    Process,
+    assert_on_loopback_alone,
+    bag_file,
+    environment,
+    messages_of,
+    summary_of,
+    wait_for,
+)
 from rosbags.highlevel import AnyReader
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
@@ -23,18 +28,12 @@ from ros_rig import Observer
 def test_what_ends_a_run(domain: int, tmp_path: Path) -> None:
     """A signal: at once, with exit code 130, no traceback, and the bag closed.
 
-    Ignored signals, as under nohup and in a shell's background, end nothing. The run reports how
-    and where it ended.
+    The run reports how and where it ended.
     """
-    ignored, run = (signal.SIGHUP, signal.SIGINT), tmp_path / "run"
-    process = Process(domain, "bringup", "--output", "run", cwd=tmp_path, ignored=ignored)
-    process.wait_for_ticks(size=10_000)
-    for signal_number in ignored:
-        process.process.send_signal(signal_number)
+    run = tmp_path / "run"
+    process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
     process.wait_for_ticks(size=30_000)
-    for _ in range(3):  # a second and a third do not disturb the end
-        process.process.send_signal(signal.SIGTERM)
-        time.sleep(0.05)
+    process.process.send_signal(signal.SIGTERM)
     assert process.wait(300) == 130
     printed, summary, ticks = process.stderr(), summary_of(run), len(messages_of(run)["/clock"])
     assert (summary["status"], summary["reason"]) == ("interrupted", "interrupted by SIGTERM")
@@ -45,82 +44,41 @@ def test_what_ends_a_run(domain: int, tmp_path: Path) -> None:
     assert ticks - 1 <= summary["last_tick"] <= ticks + 64
 
 
-def recovered_ticks(run: Path, bag: Path) -> int:
-    """Recover a run's bag, and return its number of ticks by an independent reader."""
-    words = "recover", str(run), "--output", str(bag)
-    done = run_command(*words, cwd=run.parent, env=environment(0))
-    assert done.returncode == 0, done.stderr
-    with AnyReader([bag]) as reader:
-        (ticks,) = {connection.msgcount for connection in reader.connections}
-    return ticks
-
-
-def test_kill_leaves_all_but_a_chunk(domain: int, tmp_path: Path) -> None:
+def test_kill_leaves_all_but_a_chunk(domain: int, tmp_path: Path, observer: Observer) -> None:
     """The bag of a run that was killed is recovered up to the ticks not yet flushed, at most 32."""
-    with in_domain(domain), closing(Observer(domain, tmp_path)) as observer:
-        levels = observer.collect("/roof/level")
-        process = Process(
-            domain, "bringup", "--output", "run", "--speed", "50", cwd=tmp_path
-        )
-        observer.until(lambda: len(levels) > 100, 60, "100 ticks")
-        process.process.kill()
-        process.process.wait(300)
-        for _ in range(64):  # what is on the way to a slow observer
-            observer.executor.spin_once(timeout_sec=0.02)
+    levels = observer.collect("/roof/level")
+    process = Process(domain, "bringup", "--output", "run", "--speed", "50", cwd=tmp_path)
+    observer.until(lambda: len(levels) > 100, 60, "100 ticks")
+    process.process.kill()
+    process.process.wait(300)
     assert summary_of(tmp_path / "run")["status"] == "running"
-    ticks = recovered_ticks(tmp_path / "run", tmp_path / "recovered")
-    assert 60 < len(levels) - 40 <= ticks <= len(levels) + 40
-
-
-def test_full_disk(domain: int, tmp_path: Path) -> None:
-    """A disk that fills up is an error that reports it, and the bag can be recovered."""
-    disk = tmp_path / "disk"
-    with small_disk(disk, "200k"):
-        run = disk / "run"
-        process = Process(domain, "bringup", "--output", str(run), cwd=tmp_path)
-        assert process.wait(120) == 1
-        summary = summary_of(run)
-        reason = re.fullmatch(
-            r".*/bag: No space left on device; "
-            r"'greenroof recover .*/bag' restores the first (\d+) ticks of the bag",
-            summary["reason"],
-        )
-        assert summary["status"] == "failed" and reason is not None, summary["reason"]
-        assert summary["reason"] in process.stderr() and "Traceback" not in process.stderr()
-        on_the_disk = run_command("recover", str(run), cwd=tmp_path, env=environment(domain))
-        assert on_the_disk.returncode == 2 and not (run / "bag-recovered").exists()
-        assert "cannot be written: No space left on device" in on_the_disk.stderr
-        ticks = recovered_ticks(run, tmp_path / "rescued")
-    assert ticks == int(reason[1]) > 300
-    assert ticks <= summary["last_tick"] <= ticks + 64
+    done = run_command("recover", "run", "--output", "bag", cwd=tmp_path, env=environment(0))
+    assert done.returncode == 0, done.stderr
+    with AnyReader([tmp_path / "bag"]) as reader:  # an independent reader
+        (ticks,) = {connection.msgcount for connection in reader.connections}
+    assert ticks >= len(levels) - 40 > 60
 
 
 def test_a_graph_of_its_own(domain: int, tmp_path: Path) -> None:
-    """A second bringup in the namespace exits with code 3 and advice, and the first continues.
+    """Each in its namespace; a second one in it exits with 3 and advice, the first continues.
 
-    It listens only on 127.0.0.1, and uses no shared memory that others could lock. It also ignores
-    a port there left by a process that was killed while making it (full size, but still empty). The
-    ports of the domain's first participants are at 7411 + 250 domain + 2 number (RTPS 2.5,
-    9.6.2.4).
+    It listens only on 127.0.0.1, and uses no shared memory that others could lock.
     """
-    ports = [
-        Path(f"/dev/shm/fastrtps_port{7411 + 250 * domain + 2 * number}") for number in range(8)
-    ]
-    for port in ports:
-        port.write_bytes(bytes(52400))
-    try:
-        run = "bringup", "--speed", "20", "--namespace", "site1", "--output"
-        first = Process(domain, *run, "run", cwd=tmp_path)
-        first.wait_for_ticks(size=0)
-        second = Process(domain, *run, "second", cwd=tmp_path)
-        assert second.wait(300) == 3 and "namespace /site1" in second.stderr()
-        assert not (tmp_path / "second").exists()
-        assert_on_loopback_alone(first.process.pid)
-        first.process.send_signal(signal.SIGINT)
-        assert first.wait(300) == 130
-    finally:
-        for port in ports:
-            port.unlink(missing_ok=True)
+    run, sites = ("bringup", "--speed", "20", "--namespace"), {"site1": "mpc", "site2": "onoff"}
+    together = {
+        site: Process(domain, *run, site, "--controller", name, "--output", site, cwd=tmp_path)
+        for site, name in sites.items()
+    }
+    for site in together:
+        wait_for(lambda site=site: bag_file(tmp_path / site).exists(), 60, f"the bag of {site}")
+    second = Process(domain, *run, "site1", "--output", "second", cwd=tmp_path)
+    assert second.wait(300) == 3 and "namespace /site1" in second.stderr()
+    assert not (tmp_path / "second").exists()
+    for (site, process), outputs in zip(together.items(), (MPC_TOPICS, bag_topics()), strict=True):
+        assert_on_loopback_alone(process.process.pid)
+        process.process.send_signal(signal.SIGINT)
+        assert process.wait(300) == 130
+        assert messages_of(tmp_path / site).keys() == {f"/{site}{topic}" for topic in outputs}
 
 
 MINE = """
@@ -147,29 +105,26 @@ class Mine:
         pass
 
     def statistics(self):
-        return AT_END
+        return None
 """
 FULL = "BagWriter.close = full; os.kill(os.getpid(), signal.SIGTERM)"
 # What stands in its code; the exit code, the status, and a line that is printed. The code of a user
 # is refused as other wrong input is; what does not answer is a node that failed.
 WRONG = {
-    "waits for ever": ("IN_TICK", "time.sleep(600)", 1, "failed",
+    "waits for ever": ("time.sleep(600)", 1, "failed",
                        "error: did not return within 2 s; it was executing .*mine.py, line 18"),
-    "fails": ("IN_TICK", "1 / 0", 2, "failed",
+    "fails": ("1 / 0", 2, "failed",
               "error: .*mine.py, line 18: Mine.command: raises Zero"),
-    "fails at the end": ("AT_END", "1 / 0", 2, "failed",
-                         "error: .*mine.py, line 25: Mine.statistics: raises Zero"),
-    "ends, and the disk is full": ("IN_TICK", FULL, 1, "interrupted", "bag: No space left on dev"),
-    "no alarms": ("IN_TICK", "Judge.update = None", 0, "done", "may be no alarms: TypeError: "),
+    "ends, and the disk is full": (FULL, 1, "interrupted", "bag: No space left on dev"),
+    "no alarms": ("Judge.update = None", 0, "done", "are no more alarms: TypeError: "),
 }
 
 
 @pytest.mark.parametrize("case", WRONG)
 def test_what_fails_in_a_run(domain: int, tmp_path: Path, case: str) -> None:
     """Its line states the place; the bag is closed if it can be, and the summary states why."""
-    name, text, code, status, line = WRONG[case]
-    mine = MINE.replace(name, text).replace("IN_TICK", "pass").replace("AT_END", "None")
-    (tmp_path / "mine.py").write_text(mine)
+    text, code, status, line = WRONG[case]
+    (tmp_path / "mine.py").write_text(MINE.replace("IN_TICK", text))
     process = Process(
         domain, "bringup", "--controller", "mine:Mine", "--hours", "0.02", "--peer-limit", "2",
         "--speed", "60", "--output", "run", cwd=tmp_path,
