@@ -51,6 +51,7 @@ GROUPS = {
         "release": Command("pump_requests", "end the pump's hold", "RELEASE"),
         "reset": Command("pump_requests", "clear a latched fault of the pump", "RESET"),
         "dose": Command("pump_requests", "pump a specified volume now", "DOSE"),
+        "stop-drive": Command("stop_drive", "stop a drive whose program has died"),
     },
     "monitor and evaluate runs and sites": {
         "watch": Command("watch", "show a run or a site in a web browser"),

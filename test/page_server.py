@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import socket
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from types import SimpleNamespace
 from typing import Any
 
+from greenroof_ros.base.processes import InterruptedRun
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.listening import LOOPBACK, listen
 from greenroof_ros.watch.server import PageServer
@@ -17,35 +18,35 @@ from greenroof_ros.watch.store import GraphStore
 
 
 @contextmanager
-def served(store: GraphStore, token: str | None = None, port: int = 0) -> Iterator[int]:
-    """Serve the store's content on loopback without a graph; yield the port."""
-    feed = Feed(store)  # not entered: there are no updates and no commands
-    loop = asyncio.new_event_loop()
-    thread = threading.Thread(target=loop.run_forever)
+def running(run: Callable[[Any], None]) -> Iterator[None]:
+    """Run a server in a thread; at the end of the block, a signal ends it."""
+    ended = threading.Event()
+
+    def check() -> None:
+        if ended.is_set():
+            raise InterruptedRun("interrupted")
+
+    def act() -> None:
+        with suppress(InterruptedRun):
+            run(SimpleNamespace(check=check))
+
+    thread = threading.Thread(target=act)
     thread.start()
-
-    def run(call: Callable[[], Any]) -> Any:
-        return asyncio.run_coroutine_threadsafe(call(), loop).result(20)
-
-    place = listen(LOOPBACK, port)
-    context = PageServer(store, feed, place, token).running()
-    run(context.__aenter__)
     try:
-        yield place.socket.getsockname()[1]
+        yield
     finally:
-        run(lambda: context.__aexit__(None, None, None))
-        run(_cancel_others)
-        loop.call_soon_threadsafe(loop.stop)
-        thread.join(20)
-        loop.close()
+        ended.set()
+        thread.join(60)
+    assert not thread.is_alive()
 
 
-async def _cancel_others() -> None:
-    """Cancel what still runs in this loop, as at the end of a program."""
-    tasks = asyncio.all_tasks() - {asyncio.current_task()}
-    for task in tasks:
-        task.cancel()
-    await asyncio.gather(*tasks, return_exceptions=True)
+@contextmanager
+def served(store: GraphStore, token: str | None = None, port: int = 0) -> Iterator[int]:
+    """Serve the store's content on loopback; without a graph there are no updates and commands."""
+    listener = listen(LOOPBACK, port)
+    number = listener.socket.getsockname()[1]
+    with running(PageServer(store, Feed(store), listener, token).serve):
+        yield number
 
 
 class Answer:

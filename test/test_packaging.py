@@ -413,12 +413,15 @@ def test_the_services_use_options_that_exist(unit: Path) -> None:
     """All units run in one domain, as one user; releasing the pump takes a person's decision."""
     lines = unit.read_text().replace("\\\n", " ").splitlines()
     assert {"User=greenroof", "Environment=ROS_DOMAIN_ID=42"} <= {*lines}
-    (command,) = [line for line in lines if line.startswith("ExecStart=")]
-    program, name, *options = command.removeprefix("ExecStart=").split()
-    assert program == "/opt/greenroof/bin/greenroof"
-    with mock.patch.object(sys, "argv", ["greenroof", *options]):
-        COMMANDS[name].load().make_parser().parse_args(options)
-    assert "--allow-release" not in options
+    commands = [line for line in lines if line.startswith(("ExecStart=", "ExecStopPost="))]
+    drives = set()
+    for program, name, *options in (line.partition("=")[2].split() for line in commands):
+        assert program == "/opt/greenroof/bin/greenroof"
+        with mock.patch.object(sys, "argv", ["greenroof", *options]):
+            given = COMMANDS[name].load().make_parser().parse_args(options)
+        drives.add((getattr(given, "drive", ""), getattr(given, "drive_at", "")))
+        assert "--allow-release" not in options
+    assert commands and len(drives) == 1  # the one that runs is the one that is stopped
 
 
 def test_the_makefile_uses_options_that_exist():

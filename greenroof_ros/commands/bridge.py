@@ -9,9 +9,11 @@ from contextlib import suppress
 from greenroof_ros.base.command_line import Parser, command
 from greenroof_ros.base.mqtt import parse_broker
 from greenroof_ros.base.processes import InterruptedRun, Signals
+from greenroof_ros.commands.watch import find_past_file
 from greenroof_ros.ros.domain import add_namespace
 from greenroof_ros.watch.bridge import Bridge
 from greenroof_ros.watch.feed import Feed
+from greenroof_ros.watch.lines import read_last_seen
 from greenroof_ros.watch.store import GraphStore
 
 # Niceness, as for the page: about a tenth of a core if other processes want all of it.
@@ -80,5 +82,6 @@ def main() -> None:
     # A script that starts this in its background has it ignore SIGINT.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     store, signals = GraphStore(arguments.namespace), Signals()
+    store.seen_at = read_last_seen(find_past_file(arguments.namespace))
     with suppress(InterruptedRun), Feed(store) as feed:
         Bridge(store, feed, broker).run(signals)

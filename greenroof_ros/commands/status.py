@@ -8,9 +8,11 @@ from functools import partial
 from typing import Any
 
 from greenroof_ros.base.command_line import EXIT_DONE, Parser, command
+from greenroof_ros.commands.watch import find_past_file
 from greenroof_ros.ros.domain import add_namespace
 from greenroof_ros.watch.document import make_document
 from greenroof_ros.watch.feed import Feed
+from greenroof_ros.watch.lines import read_last_seen
 from greenroof_ros.watch.store import GraphStore
 
 WARNING, ALARM, NOTHING = 1, 2, 3
@@ -55,6 +57,7 @@ def main() -> int:
     """Print the status, and return its severity as an exit code."""
     arguments = make_parser().parse_args()
     store = GraphStore(arguments.namespace)
+    store.seen_at = read_last_seen(find_past_file(arguments.namespace))
     with Feed(store):
         shown = _read_status(store)
     code = _judge(shown)
@@ -85,20 +88,17 @@ def _find_unknown(shown: Mapping[str, Any]) -> set[str]:
 
 
 def _judge(shown: Mapping[str, Any]) -> int:
-    """Return the exit code, based on the alarms and on unknown values that no node reports.
+    """Return the exit code: of the alarms, of unknown values, or of a live site that is gone.
 
-    At a live site, an unknown value is an alarm, since a node that failed before this command
-    started sends nothing, and a pump in an unknown state may be running. A level outside its range
-    is not in itself an alarm, since a controller that is waiting for rain lets the roof dry out.
+    At a live site, unknown values without known alarms are an alarm, since the pump may be running.
+    A level outside its range is not in itself an alarm, since a controller that is waiting for rain
+    lets the roof dry out.
     """
-    mode, tiles = shown["mode"], shown["tiles"]
+    mode, level = shown["mode"], shown["tiles"]["summary"]["level"]
     unknown = _find_unknown(shown) - {"rain", "temperature"}
-    if mode in ("none", "ended"):
+    if mode == "ended" or (mode == "none" and level != "error"):
         return NOTHING
-    if (
-        tiles["summary"]["level"] == "error" or tiles["pump"]["state"] == "fault"
-        or (unknown and mode == "live")
-    ):
+    if level == "error" or (unknown and mode == "live" and not shown["known"]):
         return ALARM
     return WARNING if unknown or shown["alarms"] or not shown["known"] else EXIT_DONE
 
@@ -120,7 +120,4 @@ def _write_lines(shown: Mapping[str, Any], code: int) -> list[str]:
 
 
 def _write_alarm(row: Mapping[str, Any]) -> str:
-    return (
-        f"{_LEVELS[row['level']]}, {row['name']}: {row['what']} since {row['since_text']}. "
-        f"{row['do']}"
-    )
+    return f"{_LEVELS[row['level']]}. {row['what']} since {row['since_text']}. {row['do']}"

@@ -16,10 +16,11 @@ from greenroof_ros.ros.arguments import add_foxglove
 from greenroof_ros.ros.domain import add_namespace
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.foxglove_server import FoxgloveServer
+from greenroof_ros.watch.lines import read_last_seen
 from greenroof_ros.watch.listening import (
     LOOPBACK,
     PORTS,
-    is_loopback,
+    Listener,
     listen,
     new_token,
     read_token,
@@ -117,17 +118,17 @@ def _refuse_wrong(arguments: argparse.Namespace) -> None:
             )
 
 
-def _find_past_file(namespace: str) -> Path:
+def find_past_file(namespace: str) -> Path:
     """Return the history file for this domain and namespace, whose names contain no dot."""
     place = [os.environ.get("ROS_DOMAIN_ID") or "0", *filter(None, namespace.split("/"))]
     return state_directory() / f"watch_{'.'.join(place)}.npz"
 
 
-def _print_address(url: str, host: str, port: int | None, *, release: bool) -> None:
+def _print_address(listener: Listener, token: str, port: int | None, *, release: bool) -> None:
     """Print the page's address, and warnings about what it allows other people to do."""
-    if port is None and f":{PORTS[0]}/" not in url:
+    if port is None and f":{PORTS[0]}/" not in listener.url:
         print(f"port {PORTS[0]} is in use, perhaps by another watcher", file=sys.stderr)
-    if not is_loopback(host):
+    if not listener.is_loopback:
         print(
             "anyone who has the address, including its token, can view the page and stop the "
             "pump; the connection is not encrypted", file=sys.stderr,
@@ -137,7 +138,7 @@ def _print_address(url: str, host: str, port: int | None, *, release: bool) -> N
             "anyone who has the address, including its token, can release the pump, and can "
             "request a dose if the site file allows doses", file=sys.stderr,
         )
-    print(url, flush=True)
+    print(listener.url + (f"#token={token}" if token else ""), flush=True)
 
 
 @command
@@ -154,22 +155,22 @@ def main() -> None:
         return
     store = GraphStore(arguments.namespace)
     store.allow_release = arguments.allow_release
+    past_file = find_past_file(arguments.namespace)
+    store.seen_at = read_last_seen(past_file)
     try:
         from greenroof_ros.watch.server import PageServer
     except ModuleNotFoundError as error:
         raise ConfigurationError(f"needs {error.name}: {describe_extra('watch')}") from error
-    host, port = arguments.host or LOOPBACK, arguments.port
+    listener = listen(arguments.host or LOOPBACK, arguments.port)
     # Releasing always needs a token, since behind a proxy every request comes from this machine.
-    needed = store.allow_release or not is_loopback(host)
-    token = new_token() if needed else None
+    needed = store.allow_release or not listener.is_loopback
+    token = new_token() if needed else ""
     if arguments.token_file is not None:
         token = read_token(arguments.token_file)
     signals = Signals()
     with (
         suppress(InterruptedRun),
-        Feed(store, _find_past_file(arguments.namespace)) as feed,
+        Feed(store, past_file) as feed,
     ):
-        listener = listen(host, port)
-        url = listener.url + (f"#token={token}" if token else "")
-        _print_address(url, host, port, release=store.allow_release)
-        PageServer(store, feed, listener, token).serve(signals)
+        _print_address(listener, token, arguments.port, release=store.allow_release)
+        PageServer(store, feed, listener, token or None).serve(signals)

@@ -45,7 +45,7 @@ OF_EVERY_NODE = {"use_sim_time", "start_type_description_service", "qos_override
 _OF_EVERY_NODE = {
     "site_file", "state_file", "time_without_rain", "use_sim_time", "level_limit",
     "forecast_limit", "frost_limit", "gauge_limit", "flow_limit", "recovery_time",
-    "frozen_movement", "jump_tolerance",
+    "frozen_movement", "jump_tolerance", "hold_limit", "external_pump",
 }
 
 

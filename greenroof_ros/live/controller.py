@@ -15,6 +15,7 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +96,8 @@ class LiveControllerNode(ControllerNode, LiveNode):
         with time_limit(_STARTING_S):
             _ = choice.kind
         self.prepare(choice)
+        # The pump node alone limits how often the pump starts, and states when it may start next.
+        self._site = replace(self._site, starts_per_hour=math.inf)
         values = declare(self, [STATE_FILE, EXTERNAL_PUMP, *LIVE_PARAMETERS])
         self._levels = Levels(self._site, values, self.subscribe)
         self._cistern, self._roof = self._levels.cistern, self._levels.roof

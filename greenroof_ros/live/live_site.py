@@ -59,7 +59,7 @@ class LiveSite:
         self.tau = site.tau
         self.controller, given = read_controller(arguments)
         self.parameters = self.controller.complete_parameters(site, given)
-        drive = _read_drive(arguments)
+        drive = read_drive(arguments)
         self.drive_at = drive.get("address")
         self.drive: Endpoint | None = None
         if drive:
@@ -142,7 +142,7 @@ class LiveSite:
         )
 
 
-def _read_drive(arguments: argparse.Namespace) -> dict[str, str]:
+def read_drive(arguments: argparse.Namespace) -> dict[str, str]:
     """Return the pump node's parameters of the drive (CHOICE); empty if there is no drive.
 
     Raises:
@@ -204,12 +204,16 @@ def make_parser() -> Parser:
         "disk space for it at the start (default: %(default)g MB)",
     )
     add_graph_arguments(parser)
-    group = parser.add_argument_group(
-        "the drive", "The pump node runs a drive over Modbus, or a relay over MQTT.")
+    add_drive(parser)
+    return parser
+
+
+def add_drive(parser: Parser) -> None:
+    """Add the options that choose a drive."""
+    group = parser.add_argument_group("the drive", "a drive over Modbus, or a relay over MQTT")
     options = {
         "--drive": "{NAME,FILE}", "--drive-at": "ADDRESS", "--broker-login": "FILE",
         "--broker-authority": "FILE",
     }
     for parameter, (option, metavar) in zip(CHOICE, options.items(), strict=True):
         group.add_argument(option, default="", metavar=metavar, help=parameter.meaning)
-    return parser

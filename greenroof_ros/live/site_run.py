@@ -20,7 +20,6 @@ from greenroof_ros.base.processes import IN_MEMORY, InterruptedRun, Signals, scr
 from greenroof_ros.base.standard_error import print_line
 from greenroof_ros.base.times import iso
 from greenroof_ros.interface.alarm import Alarm, to_record
-from greenroof_ros.interface.states import PUMP
 from greenroof_ros.live.devices.exchange import DriveInUseError, Endpoint, stop_drive
 from greenroof_ros.live.live_site import LiveSite
 from greenroof_ros.live.pumping.limits import check_command_limit
@@ -60,11 +59,11 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         arguments, {name: module for name, (module, _) in nodes.items()}, site.controller,
         site.parameters,
     )
-    if site.drive is not None:
-        from greenroof_ros.live.actuator import COMMAND_LIMIT  # it imports ROS
+    from greenroof_ros.live.actuator import COMMAND_LIMIT  # it imports ROS
 
-        limit = find_value(user_files, f"{namespace}/{PUMP}", COMMAND_LIMIT)
-        check_command_limit(limit, site.tau, f"parameter {COMMAND_LIMIT.name} of {PUMP}")
+    pump = site.processes[0].name
+    limit = find_value(user_files, f"{namespace}/{pump}", COMMAND_LIMIT)
+    check_command_limit(limit, site.tau, f"parameter {COMMAND_LIMIT.name} of {pump}")
     state = arguments.state.resolve()
     with lock_bringup(namespace, state), scratch_directory(IN_MEMORY) as memory:
         (state / "log").mkdir(parents=True, exist_ok=True)

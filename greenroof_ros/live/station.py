@@ -24,7 +24,7 @@ from greenroof_ros.base.standard_error import Lines
 from greenroof_ros.live.node import LiveNode, spin
 from greenroof_ros.live.recorder import LiveRecorderNode
 from greenroof_ros.live.sensors import sensor_makers
-from greenroof_ros.live.upkeep import Restarts
+from greenroof_ros.live.upkeep import Restarts, send_beat
 from greenroof_ros.live.weather import LiveWeatherNode
 from greenroof_ros.nodes.alarms import AlarmsNode
 from greenroof_ros.ros.errors import print_failure
@@ -63,6 +63,8 @@ def keep_nodes(
 
     def make_due() -> None:
         check()
+        if not any(isinstance(node, LiveNode) for node in nodes):
+            send_beat(False)  # the alarms node sends none
         for make in makers:
             if make not in made and time.monotonic() >= restarts[make].due:
                 try:

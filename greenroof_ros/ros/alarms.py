@@ -114,10 +114,10 @@ class Judge:
                 # The stamp of its node may be ahead of this clock, which may also be set back.
                 ended, seconds = max(now, alarm.since), round(steady - alarm.began, 1)
                 cause, until = self._followed.pop(name, ("", 0.0))
-                follows = cause if steady - until <= _TOGETHER_S else ""  # it may end a little later
-                self.over.appendleft(replace(
-                    alarm, ended=ended, seconds=seconds, follows=follows
-                ))
+                # It may end a little later than its cause.
+                follows = cause if steady - until <= _TOGETHER_S else ""
+                over = replace(alarm, ended=ended, seconds=seconds, follows=follows)
+                self.over.appendleft(over)
                 yield self.over[0]
 
 
@@ -130,6 +130,16 @@ def name_source(name: str, role: str = "") -> str:
     """
     plain = name.partition(": ")[0].rpartition("/")[2].replace("_", " ")
     return "Controller" if role == "controller" else f"{plain[:1].upper()}{plain[1:]}"
+
+
+def describe_alarm(alarm: Alarm) -> str:
+    """Return an alarm with its source, as all that shows alarms does: ``Roof sensor: no answer``.
+
+    The alarms node itself is not named as a source.
+    """
+    if alarm.role == ROLE:
+        return alarm.sentence[:1].upper() + alarm.sentence[1:]
+    return f"{name_source(alarm.name, alarm.role)}: {alarm.sentence}"
 
 
 def _headline(diagnosis: StatusDiagnosis) -> str:

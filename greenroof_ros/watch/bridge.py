@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import threading
 import time
 import traceback
@@ -16,6 +15,7 @@ from greenroof_ros.base.standard_error import print_seldom
 from greenroof_ros.interface.states import PUMP_STATES
 from greenroof_ros.watch.document import make_document
 from greenroof_ros.watch.feed import Feed
+from greenroof_ros.watch.graph_client import PumpRequestError
 from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.words import UNKNOWN, find_display
 
@@ -35,8 +35,6 @@ NUMBERS = {
 _POLL_S, _EXPIRES_S = 1.0, 30
 # Home Assistant accepts 255 characters as a state, and records 16 kB of attributes.
 _MAX_TEXT, _MAX_ALARMS = 255, 10
-# For how long a stop is tried again (s): a pump node that has died is back by then.
-_STOP_S = 60.0
 
 
 class Bridge:
@@ -46,10 +44,10 @@ class Bridge:
     under ``greenroof/SITE/``. The state and the alarms are sent every second. They are not
     retained, since a client that connects later would mistake an old value for a current one. A
     stop that the broker has retained is ignored, since it would stop the pump again each time the
-    bridge connects. While connected, the bridge obeys every stop. MQTT 3.1.1 does not tell a
-    connected subscriber whether a message was sent as a retained message, and a stop that a person
-    has requested must be obeyed. The broker does not queue stop requests while the bridge is
-    disconnected.
+    bridge connects. While connected, the bridge obeys every stop, and requests it again until the
+    pump node has confirmed or refused it. MQTT 3.1.1 does not tell a connected subscriber whether a
+    message was sent as a retained message, and a stop that a person has requested must be obeyed.
+    The broker does not queue stop requests while the bridge is disconnected.
 
     When the bridge connects, it replaces what others have left in its retained messages.
     """
@@ -86,16 +84,16 @@ class Bridge:
         Raises:
             InterruptedRun: if a signal arrives.
         """
-        stop_until = -math.inf  # until then a stop is tried (steady clock, s)
+        is_open = False  # a stop was requested that the pump node has not answered
         self._client.loop_start()
         try:
             while True:
                 signals.check()
                 if self._stop.wait(_POLL_S):
                     self._stop.clear()
-                    stop_until = time.monotonic() + _STOP_S
-                if time.monotonic() < stop_until and self._is_stopped():
-                    stop_until = -math.inf
+                    is_open = True
+                if is_open:
+                    is_open = not self._is_answered()
                 try:
                     self._publish_state()
                 except Exception:  # Home Assistant shows as unavailable what is not renewed
@@ -105,14 +103,16 @@ class Bridge:
             self._client.disconnect()  # after this message
             self._client.loop_stop()
 
-    def _is_stopped(self) -> bool:
-        """Request a stop; return False if it must be tried again, whatever the reason."""
+    def _is_answered(self) -> bool:
+        """Request a stop; return False if it must be requested again, whatever the reason."""
+        kind, is_answered = "stop", True
         try:
-            answer, done = self._feed.request_action("stop", owner="MQTT"), True
+            answer = self._feed.request_action("stop", owner="MQTT")
         except Exception as error:
-            answer, done = str(error), False
-        print_seldom(f"stop {done}", f"stop requested over MQTT: {answer}")
-        return done
+            is_answered = isinstance(error, PumpRequestError) and error.answered
+            kind, answer = f"no stop {is_answered}", str(error)
+        print_seldom(kind, f"stop requested over MQTT: {answer}")
+        return is_answered
 
     def _publish(self, name: str, text: str, *, retain: bool = False) -> None:
         self._client.publish(f"{self._base}/{name}", text, retain=retain)
@@ -147,9 +147,8 @@ def make_state(shown: Mapping[str, Any]) -> dict[str, Any]:
         "pump": UNKNOWN if pump["state"] == "alarm" else pump["state"],
         "plan": f"{watering['value']}; {watering['sentence']}"[:_MAX_TEXT],
         "frost": None if frost is None else ON if frost else OFF,
-        "condition": (rows[0]["code"] or UNKNOWN) if rows else "none",
+        "condition": rows[0]["code"] if rows else "none" if shown["known"] else UNKNOWN,
         "problem": ON if tiles["summary"]["level"] == "error" else OFF,
-        "hold": shown["stop"]["hold"],
     }
     for key, (tile, topic, _) in NUMBERS.items():
         display, number = find_display(topic), tiles[tile]["number"]

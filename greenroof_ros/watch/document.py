@@ -14,13 +14,14 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from greenroof_ros.base.text import number_of
-from greenroof_ros.interface.alarm import Alarm, advise
+from greenroof_ros.base.text import clean_text, number_of
+from greenroof_ros.interface.alarm import advise
 from greenroof_ros.interface.conditions import command_for
 from greenroof_ros.interface.states import PUMP
+from greenroof_ros.ros.alarms import describe_alarm
 from greenroof_ros.watch import words
 from greenroof_ros.watch.lines import AHEAD_S, END_S, STRETCH_NS
-from greenroof_ros.watch.store import FASTEST, HOLDS_S, LINES, TICKS, GraphStore
+from greenroof_ros.watch.store import FASTEST, GAP_S, LINES, TICKS, GraphStore
 from greenroof_ros.watch.tiles import Tile, make_tiles
 
 # How much of the past the charts can show (h), and the approximate number of stretches in a line.
@@ -42,12 +43,13 @@ _NOTHING = (
 )
 _UNKNOWN = "Some values are unknown: check that the sensors and programs are running."
 _WELDED = "Water is leaving the cistern although the pump is off. Open the main switch."
-_GO_AND_SEE = "Go and see; if the pump is turning, stop it at its drive's panel or the main switch."
-
-_LOCK_OUT = (
-    "Anyone working on the pump must lock it out at the pump itself; this page does not lock it "
-    "out."
+_START = (
+    "Start it with: sudo systemctl start greenroof, if it is a service, or else with: {live} and "
+    "its options. If the pump is still turning, stop it at its drive's panel or at the main switch."
 )
+_GO_AND_SEE = "Go and see whether the pump is stopped. If not, use its panel or the main switch."
+
+_LOCK_OUT = "Anyone working on the pump must lock it out at the pump itself."
 _STOP = f"A stop holds the pump off until someone releases it. {_LOCK_OUT}"
 _RELEASE = (
     "The pump then starts automatically when the controller requires it and nothing else keeps it "
@@ -59,25 +61,21 @@ _DOSE = (
 )
 
 
-def make_document(store: GraphStore, wall: float) -> dict[str, Any]:
+def make_document(store: GraphStore, steady: float) -> dict[str, Any]:
     """Return the document for the page and the status command, in plain text.
 
     Args:
         store: state of the graph.
-        wall: current time (steady clock, s).
+        steady: current time (steady clock, s).
     """
     with store.lock:
-        store.wall = wall
+        store.steady = steady
         tiles, rows, stop = make_tiles(store), _list_alarms(store), describe_stop(store)
-        summary, step = _summarize(store, tiles, rows, stop)
-        factor, simulated = store.factor, store.mode == "simulated"
+        summary, step = _summarize(store, tiles, rows)
         local = store.local(store.now)
         return {
-            "heading": _HEADINGS[store.mode] + (
-                f", {factor:.3g} times real time" if simulated and factor > 0 else ""
-            ),
-            "mode": store.mode, "namespace": store.namespace, "contact": store.site.contact or "",
-            "known": store.alarms_known,
+            "heading": _HEADINGS[store.mode], "mode": store.mode, "known": store.alarms_known,
+            "namespace": store.namespace, "contact": store.site.contact or "",
             "time": {
                 "now": int(store.now) or None,
                 "zone": store.site.time_zone or local.isoformat()[-6:],
@@ -85,21 +83,17 @@ def make_document(store: GraphStore, wall: float) -> dict[str, Any]:
             },
             "frost": store.present_value("/weather/frost"),
             "tiles": {**tiles, "summary": summary},
-            "advice": _advise(store, step, stop), "stop": stop, "alarms": rows[:_MAX_ROWS],
-            "events": _list_events(store)[:_MAX_ROWS], "notes": _list_notes(store),
+            "advice": _advise(store, tiles["pump"], step, stop), "stop": stop,
+            "alarms": rows[:_MAX_ROWS], "events": _list_events(store)[:_MAX_ROWS],
+            "notes": _list_notes(store),
         }
 
 
 def _list_notes(store: GraphStore) -> list[str]:
-    missing = [
-        f"{words.name_source(alarm.name, alarm.role)}: {alarm.sentence}."
-        for alarm in store.alarms if not alarm.number
-    ]
-    weather = store.node("weather")
-    source = "" if weather is None else words.text_of(weather.values, "forecast_by")
+    source = clean_text(str(store.value("forecast_by") or ""))
     is_fast = store.mode == "simulated" and store.factor > FASTEST
     return [
-        *(["The site is starting. Still missing:", *missing] if missing else []),
+        *(f"Still missing: {describe_alarm(each)}." for each in store.present if not each.number),
         *filter(None, [store.site_note, _TOO_FAST if is_fast else "", source]),
     ]
 
@@ -114,34 +108,24 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
     counts as stopped if it is held and at standstill; a hold alone only means that the pump should
     be stopped. ``actions`` contains the question to ask before each action.
     """
-    two, pump = store.two_pumps, store.node(PUMP)
-    here = pump is not None and pump.is_online(store.wall) and not two
-    values = store.pump_values if here else {}
+    pump = store.pump
+    values = pump.values if pump is not None and pump.is_online(store.steady) else {}
     hold = _describe_hold(store, values)
     at_rest = values.get("at_rest") is True and not store.runs_on
-    off = at_rest and values.get("pump_state") in ("off", "held", "fault")
-    warning = two
-    if hold and not at_rest:
-        warning = (
-            "The stop was accepted, but the pump is still turning, or it is unknown whether it has "
-            "stopped. If it does not stop within seconds, stop it at its drive's panel."
-        )
     dose = _describe_dose(store, values)
     fault = words.text_of(values, "fault")
-    possible = {
-        "release": (hold and at_rest, _RELEASE),
-        "clear": (fault and not values.get("no_clear") and at_rest,
-                  f"The fault is cleared: {fault}. {_RELEASE}"),
-        "dose": (dose["max"] is not None and not values.get("no_dose"), _DOSE),
-    }
+    actions = {"stop": _STOP}
+    if store.allow_release:
+        if hold and at_rest:
+            actions["release"] = _RELEASE
+        if fault and not values.get("no_clear") and at_rest:
+            actions["clear"] = f"The fault is cleared: {fault}. {_RELEASE}"
+        if dose["max"] is not None and not values.get("no_dose"):
+            actions["dose"] = _DOSE
     return {
         "possible": bool(store.offered), "hold": hold, "stopped": bool(hold) and at_rest,
-        "warning": warning, "dose": dose,
-        "label": "Keep the pump off" if off else "Stop the pump",
-        "actions": {"stop": _STOP, **{
-            name: question for name, (is_possible, question) in possible.items()
-            if is_possible and store.allow_release
-        }},
+        "dose": dose, "actions": actions,
+        "label": "Keep the pump off" if at_rest else "Stop the pump",
     }
 
 
@@ -160,27 +144,25 @@ def _describe_hold(store: GraphStore, values: Mapping[str, Any]) -> str:
 
 def _describe_dose(store: GraphStore, values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the latest dose in words, the limits of a dose, and why none is possible now."""
-    least, largest = words.number_in(values, "min_dose") or 0.0, words.number_in(values, "max_dose")
-    if not store.allow_release:
-        largest = None
     last = values.get("dose")
     dose = last if isinstance(last, dict) else {}
-    runs = bool(dose) and not dose.get("over")
+    runs, largest = bool(dose) and not dose.get("over"), words.number_in(values, "max_dose")
+    told = store.allow_release and largest is not None and not runs
     return {
-        "text": _write_dose(dose, words.number_in(values, "flow")), "min": least, "max": largest,
-        "refusal": "" if runs or largest is None else words.text_of(values, "no_dose"),
+        "text": _write_dose(dose, words.number_in(values, "flow")),
+        "min": words.number_in(values, "min_dose") or 0.0, "max": largest,
+        "refusal": words.text_of(values, "no_dose") if told else "",
     }
 
 
 def _write_dose(dose: Mapping[str, Any], flow: float | None) -> str:
-    """Write the progress or the outcome of a dose: ``A dose: 12 of 20 L, 4 min left.``."""
+    """Write the progress or the outcome of a dose: ``A dose: 12 L of 20 L, 4 min left.``."""
     if dose.get("over"):
-        return f"{words.capitalize(words.text_of(dose, 'sentence'))}."
+        return f"The latest dose: {words.text_of(dose, 'sentence')}."
     volume, delivered = words.number_in(dose, "volume"), words.number_in(dose, "delivered")
     if volume is None or delivered is None:
         return ""
-    given = words.write_number(delivered, "", 0, 1e3)
-    progress = f"A dose: {given} of {words.write_litres(volume)}"
+    progress = f"A dose: {words.write_litres(delivered)} of {words.write_litres(volume)}"
     if not flow or flow < 0:
         return f"{progress}; it is waiting."
     return f"{progress}, {max(1, math.ceil((volume - delivered) / flow / 60))} min left."
@@ -192,63 +174,44 @@ def _write_dose(dose: Mapping[str, Any], flow: float | None) -> str:
 def _list_alarms(store: GraphStore) -> list[dict[str, Any]]:
     """Return the present alarms as they are published, the most important one first.
 
-    An alarm that follows from another one is left out. If the site's program as a whole no longer
-    runs, that is the only alarm.
+    An alarm that follows from another one is left out.
     """
-    if (gone := store.gone_since) is not None:
-        what = "the site's program no longer runs"
-        space = f" --namespace {store.namespace.strip('/')}" if store.namespace else ""
-        alarm = Alarm(1, "/site", "", "site", "not_heard", "stale", what, gone)
-        return [_make_row(store, alarm) | {
-            "do": words.complete_commands(
-                "Start it with: sudo systemctl start greenroof, if it is a service, or else with: "
-                f"greenroof live{space} and its options. If the pump is still turning, stop it at "
-                "its drive's panel or at the main switch."
-            ),
-        }]
-
-    def order(alarm: Alarm) -> tuple[bool, int, bool, float]:
-        # The pump node comes first (without it, no one knows whether the pump runs), then its
-        # state; other devices come last.
-        rank = {(PUMP, ""): 0, (PUMP, PUMP): 1}.get((alarm.role, alarm.part), 2)
-        return not alarm.role, rank, not alarm.is_serious, -alarm.since
-
-    present = sorted(store.present, key=order)
-    return [_make_row(store, alarm) for alarm in present if not alarm.follows]
-
-
-def _make_row(store: GraphStore, alarm: Alarm) -> dict[str, Any]:
-    return {
-        "id": alarm.name, "name": words.name_source(alarm.name, alarm.role), "code": alarm.code,
-        "level": "error" if alarm.is_serious else "warn", "what": alarm.sentence,
+    # The pump node comes first (without it, no one knows whether the pump runs), then its state.
+    ranks = {(PUMP, ""): 0, (PUMP, PUMP): 1}
+    present = [alarm for alarm in store.present if alarm.number and not alarm.follows]
+    present.sort(key=lambda alarm: (
+        ranks.get((alarm.role, alarm.part), 2), not alarm.is_serious, -alarm.since
+    ))
+    return [{
+        "id": alarm.name, "role": alarm.role, "code": alarm.code,
+        "level": "error" if alarm.is_serious else "warn", "what": describe_alarm(alarm),
         "do": words.complete_commands(advise(alarm.code, alarm.role, alarm.node)),
         "since": alarm.since, "since_text": store.time_text(alarm.since),
-    }
+    } for alarm in present]
 
 
 def _list_events(store: GraphStore) -> list[dict[str, Any]]:
     """Return an event for each alarm, newest first."""
     alarms = [alarm for alarm in store.alarms if alarm.number and not alarm.follows]
-    events = []
-    for alarm in sorted(alarms, key=lambda alarm: alarm.since, reverse=True):
-        what = f"{words.name_source(alarm.name, alarm.role)}: {alarm.sentence}"
-        if alarm.ended is not None:
-            what += f", until {store.time_text(alarm.ended)}"
-        events.append({"at_text": store.time_text(alarm.since), "what": what})
-    return events
+    return [{
+        "at_text": store.time_text(alarm.since), "what": describe_alarm(alarm) + (
+            "" if alarm.ended is None else f", until {store.time_text(alarm.ended)}"
+        ),
+    } for alarm in sorted(alarms, key=lambda alarm: alarm.since, reverse=True)]
 
 
 # --- the sentence above the tiles, and the next step ----------------------------------------------
 
 
 def _summarize(
-    store: GraphStore, tiles: dict[str, Tile], rows: list[dict[str, Any]], stop: dict[str, Any]
+    store: GraphStore, tiles: dict[str, Tile], rows: list[dict[str, Any]]
 ) -> tuple[dict[str, str], str]:
     """Return the sentence on the state of the site, with its level, and the next step."""
     roof, pump = tiles["roof"], tiles["pump"]
-    starting = "The site is starting." if any(not each.number for each in store.alarms) else ""
+    starting = "The site is starting." if any(not each.number for each in store.present) else ""
     serious = [row for row in rows if row["level"] == "error"]
     gone, known = store.gone_since, store.alarms_known
+    seen = "" if store.nodes else ", as far as was seen here"
     # It is not green if a value is not as it should be, even if no action is needed. A dry roof
     # that is being watered is as it should be.
     is_watered = (roof["state"], pump["state"]) == ("low", "running")
@@ -257,33 +220,30 @@ def _summarize(
         and (roof["state"] == "good" or is_watered)
         and pump["state"] not in ("unknown", "fault", "held")
     ) else "warn"
-    if serious or stop["warning"] or pump["state"] == "alarm":
+    if serious or gone is not None or pump["state"] == "alarm":
         level = "error"
     counts = (len(serious), "alarm"), (len(rows) - len(serious), "warning")
     word = ", ".join(number_of(count, name) for count, name in counts if count)
     word = word or ("All is well" if level == "ok" else "")
     if not known and gone is None:
         word = "Whether there are alarms is unknown"
-    # The advice on the first alarm. A hold is intentional, so beside it a warning does not count.
-    step = next((
-        row["do"] for row in rows
-        if row["code"] != "hold" and (row in serious or not stop["hold"])
-    ), "")
+    # The advice on the first alarm; of a hold or a pump that may turn, the box states more.
+    step = next((row["do"] for row in rows if row["code"] not in ("hold", "stands_unknown")), "")
     unknown = any(tiles[name]["state"] == "unknown" for name in ("roof", "cistern", "pump"))
-    worst = f"{serious[0]['name']}: {serious[0]['what']}" if serious else ""
-    if worst and serious[0]["name"] != "Pump":
+    worst = serious[0]["what"] if serious else ""
+    if worst and serious[0]["role"] != PUMP:
         worst += f"; pump: {pump['value']}"
     now = f"Roof: {roof['sentence'] or roof['value']}; pump: {pump['value']}."
     cases: tuple[tuple[object, str, str], ...] = (
+        (gone is not None, "The site's program has not run since "
+         f"{store.time_text(gone or 0.0)}{seen}; nobody waters the roof.", words.complete_commands(
+             _START.format(live=command_for(f"{store.namespace}/site", "live")))),
         (store.mode == "none", "No run or site has been found.", _NOTHING),
         (store.mode == "ended", "The run has ended, and its last state is shown.", step),
-        (gone is not None, "The site's program has not run since "
-         f"{store.time_text(gone or 0.0)}; nobody waters the roof.", step),
         (store.runs_on, _WELDED, step),
-        (pump["state"] == "alarm", "The pump may be running.", step if serious else _GO_AND_SEE),
+        (pump["state"] == "alarm", "The pump may be running.", f"{_GO_AND_SEE} {step}".strip()),
         (worst, f"{worst}.", step),
-        (stop["warning"] or step, now, step),
-        (True, now, _UNKNOWN if unknown and not starting else "Nothing to do."),
+        (True, now, step or (_UNKNOWN if unknown and not starting else "Nothing to do.")),
     )
     sentence, step = next((sentence, step) for case, sentence, step in cases if case)
     word = " ".join(filter(None, (word and f"{word}.", starting)))
@@ -291,16 +251,20 @@ def _summarize(
     return {"word": word, "sentence": sentence, "text": text, "level": level}, step
 
 
-def _advise(store: GraphStore, step: str, stop: dict[str, Any]) -> str:
-    """Return what the page's box states: what is being done to the pump, and the next step."""
+def _advise(store: GraphStore, pump: Tile, step: str, stop: dict[str, Any]) -> str:
+    """Return what the page's box states: what is being done to the pump, and the next step.
+
+    The step comes first if the pump may be running.
+    """
     release = ""
     if "release" in stop["actions"]:
         release = "If it may run again, release it with the button below."
-    elif stop["stopped"] and (pump := store.node(PUMP)) is not None:
-        command = words.complete_commands(command_for(pump.name, "release"))
+    elif stop["stopped"] and (node := store.pump) is not None:
+        command = words.complete_commands(command_for(node.name, "release"))
         release = f"If it may run again, release it with: {command}"
-    done = stop["warning"] or stop["hold"] or stop["dose"]["text"]
-    return " ".join(filter(None, (done, step, release)))
+    said = [stop["hold"] or stop["dose"]["text"], step]
+    said = said[::-1] if pump["state"] == "alarm" else said
+    return " ".join(filter(None, (*said, release)))
 
 
 # --- the charts -----------------------------------------------------------------------------------
@@ -320,14 +284,14 @@ def make_series(store: GraphStore, hours: float) -> dict[str, Any]:
     """
     with store.lock:
         now, site, plan, forecast = store.now, store.site, store.plan, store.forecast
-        if not now:
+        if not now or store.mode == "none":
             return {"now": None, "lines": {}}
         last = round(now * 1e9)
         past = {name: store.past[name] for name in LINES}
         oldest = [each.rows["ended"][0] for each in past.values() if len(each.rows)]
         first = max(last - round(hours * 3.6e12), int(min(oldest, default=last)))
         stretch = STRETCH_NS * max(1, -(-(last - first) // (STRETCH_NS * _POINTS)))
-        gap = max(HOLDS_S, TICKS * site.tau, 2 * stretch / 1e9)
+        gap = max(GAP_S, TICKS * site.tau, 2 * stretch / 1e9)
         lines = {name: each.line(first, last, stretch, gap) for name, each in past.items()}
         ahead = [float(steps.ends[-1]) for steps in (plan, forecast) if steps is not None]
         begin = first / 1e9

@@ -113,8 +113,9 @@ class Feed:
         store, now, was_live = self._store, time.monotonic(), self._store.mode == "live"
         store.update(now, time.time())
         is_live = store.mode == "live"
-        if is_live and not was_live:
-            self._load()
+        if is_live and not was_live and self._past_file is not None:
+            with store.lock:
+                store.past |= read_histories(self._past_file)
         wanted = is_live or (store.mode == "simulated" and store.factor <= FASTEST)
         topics = TOPICS if is_live else (*TOPICS, CLOCK)
         self._client.subscribe(topics if wanted else ())
@@ -131,20 +132,11 @@ class Feed:
         if content is None:
             return
         if name == ALARMS:
-            self._store.add_alarms(now, *content)
+            self._store.add_alarms(now, content[1])
         elif name == DIAGNOSTICS:
             self._store.add_statuses(now, *content)
         else:
             self._store.add(name, time_ns, content)
-
-    # --- the past of a live site ----------------------------------------------------------------
-
-    def _load(self) -> None:
-        """Load the history of a live site."""
-        if self._past_file is not None:
-            past = read_histories(self._past_file)
-            with self._store.lock:
-                self._store.past |= past
 
     def _save(self) -> None:
         """Save the history of a live site, without waiting for the disk."""

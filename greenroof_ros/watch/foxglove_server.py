@@ -54,7 +54,6 @@ class FoxgloveServer:
         from foxglove.websocket import Capability
 
         self._client = GraphClient(namespace, self._on_message)
-        self._time_ns = 0
         self._channels = {
             name: foxglove.Channel(
                 name if topic.absolute else namespace + name, message_encoding="cdr",
@@ -90,7 +89,5 @@ class FoxgloveServer:
 
     def _on_message(self, name: str, message: bytes, time_ns: int) -> None:
         """Pass a message on, after its time, by which Lichtblick sorts the message."""
-        if time_ns != self._time_ns:
-            self._time_ns = time_ns
-            self._server.broadcast_time(time_ns)
+        self._server.broadcast_time(time_ns)
         self._channels[name].log(message, log_time=time_ns)

@@ -19,15 +19,13 @@ from contextlib import suppress
 from itertools import islice
 from typing import Any
 
-from greenroof_ros.interface.topics import read_topics
+from greenroof_ros.interface.topics import Qos, read_topics
 from greenroof_ros.ros.domain import SHUTDOWN_S, join
 from greenroof_ros.ros.rclpy_internals import take_messages
 from greenroof_ros.ros.reports import read_statuses
 
 # How many messages on a topic can wait for the next poll: 1 s at 60 times real time.
 _DEPTH = 64
-# The largest message that is read (bytes): an ensemble of forecasts has some hundred thousand.
-_MAX_BYTES = 8_000_000
 # For how long after joining a client still discovers nodes that were there before (s), and the
 # interval at which it looks for an answer (s).
 _DISCOVERY_S, _SPIN_S = 2.0, 0.02
@@ -39,7 +37,7 @@ DIAGNOSTICS, ALARMS, CLOCK = "/diagnostics", "/alarms", "/clock"
 
 
 def read_message(name: str, message: bytes) -> Any:
-    """Return what a message of a topic contains; None if it is incomplete or far too large.
+    """Return what a message of a topic contains; None if it is incomplete.
 
     Of /diagnostics and /alarms, this is the time (ns) and the statuses; of another topic, the
     value, and of rows of numbers also the numbers before the offset, as in
@@ -51,14 +49,21 @@ def read_message(name: str, message: bytes) -> Any:
         if name in (DIAGNOSTICS, ALARMS):
             return read_statuses(message)
         kind = read_topics()[name].type
-        if len(message) <= _MAX_BYTES:
-            is_array = kind == "std_msgs/msg/Float64MultiArray"
-            return decode_numbers(message) if is_array else decoder(kind)(message)
+        is_array = kind == "std_msgs/msg/Float64MultiArray"
+        return decode_numbers(message) if is_array else decoder(kind)(message)
     return None
 
 
 class PumpRequestError(Exception):
-    """Error for a request that the pump node did not confirm; the message states the reason."""
+    """Error for a request that the pump node did not confirm; the message states the reason.
+
+    Attributes:
+        answered: whether every node that may control the pump has answered, if only by a refusal.
+    """
+
+    def __init__(self, reason: str, *, answered: bool = False) -> None:
+        super().__init__(reason)
+        self.answered = answered
 
 
 class GraphClient:
@@ -96,10 +101,8 @@ class GraphClient:
         self._node, self._caller = node("watch"), node("watch_stop")
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._caller)
-        self._types: dict[str, Any] = {
-            "hold": SetParametersAtomically, "release": Trigger, "clear": Trigger,
-            "reset": Trigger, "dose": SetParametersAtomically,
-        }
+        self._types: dict[str, Any] = dict.fromkeys(("release", "clear", "reset"), Trigger)
+        self._types |= dict.fromkeys(("hold", "dose"), SetParametersAtomically)
         self._offers_hold = re.compile(re.escape(namespace) + "/[^/]+(?=/hold$)")
         self._joined_at = time.monotonic()
         self._clients: dict[tuple[str, str], Any] = {}  # by node and service
@@ -110,9 +113,7 @@ class GraphClient:
 
     def subscribe(self, topics: Collection[str]) -> None:
         """Subscribe to /diagnostics, /alarms and the given topics of the interface only."""
-        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-
-        from greenroof_ros.ros.messages import message_class
+        from greenroof_ros.ros.messages import message_class, qos_profile
 
         needed = {DIAGNOSTICS, ALARMS, *topics}
         for name in self._subscriptions.keys() - needed:
@@ -121,11 +122,7 @@ class GraphClient:
             topic = read_topics()[name]
             self._subscriptions[name] = self._node.create_subscription(
                 message_class(topic.type), topic.graph_name, lambda message: None,
-                QoSProfile(
-                    depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT,
-                    durability=DurabilityPolicy.VOLATILE,
-                ),
-                raw=True,
+                qos_profile(Qos("best_effort", "volatile", _DEPTH)), raw=True,
             )
 
     def receive(self) -> None:
@@ -255,23 +252,24 @@ def _read_answers(
             f"{service}. Start the pump node's graph first, with the same ROS_DOMAIN_ID, "
             "ROS_AUTOMATIC_DISCOVERY_RANGE and --namespace."
         )
-    sentences, confirmed = [], True
+    sentences, confirmed, answered = [], True, True
     for name, count in sorted(pumps.items()):
         ok, text = False, (
             f"{name} did not answer within {timeout_s:g} s: it may or may not have carried out the "
             "request."
         )
-        if name in sent and sent[name].done():
+        if has_answered := name in sent and sent[name].done():
             answer = sent[name].result()
             if hasattr(answer, "result"):  # of a request that sets parameters
                 ok, text = answer.result.successful, answer.result.reason
             else:
                 ok, text = answer.success, answer.message
         if count > 1:
-            ok, text = False, f"{text}; two nodes have this name: shut down one, and try again"
-        confirmed = confirmed and ok
+            ok = has_answered = False
+            text += "; two nodes have this name: shut down one, and try again"
+        confirmed, answered = confirmed and ok, answered and has_answered
         sentences.append(f"{name}: {text}" if len(pumps) > 1 or count > 1 else text)
     if not confirmed:
         # A hold with this answer may be in force, but it would not survive a restart.
-        raise PumpRequestError("; ".join(sentences))
+        raise PumpRequestError("; ".join(sentences), answered=answered)
     return "; ".join(sentences)

@@ -6,10 +6,10 @@ An unknown value is NaN; the line has a gap from this value to the next known va
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -24,9 +24,9 @@ from greenroof_ros.site.horizon import MAX_MEMBERS
 
 Values = NDArray[np.float64]
 
-# Length of a stretch (ns), short enough for 400 points in 12 h; how many are kept, which is a week.
-STRETCH_NS = 20_000_000_000
-MAX_STRETCHES = 7 * 24 * 3600 * 1_000_000_000 // STRETCH_NS + 2  # with those that are cut
+# Length of a stretch (ns), short enough for 400 points in 12 h; how many are kept, of a week (s).
+STRETCH_NS, WEEK_S = 20_000_000_000, 7 * 24 * 3600
+MAX_STRETCHES = WEEK_S * 1_000_000_000 // STRETCH_NS + 2  # with those that are cut
 
 # The fields of a stretch: when its last value arrived (ns since 1970), its lowest, highest and
 # last value.
@@ -199,11 +199,18 @@ def write_histories(file: Path, rows: Mapping[str, NDArray[np.void]]) -> None:
         print_line(f"the history cannot be saved: {file}: {error.strerror or error}")
 
 
+def read_last_seen(file: Path) -> float | None:
+    """Return the time of a file's newest value (s since 1970); None if not in the past week."""
+    rows = [each.rows for each in read_histories(file).values() if len(each.rows)]
+    last = max((float(each["ended"][-1]) / 1e9 for each in rows), default=0.0)
+    return last if time.time() - last < WEEK_S else None
+
+
 def read_histories(file: Path) -> dict[str, History]:
     """Return the histories in a file; print why if the file cannot be read or is damaged."""
     rows: dict[str, NDArray[np.void]] = {}
     try:
-        with np.load(BytesIO(file.read_bytes()), allow_pickle=False) as content:
+        with np.load(file, allow_pickle=False) as content:
             rows = {name: content[name] for name in content if content[name].dtype == ROW}
         if not all(each.ndim == 1 and np.all(np.diff(each["ended"]) > 0) for each in rows.values()):
             raise ValueError("its values are not plausible")

@@ -30,36 +30,13 @@ class Listener(NamedTuple):
         url: address for a browser.
         names: host names that are allowed in a request; None if all names are allowed, as with a
             wildcard address.
+        is_loopback: whether only this machine can reach the address.
     """
 
     socket: socket.socket
     url: str
     names: frozenset[str] | None
-
-
-def _resolve(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
-    """Return the first address of a host.
-
-    Raises:
-        ConfigurationError: if the host has no address.
-    """
-    try:
-        first = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
-    except (OSError, UnicodeError) as error:
-        raise ConfigurationError(
-            "is not an address or name of this machine; 0.0.0.0 means all addresses",
-            key="--host", value=host,
-        ) from error
-    return ipaddress.ip_address(str(first[4][0]).partition("%")[0])
-
-
-def is_loopback(host: str) -> bool:
-    """Return whether a host's address can be reached only from this machine.
-
-    Raises:
-        ConfigurationError: if the host has no address.
-    """
-    return _resolve(host).is_loopback
+    is_loopback: bool
 
 
 def listen(host: str, port: int | None, key: str = "--host, --port") -> Listener:
@@ -73,7 +50,14 @@ def listen(host: str, port: int | None, key: str = "--host, --port") -> Listener
     Raises:
         ConfigurationError: if the host is not this machine, or the port cannot be used.
     """
-    address = _resolve(host)
+    try:
+        first = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
+    except (OSError, UnicodeError) as error:
+        raise ConfigurationError(
+            "is not an address or name of this machine; 0.0.0.0 means all addresses",
+            key="--host", value=host,
+        ) from error
+    address = ipaddress.ip_address(str(first[4][0]).partition("%")[0])
     family = socket.AF_INET if address.version == 4 else socket.AF_INET6
     for number in PORTS if port is None else [port]:
         try:
@@ -94,7 +78,7 @@ def listen(host: str, port: int | None, key: str = "--host, --port") -> Listener
     names = None if address.is_unspecified else frozenset(
         {host.lower(), str(address), LOOPBACK, "::1", "localhost"}
     )
-    return Listener(listening, url, names)
+    return Listener(listening, url, names, address.is_loopback)
 
 
 def new_token() -> str:

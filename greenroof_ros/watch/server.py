@@ -23,8 +23,8 @@ import logging
 import math
 import time
 import traceback
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager, suppress
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -60,8 +60,9 @@ _RETRY_S = 0.5
 # For how long a document is current (s).
 _CURRENT_S = 0.5
 
-_CHARTS = "/charts"
-_DOCUMENTS = "/state", _CHARTS
+# The documents: the state, and the charts by the length of their history (h).
+_DOCUMENTS = {"/state": 0} | {f"/charts?hours={hours}": hours for hours in HOURS}
+_DOCUMENT_PATHS = "/state", "/charts"
 
 _Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
@@ -98,8 +99,8 @@ class PageServer:
             if file.suffix in _TYPES:
                 path = "/" if file.name == "index.html" else f"/{file.name}"
                 self._app.router.add_get(path, _make_file_handler(file), allow_head=False)
-        for document in _DOCUMENTS:
-            self._app.router.add_get(document, self._read_document, allow_head=False)
+        for path in _DOCUMENT_PATHS:
+            self._app.router.add_get(path, self._read_document, allow_head=False)
         for action in ("stop", "release", "clear", "dose"):
             self._app.router.add_post(f"/{action}", self._act)
 
@@ -109,17 +110,9 @@ class PageServer:
         Raises:
             InterruptedRun: if a signal arrives.
         """
-        async def run() -> None:
-            async with self.running():
-                while True:
-                    signals.check()
-                    await asyncio.sleep(0.1)
+        asyncio.run(self._serve(signals))
 
-        asyncio.run(run())
-
-    @asynccontextmanager
-    async def running(self) -> AsyncIterator[None]:
-        """Serve the page in the running event loop."""
+    async def _serve(self, signals: Signals) -> None:
         runner = web.AppRunner(
             self._app, access_log=None, auto_decompress=False, handler_cancellation=True,
             lingering_time=1.0, shutdown_timeout=1.0,
@@ -130,7 +123,9 @@ class PageServer:
         assert runner.server is not None
         accepting = asyncio.create_task(self._accept(runner.server))
         try:
-            yield
+            while True:
+                signals.check()
+                await asyncio.sleep(0.1)
         finally:
             accepting.cancel()
             await asyncio.gather(accepting, return_exceptions=True)
@@ -190,7 +185,7 @@ class PageServer:
             raise web.HTTPForbidden(
                 reason="the host name in the address is not recognized; use localhost"
             )
-        if request.method == "POST" or request.path in _DOCUMENTS:
+        if request.method == "POST" or request.path in _DOCUMENT_PATHS:
             given = request.headers.get("Authorization", "")
             if self._token is not None and not hmac.compare_digest(
                 given.encode(errors="replace"), f"Bearer {self._token}".encode()
@@ -205,11 +200,9 @@ class PageServer:
 
     async def _read_document(self, request: web.Request) -> web.Response:
         """Send a document, unless the browser has already received it as it is."""
-        hours = 0
-        if request.path == _CHARTS:
-            hours = {str(hours): hours for hours in HOURS}.get(request.query.get("hours", ""), 0)
-            if not hours:
-                raise web.HTTPBadRequest(reason=f"hours must be one of {HOURS}")
+        hours = _DOCUMENTS.get(request.path_qs)
+        if hours is None:
+            raise web.HTTPBadRequest(reason=f"the documents are {', '.join(_DOCUMENTS)}")
         begun_at, task = self._documents.get(hours, (-math.inf, None))
         age = time.monotonic() - begun_at
         if task is None or (task.done() and age >= _CURRENT_S):
@@ -226,10 +219,8 @@ class PageServer:
 
     def _make_document(self, hours: int) -> tuple[bytes, ETag]:
         """Return a document as JSON, and the tag that changes with its content."""
-        content = (
-            make_series(self._store, hours) if hours
-            else make_document(self._store, time.monotonic())
-        )
+        store = self._store
+        content = make_series(store, hours) if hours else make_document(store, time.monotonic())
         # Broken UTF-8 is escaped; a number that JSON does not know would be a bug.
         body = json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
         return body, ETag(hashlib.sha256(body).hexdigest())
@@ -242,8 +233,12 @@ class PageServer:
         before it, and a stop waits for one other action at most.
         """
         action = request.path[1:]
-        if action != "stop" and not self._is_offered(action):
-            raise web.HTTPForbidden(reason="this action is not offered now")
+        if action != "stop":
+            with self._store.lock:
+                offered = describe_stop(self._store)["actions"]
+            # Behind a proxy, every request comes from this machine, so it needs a token.
+            if self._token is None or action not in offered:
+                raise web.HTTPForbidden(reason="this action is not offered now")
         given: dict[str, Any] = {"owner": "the page"} if action == "stop" else {}
         if action == "dose":
             try:
@@ -263,11 +258,6 @@ class PageServer:
             request.transport.pause_reading()  # nothing else is answered on this connection
         self._open[request.protocol] = True
         return _make_response(True, await asyncio.shield(self._acting[action]))
-
-    def _is_offered(self, action: str) -> bool:
-        """Return whether the page offers an action now; behind a proxy, it needs a token."""
-        with self._store.lock:
-            return self._token is not None and action in describe_stop(self._store)["actions"]
 
 
 def _make_file_handler(file: Path) -> _Handler:

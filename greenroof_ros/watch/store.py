@@ -10,7 +10,7 @@ import math
 import threading
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from datetime import datetime
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,7 +23,7 @@ from greenroof_ros.interface.alarm import Alarm
 from greenroof_ros.interface.states import PLANT, PUMP
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.ros.alarm_status import read_status
-from greenroof_ros.ros.reports import Reports, Status
+from greenroof_ros.ros.reports import NodeReport, Reports, Status
 from greenroof_ros.site.file import read_site
 from greenroof_ros.watch.lines import History, Steps, read_steps
 from greenroof_ros.watch.words import number_in
@@ -45,18 +45,17 @@ GIVEN = "given"
 # Speed of the fastest run, in multiples of real time, whose values are shown: 60, and some jitter.
 FASTEST = 90.0
 # A value is stale after this many ticks, or after the age at which readers no longer use it, but at
-# the earliest after the second number (s). A flow holds for at most the third number (s).
-TICKS, _STALE_S, HOLDS_S = 3, 5.0, 600.0
+# the earliest after the second number (s). A line of the charts has a gap after the third one (s).
+TICKS, _STALE_S, GAP_S = 3, 5.0, 600.0
 # Alarms older than this mean that the program of the site no longer runs (s): they are published
-# once a second, and a process that died is back within a few seconds.
-ALARMS_OLD_S = 10.0
-# After this silence (s), a run without its plant is over.
+# once a second, and a process that died is back within a few seconds. After the same silence of its
+# plant, a run is over.
 _GONE_S = 10.0
 # A plan is valid for this time (s): a controller makes a new one when it starts and every hour.
 _PLAN_S = 2 * 3600.0
 _PAPERS = "Levels are judged by the parameters of the paper's site, config/site.yaml."
 # Times that a calendar contains (s since 1970).
-_FIRST, _LAST, _LAST_NS = 0.0, 4e9, 4 * 10**18
+_FIRST, _LAST = 0.0, 4e9
 
 
 class Newest(NamedTuple):
@@ -66,34 +65,32 @@ class Newest(NamedTuple):
         time: time of the value (s since 1970).
         value: the value; None if it is implausible or its publisher does not know it.
         received_at: when it was received (steady clock, s).
-        gap: time since the value before it (s).
-        usual: the shorter one of the last two gaps (s).
     """
 
     time: float
     value: float | None
     received_at: float
-    gap: float = math.inf
-    usual: float = 0.0
 
 
 class GraphStore(Reports):
     """The state of one graph; any thread may call any method, and may read under ``lock``.
 
-    Times of the graph are either simulated times or system times. ``wall`` is a time of the steady
-    clock (s), so a change in the system clock does not affect the age of a value.
+    Times of the graph are either simulated times or system times. ``steady`` is a time of the
+    steady clock (s), so a change in the system clock does not affect the age of a value.
 
     Attributes:
         lock: lock that must be held while more than one attribute is read.
         namespace: namespace of the graph; empty if it has none.
         site: site whose parameters are used to judge levels: the paper's until another is known.
         site_note: note for the operator about the site file.
-        wall: the current time (steady clock, s).
+        steady: the current time (steady clock, s).
         system: the system's current time (s since 1970).
         mode: ``none`` if nothing has been received yet, ``simulated``, ``live``, or ``ended`` for a
             run that is over.
-        factor: ratio of simulated to wall time; NaN if it is unknown.
+        factor: ratio of simulated to real time; NaN if it is unknown.
         allow_release: whether the pump may be released from the page.
+        seen_at: when a live site was last seen before this watcher began (s since 1970); None if it
+            was not in the past week.
         offered: names of the nodes that offer a hold service for the pump, and so may control it,
             whatever is reported, each with the number of nodes that have this name.
         alarms: the alarms as last published, also those that are over or are not counted yet.
@@ -113,8 +110,9 @@ class GraphStore(Reports):
         self.namespace = namespace
         self.offered: Mapping[str, int] = {}
         self.allow_release = False
+        self.seen_at: float | None = None
         self._read_site("")
-        self.wall = self.system = 0.0
+        self.steady = self.system = 0.0
         self.mode, self.factor = "none", math.nan
         self._began: float | None = None  # when its plant began (steady clock, s); -1 if live
         self.reset()
@@ -123,7 +121,6 @@ class GraphStore(Reports):
         """Reset everything for a new run, except the nodes and the settings for watching them."""
         self.alarms: list[Alarm] = []
         self._alarms_at = -math.inf  # when they came (steady clock, s)
-        self._alarms_of = 0.0  # the graph's time then (s since 1970)
         self.newest: dict[str, Newest] = {}
         self.past = {name: History() for name in (*LINES, GIVEN)}
         self.forecast: Steps | None = None
@@ -131,21 +128,21 @@ class GraphStore(Reports):
 
     # --- the graph that is watched --------------------------------------------------------------
 
-    def update(self, wall: float, system: float) -> None:
+    def update(self, steady: float, system: float) -> None:
         """Update what is known of the graph as a whole; reset everything if another run has begun.
 
         Args:
-            wall: current time (steady clock, s).
+            steady: current time (steady clock, s).
             system: the system's current time (s since 1970).
         """
         with self.lock:
-            self.wall, self.system = wall, system
+            self.steady, self.system = steady, system
             self.mode, plant = self._find_mode(), self.node(PLANT)
             if self.mode != "none":
                 began = -1.0 if self.mode == "live" or plant is None else plant.began
                 if self._began not in (None, began):
                     self.nodes = {key: node for key, node in self.nodes.items()
-                                  if node.is_online(wall)}
+                                  if node.is_online(steady)}
                     self.reset()
                 self._began = began
             site = self.value("site")
@@ -158,7 +155,7 @@ class GraphStore(Reports):
 
     def _find_mode(self) -> str:
         plant = self.node(PLANT)
-        if plant is not None and not plant.has_ended and self.wall - plant.received_at < _GONE_S:
+        if plant is not None and not plant.has_ended and self.steady - plant.received_at < _GONE_S:
             return "simulated"
         # A live site is not over: if its program ends or falls silent, nobody waters the roof.
         if any("run_length" not in node.values for node in self.nodes.values()):
@@ -174,30 +171,22 @@ class GraphStore(Reports):
                 self.site, self.site_note = read_site(Path(file)), ""
 
     @property
-    def pump_values(self) -> Mapping[str, Any]:
-        """The values that the pump node last reported; empty if it never has."""
-        pump = self.node(PUMP)
-        return {} if pump is None else pump.values
+    def pump(self) -> NodeReport | None:
+        """The last report of the pump node; None if there is none, or if several may be it."""
+        return self.node(PUMP) if sum(self.offered.values()) < 2 else None
 
     @property
-    def two_pumps(self) -> str:
-        """A warning if it is unclear which node is the pump node; otherwise empty."""
-        if sum(self.offered.values()) < 2:
-            return ""
-        return (
-            f"Two nodes claim to be the pump node ({', '.join(sorted(self.offered))}), so it "
-            "is unknown which of them controls the pump. A stop is sent to all of them; no other "
-            "request is sent from here. Shut down the node that should not be running."
-        )
+    def pump_values(self) -> Mapping[str, Any]:
+        """The values that the pump node last reported; empty if it never has."""
+        return {} if self.pump is None else self.pump.values
 
     # --- alarms ---------------------------------------------------------------------------------
 
-    def add_alarms(self, wall: float, stamp_ns: int, statuses: Sequence[Status]) -> None:
+    def add_alarms(self, steady: float, statuses: Sequence[Status]) -> None:
         """Receive the alarms in a message on /alarms; a status that is not an alarm is left out.
 
         Args:
-            wall: current time (steady clock, s).
-            stamp_ns: time of the message (ns since 1970).
+            steady: current time (steady clock, s).
             statuses: statuses of the message.
         """
         alarms = []
@@ -208,51 +197,57 @@ class GraphStore(Reports):
                     {key: clean_text(value) for key, value in status.values.items()},
                 ))
         with self.lock:
-            self.alarms = alarms
-            self._alarms_at, self._alarms_of = wall, stamp_ns / 1e9
+            self.alarms, self._alarms_at = alarms, steady
 
     @property
     def present(self) -> list[Alarm]:
-        """The present alarms."""
-        return [alarm for alarm in self.alarms if alarm.ended is None and alarm.number]
+        """The present alarms, and what may still arrive while the site is starting.
+
+        If the site's program as a whole is gone, that is all that is known.
+        """
+        gone = self.gone_since is not None
+        return [] if gone else [alarm for alarm in self.alarms if alarm.ended is None]
 
     @property
     def alarms_known(self) -> bool:
         """Whether the alarms are of now, or of an ended run."""
-        return self.mode == "ended" or self.wall - self._alarms_at <= ALARMS_OLD_S
+        return self.mode == "ended" or self.steady - self._alarms_at <= _GONE_S
 
     @property
     def gone_since(self) -> float | None:
-        """When the program of a live site last published its alarms (s since 1970).
+        """When the program of a live site last reported (s since 1970), if it is gone.
 
-        None while it publishes them, or while a node of the site reports: then it is only unknown
-        whether there are alarms. Nothing else about the state of the nodes is concluded here.
+        None while it publishes its alarms, or while a node of the site reports: then it is only
+        unknown whether there are alarms. Nothing else about the nodes is concluded here.
         """
         nodes = self.nodes.values()
-        if self.mode != "live" or self.alarms_known or not self._alarms_of or any(
-            node.is_online(self.wall) for node in nodes
+        if nodes and (
+            self.mode != "live" or self.alarms_known
+            or any(node.is_online(self.steady) for node in nodes)
         ):
             return None
-        return self._alarms_of
+        reported = [self.system - self.steady + node.received_at for node in nodes]
+        return max(reported, default=self.seen_at)
 
     @property
     def runs_on(self) -> bool:
         """Whether the pump turns or delivers water although it is off."""
-        return any(alarm.role == PUMP and alarm.code == "runs_on" for alarm in self.present)
+        turns = PUMP, "runs_on", None
+        return any((alarm.role, alarm.code, alarm.ended) == turns for alarm in self.alarms)
 
     # --- messages -------------------------------------------------------------------------------
 
-    def add_statuses(self, wall: float, stamp_ns: int, statuses: Sequence[Status]) -> None:
+    def add_statuses(self, steady: float, stamp_ns: int, statuses: Sequence[Status]) -> None:
         """Add the statuses in a message on /diagnostics.
 
         Args:
-            wall: current time (steady clock, s).
+            steady: current time (steady clock, s).
             stamp_ns: time stamp of the message (ns since 1970); in a simulation, a simulated time.
             statuses: statuses of one message.
         """
         with self.lock:
-            self.wall = wall
-            self.receive(wall, statuses, stamp_ns)
+            self.steady = steady
+            self.receive(steady, statuses, stamp_ns)
 
     def add(self, topic: str, time_ns: int, value: Any) -> None:
         """Add a value of any topic but those of reports and alarms.
@@ -281,18 +276,15 @@ class GraphStore(Reports):
         known = math.isfinite(value) and entry.low <= value <= entry.high
         if topic == FLOW:  # the pump node publishes 0 for an unknown flow
             known = known and self.pump_values.get("flow", value) is not None
-        gap = self.wall - before.received_at if before else math.inf
-        usual = min(gap, before.gap, HOLDS_S) if before else 0.0
         shown = value + 0.0 if known else None  # no minus zero
-        self.newest[topic] = Newest(at, shown, self.wall, gap, usual)
+        self.newest[topic] = Newest(at, shown, self.steady)
         for name, line in LINES.items():
             if line == topic:
                 self.past[name].add(time_ns, value if known else math.nan)
         if topic == FLOW and before and before.value:
             passed = at - before.time
             total = self.past[GIVEN].value_at(time_ns) + before.value * passed
-            holds = max(_STALE_S, TICKS * self.site.tau) if self.mode == "live" else HOLDS_S
-            if 0 < passed <= holds:
+            if 0 < passed <= max(_STALE_S, TICKS * self.site.tau):
                 self.past[GIVEN].add(time_ns, total)
 
     def present_value(self, topic: str) -> float | None:
@@ -307,16 +299,16 @@ class GraphStore(Reports):
             limit = limit if age is None else age.default
         elif self.factor > 0:
             limit /= self.factor
-        overdue = self.wall - newest.received_at > max(_STALE_S, limit, TICKS * newest.usual)
+        overdue = self.steady - newest.received_at > max(_STALE_S, limit)
         return None if overdue or self.gone_since is not None else newest.value
 
     @property
     def plan(self) -> Steps | None:
         """The controller's plan; None if there is none, or if it is too old."""
         plan = self._plan
-        if plan is None or self.now > min(float(plan.ends[-1]), plan.at + _PLAN_S):
+        if plan is None or self.gone_since is not None:
             return None
-        return None if self.gone_since is not None else plan
+        return plan if self.now <= min(float(plan.ends[-1]), plan.at + _PLAN_S) else None
 
     # --- time -----------------------------------------------------------------------------------
 
@@ -324,10 +316,10 @@ class GraphStore(Reports):
     def now(self) -> float:
         """The graph's time (s since 1970); 0 if no time is known yet.
 
-        On a live site, the graph's time is the system time; otherwise, it is the time of the latest
-        value or of the plant's last report, whichever is later.
+        On a live site, also if it is gone, this is the system time; otherwise, it is the time of
+        the latest value or of the plant's last report, whichever is later.
         """
-        if self.mode == "live":
+        if self.mode == "live" or self.gone_since is not None:
             return self.system
         newest = max((value.time for value in self.newest.values()), default=0.0)
         return max(newest, self.time_ns / 1e9)
@@ -341,11 +333,12 @@ class GraphStore(Reports):
     def given_since(self, begin: float) -> float:
         """Return the volume pumped since a time (s since 1970, m3), as far as it is known."""
         given = self.past[GIVEN]
-        return given.value_at(_LAST_NS) - given.value_at(round(begin * 1e9))
+        return given.value_at(round(self.now * 1e9)) - given.value_at(round(begin * 1e9))
 
     def local(self, at: float) -> datetime:
-        """Return a time (s since 1970) on the site's clock."""
-        return datetime.fromtimestamp(min(max(at, _FIRST), _LAST), self.site.zone)
+        """Return a time (s since 1970) on the site's clock, or on this machine's without a site."""
+        zone = None if self.mode == "none" else self.site.zone
+        return datetime.fromtimestamp(min(max(at, _FIRST), _LAST), timezone.utc).astimezone(zone)
 
     def time_text(self, at: float) -> str:
         """Write a time (s since 1970) on the site's clock, with the date unless it is today."""

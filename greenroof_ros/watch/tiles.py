@@ -12,9 +12,11 @@ from typing import Any
 
 from greenroof_ros.base.text import number_of
 from greenroof_ros.base.times import duration
+from greenroof_ros.interface.conditions import read_conditions
 from greenroof_ros.interface.states import PUMP, PUMP_STATES
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.results.sums import NEAR_TARGET
+from greenroof_ros.ros.alarms import describe_alarm
 from greenroof_ros.watch import words
 from greenroof_ros.watch.store import FLOW, GraphStore
 
@@ -80,14 +82,18 @@ def _make_tile(
 def _find_doubt(store: GraphStore, topic: str) -> str:
     """Return what the node that publishes a topic, or a reader, reports to be wrong with it."""
     senders = read_topics()[topic].senders
+    parts = "", "sensor", "gauge", topic.rpartition("/")[2]  # of what publishes this topic
+    lacking = {code for code, row in read_conditions().items() if row.no_data or row.device}
     found = [
-        alarm for alarm in store.present
-        if alarm.is_serious and (topic in alarm.about or alarm.role in senders)
+        alarm for alarm in store.present if topic in alarm.about or (
+            alarm.role in senders and alarm.part in parts
+            and (alarm.is_serious or alarm.code in lacking)
+        )
     ]
     if store.gone_since is not None or not found:
         return ""
     first = min(found, key=lambda alarm: (bool(alarm.follows), alarm.role not in senders))
-    return f"{words.name_source(first.name, first.role)}: {first.sentence}"
+    return describe_alarm(first)
 
 
 # --- levels and weather ---------------------------------------------------------------------------
@@ -125,16 +131,14 @@ def _make_temperature_tile(store: GraphStore) -> Tile:
     """Return the tile of the temperature, or of frost if there is no thermometer."""
     frost = store.present_value(_FROST)
     state, stops = ("cold", "the pump stays off until it is above 0 °C") if frost else ("good", "")
-    measured = _THERMOMETER in store.newest
-    source = "measured" if measured else "according to the forecast"
+    reporting = {part for node in store.nodes.values() for part in (node.role, *node.parts)}
+    measured = _THERMOMETER in store.newest or "thermometer" in reporting
+    source = "measured" if measured else "according to the forecast" if store.forecast else ""
     return _make_tile(
         store, "Temperature", _THERMOMETER if measured else _FROST,
-        lambda *_: (state, _join(source, stops)), None if measured else _write_frost,
+        lambda *_: (state, _join(source, stops)),
+        None if measured else lambda frost: "0 °C or below" if frost else "above 0 °C",
     )
-
-
-def _write_frost(frost: float) -> str:
-    return "0 °C or below" if frost else "above 0 °C"
 
 
 def _write_coming_rain(store: GraphStore) -> str:
@@ -156,9 +160,9 @@ def _make_pump_tile(store: GraphStore) -> Tile:
 
     The state is ``alarm`` if the pump might be turning unnoticed.
     """
-    node, values = store.node(PUMP), store.pump_values
+    node, values = store.pump, store.pump_values
     state, why = _read_pump_state(store)
-    lost = node is not None and store.mode != "ended" and not node.is_online(store.wall)
+    lost = node is not None and store.mode != "ended" and not node.is_online(store.steady)
     at_rest = values.get("at_rest")
     no_speed = values.get("speed", 0.0) is None  # some nodes never report a speed
     may_turn = store.runs_on or (lost and at_rest is False) or (no_speed and at_rest is not True)
@@ -179,8 +183,6 @@ def _make_pump_tile(store: GraphStore) -> Tile:
 
 def _read_pump_state(store: GraphStore) -> tuple[str, str]:
     """Return the pump's state and the reason; in a simulation, derive both if not reported."""
-    if store.two_pumps:
-        return words.UNKNOWN, ""
     values = store.pump_values
     if state := words.text_of(values, "pump_state"):
         # Of a hold, the page states more, and in the site's time.
@@ -189,7 +191,7 @@ def _read_pump_state(store: GraphStore) -> tuple[str, str]:
         why = words.text_of(values, "pump_why").removeprefix(told).lstrip("; ")
         return state if state in PUMP_STATES else words.UNKNOWN, why
     if store.mode == "live":
-        return words.UNKNOWN, "the pump node is not responding"
+        return words.UNKNOWN, "no pump node, or more than one, is responding"
     flow = store.newest.get(FLOW)
     if flow is None or flow.value is None:
         return words.UNKNOWN, ""

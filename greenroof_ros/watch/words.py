@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import sys
@@ -20,7 +19,7 @@ _COMMAND = re.compile(r"\bgreenroof(?= (?:live|release|reset|watch)\b)")
 
 
 def write_number(value: float, unit: str, decimals: int, factor: float = 1.0) -> str:
-    """Write a number with its unit, such as ``45.3 mm``; *unknown* from 1e12.
+    """Write a number with its unit, such as ``45.3 mm``.
 
     Args:
         value: value in its SI unit.
@@ -28,8 +27,6 @@ def write_number(value: float, unit: str, decimals: int, factor: float = 1.0) ->
         decimals: number of decimals to show.
         factor: factor that converts the SI unit to the unit to show.
     """
-    if not math.isfinite(value) or abs(value * factor) >= 1e12:
-        return UNKNOWN
     text = f"{value * factor:.{decimals}f}"
     text = text.removeprefix("-") if float(text) == 0 else text
     return f"{text} {unit}" if unit else text
@@ -63,22 +60,6 @@ def number_in(values: Mapping[str, Any], key: str) -> float | None:
     """Return a number among the values that a node reports; None if it reports none."""
     value = values.get(key)
     return value if isinstance(value, (int, float)) else None
-
-
-def capitalize(text: str) -> str:
-    """Return a text that begins with a capital letter."""
-    return f"{text[:1].upper()}{text[1:]}"
-
-
-def name_source(status: str, role: str = "") -> str:
-    """Return a plain name for the source of a status: ``Roof sensor`` for ``/roof_sensor: x``.
-
-    Args:
-        status: name of the status.
-        role: role of the node, which is the name of a controller; empty if it has none.
-    """
-    name = "controller" if role == "controller" else status.partition(": ")[0].rpartition("/")[2]
-    return capitalize(name.replace("_", " "))
 
 
 def complete_commands(text: str) -> str:

@@ -139,22 +139,27 @@ def test_only_a_drive_that_was_reached_may_run_on() -> None:
         assert (may_run, "THE PUMP MAY BE RUNNING" in message) == (reached, reached)
 
 
-@pytest.mark.parametrize(("tau", "limit"), [(60.0, ""), (6.0, "command_limit: 6.0")])
-def test_a_command_each_tick_is_never_too_old(tmp_path: Path, tau: float, limit: str) -> None:
+@pytest.mark.parametrize(("pump", "options", "tau", "limit"), [
+    ("pump", DRIVE, 60.0, ""), ("pump", DRIVE, 6.0, "command_limit: 6.0"),
+    ("pump_guard", "--pump external", 60.0, ""),
+])
+def test_a_command_each_tick_is_never_too_old(
+    tmp_path: Path, pump: str, options: str, tau: float, limit: str
+) -> None:
     """What a node would refuse is refused before anything starts, with what would be right."""
     pytest.importorskip("rclpy")
     (tmp_path / "nodes.yaml").write_text(
-        f"/**/pump:\n  ros__parameters:\n    min_off: 1.0\n    {limit}\n"
+        f"/**/{pump}:\n  ros__parameters:\n    min_flow: 0.1\n    {limit}\n"
     )
     done = run_command(
-        "bringup.live", "--sensors", "external", "--weather", "external", *DRIVE.split(), "--site",
-        str(site_file(tmp_path, tau=tau)), "--node-parameters", "nodes.yaml", cwd=tmp_path,
-        env=environment(0),
+        "bringup.live", "--sensors", "external", "--weather", "external", *options.split(),
+        "--site", str(site_file(tmp_path, tau=tau)), "--node-parameters", "nodes.yaml",
+        cwd=tmp_path, env=environment(0),
     )
     assert done.returncode == 2 and not (tmp_path / "live").exists()
     assert (
-        f"error: parameter command_limit of pump = {limit.partition(': ')[2] or 3.0}: must exceed "
-        f"tau of the site, {tau:g} s"
+        f"error: parameter command_limit of {pump} = {limit.partition(': ')[2] or 3.0}: must "
+        f"exceed tau of the site, {tau:g} s"
     ) in done.stderr
 
 

@@ -89,7 +89,7 @@ def test_a_site_is_kept_up_and_systemd_told(
         file.parent.mkdir()
         write_forecast(file, timedelta(minutes=1), 0.0, 12.0)
         site.until(lambda: 0 < newest(commands) <= 0.4, 60, "mpc")
-        until_printed(process, site, " s: Weather\n")
+        until_printed(process, site, " s: Weather: no forecast covers")
         beats = systemd.times("WATCHDOG=1")
         assert max(b - a for a, b in pairwise(beats)) < 10  # WatchdogSec of greenroof.service
     wait_for(lambda: systemd.times("STOPPING=1"), 60, "STOPPING=1")

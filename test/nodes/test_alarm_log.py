@@ -49,8 +49,8 @@ def test_each_change_is_printed_and_stored_at_once(tmp_path: Path, cut: str) -> 
     written(tmp_path, begins(), second, begins(level="stale"), ends(), read=printed.append)
     assert printed == [
         "alarm 1: Pump: no connection",
-        "warning 2: Pump: no connection (follows from Pump)",
-        "alarm 1 is over, after 7.8 s: Pump",
+        "warning 2: Pump: no connection (follows from alarm 1)",
+        "alarm 1 is over, after 7.8 s: Pump: no connection",
     ]
     assert read_alarms(tmp_path) == [ends(), second]
     first = json.loads((tmp_path / ALARMS).read_text().splitlines()[0])

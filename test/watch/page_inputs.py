@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from paper import PAPER_SITE
 
+from greenroof_ros.interface.alarm import ERROR, OK, WARN
 from greenroof_ros.ros.reports import Status
 from greenroof_ros.site.horizon import growing_steps
 from greenroof_ros.site.site import Site
 from greenroof_ros.watch.store import PLAN, RAIN_FORECAST, GraphStore
 
-OK, WARN, ERROR, STALE = range(4)
 SECOND = 10**9
 START = 1_626_757_200 * SECOND  # 2021-07-20 05:00 UTC, a multiple of 20 s
 HELD = "a hold by the operator"
@@ -35,28 +35,29 @@ def alarm(
     name: str, role: str, code: str, sentence: str, level: int = ERROR, *,
     since: str = "2021-07-20T05:00:30+00:00", **values: str,
 ) -> Status:
-    """Return the status of an alarm on /alarms; other devices have no role, and only warn."""
+    """Return the status of an alarm on /alarms."""
     pairs = {
         "number": "1", "role": role, "code": code, "since": since,
-        "serious": "true" if role and level != WARN else "false", **values,
+        "serious": "true" if level != WARN else "false", **values,
     }
     return Status(name, level, sentence, {key: text for key, text in pairs.items() if text})
 
 
-def pump_report(text: str) -> dict[str, str]:
-    """Return the values with which a pump node reports a state and its reason."""
+def pump(text: str, **values: Any) -> list[Status]:
+    """Return what a pump node reports: a state with its reason; it is at rest unless given."""
     state, _, why = text.partition(": ")
-    return {"pump_state": state, "pump_why": why}
+    report = {"pump_state": state, "pump_why": why, "at_rest": True, **values}
+    return node("/pump", "pump", **report)
 
 
 def store(
-    mode: str = "simulated", site: Site = PAPER_SITE, *alarms: Status, wall: float = 100.0
+    mode: str = "simulated", site: Site = PAPER_SITE, *alarms: Status, steady: float = 100.0
 ) -> GraphStore:
     """Return a store that knows only the site of its graph, and its alarms at a time."""
     graph = GraphStore()
     graph.mode, graph.site, graph.site_note, graph.factor = mode, site, "", 30.0
-    graph.wall, graph.system = wall, START / SECOND + 60
-    graph.add_alarms(wall, START + 60 * SECOND, alarms)
+    graph.steady, graph.system = steady, START / SECOND + 60
+    graph.add_alarms(steady, alarms)
     return graph
 
 

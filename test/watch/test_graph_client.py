@@ -1,4 +1,4 @@
-"""A graph's pump is stopped from outside; for what is received see watch/test_feed.py."""
+"""A graph's pump is stopped from outside; for what is received see test_beside_a_run.py."""
 
 from __future__ import annotations
 
@@ -19,13 +19,7 @@ from rclpy.parameter import parameter_value_to_python
 from greenroof_ros.watch.graph_client import GraphClient, PumpRequestError
 
 PAGE = {"owner": "the page"}
-
-
-@pytest.fixture
-def place(domain: int) -> Iterator[int]:
-    """A domain, also for nodes of this process."""
-    with in_domain(domain):
-        yield domain
+HELD = "held: a hold by the page"
 
 
 class Pump(Peer):
@@ -34,13 +28,13 @@ class Pump(Peer):
     def __init__(self, domain: int, name: str = "pump") -> None:
         super().__init__(domain, name)
         self.requests: list[dict[str, Any]] = []
-        self.success, self.answer = True, "held: a hold by the page"
+        self.success, self.answer = True, HELD
         self.answers = threading.Event()
         self.answers.set()
         self.node.create_service(SetParametersAtomically, "~/hold", self._on_hold)
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
-        self._thread = threading.Thread(target=self._executor.spin)
+        self._thread = threading.Thread(target=self._executor.spin, daemon=True)
         self._thread.start()
 
     def _on_hold(self, request: Any, response: Any) -> Any:
@@ -53,48 +47,54 @@ class Pump(Peer):
         return response
 
     def close(self) -> None:
+        self.answers.set()
         self._executor.shutdown()
         self._thread.join()
         super().close()
 
 
-def test_hold(place: int) -> None:
-    """The pump node's message is returned; if it does not state that it holds, that is an error."""
-    client = GraphClient("", lambda *_: None)
-    assert not client.find_pumps()
-    with pytest.raises(PumpRequestError, match=r"no node provides the service hold\. Start"):
-        client.request("stop", 0.5, **PAGE)
-    pump = Pump(place)
-    assert client.request("stop", 20, **PAGE) == "held: a hold by the page"
+@pytest.fixture
+def client(domain: int) -> Iterator[GraphClient]:
+    """A client in the domain, which also nodes of this process join."""
+    with in_domain(domain):
+        client = GraphClient("", lambda *_: None)
+        yield client
+        client.close()
+
+
+def refused(client: GraphClient, sentence: str, seconds: float, *, answered: bool) -> None:
+    """Request a stop that is not confirmed."""
+    with pytest.raises(PumpRequestError, match=sentence) as refusal:
+        client.request("stop", seconds, **PAGE)
+    assert refusal.value.answered == answered
+
+
+def test_a_stop_is_answered_by_the_pump_node(domain: int, client: GraphClient) -> None:
+    """If it does not state that it holds, that is an error, which is not one of no answer."""
+    refused(client, r"no node provides the service hold\. Start", 0.5, answered=False)
+    pump = Pump(domain)
+    assert client.request("stop", 20, **PAGE) == HELD
     assert client.request("stop", 20, owner="MQTT", reason="frost", until=4e9)
-    assert pump.requests == [
-        PAGE, {"owner": "MQTT", "reason": "frost", "until": 4e9},
-    ]
+    assert pump.requests == [PAGE, {"owner": "MQTT", "reason": "frost", "until": 4e9}]
     pump.success, pump.answer = False, "held: a hold by the page; but the disk is full"
-    with pytest.raises(PumpRequestError, match="the disk is full"):
-        client.request("stop", 20, **PAGE)
+    refused(client, "the disk is full", 20, answered=True)
     pump.answers.clear()
-    with pytest.raises(PumpRequestError, match=r"did not answer within 0\.5 s"):
-        client.request("stop", 0.5, **PAGE)
-    pump.answers.set()
-    client.close()
+    refused(client, r"did not answer within 0\.5 s", 0.5, answered=False)
     pump.close()
 
 
-def test_a_stop_goes_to_every_node_that_may_control_the_pump(place: int) -> None:
+def test_a_stop_goes_to_every_node_that_may_control_the_pump(
+    domain: int, client: GraphClient
+) -> None:
     """Also to one that no one has reported; what is not a stop goes to none of several."""
-    pumps = [Pump(place), Pump(place, "other")]
-    client = GraphClient("", lambda *_: None)
+    pumps = [Pump(domain), Pump(domain, "other")]
     wait_for(lambda: client.find_pumps() == {"/pump": 1, "/other": 1}, 60, "both nodes")
-    held = "held: a hold by the page"
-    assert client.request("stop", 20, **PAGE) == f"/other: {held}; /pump: {held}"
+    assert client.request("stop", 20, **PAGE) == f"/other: {HELD}; /pump: {HELD}"
     assert [pump.requests for pump in pumps] == [[PAGE]] * 2
     # A node that does not answer keeps the stop from no other.
     pumps[1].answers.clear()
-    with pytest.raises(PumpRequestError, match=f"/other did not answer .*; /pump: {held}"):
-        client.request("stop", 1.0, **PAGE)
+    refused(client, f"/other did not answer .*; /pump: {HELD}", 1.0, answered=False)
     assert len(pumps[0].requests) == 2
-    pumps[1].answers.set()
     for action in ("release", "clear", "reset", "dose"):
         with pytest.raises(PumpRequestError, match="Nothing was done, because it is unclear"):
             client.request(action, 20)
@@ -102,12 +102,8 @@ def test_a_stop_goes_to_every_node_that_may_control_the_pump(place: int) -> None
     pumps.pop().close()
     wait_for(lambda: client.find_pumps() == {"/pump": 1}, 60, "the end of the other node")
     # Of two nodes of one name, one can hang although an answer comes.
-    pumps.append(Pump(place))
+    pumps.append(Pump(domain))
     wait_for(lambda: client.find_pumps() == {"/pump": 2}, 60, "its twin")
-    with pytest.raises(PumpRequestError, match="two nodes have this name"):
-        client.request("stop", 3.0, **PAGE)
-    pumps.pop().close()
-    wait_for(lambda: client.find_pumps() == {"/pump": 1}, 60, "the end of its twin")
-    assert client.request("stop", 20, **PAGE) == held
-    client.close()
-    pumps.pop().close()
+    refused(client, "two nodes have this name", 3.0, answered=False)
+    for pump in pumps:
+        pump.close()

@@ -1,4 +1,7 @@
-"""The page's server: what it answers, what it refuses, and that no client holds it up."""
+"""The page's server: what it answers, and what it refuses.
+
+That no client holds it up is in test_watch_command.py.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +14,13 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from graphs import wait_for
-from page_inputs import SECOND, fail, node, pump_report
-from page_server import read_state, request, served
+from page_inputs import SECOND
+from page_inputs import pump as pump_says
+from page_server import request, served
 
 from greenroof_ros.watch import server
 from greenroof_ros.watch.document import make_document
@@ -26,10 +31,7 @@ from greenroof_ros.watch.store import GraphStore
 
 ACT = {"X_Greenroof": "1"}
 RIGHT = {**ACT, "Authorization": "Bearer secret"}
-GET, POST = (
-    f"{method} HTTP/1.1\r\nHost: localhost\r\nX-Greenroof: 1\r\n".encode()
-    for method in ("GET /state", "POST /stop")
-)
+DOSE = b'{"volume": 0.2, "asked_at": 7}'
 
 
 class Pump:
@@ -46,7 +48,7 @@ class Pump:
         self.answers.set()
         self._one = threading.Lock()
 
-    def request_action(self, _: Feed, action: str, **request: Any) -> str:
+    def request_action(self, action: str, **request: Any) -> str:
         with self._one:
             self.done.append((action, request))
             self.answers.wait(60)
@@ -58,9 +60,7 @@ class Pump:
 @pytest.fixture
 def pump(monkeypatch: pytest.MonkeyPatch) -> Pump:
     pump = Pump()
-    monkeypatch.setattr(Feed, "request_action", lambda *given, **more: pump.request_action(
-        *given, **more
-    ))
+    monkeypatch.setattr(Feed, "request_action", pump.request_action)
     return pump
 
 
@@ -68,10 +68,9 @@ def pump(monkeypatch: pytest.MonkeyPatch) -> Pump:
 def watched() -> GraphStore:
     """A store in which everything may be requested of a pump that is held and at rest."""
     store = GraphStore()
-    store.wall = time.monotonic()
-    store.add_statuses(time.monotonic() + 1e6, 0, node(
-        "/pump", "pump", **pump_report("held: x"), at_rest=True, hold={"owner": "x"},
-        fault="slow", no_clear="", max_dose=1.0, no_dose="",
+    store.steady = time.monotonic()
+    store.add_statuses(time.monotonic() + 1e6, 0, pump_says(
+        "held: x", hold={"owner": "x"}, fault="slow", no_clear="", max_dose=1.0, no_dose="",
     ))
     return store
 
@@ -104,40 +103,29 @@ def test_a_request_names_this_host(port: int) -> None:
     """Otherwise a foreign name that resolves to this host would share the page's origin."""
     for host, status in (
         ("LOCALHOST:9000", 200), ("127.0.0.1:8080", 200), ("[::1]:8080", 200),
-        ("evil.example", 403), ("127.0.0.1.evil.example", 403), ("192.168.0.1", 403), ("", 403),
-        ("[", 403), (None, 400), ("localhost\r\nHost: evil.example", 400),
+        ("evil.example", 403), ("127.0.0.1.evil.example", 403), ("", 403), ("[", 403), (None, 400),
+        ("localhost\r\nHost: evil.example", 400),
     ):
-        for target in ("/", "/page.js"):
-            assert request(port, "GET", target, host=host).status == status, host
+        assert request(port, "GET", "/", host=host).status == status, host
 
 
-@pytest.mark.parametrize(("token", "status", "refused", "right"), [
-    (None, 403, ({}, {"X_Greenroof": "0"}), ACT),
-    ("secret", 401, (ACT, *({**ACT, "Authorization": given} for given in (
-        "Bearer ", "Bearer secrex", "secret", "Bearer secr\xe9t", "Bearer " + "a" * 5000,
-    ))), RIGHT),
-], ids=["without-token", "with-token"])
-def test_only_the_page_itself_acts(
-    token: str | None, status: int, refused: tuple[dict[str, str], ...], right: dict[str, str],
-    watched: GraphStore, pump: Pump,
-) -> None:
+def test_only_the_page_itself_acts(watched: GraphStore, pump: Pump) -> None:
     """Another page cannot set the header, as nothing allows it to. A token is needed for all."""
-    with served(watched, token) as port:
-        for headers in refused:
-            answer = request(port, "POST", "/stop", **headers)
-            assert (answer.status, answer.json()["ok"]) == (status, False), headers
-            if token:
-                assert request(port, "GET", "/state", **headers).status == status
-        for method in ("PUT", "OPTIONS", "HEAD", "BREW"):
-            answer = request(port, method, "/stop", **ACT, Origin="http://evil.example")
-            assert answer.status in (400, 401, 404, 405)
+    wrong = ({**ACT, "Authorization": given} for given in ("Bearer secrex", "secret", "\xe9"))
+    for token, status, seen, refused, right in (
+        (None, 403, 200, ({}, {"X_Greenroof": "0"}), ACT),
+        ("secret", 401, 401, (ACT, *wrong), RIGHT),
+    ):
+        with served(watched, token) as port:
+            for headers in refused:
+                assert request(port, "POST", "/stop", **headers).status == status, headers
+                assert request(port, "GET", "/state", **headers).status == seen
+            answer = request(port, "OPTIONS", "/stop", **ACT, Origin="http://evil.example")
             assert not any(name.startswith("access-control") for name in answer.headers)
-        assert pump.done == []
-        assert request(port, "GET", "/").status == 200
-        assert request(port, "GET", "/state", **right).status == 200
-        answer = request(port, "POST", "/stop", **right)
-    assert answer.json() == {"ok": True, "sentence": "stop done"}
-    assert pump.done == [("stop", {"owner": "the page"})]
+            assert pump.done == []
+            assert request(port, "GET", "/state", **right).status == 200
+            assert request(port, "POST", "/stop", **right).json()["sentence"] == "stop done"
+        assert pump.done.pop() == ("stop", {"owner": "the page"})
 
 
 def test_nothing_else_is_done_unless_that_was_allowed_with_a_token(
@@ -147,20 +135,16 @@ def test_nothing_else_is_done_unless_that_was_allowed_with_a_token(
 
     Nor is anything that the pump node's report does not allow now.
     """
-    dose = b'{"volume": 0.2, "asked_at": 7}'
     for allowed, token, status in (
         (False, "secret", 403), (True, None, 403), (True, "secret", 200),
     ):
         watched.allow_release = allowed
         with served(watched, token) as port:
             for action in ("release", "clear", "dose"):
-                assert request(port, "POST", f"/{action}", dose, **RIGHT).status == status
-                if token:
-                    assert request(port, "POST", f"/{action}", dose, **ACT).status == 401
+                assert request(port, "POST", f"/{action}", DOSE, **RIGHT).status == status
     assert pump.done == [("release", {}), ("clear", {}), ("dose", {"volume": 0.2, "asked_at": 7.0})]
     with served(watched, "secret") as port:
-        for wrong in (b"{", b"[]", b"[" * 9000, b'{"volume": 1}', b'{"volume": "x", "asked_at": 1}',
-                      b'{"volume": 1' + 400 * b"0" + b', "asked_at": 1}'):
+        for wrong in (b"{", b"[]", b"[" * 9000, b'{"volume": 1}'):
             assert request(port, "POST", "/dose", wrong, **RIGHT).status == 400, wrong
         watched.nodes.clear()
         assert request(port, "POST", "/release", **RIGHT).status == 403
@@ -177,9 +161,8 @@ def test_a_stop_goes_before_all_else(watched: GraphStore, pump: Pump) -> None:
     with served(watched, "secret") as port, ThreadPoolExecutor(30) as askers:
         asked = []
         for action in ("clear", "release", "stop", "dose", "release", *["stop"] * 20):
-            body = b'{"volume": 0.2, "asked_at": 7}'
             asked.append((action, askers.submit(
-                request, port, "POST", f"/{action}", body, **RIGHT
+                request, port, "POST", f"/{action}", DOSE, **RIGHT
             )))
             time.sleep(0.1)
         pump.answers.set()
@@ -192,74 +175,36 @@ def test_a_stop_goes_before_all_else(watched: GraphStore, pump: Pump) -> None:
     ]
 
 
-# -------------------------------------------------------------------------------- too much load
-
-
+POST = b"POST /stop HTTP/1.1\r\nHost: localhost\r\nX-Greenroof: 1\r\n"
 BROKEN = [
-    b"\0" * 5000, b"GET\r\n\r\n", b"GET / HTTP/9.9\r\n\r\n",
-    b"GET / HTTP/1.1\r\nHost: local\0host\r\n\r\n",
-    b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03",  # TLS
-    b"GET / HTTP/1.1\r\n" + b"a: b\r\n" * 20_000 + b"\r\n",
-    b"GET /" + b"a" * 1_000_000 + b" HTTP/1.1\r\n\r\n",
+    b"\0" * 5000, b"GET / HTTP/9.9\r\n\r\n", b"GET / HTTP/1.1\r\n" + b"a: b\r\n" * 20_000 + b"\r\n",
     POST + b"Content-Length: -1\r\n\r\n",
     POST + b"Content-Length: 2\r\nTransfer-Encoding: chunked\r\n\r\n{}",
-    GET + b"Upgrade: websocket\r\nConnection: Upgrade\r\n\r\n\x81\xfe\xff\xff\xff\xff",
-    POST.replace(b"stop", b"dose") + b"Transfer-Encoding: chunked\r\n\r\n"
-    + 20 * (b"f4240\r\n" + bytes(1_000_000) + b"\r\n"),  # its body is not kept
 ]
 
 
-def test_broken_requests_stop_nothing(
+def test_broken_requests_and_too_many_open_files_stop_nothing(
     port: int, pump: Pump, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """Nor do they keep other clients away, all at the same time."""
-    before = _memory()
     with ExitStack() as stack:
         for data in BROKEN:
-            connection = socket.create_connection((LOOPBACK, port), timeout=300)
+            connection = socket.create_connection((LOOPBACK, port), timeout=5)
             stack.enter_context(connection)
-            connection.settimeout(5.0)
             with suppress(OSError):
                 connection.sendall(data)
         assert request(port, "GET", "/").status == 200
     assert pump.done == []
-    assert _memory() - before < 9e6
-    assert "Traceback" not in capfd.readouterr().err
-
-
-@pytest.mark.parametrize("data", [b"", b"GET / HT", 300 * (GET + b"\r\n")],
-                         ids=["silent", "half a request", "unread states"])
-def test_hostile_connections_keep_no_stop_away(data: bytes, port: int, pump: Pump) -> None:
-    """Three times the permitted number; nor is a stop dropped that waits for its answer."""
-    before = len([*Path("/proc/self/fd").iterdir()])
-    pump.answers.clear()
-    with ExitStack() as stack, ThreadPoolExecutor() as asker:
-        stop = asker.submit(request, port, "POST", "/stop", **ACT)
-        wait_for(lambda: pump.done, 60, "the stop")
-        for _ in range(3 * server._MAX_CONNECTIONS):
-            connection = socket.create_connection((LOOPBACK, port), timeout=300)
-            stack.enter_context(connection).settimeout(0.0)
-            with suppress(OSError):  # no room for all of it, or it was ended
-                connection.sendall(data)
-        assert request(port, "GET", "/").status == 200
-        others = 4 * server._MAX_CONNECTIONS  # of this test, and those that are permitted
-        assert len([*Path("/proc/self/fd").iterdir()]) - before <= others + 10
-        pump.answers.set()
-        assert stop.result().json()["ok"]
-
-
-def test_too_many_open_files_are_one_line(port: int, capfd: pytest.CaptureFixture[str]) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     with socket.socket() as connection:
         try:
             resource.setrlimit(resource.RLIMIT_NOFILE, (connection.fileno() + 1, hard))
             connection.connect((LOOPBACK, port))
-            time.sleep(2.0)  # it has tried again
+            wait_for(lambda: "Too many open files" in capfd.readouterr().err, 60, "the refusal")
         finally:
             resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
         connection.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
         assert connection.recv(12) == b"HTTP/1.1 200"
-    assert capfd.readouterr().err == "no connection can be accepted: Too many open files\n"
 
 
 # ---------------------------------------------------------------------------------- the documents
@@ -269,18 +214,13 @@ def test_documents_are_made_once_for_all_and_sent_only_if_they_have_changed(
     watched: GraphStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At most twice a second, whoever asks."""
-    made: list[float] = []
-
-    def document(store: GraphStore, wall: float) -> dict[str, Any]:
-        made.append(wall)
-        return make_document(store, wall)
-
+    document = Mock(side_effect=make_document)
     monkeypatch.setattr(server, "make_document", document)
     with served(watched) as port, ThreadPoolExecutor(8) as pages:
         begun = time.monotonic()
-        first, *others = pages.map(lambda _: request(port, "GET", "/state"), range(80))
-        assert {answer.status for answer in (first, *others)} == {200}
-        assert len(made) <= (time.monotonic() - begun) / 0.5 + 1
+        answers = [*pages.map(lambda _: request(port, "GET", "/state").status, range(80))]
+        assert set(answers) == {200}
+        assert document.call_count <= (time.monotonic() - begun) / 0.5 + 1
         tag = request(port, "GET", "/state").headers["etag"]
         known = request(port, "GET", "/state", If_None_Match=f'"other", {tag}')
         assert (known.status, known.body, known.headers["etag"]) == (304, b"", tag)
@@ -290,24 +230,5 @@ def test_documents_are_made_once_for_all_and_sent_only_if_they_have_changed(
             and answer, 60, "a new state",
         )
         assert changed.json()["tiles"]["roof"]["number"] == 0.03
-        assert changed.headers["cache-control"] == "no-cache"
 
 
-def test_a_document_that_cannot_be_made_is_reported(
-    port: int, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    """Rather than an old one being sent; the stop and the other document go on."""
-    monkeypatch.setattr(server, "make_series", fail)
-    answer = request(port, "GET", "/charts?hours=12")
-    assert (answer.status, answer.json()["sentence"]) == (500, "ZeroDivisionError: a bug")
-    # Another thread writes it.
-    wait_for(lambda: "a bug" in capfd.readouterr().err, 60, "the report")
-    assert read_state(port)["mode"] == "none"
-    assert request(port, "POST", "/stop", **ACT).status == 200
-    for hours in ("-1", "nan", "5", "1_2", "x", ""):
-        assert request(port, "GET", f"/charts?hours={hours}").status == 400, hours
-
-
-def _memory() -> int:
-    """Return the resident memory of this process (bytes)."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096

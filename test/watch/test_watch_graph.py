@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import json
-from array import array
-from pathlib import Path
 from typing import Any
 
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from page_inputs import START, node
-from places import CONFIG
 
 from greenroof_ros.ros.reports import Status
 from greenroof_ros.watch.document import make_document
-from greenroof_ros.watch.graph_client import read_message
 from greenroof_ros.watch.store import GraphStore
 
 
@@ -65,20 +60,6 @@ def test_another_run_or_site_replaces_the_one_before() -> None:
     assert graph.nodes.keys() == {"/controller"}
     assert say(graph, 60.0, "plant") == "simulated"
     assert is_new() and graph.nodes.keys() == {"/plant"}
-    assert mode(graph, 90.0) == "ended"
-
-
-def test_the_speed_and_the_site_file(tmp_path: Path) -> None:
-    """100 ticks of 1 s in 20 s; for a file that cannot be read, the paper's."""
-    graph = GraphStore()
-    for tick, up_s, factor in ((0, 3.0, "nan"), (100, 20.0, "5.0")):
-        say(graph, 0.0, "plant", tick=tick, up_s=up_s)
-        assert str(graph.factor) == factor
-    file = tmp_path / "site.yaml"
-    file.write_text((CONFIG / "site.yaml").read_text())
-    for place in (f"{file}", f"{tmp_path}", "/none", "/etc/passwd\0", ".", 7, "/" + "p" * 5000):
-        say(graph, 0.0, "plant", site=place)
-        assert (graph.site_note == "") == (place == f"{file}"), place
 
 
 # --- hostile messages -----------------------------------------------------------------------------
@@ -86,12 +67,10 @@ def test_the_speed_and_the_site_file(tmp_path: Path) -> None:
 _TEXTS = st.one_of(
     st.text(max_size=30),
     st.sampled_from([
-        "/pump", "/pump: drive", "/mpc: inputs", "ready", "ended", "starting", "", ": ", "/",
-        "<script>alert(1)</script>", "\ud800\x00\u202e", "[" * 2000, "9" * 401, "1e999", "NaN",
-        '"pump"', '"controller"', "{}", "[[1]]", '["x"]', '{"/a": 1}', '{"/a": 9' + "9" * 400 + "}",
+        "/pump", "/pump: drive", "ready", "ended", "starting", "", ": ", "\ud800\x00\u202e",
+        "[" * 2000, "9" * 401, "1e999", '"pump"', '"controller"', "{}", '["x"]', "null", "true",
         '{"owner": "x", "since": 1e300, "until": -1e300}', '{"volume": 1e300, "delivered": -1e300}',
-        "null", "true", "-Infinity", "1", "hold", "runs_on",
-        "2021-07-20T05:00:30+00:00", "9999-12-31T23:59:59+00:00", "0001-01-01T00:00:00",
+        "1", "hold", "runs_on", "2021-07-20T05:00:30+00:00", "9999-12-31T23:59:59+00:00",
     ]),
 )
 _STATUSES = st.builds(
@@ -107,31 +86,23 @@ _STATUSES = st.builds(
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(st.booleans(), st.lists(_STATUSES, max_size=4)), max_size=4))
-def test_nothing_that_is_reported_raises(messages: list[tuple[bool, list[Status]]]) -> None:
+def test_nothing_that_is_reported_raises_or_switches_the_stop_off(
+    messages: list[tuple[bool, list[Status]]]
+) -> None:
     """And everything shown can be printed, and sent as JSON in UTF-8."""
-    store, wall = GraphStore(), 0.0
-    store.allow_release = True
+    store, steady = GraphStore(), 0.0
+    store.allow_release, store.offered = True, {"/pump": 1}
     for are_alarms, statuses in messages:
-        wall += 0.5
-        store.add_statuses(wall, START, statuses)
+        steady += 0.5
+        store.add_statuses(steady, START, statuses)
         if are_alarms:
-            store.add_alarms(wall, START, statuses)
-        store.update(wall, START / 1e9)
-        document = make_document(store, wall)
+            store.add_alarms(steady, statuses)
+        store.update(steady, START / 1e9)
+        document = make_document(store, steady)
         json.dumps(document, allow_nan=False).encode()
+        assert document["stop"]["possible"] and "stop" in document["stop"]["actions"]
         for row in document["alarms"]:
             assert (row["id"] + row["what"] + row["do"]).isprintable()
             assert len(row["what"]) <= 501
 
 
-def test_what_is_not_whole_or_far_too_large_is_none() -> None:
-    """And never raises; for changed bytes see test_messages.py and test_reports.py."""
-    messages = pytest.importorskip("greenroof_ros.ros.messages", reason="it needs ROS 2")
-    whole = messages.encoder("std_msgs/msg/Float64")(-1.5e300)
-    assert read_message("/roof/level", whole) == -1.5e300
-    for length in range(len(whole)):
-        assert read_message("/roof/level", whole[:length]) is None
-        for name in ("/forecast/precipitation", "/diagnostics", "/alarms", "/clock"):
-            assert read_message(name, b"\xff" * length) is None
-    many = messages.encoder("std_msgs/msg/Float64MultiArray")(array("d", bytes(8_000_000)))
-    assert read_message("/forecast/precipitation", many) is None

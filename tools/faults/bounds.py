@@ -58,6 +58,8 @@ def bounds(site: Site) -> dict[str, float]:
         "frost": _limit("/weather/frost") + step,
         # The drive stops automatically, or bringup stops it.
         "drive": DRIVE_TIMEOUT_S + end,
+        # A hold reaches a user's own driver with the next message, of which there is one a second.
+        "held": 1.0 + step,
         # The speed comes no nearer to what is requested.
         "follow": follow + step,
         # A level that does not change although the pump moves water.

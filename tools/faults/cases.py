@@ -82,6 +82,16 @@ _LOST = (("pump: drive", "drive_lost"),)
 _DELIVERY = Expected(bound="undelivered", signs=_pump("delivery"), recovery="latches")
 
 
+def _own_driver() -> Iterator[Case]:
+    """Yield the cases of a user's own driver; if it dies, the drive's timeout stops the pump."""
+    lost = (("pump_guard: driver", "driver_lost"),)
+    rig = f"own driver:{DRIVES[0]}"
+    for fault in ("kill", "stop long"):
+        yield Case(rig, fault, "driver", Expected(bound="drive", signs=lost))
+    yield Case(rig, "held", "driver", Expected(
+        bound="held", signs=(("pump_guard: pump", "hold"),)))
+
+
 def _process(node: str, fault: str) -> Expected:
     """Return what must follow from a fault of a live site's process."""
     # A node that ends as it is asked to is no alarm, and is started again.
@@ -448,8 +458,8 @@ def _intruders() -> Iterator[Case]:
 def all_cases() -> list[Case]:
     """Return the whole campaign."""
     cases = [
-        *_processes(), *_drives(), *_relays(), *_sensors(), *_brokers(), *_forecasts(),
-        *_harmless(), *_records(), *_limits(), *_topics(), *_intruders(),
+        *_processes(), *_own_driver(), *_drives(), *_relays(), *_sensors(), *_brokers(),
+        *_forecasts(), *_harmless(), *_records(), *_limits(), *_topics(), *_intruders(),
     ]
     assert len({case.id for case in cases}) == len(cases)
     return cases

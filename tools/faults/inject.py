@@ -21,6 +21,7 @@ from faults.rig import (
     FailingDiskRig,
     FullDiskRig,
     MqttRig,
+    OwnDriverRig,
     RelayRig,
     Rig,
     SiteRig,
@@ -37,6 +38,7 @@ from greenroof_ros.base.processes import child_environment
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.live.devices.drive_file import read_drive_file
 from greenroof_ros.live.devices.modbus_line import ModbusLine, encode, parse_address
+from greenroof_ros.live.pumping.state_file import GUARD
 
 _SIGNALS = {"kill": signal.SIGKILL, "term": signal.SIGTERM}
 # Shorter than every limit (s).
@@ -173,6 +175,9 @@ def begin(rig: Rig, case: Case, rng: random.Random, undo: ExitStack) -> None:
             undo.callback(truth.inject_site, "none")
         case "forecast file":
             _forecast(rig, case, undo)
+        case "held":
+            assert rig.watcher.stop(True, node=GUARD)
+            undo.callback(rig.watcher.stop, False, node=GUARD)
         case "state file":
             _state_file(rig, case.target)
         case "dry":
@@ -196,6 +201,8 @@ def begin(rig: Rig, case: Case, rng: random.Random, undo: ExitStack) -> None:
 
 
 def _process(rig: Rig, case: Case, rng: random.Random, undo: ExitStack) -> None:
+    if isinstance(rig, OwnDriverRig) and case.fault == "kill":
+        undo.callback(rig.start_driver)
     if not case.target.endswith("_simulator"):
         name = case.target if case.target in rig.pids() else "controller"
         wait(lambda: name in rig.pids(), 15, f"no {case.target}")

@@ -508,7 +508,35 @@ class PlayedRig(Rig):
         return ("--drive", self.drive_file, "--drive-at", self.drive_at)
 
 
-def pump_node(rig: Rig, domain: int | None = None) -> Process:
+class OwnDriverRig(SiteRig):
+    """A live site with a user's own pump driver: another pump node, under the name of `driver`."""
+
+    nodes = (CONTROLLER, "weather")
+
+    def bring_up(self) -> Process:
+        drive = self._options.index("--drive")
+        self._options = (*self._options[:drive], "--pump", "external", *self._options[drive + 4 :])
+        main = super().bring_up()
+        self.start_driver()
+        return main
+
+    def start_driver(self) -> None:
+        self.driver = pump_node(self, name="driver")
+
+    def pids(self) -> dict[str, int]:
+        return {**super().pids(), "driver": self.driver.process.pid}
+
+    def runs(self) -> bool:
+        return self.truth.runs()
+
+    def _end_main(self) -> list[str]:
+        self.pids()  # of all that have been started
+        self.driver.process.terminate()
+        self.driver.wait(60)
+        return super()._end_main()
+
+
+def pump_node(rig: Rig, domain: int | None = None, name: str = "pump") -> Process:
     """Start only a pump node at a rig's drive."""
     options = {
         **{name: str(value).lower() for name, value in rig.pump_parameters.items()},
@@ -518,6 +546,7 @@ def pump_node(rig: Rig, domain: int | None = None) -> Process:
     }
     return Process(
         rig.domain if domain is None else domain, "live.pump", "--ros-args",
+        "-r", f"__node:={name}",
         *(word for name, value in options.items() for word in ("-p", f"{name}:={value}")),
         cwd=rig.directory,
     )
@@ -534,7 +563,8 @@ class PumpRig(Rig):
 
 
 RIGS: dict[str, Callable[[Path, int, str], Rig]] = {
-    "site": SiteRig, "mqtt": MqttRig, "relay": RelayRig, "gauged": GaugedRig,
+    "site": SiteRig, "own driver": OwnDriverRig, "mqtt": MqttRig, "relay": RelayRig,
+    "gauged": GaugedRig,
     "full disk": FullDiskRig, "failing disk": FailingDiskRig, "played": PlayedRig, "pump": PumpRig,
     # Water for half a minute.
     "dry": partial(SiteRig, cistern_m3=19.5),

@@ -19,6 +19,7 @@ _ROWS = {
     "pump node and bringup killed together": ("kill both",),
     "a motor that cannot be stopped (time to the alarm)": ("unstoppable",),
     "a relay, its broker and the pump node": ("relay/",),
+    "a user's own pump driver killed, stopped or held": ("own driver/",),
     "a process killed, ended or stopped": ("kill", "term", "stop"),
     "a drive, its line, power and timeout": ("drive", "power cycle", "timeout rewritten"),
     "level sensors, their lines and broker": (

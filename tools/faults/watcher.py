@@ -23,6 +23,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
 from greenroof_ros.interface.topics import read_topics
+from greenroof_ros.live.pumping.state_file import GUARD
 from greenroof_ros.ros.domain import prepare_ros
 from greenroof_ros.ros.messages import message_class, qos_profile
 
@@ -73,7 +74,9 @@ class Watcher:
             DiagnosticArray, "/diagnostics", self._on_diagnostics, qos_profile(topic.qos)
         )
         self._reset = self.node.create_client(Trigger, "/pump/reset")
-        self._stop = self.node.create_client(SetBool, "/pump/stop")
+        self._stops = {
+            name: self.node.create_client(SetBool, f"/{name}/stop") for name in ("pump", GUARD)
+        }
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._ended = False
@@ -162,9 +165,9 @@ class Watcher:
         """Call ~/reset of the pump node and return its answer; empty if there was none."""
         return self._call(self._reset, Trigger.Request(), seconds)
 
-    def stop(self, on: bool, seconds: float = 5.0) -> str:
-        """Call ~/stop of the pump node."""
-        return self._call(self._stop, SetBool.Request(data=on), seconds)
+    def stop(self, on: bool, seconds: float = 5.0, node: str = "pump") -> str:
+        """Call ~/stop of the pump node, or of the guard of a user's own driver."""
+        return self._call(self._stops[node], SetBool.Request(data=on), seconds)
 
     def set_parameter(self, node: str, name: str, values: Sequence[float | bool]) -> list[bool]:
         """Set a node's parameter to one value after another; return which it accepted."""

@@ -42,7 +42,7 @@ const fill = (id, rows, make) => {
 // The state
 
 let state = null;
-let heard = -Infinity; // when it came (ms on the browser's clock, which may be wrong)
+let receivedAt = -Infinity; // when it came (ms on the browser's clock, which may be wrong)
 let answer = null; // of the last action: its text, whether it failed, when it came, and how the pump was then
 
 const showSummary = ({ tiles: { summary } }) => {
@@ -69,12 +69,12 @@ const showTiles = ({ tiles }) => {
   });
 };
 
-// The first advice is in the box.
-const showAlarms = ({ alarms }) => fill("alarms", alarms, (alarm) => {
-  const row = element("li", "", element("strong", "", `${LEVELS[alarm.level]}, ${alarm.name}: `), element("span", "", alarm.what), ` since ${alarm.since_text}.`);
+// An advice that is in the box is not repeated; of a hold, the box states more.
+const showAlarms = ({ alarms, advice }) => fill("alarms", alarms.map((alarm) => ({ ...alarm, told: alarm.code === "hold" || advice.includes(alarm.do) })), (alarm) => {
+  const row = element("li", "", element("strong", "", `${LEVELS[alarm.level]}. `), element("span", "", alarm.what), ` since ${alarm.since_text}.`);
   row.dataset.level = alarm.level;
   row.dataset.code = alarm.code;
-  if (alarm !== alarms.find(({ code }) => code !== "hold") && alarm.code !== "hold") row.append(element("p", "", alarm.do));
+  if (!alarm.told) row.append(element("p", "", alarm.do));
   return row;
 });
 
@@ -102,14 +102,14 @@ const situation = () => JSON.stringify([Object.keys(state?.stop.actions ?? {}), 
 
 // The one box: the answer to the last action until the state contains its effect, otherwise what to do.
 const showBox = () => {
-  const old = answer && (answer.failed ? answer.situation !== situation() : heard - answer.at > REPORTED);
+  const old = answer && (answer.failed ? answer.situation !== situation() : receivedAt - answer.at > REPORTED);
   if (old) answer = null;
-  byId("box").classList.toggle("failed", Boolean(answer?.failed || state?.stop.warning));
+  byId("box").classList.toggle("failed", Boolean(answer?.failed));
   setText("box", answer?.text ?? state?.advice ?? "");
 };
 
 const setAnswer = (text, failed, at = Date.now()) => {
-  const now = state?.time.now == null ? "" : `${timeText(state.time.now + (Date.now() - heard) / 1000).slice(-8)}: `;
+  const now = state?.time.now == null ? "" : `${timeText(state.time.now + (Date.now() - receivedAt) / 1000).slice(-8)}: `;
   answer = { text: `${now}${text}`, failed, at, situation: situation() };
   showBox();
 };
@@ -117,7 +117,7 @@ const setAnswer = (text, failed, at = Date.now()) => {
 // The stop comes first; a part that cannot be shown hides no other part.
 const show = (received) => {
   state = received;
-  heard = Date.now();
+  receivedAt = Date.now();
   const failed = [];
   const parts = {
     "the stop": showStop, "the clock": ({ time }) => setZone(time.zone), "what to do": showBox, "the summary": showSummary,
@@ -207,7 +207,7 @@ const poll = async () => {
 
 // By the time of day, which goes on while the computer sleeps.
 const showAge = () => {
-  const lost = state ? Date.now() - heard > SILENT : why !== "";
+  const lost = state ? Date.now() - receivedAt > SILENT : why !== "";
   byId("lost").hidden = !lost;
   document.body.classList.toggle("lost-link", lost);
   if (!lost) return;
