@@ -7,91 +7,70 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
-from graphs import environment, wait_for
+from graphs import environment
 from ros_rig import Observer
 
 from greenroof_ros.live.upkeep import PIPE
 
 
-class Run:
-    """A process of :mod:`failing_node`.
+@pytest.mark.parametrize(("kind", "code", "failures"), [
+    ("alone", 1, 1), ("station", 0, 3), ("alarms", 1, 3),
+])
+def test_a_node_that_fails(observer: Observer, kind: str, code: int, failures: int) -> None:
+    """The cause is reported before the stop, which for a pump that turns takes 38 s, until its end.
 
-    Attributes:
-        beats: the times of its heartbeats (s).
-        reports: of each report the time (s), the sender, the state and all texts.
+    In the station it fails alone: it is made again, and left out after more failures than it may
+    have; the other goes on. Nobody else tells of alarms, so without the alarms node the process
+    ends.
     """
+    beats: list[float] = []
+    reports: list[tuple[float, Any]] = []
+    observer.collect("/diagnostics", lambda array: reports.extend(
+        (time.monotonic(), each) for each in array.status if ": " not in each.name
+    ))
+    reading, writing = os.pipe()
+    os.set_blocking(reading, False)
+    process = subprocess.Popen(
+        [sys.executable, str(Path(__file__).with_name("failing_node.py")), kind],
+        env={**environment(observer.domain), PIPE: str(writing)}, pass_fds=[writing],
+        stderr=subprocess.PIPE, text=True,
+    )
+    observer.started.append(process)
+    os.close(writing)
+    began = time.monotonic()
 
-    def __init__(self, kind: str, observer: Observer) -> None:
-        self.beats: list[float] = []
-        self.reports: list[tuple[float, str, str, str]] = []
-        self._reading, writing = os.pipe()
-        os.set_blocking(self._reading, False)
-        self._observer = observer
-        observer.collect("/diagnostics", lambda array: self.reports.extend(
-            (time.monotonic(), each.name, each.message, " ".join(one.value for one in each.values))
-            for each in array.status if ": " not in each.name
-        ))
-        self.process = subprocess.Popen(
-            [sys.executable, str(Path(__file__).with_name("failing_node.py")), kind],
-            env={**environment(observer.domain), PIPE: str(writing)}, pass_fds=[writing],
-            stderr=subprocess.PIPE, text=True,
-        )
-        observer.started.append(self.process)
-        os.close(writing)
+    def ended() -> bool:
+        try:
+            data = os.read(reading, 1 << 16)
+        except BlockingIOError:
+            return False
+        beats.append(time.monotonic())
+        return not data
 
-    def read(self) -> bool:
-        """Read what has arrived; return False at the end of the process."""
-        self._observer.executor.spin_once(timeout_sec=0.05)
-        with suppress(BlockingIOError):
-            if not os.read(self._reading, 1 << 16):
-                return False
-            self.beats.append(time.monotonic())
-        return True
-
-    def end(self) -> tuple[int, str]:
-        """Read until it has ended; return its exit code, and what it has printed as errors."""
-        wait_for(lambda: not self.read(), 60, "its end")
-        os.close(self._reading)
-        _, errors = self.process.communicate(timeout=60)
-        # Bringup kills what is silent for 2 s.
-        assert max(b - a for a, b in pairwise(self.beats)) < 2.0
-        return self.process.returncode, errors
-
-
-def test_the_cause_is_reported_before_the_stop_and_until_its_end(observer: Observer) -> None:
-    """A pump that turns takes 38 s to stop."""
-    run = Run("alone", observer)
-    code, errors = run.end()
-    failed = [report for report in run.reports if "ZeroDivisionError" in report[3]]
-    assert code == 1 and "Traceback" in errors and "error: ZeroDivisionError: " in errors
-    assert "failing_node.py, line " in failed[0][3]
-    assert failed[0][2] != "ended" and failed[-1][2] == "ended"
-    assert run.beats[-1] - run.beats[0] > 2.5  # also during the stop
-
-
-@pytest.mark.parametrize("kind", ["station", "alarms"])
-def test_a_node_of_the_station_fails_alone(observer: Observer, kind: str) -> None:
-    """It is made again, and left out after more failures than it may have; the other goes on.
-
-    Nobody else tells of alarms, so without the alarms node the process ends.
-    """
-    run = Run(kind, observer)
-
-    def is_left_out() -> bool:
-        assert run.read()
+    def left_out() -> bool:
+        assert not ended()
         now = time.monotonic()
-        last = {name for at, name, *_ in run.reports if at > now - 3.0}
-        return now > began + 6 and last == {"/weather"}
+        return now > began + 6 and {
+            each.name for at, each in reports if at > now - 3
+        } == {"/weather"}
 
     if kind == "station":
-        began = time.monotonic()
-        wait_for(is_left_out, 60, "the other node's reports alone")
-        run.process.send_signal(signal.SIGTERM)
-    code, errors = run.end()
-    assert code == (kind == "alarms")
-    assert errors.count("Traceback") == 3
+        observer.until(left_out, 60, "the other node's reports alone")
+        process.send_signal(signal.SIGTERM)
+    observer.until(ended, 60, "its end")
+    os.close(reading)
+    _, errors = process.communicate(timeout=60)
+    # Bringup kills what is silent for 2 s.
+    assert max(b - a for a, b in pairwise(beats)) < 2.0
+    assert (process.returncode, errors.count("Traceback")) == (code, failures), errors
+    assert "error: ZeroDivisionError: " in errors or kind == "station"
+    if kind == "alone":
+        texts = [(each.message, " ".join(one.value for one in each.values)) for _, each in reports]
+        failed = [message for message, text in texts if "failing_node.py, line " in text]
+        assert failed[0] != "ended" and failed[-1] == "ended"
+        assert beats[-1] - beats[0] > 2.5  # also during the stop
