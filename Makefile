@@ -62,7 +62,7 @@ help:
 	@echo "make clean         remove .venv and everything else that can be made again, but not runs/"
 
 run: $(FOR_RUN)
-	@$(BIN)/python -m greenroof_ros run $(or $(ARGS),--controller mpc)
+	@$(BIN)/python -m greenroof_ros.bringup $(or $(ARGS),--controller mpc)
 
 study: $(FOR_STUDY)
 	@$(BIN)/python -m greenroof_ros study; code=$$?; \

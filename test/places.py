@@ -30,7 +30,7 @@ def guarding(make: str, directory: Path) -> str:
 
 _COMMANDS = {
     word: name.split() for name, entry in COMMANDS.items() for word in (entry.module, name)
-} | {"bringup": ["run"]}
+}
 _RIGS = ("drive_simulator", "site_simulator")
 
 

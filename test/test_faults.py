@@ -24,7 +24,7 @@ Sample = Mapping[str, tuple[tuple[str, str] | None, str]]
 CAMPAIGN = CHECKOUT / "tools" / "faults" / "campaign.py"
 # Each fault with the cause that must be shown, and with what must follow.
 SITE: Sample = {f"site:danfoss_fc202/{fault}": outcome for fault, outcome in {
-    "kill/pump": (("pump", "not_heard"), "ran again"),
+    "kill/pump": (("pump", "node_silent"), "ran again"),
     "stop long/bringup": (None, "ran again"),
     # Only the drive's own timeout can stop the pump.
     "kill both/pump and bringup": (None, "ended"),

@@ -145,7 +145,7 @@ class ActuatorNode(LiveNode):
             level = ERROR
         elif not decision.at_rest and decision.speed is None:
             # What the pump does matters more than why it should be off.
-            level, shown = ERROR, Diagnosis("stands_unknown")
+            level, shown = ERROR, Diagnosis("standstill_unknown")
         elif first is not None and first.code != "quiet_hours":  # these are as intended
             level = WARN
             if first.code == "hold" and not decision.at_rest:

@@ -194,9 +194,9 @@ class NodeReport:
         if not self.values:
             yield diagnose("node_awaited", STALE, last)
         elif not self.is_online(steady):
-            yield diagnose("not_heard", STALE, last, time=SILENT_S)
+            yield diagnose("node_silent", STALE, last, time=SILENT_S)
         elif self._lost is not None and steady - self.began <= _REPLACED_S:
-            yield diagnose("not_heard", STALE, self._lost, time=SILENT_S)
+            yield diagnose("node_silent", STALE, self._lost, time=SILENT_S)
         elif self.state == STARTING and isinstance(waiting, list):
             about = tuple(clean_text(str(peer), _NAME) for peer in waiting[:_ABOUT])
             awaits = diagnose("peers_awaited", WARN, self.began, peers=", ".join(about))

@@ -114,7 +114,7 @@ def test_what_follows_from_another_one() -> None:
 
 @pytest.mark.parametrize(("cause", "consequences", "others"), [
     # Of two sensors, the one that publishes the topic; the rest follows from it.
-    (wrong("/cistern_sensor", "not_heard", level=STALE),
+    (wrong("/cistern_sensor", "node_silent", level=STALE),
      wrong("/pump: levels", "input_silent", "/cistern/level")
      | wrong("/mpc: inputs", "input_silent", "/cistern/level")
      | wrong("/pump: pump", "cistern_level_unknown", level=WARN),
@@ -130,11 +130,11 @@ def test_what_follows_from_another_one() -> None:
     (wrong("/pump: levels", "input_frozen", "/roof/level"),
      wrong("/mpc: inputs", "input_frozen", "/roof/level"), {}),
     # A node that waits follows from the one it waits for.
-    (wrong("/weather", "not_heard", level=STALE),
+    (wrong("/weather", "node_silent", level=STALE),
      wrong("/mpc", "peers_awaited", "weather", level=WARN)
      | wrong("/pump: command", "input_silent", "/pump/command", level=STALE), {}),
     # A drive that is not there explains why nobody knows whether the pump is stopped.
-    (wrong("/pump: drive", "drive_lost"), wrong("/pump: pump", "stands_unknown"),
+    (wrong("/pump: drive", "drive_lost"), wrong("/pump: pump", "standstill_unknown"),
      wrong("/pump: levels", "input_silent", "/roof/level")),
     # No error follows from a warning, and a pump that needs a person at it from nothing.
     ({}, {}, wrong("/mpc", "peers_awaited", "plant", level=WARN)

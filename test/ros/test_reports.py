@@ -45,20 +45,20 @@ def test_a_node_that_does_not_respond() -> None:
     reports = heard((0.0, said("/weather", FROST)))
     frost = {"/weather: frost": ("temperature_unknown", 0.0)}
     assert found(reports, SILENT_S) == frost
-    assert found(reports, SILENT_S + 0.5) == {"/weather": ("not_heard", 0.0), **frost}
+    assert found(reports, SILENT_S + 0.5) == {"/weather": ("node_silent", 0.0), **frost}
     assert reports.diagnoses(SILENT_S + 0.5)["/weather"].level == "stale"
     reports.receive(5.0, said("/weather"))
     assert not found(reports, 5.0)
     reports.excuse_silence(6.0)  # this process itself was paused
     assert not found(reports, 14.0)
-    assert found(reports, 15.0) == {"/weather": ("not_heard", 11.0)}
+    assert found(reports, 15.0) == {"/weather": ("node_silent", 11.0)}
 
 
 def test_a_node_that_another_process_replaced() -> None:
     """It was lost since its last report, however soon it returned; what it reported is over."""
     other = said("/weather", process="host 2")
     reports = heard((0.0, said("/weather", FROST)), (0.5, other), (0.6, other))
-    assert found(reports, 0.75) == {"/weather": ("not_heard", 0.0)}
+    assert found(reports, 0.75) == {"/weather": ("node_silent", 0.0)}
     assert not found(reports, 1.75)
     assert not found(heard((0.0, said("/weather", state="ended")), (2.0, other)), 2.0)
 

@@ -307,7 +307,7 @@ def test_a_dose_has_its_progress(dose: dict[str, Any], flow: float, advice: str)
 
 # --- what the pump does ---------------------------------------------------------------------------
 
-LOST = alarm("/pump: pump", "pump", "stands_unknown", "off: no connection to the drive")
+LOST = alarm("/pump: pump", "pump", "standstill_unknown", "off: no connection to the drive")
 FOLLOWS = LOST._replace(values={**LOST.values, "follows": "/alarms: broker"})
 BROKER = alarm("/alarms: broker", "alarms", "devices_lost", "relay and sensor fell silent together")
 WELDED = alarm("/pump: pump", "pump", "runs_on", "the flow meter has shown a flow")
@@ -362,7 +362,7 @@ def test_alarms_have_an_order_and_what_follows_is_not_listed() -> None:
         "live", hold,
         alarm("/weather: rain gauge", "weather", "input_silent", "it is old", WARN),
         alarm("/recorder: recording", "recorder", "disk_full", "nothing is recorded"),
-        alarm("/mpc", "controller", "not_heard", "silent", 3, since="2021-07-20T05:00:40+00:00"),
+        alarm("/mpc", "controller", "node_silent", "silent", 3, since="2021-07-20T05:00:40+00:00"),
         alarm("/pump: command", "pump", "input_silent", "it is old", follows="/mpc"),
         alarm("/weather: sky", "weather", "x", "y", number="", starting="true"),
         BROKER._replace(level=WARN, values={**BROKER.values, "serious": "false"}),
@@ -380,7 +380,7 @@ def test_alarms_have_an_order_and_what_follows_is_not_listed() -> None:
     assert document["tiles"]["summary"]["text"] == (
         "2 alarms, 3 warnings. The site is starting. Controller: silent; pump: held."
     )
-    do = read_conditions()["not_heard"].advise("/mpc", "controller")
+    do = read_conditions()["node_silent"].advise("/mpc", "controller")
     assert document["advice"] == (
         f"The pump is held off by the operator, until someone releases it. {do} If "
         "it may run again, release it with: greenroof release"

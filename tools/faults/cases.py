@@ -95,7 +95,7 @@ def _own_driver() -> Iterator[Case]:
 def _process(node: str, fault: str) -> Expected:
     """Return what must follow from a fault of a live site's process."""
     # A node that ends as it is asked to is no alarm, and is started again.
-    lost = () if fault == "term" else ((node, "not_heard"),)
+    lost = () if fault == "term" else ((node, "node_silent"),)
     if node == "station":  # the alarms node, which is in it, tells of the restart
         lost = (("alarms: station", "station_restarted"),)
     if fault == "stop short":
