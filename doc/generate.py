@@ -469,7 +469,7 @@ def interlocks() -> str | None:
 
 # What a code is about: how it begins; all interlocks are about the pump.
 _SUBJECTS = {
-    "Pump": "drive_ driver_ stands_ stop_",
+    "Pump": "drive_ driver_ standstill_ stop_",
     "Inputs and sensors": "input_ sensor_ readings_ broker_ values_ devices_",
     "Forecast and weather": "forecast_ no_forecast temperature_ freezing thermometer_ gauge_",
     "Controller, recorder and nodes": "controller_ not_ peers_ node_ station_",

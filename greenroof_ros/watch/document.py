@@ -228,7 +228,8 @@ def _summarize(
     if not known and gone is None:
         word = "Whether there are alarms is unknown"
     # The advice on the first alarm; of a hold or a pump that may turn, the box states more.
-    step = next((row["do"] for row in rows if row["code"] not in ("hold", "standstill_unknown")), "")
+    told = "hold", "standstill_unknown"
+    step = next((row["do"] for row in rows if row["code"] not in told), "")
     unknown = any(tiles[name]["state"] == "unknown" for name in ("roof", "cistern", "pump"))
     worst = serious[0]["what"] if serious else ""
     if worst and serious[0]["role"] != PUMP:
