@@ -250,7 +250,8 @@ class PumpNode(ActuatorNode):
         doses, dose = self._control.doses, self._control.doses.last
         return {
             **super().progress(),
-            "max_dose": self.site.max_dose, "min_dose": doses.minimum, "no_dose": doses.refusal,
+            "max_dose": self.site.max_dose, "min_dose": doses.minimum,
+            "no_dose": "the pump must not run now" if self.decision.active else doses.refusal,
             "dose": None if dose is None else {**asdict(dose), "sentence": dose.sentence},
         }
 
