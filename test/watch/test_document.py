@@ -101,7 +101,7 @@ def test_levels_and_temperature(
 def test_an_impossible_plan_or_forecast_is_none(wrong: np.ndarray) -> None:
     graph = watched()
     for topic in (PLAN, RAIN_FORECAST):
-        graph.add(topic, START + 60 * SECOND, rows(wrong))
+        graph.add(topic, START + 60 * SECOND, rows(wrong, [math.nan, 1e3, 2e3, 3e3, 4e3]))
     assert tile_of(graph, "watering")[0] == "not now"
     assert tile_of(graph, "rain")[2] == "no forecast received"
 
