@@ -41,8 +41,6 @@ CONTACT = "Call 555-0199; the main switch is beside the cellar door."
 SITE = replace(read_site(CONFIG / "site.yaml"), contact=CONTACT)
 HOSTILE = "<img src=x onerror=hacked=1><script>hacked=2</script>\x00\x1b[31m\u202e" + "A" * 5000
 LONG_MS = 60_000  # the machine may be busy
-CANNOT = "cannot solve its program"
-MPC = alarm("/mpc: program", "controller", "controller_failed", CANNOT)
 
 Open = Callable[..., Any]
 
@@ -202,26 +200,6 @@ def test_hostile_texts_are_texts_and_it_fits_every_width(open_page: Open) -> Non
         assert stop["height"] >= 44 and stop["y"] + stop["height"] <= 800  # a finger's size
     assert page.locator("img, body script").count() == 0
     assert page.evaluate("window.hacked") is None and page.said == []
-
-
-def test_alarms_are_listed_and_seen_by_word_sign_and_colour(open_page: Open) -> None:
-    """What to do about the first is stated once, in the box."""
-    watched, looks = site_watched(), []
-    weather = alarm("/weather: forecast", "weather", "input_silent", "its forecast is old", WARN)
-    said = [weather, MPC]
-    page = open_page(watched, said)
-    first, second = (row["do"] for row in document_of(watched)["alarms"])
-    until_shown(page, "#box", first)
-    until_shown(page, "#alarms li", second)
-    assert page.locator("body").inner_text().count(first) == 1
-    for name, now in (("error", said), ("warn", [weather]), ("ok", [])):
-        said[:] = now or [alarm("/x", "x", "x", "over", 0, ended="2021-07-20T05:00:45+00:00")]
-        page.wait_for_selector(f"#summary[data-level={name}]")
-        looks.append(page.locator("#summary").evaluate(
-            "(box) => getComputedStyle(box, '::before').content + getComputedStyle(box).borderColor"
-        ))
-    assert len(set(looks)) == 3
-    until_shown(page, "#events li", "X: over, until 00:00")
 
 
 # --------------------------------------------------------------------------- what can be done there
