@@ -1,4 +1,4 @@
-"""Starts, daily use, run time and dry run by hand; pulses by hand, and over long commands."""
+"""The defaults, daily use and dry run by hand; starts at any times."""
 
 from __future__ import annotations
 
@@ -12,10 +12,6 @@ from pump_rig import Rig, settings_for
 
 from greenroof_ros.live.pumping.limits import PumpLimits
 from greenroof_ros.live.pumping.state_file import StateFile
-from greenroof_ros.physics.pump import pump_flow
-
-# A fifth of the maximum flow at 3 m, 0.00842205 m3/s, for 10 s.
-MIN_PULSE = 0.0168441
 
 
 def test_defaults_by_hand() -> None:
@@ -72,19 +68,3 @@ def test_volume_per_day() -> None:
     rig.state_file.count(1800 + 86_400 - 600 - 10, 0.0)
     assert rig.run(8, 1.0).state == "held"
     assert rig.run(4, 1.0).request is not None
-
-
-@pytest.mark.parametrize("drive_ramp", [0.1, 1.0])
-def test_volume_within_a_minimum_pulse(drive_ramp: float) -> None:
-    """Below 0.0112 of the flow 20 starts an hour are enough: 3600 s x 0.0112 = 20 x 2 s.
-
-    The pump comes to rest from half its speed in at most 5 s, but soon delivers nothing. A pulse
-    of 10 s, and its ramp, pass before all of it is delivered.
-    """
-    rig, commanded = Rig(drive_ramp=drive_ramp), 0.0
-    for command, seconds in ((0.0105, 1500), (1e-4, 700), (0.004, 1500), (0.0105, 100)):
-        for _ in range(seconds):
-            rig.step(command)
-            # What is commanded in this tick is delivered in the next.
-            assert -0.15 * MIN_PULSE <= commanded - rig.delivered <= 1.25 * MIN_PULSE
-            commanded += rig.tau * pump_flow(rig.plant, rig.x1, rig.x2, command)

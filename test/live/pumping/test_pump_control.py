@@ -133,22 +133,6 @@ def test_a_ramp_is_no_fault(
     assert rig.decisions[-1].at_rest
 
 
-@pytest.mark.parametrize(("change", "flow"), [
-    ({"flow": 0.003}, 0.003), ({"flow": 0.0}, 0.0),
-    ({"flow": None, "speed": 0.8}, 0.00609864),
-    ({"speed": None}, None),
-    ({"flow": 5.7, "speed": 0.8}, 0.00609864),  # a meter that gives litres
-    ({"speed": -0.4}, 0.0),
-])
-def test_flow_is_measured_or_computed(change: dict[str, object], flow: float | None) -> None:
-    """At 80 % of the speed from 2.8 m: b sqrt(0.64 55.2 - 13.2) = 1.29646769e-3 sqrt(22.128)."""
-    rig = Rig(x1=70.0)
-    rig.run(15, 0.5)
-    rig.x1 = 70.0
-    rig.change = change
-    assert rig.step(0.5).flow == pytest.approx(flow, abs=5e-9)
-
-
 @pytest.mark.parametrize("follow_time", [5.0, 60.0])
 def test_a_flow_while_the_pump_stands_is_a_contact_that_is_welded(follow_time: float) -> None:
     """More than a fifth of the maximum flow (min_flow) for more than 12 s, whatever follow_time is.

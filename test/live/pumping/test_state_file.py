@@ -9,10 +9,8 @@ import sys
 import threading
 import zlib
 from collections.abc import Callable
-from dataclasses import replace
-from datetime import timedelta, timezone
 from pathlib import Path
-from shutil import copytree, rmtree
+from shutil import copytree
 from tempfile import TemporaryDirectory
 
 import pytest
@@ -142,13 +140,6 @@ def test_a_later_request_never_shortens_a_hold(
             assert bool(state_file.active_hold) == (last > clocks.now)
         state_file.release()
         assert not state_file.active_hold
-
-
-def test_a_hold_is_told_by_the_clock_of_the_site(clocks: Clocks) -> None:
-    state_file = StateFile(None, timezone(timedelta(hours=-5)))
-    state_file.hold("me", "a leak", clocks.now + 86_400)
-    hold = state_file.active_hold
-    assert hold and hold.sentence == "a hold by me since 03:00 until 16 Jan 03:00: a leak"
 
 
 # --- kill -9, power cut, full and slow disk -------------------------------------------------------
@@ -303,20 +294,6 @@ def test_a_slow_disk_delays_no_stop(file: Path) -> None:
 # --- damaged, missing, foreign and old files ------------------------------------------------------
 
 
-def test_any_state_fits_in_its_line(file: Path) -> None:
-    """With the longest texts, the most starts and the largest numbers."""
-    state_file = StateFile(file)
-    for _ in range(60):
-        state_file.count(1800.0, 123_456_789.01)
-    state_file.state = replace(state_file.state, starts=(99_999_999_999.1,) * 3600)
-    state_file.hold('"' * 1000, '"\\\x00' * 1000, 9e10 + 0.123456)
-    state_file.change(fault="\ud800" + "\U0001f4a7" * 400, fault_code="speed_not_followed")
-    assert state_file.close() == ""
-    again = stored(file)
-    assert (len(again.volumes), len(again.starts)) == (49, 100)
-    assert again.hold_owner and again.hold_reason and again.fault.startswith("?\U0001f4a7")
-
-
 def with_checksums(*texts: bytes) -> bytes:
     """Return a file with these states."""
     lines = [b"%08x %b" % (zlib.crc32(text), text) for text in texts]
@@ -391,19 +368,3 @@ def test_a_hold_is_not_forgotten_with_its_file(
     assert rig.run(30, 1.0).state == "running"
     rig.state_file.close()
     assert stored(file).fault == ""
-
-
-@pytest.mark.parametrize("removed", ["pump.json", "pump.json.number", "."])
-def test_what_is_removed_is_made_anew_within_a_minute(
-    removed: str, file: Path, clocks: Clocks
-) -> None:
-    """A cleaner wipes the files, or their whole directory: a hold is kept, also by kill -9."""
-    state_file = StateFile(file)
-    state_file.hold("the operator")
-    assert state_file.flush(20.0) == ""
-    gone = file.parent / removed
-    gone.unlink() if gone.is_file() else rmtree(gone)
-    clocks.now += 60.0
-    state_file.check()
-    assert DISK.wait(20.0)
-    assert (stored(file).hold_owner, stored(file).fault) == ("the operator", "")
