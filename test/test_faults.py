@@ -65,3 +65,13 @@ def test_a_sample_of_the_campaign(domain: int, tmp_path: Path, sample: Sample) -
         assert cause is None or [*cause] in result["signs"], result
         assert after == result["recovery"], result
         assert result["to_safe"] is None or 0 < result["to_safe"] <= result["bound"], result
+
+
+def test_a_sample_of_the_random_faults() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", str(CAMPAIGN.with_name("random_faults.py")), "-q",
+         "-p", "no:cacheprovider"],
+        env={**environment(0), "FAULTS_SEEDS": "150"}, cwd=CHECKOUT, timeout=300,
+        capture_output=True, text=True, check=False,
+    )
+    assert done.returncode == 0, done.stdout

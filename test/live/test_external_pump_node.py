@@ -12,8 +12,10 @@ import pytest
 from checked_nodes import start_node
 from graphs import Process
 from places import CHECKOUT, CONFIG
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
-from ros_rig import ERROR, LATE, Observer
+from rclpy.parameter import Parameter
+from ros_rig import ERROR, LATE, OK, Observer
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
@@ -129,6 +131,38 @@ def test_a_hold_reaches_the_driver_and_is_kept(rig: Rig) -> None:
     assert rig.states[-1].codes == ("hold",)
     assert rig.call(Trigger, "release").success
     rig.play(rig.runs, "running again")
+
+
+def test_a_driver_is_told_the_present_state_when_either_appears(rig: Rig) -> None:
+    """Also another driver than the first one, and a hold that ends while the guard is down."""
+    node, first = rig.start(), rig.drive()
+    rig.play(rig.runs, "running")
+    first.kill()
+    rig.play(lambda: rig.states[-1].codes == ("driver_lost",), "its loss")
+    rig.drive(DRIVER.read_text().replace('"my_pump"', '"another_pump"'))
+    rig.play(rig.runs, "running again")
+    until = time.time() + 10
+    fields = {"owner": "me", "until": until}.items()
+    assert rig.call(SetParametersAtomically, "hold", parameters=[
+        Parameter(name, value=value).to_parameter_msg() for name, value in fields
+    ]).result.successful
+    rig.play(lambda: rig.flows[-1] == 0.0, "a stop", 20)
+    node.kill()
+    node.wait()
+    rig.play(lambda: time.time() > until, "its end")
+    rig.start()
+    rig.play(rig.runs, "running again")
+
+
+def test_a_driver_that_pumps_nothing_is_reported(rig: Rig) -> None:
+    """And held off by nothing, since it may have its own reason."""
+    rig.start(follow_time=0.1)
+    rig.drive(DRIVER.read_text().replace("* MAX_FLOW, 0.1", "* 0.09 * MAX_FLOW, 0.1"))
+    idle = rig.observer.shows("/pump_guard: driver", ERROR, "hardly any flow for 12 s")
+    assert rig.play(idle, "a report") > 12
+    assert (rig.holds[-1], rig.states[-1].codes) == (0.0, ())
+    rig.command = 0.1  # the driver may deliver this in pulses
+    rig.play(rig.observer.shows("/pump_guard: driver", OK), "its end")
 
 
 def test_a_driver_that_does_not_stop_is_a_fault(rig: Rig) -> None:

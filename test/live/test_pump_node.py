@@ -11,11 +11,16 @@ import re
 import signal
 import subprocess
 from datetime import datetime, timedelta, timezone
+from typing import Any
 
 import pytest
 from graphs import Process, free_ports
-from pump_node_rig import PumpRig
+from pump_node_rig import PumpRig, state_in
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from ros_rig import ERROR, LATE, OK, Observer
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
@@ -151,6 +156,10 @@ def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(rig: Pump
     answer = rig.call(Trigger, "reset")
     assert answer.success and "the drive reports" in answer.message
     rig.run()
+    late = rig.observer.collect("/pump/state", state_in)  # as by ros2 topic echo --once
+    rig.observer.until(lambda: late, LATE, "a state")
+    assert late == [rig.state]
+
     assert rig.call(SetBool, "stop", data=True).success
     rig.until_at_rest()
     node.terminate()
@@ -188,6 +197,24 @@ def test_a_hold_by_the_command(rig: PumpRig) -> None:
     assert (code, "the earlier hold lasts longer and was not shortened" in output) == (0, True)
     assert command(rig, "release")[0] == 0
     rig.run()
+
+
+def test_what_is_no_hold_is_refused(rig: PumpRig) -> None:
+    """The pump runs on after each; nor does a parameter of an unknown type end the node."""
+    rig.start()
+    rig.run()
+    requests: tuple[dict[str, Any], ...] = (
+        {}, {"owner": ""}, {"owner": 7.0}, {"reason": "no owner"}, {"owner": "me", "because": "x"},
+        {"owner": "me", "until": 1.0}, {"owner": "me", "until": "tomorrow"},
+        {"owner": "me", "until": math.nan}, {"owner": "me", "until": 1e300},
+    )
+    unknown = [ParameterMessage(name="owner", value=ParameterValue(type=42))]
+    for service, parameters in (("hold", unknown), ("dose", unknown), *(("hold", [
+        Parameter(name, value=value).to_parameter_msg() for name, value in request.items()
+    ]) for request in requests)):
+        result = rig.call(SetParametersAtomically, service, parameters=parameters).result
+        assert not result.successful and result.reason, parameters
+        assert [rig.tick(0.5) > 0 for _ in range(3)] == [True] * 3, parameters
 
 
 def test_a_broken_state_needs_a_reset_that_is_confirmed(rig: PumpRig) -> None:

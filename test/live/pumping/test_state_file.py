@@ -10,7 +10,7 @@ import threading
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from shutil import copytree
+from shutil import copytree, rmtree
 from tempfile import TemporaryDirectory
 
 import pytest
@@ -368,3 +368,19 @@ def test_a_hold_is_not_forgotten_with_its_file(
     assert rig.run(30, 1.0).state == "running"
     rig.state_file.close()
     assert stored(file).fault == ""
+
+
+@pytest.mark.parametrize("removed", ["pump.json", "pump.json.number", "."])
+def test_what_is_removed_is_made_anew_within_a_minute(
+    removed: str, file: Path, clocks: Clocks
+) -> None:
+    """A cleaner wipes the files, or their whole directory: a hold is kept, also by kill -9."""
+    state_file = StateFile(file)
+    state_file.hold("the operator")
+    assert state_file.flush(20.0) == ""
+    gone = file.parent / removed
+    gone.unlink() if gone.is_file() else rmtree(gone)
+    clocks.now += 60.0
+    state_file.check()
+    assert DISK.wait(20.0)
+    assert (stored(file).hold_owner, stored(file).fault) == ("the operator", "")
