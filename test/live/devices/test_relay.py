@@ -161,17 +161,6 @@ def test_a_relay_that_is_not_understood_is_off_within_its_timer(bench: Bench, fa
     wait(lambda: bench.closed, 60)
 
 
-def test_off_waits_for_no_answer(bench: Bench) -> None:
-    """A relay that does not answer is switched off at once, not 2.5 s later."""
-    bench.run()
-    with Talker(bench.broker) as tap:
-        bench.relay.inject("silence")
-        tap.received.clear()
-        wait(lambda: any(topic.endswith("/Status") for _, topic, *_ in tap.received), 5)
-        bench.speed = None
-        assert wait(lambda: switched(tap, on=False), 5) < 0.5
-
-
 def test_a_hand_at_its_button_is_noticed_and_answered(bench: Bench) -> None:
     """If *off* is on its way, it reverses the hand before a query: a later try is noticed."""
     bench.connect()
@@ -185,13 +174,6 @@ def test_a_hand_at_its_button_is_noticed_and_answered(bench: Bench) -> None:
     bench.relay.take_over(True)
     wait(lambda: bench.closed, 5)
     assert str(stop_drive(bench.at)) == "speed 0.0%, off" and not bench.closed
-
-
-def test_one_that_does_not_switch_on_reports_it(bench: Bench) -> None:
-    bench.connect()
-    bench.relay.inject("deaf")
-    bench.speed = 1.0
-    wait(lambda: "is still off after 2 s" in str(bench.now.start_failed), 10)
 
 
 def test_a_retained_message_is_no_answer(bench: Bench) -> None:
