@@ -161,6 +161,17 @@ def test_a_relay_that_is_not_understood_is_off_within_its_timer(bench: Bench, fa
     wait(lambda: bench.closed, 60)
 
 
+def test_off_waits_for_no_answer(bench: Bench) -> None:
+    """A relay that does not answer is switched off at once, not 2.5 s later."""
+    bench.run()
+    with Talker(bench.broker) as tap:
+        bench.relay.inject("silence")
+        tap.received.clear()
+        wait(lambda: any(topic.endswith("/Status") for _, topic, *_ in tap.received), 5)
+        bench.speed = None
+        assert wait(lambda: switched(tap, on=False), 5) < 0.5
+
+
 def test_a_hand_at_its_button_is_noticed_and_answered(bench: Bench) -> None:
     """If *off* is on its way, it reverses the hand before a query: a later try is noticed."""
     bench.connect()
