@@ -9,18 +9,15 @@ from __future__ import annotations
 import math
 import os
 import signal
-import subprocess
 import time
-from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from itertools import cycle, pairwise
+from itertools import pairwise
 from typing import Any
 
 import pytest
 from disks import disk_that_hangs
 from forecast_service import started_service
-from modbus_wire import Wire
 from paper import PAPER_SITE
 from rclpy.node import Node
 from ros_rig import (
@@ -33,14 +30,12 @@ from ros_rig import (
     TAU,
     USUAL_EVAPOTRANSPIRATION,
     WARN,
-    Observer,
     Site,
     newest,
     write_forecast,
 )
 from rosbags.highlevel import AnyReader
 
-from greenroof_ros.live.devices.sensor_file import QUANTITIES
 from greenroof_ros.live.live_topics import read_live_topics
 from greenroof_ros.live.weather import _find_monthly_mean
 from greenroof_ros.site.horizon import growing_steps
@@ -198,15 +193,6 @@ class Learner(Waiting):
     @learned.setter
     def learned(self, values): self.asked = int(values["asked"])
 
-class Gauged(Waiting):
-    needs_forecast, gauge_rain = False, 0.0
-    def __init__(self, *site, **answer):
-        super().__init__(*site, **answer)
-        time.sleep(4)
-    def command(self, *inputs):
-        time.sleep(1.5)
-        return 0.1 + 1e4 * self.gauge_rain
-
 class Broken(Waiting):
     needs_forecast, outputs = False, {"/controller/fill_to": "fill_to"}
     fault = property(lambda self: Path("fault").read_text())
@@ -251,29 +237,6 @@ def test_a_missing_forecast_starts_no_pump(
     assert {value for _, value in commands} == {0.0}
 
 
-# A class as its user has left it since the site was started: what is said of it, and the line.
-LEFT = {
-    "broken": ("class Mine(:", "SyntaxError", 1),
-    "exits": ("raise SystemExit", "SystemExit", 1),
-    "never_returns": ("import time\ntime.sleep(1000)", "did not return within 12 s", 2),
-}
-
-
-def test_a_class_with_which_the_node_cannot_run(observer: Observer) -> None:
-    """The node ends with a usage error, which names file and line; on/off then replaces it."""
-    ended = {}
-    for name, (content, *_) in LEFT.items():
-        (observer.cwd / f"{name}.py").write_text(content)
-        ended[name] = observer.start(
-            f"live.controller --controller {name}:Mine",
-            popen={"stderr": subprocess.PIPE, "text": True},
-        )
-    for name, (_, why, line) in LEFT.items():
-        _, error = ended[name].communicate(timeout=60)
-        assert ended[name].returncode == 2 and why in error, (name, error)
-        assert error.startswith(f"error: {observer.cwd / name}.py, line {line}: "), (name, error)
-
-
 # What is reported of each fault, and the text of the line that is named, if a line is. For other
 # commands that are none see controllers/test_decide.py.
 FAULTS = {
@@ -306,22 +269,6 @@ def test_on_off_replaces_a_class_that_fails(site: Site) -> None:
         # An output that no message can contain.
         follow(site, commands, 0.03, ({"fault": "no number"}, None, part, WARN, "raises"))
         assert process.poll() is None
-
-
-def test_a_slow_class_commands_and_knows_the_rain_of_the_gauge(site: Site) -> None:
-    """Also without a forecast; 0 while nothing is measured.
-
-    It may take 4 s to be made, and 3 s to decide: that is no pause of the node, which would make
-    its inputs too old.
-    """
-    commands = site.be_dry()
-    for name in FORECASTS:
-        del site.values[name]
-    (site.cwd / "mine.py").write_text(MINE)
-    with site.live("controller --controller mine:Gauged", recovery_time=0.2, gauge_limit=3.0):
-        rainy = {"/gauge/precipitation": 5e-6}, pytest.approx(0.15)
-        follow(site, commands, 0.2, ({}, 0.1), rainy, ({}, 0.1))
-    assert "/gauged: command" not in site.diagnoses
 
 
 def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(site: Site) -> None:
@@ -393,30 +340,6 @@ def test_no_command_of_what_was_before_a_pause(
         follow(site, commands, 0.0, well)
 
 
-def test_the_noise_of_a_sensor_at_zero_is_treated_as_zero(observer: Observer) -> None:
-    """Nothing holds less than no water, so the topic begins at 0; a frost is below 0."""
-    sections = {"roof": "0.001", "cistern": "0.001", "thermometer": "0.1"}  # and their scales
-    readings = [cycle([-35, 20]) for _ in sections]  # each has a register of its own
-
-    def answer(request: bytes) -> list[tuple[float, bytes]]:
-        body = next(readings[request[9]]).to_bytes(2, "big", signed=True)
-        return [(0.0, request[:4] + bytes([0, 5, request[6], 4, 2]) + body)]
-
-    values = [observer.collect(QUANTITIES[name].name) for name in sections]
-    with closing(Wire(answer)) as wire:
-        (observer.cwd / "sensors.yaml").write_text("".join(
-            f"{name}:\n  address: {wire.at}\n  device_id: 1\n  kind: input\n  type: int16\n"
-            f"  median: 1\n  period: 0.2\n  register: {number}\n  scale: {scale}\n"
-            f"  low: {-9.0 if number == 2 else -0.1}\n  high: 9.0\n"
-            for number, (name, scale) in enumerate(sections.items())
-        ))
-        observer.start("live.station --sensors sensors.yaml")
-        observer.until(lambda: min(len({*each}) for each in values) > 1, LATE, "values")
-    assert [{round(value, 6) for value in each} for each in values] == [
-        {0.0, 0.02}, {0.0, 0.02}, {-3.5, 2.0}
-    ]
-
-
 def test_monthly_means_are_of_the_whole_bed_with_its_crop() -> None:
     """2.5 mm/day from 68.8 m2 are 172 litres a day; of them, the crop has half."""
     months = (0.0, 1.0, *[2.5] * 9, 20.0)
@@ -472,23 +395,6 @@ def test_live_weather(site: Site) -> None:
         site.until(lambda: len(frost) > unknown + 4, LATE, "unknown frost again")
         assert (len(forecast), len(rain)) == rates
         assert newest(evapotranspiration) in USUAL_EVAPOTRANSPIRATION
-
-
-def test_a_node_keeps_answering_while_it_reads_a_large_file(site: Site) -> None:
-    """12 MB, an archive of 50 hourly issues of 30 members and 120 h; bringup waits 5 s for it."""
-    file, frost = site.cwd / "forecast.csv", site.listen("/weather/frost")
-    last = datetime.now(UTC).replace(minute=0, second=0, microsecond=0)
-    with file.open("w") as stream:
-        stream.write(FORECAST_HEADER.replace("time,", "time,member,") + "\n")
-        for issued in (last - timedelta(hours=hour) for hour in range(49, -1, -1)):
-            times = [(issued + timedelta(hours=hour)).isoformat() for hour in range(120)]
-            for member in range(30):
-                stream.writelines(f"{times[0]},{time},{member},0.5,2.0,12.0\n" for time in times)
-    with site.live("weather", forecast=file, horizon=118.0, all_members="true"):
-        site.until(site.shows("/weather: forecast", OK), LATE, "the forecast")
-        os.utime(file)  # as if it were replaced
-        site.during(4)
-    assert max(b - a for a, b in pairwise(at for at, _ in frost)) < 3.0
 
 
 def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> None:

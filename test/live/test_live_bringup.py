@@ -258,16 +258,6 @@ def test_a_site_lives_on_a_full_disk_and_pumps_nothing(
             assert not process.stderr().count("exit code")
 
 
-def test_a_site_that_is_stopped_while_it_starts_ends_with_0(domain: int, tmp_path: Path) -> None:
-    """Before any node is there, and while sensors are missing and it waits for them."""
-    for early in (True, False):
-        with live(domain, tmp_path, *EXTERNAL, "--weather", "external") as process:
-            wait_for((tmp_path / "run").exists, 60, "the directory")
-            if not early:
-                process.until_printed("missing:", 60)
-        shutil.rmtree(tmp_path / "run")
-
-
 @pytest.mark.parametrize("numbers", [[signal.SIGINT, signal.SIGINT], [signal.SIGKILL]])
 def test_the_pump_is_off_and_no_process_is_left_at_any_end_of_bringup(
     domain: int, tmp_path: Path, hardware: Hardware, numbers: list[signal.Signals]

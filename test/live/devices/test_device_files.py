@@ -64,11 +64,6 @@ def test_wrong_files_are_refused_by_line_key_and_value(
     assert re.match(rf"{path}, line \d+: ", refused) and message in refused
 
 
-def test_a_drive_that_is_unknown() -> None:
-    words = "drive = 'danfos': is neither a file nor a name in config/drives/; did you mean danfoss"
-    assert words in refusal(find_drive_file, "danfos")
-
-
 @pytest.mark.parametrize(
     ("text", "address", "interface", "device_id"),
     [

@@ -187,13 +187,6 @@ def test_a_hand_at_its_button_is_noticed_and_answered(bench: Bench) -> None:
     assert str(stop_drive(bench.at)) == "speed 0.0%, off" and not bench.closed
 
 
-def test_one_that_does_not_switch_on_reports_it(bench: Bench) -> None:
-    bench.connect()
-    bench.relay.inject("deaf")
-    bench.speed = 1.0
-    wait(lambda: "is still off after 2 s" in str(bench.now.start_failed), 10)
-
-
 def test_a_retained_message_is_no_answer(bench: Bench) -> None:
     """Whoever retained it: a Tasmota with PowerRetain, or an old bridge."""
     with Talker(bench.broker) as tap:
