@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import resource
 import signal
 import socket
 import time
@@ -163,6 +164,21 @@ def test_a_pump_node_that_fails_again_and_again_stays_off(make_site: Make) -> No
     assert tried <= len(site.stops) <= tried + 1 and len(site.pids["pump"]) == 2
     assert "has failed too often, and stays off until the site is restarted" in site.said()[2]
     assert all(alive(site.pids[name][-1]) for name in ("controller", "station"))
+
+
+def test_a_start_that_the_system_refuses_is_no_failure_of_the_process(make_site: Make) -> None:
+    """Without descriptors for longer than the restarts would last, and then started."""
+    site = make_site(restarts=1)
+    site.until_ready()
+    site.kill("station")
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    refused = "station: cannot be started: Too many open files; is tried again in 0.5 s"
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (3, hard))
+        site.until(lambda: site.told.count(refused) > 3)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    site.until(lambda: len(site.pids["station"]) == 2)
 
 
 @pytest.mark.parametrize(("lost", "why", "code", "last_line", "starts"), [

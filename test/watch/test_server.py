@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from graphs import wait_for
 from page_inputs import pump as pump_says
 from page_server import request, served
 
@@ -89,6 +90,16 @@ def test_the_page_and_its_files_come_as_they_are_and_may_do_nothing_else(port: i
         assert not {"set-cookie", "access-control-allow-origin"} & answer.headers.keys()
     for target in ("/../server.py", "/%2e%2e/server.py", "//etc/passwd", "/index.html", "/stop"):
         assert request(port, "GET", target).status in (400, 404, 405), target
+
+
+def test_a_document_is_sent_only_if_it_has_changed(port: int, watched: GraphStore) -> None:
+    tag = request(port, "GET", "/state").headers["etag"]
+    known = request(port, "GET", "/state", If_None_Match=f'"other", {tag}')
+    assert (known.status, known.body, known.headers["etag"]) == (304, b"", tag)
+    watched.add("/roof/level", watched.system, 0.03)
+    wait_for(
+        lambda: request(port, "GET", "/state", If_None_Match=tag).status == 200, 60, "a new state"
+    )
 
 
 # ------------------------------------------------------------------------------------- refusals
