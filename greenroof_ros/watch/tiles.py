@@ -167,6 +167,8 @@ def _make_pump_tile(store: GraphStore) -> Tile:
     no_speed = values.get("speed", 0.0) is None  # some nodes never report a speed
     may_turn = store.runs_on or (lost and at_rest is False) or (no_speed and at_rest is not True)
     number = None if no_speed and not may_turn else store.present_value(FLOW)
+    if may_turn and not number:
+        number = None  # no flow is no news of a pump that may be turning
     kept_off = any(alarm.role == PUMP and alarm.part == PUMP for alarm in store.present)
     if state == "held" and not kept_off and not values.get("hold"):  # as intended
         state = "off"
