@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from collections import Counter
 from pathlib import Path
@@ -27,6 +28,10 @@ from greenroof_ros.ros.watchdog import Watchdog
 from greenroof_ros.simulation import screen, summary
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration
 from greenroof_ros.simulation.run import Run
+
+# How long messages of a node that is not composed here are still received after the last tick (s):
+# a node that publishes twice per tick can be found only then.
+_EXTRA_S = 0.5
 
 
 def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
@@ -90,9 +95,11 @@ def _run_nodes(
     in_lockstep = [*nodes.values()]
     nodes[ROLE] = AlarmsNode()
     beside = [nodes[ROLE]]
-    watchdog = Watchdog(exits=True)
+    extra_s = _EXTRA_S if EXTERNAL in (run.controller.reference, arguments.pump) else 0.0
+    watchdog, finished_at = Watchdog(exits=True), math.inf
 
     def may_end() -> bool:
+        nonlocal finished_at
         watchdog.report(plant.limit())
         signals.check()
         for node in beside:
@@ -106,7 +113,9 @@ def _run_nodes(
         else:
             missing = ", ".join(plant.absent())
             progress.show(f"waiting for {missing}" if missing else "starting", 0.0)
-        return all(node.finished for node in in_lockstep)
+        if all(node.finished for node in in_lockstep):
+            finished_at = min(finished_at, time.monotonic())
+        return time.monotonic() - finished_at >= extra_s
 
     with RunProgress(run.steps, run.site.tau, LINES) as progress:
         try:

@@ -1,4 +1,4 @@
-"""Starting a graph of any kind, with the watchers requested by options.
+"""Starting a graph of any kind, with the watcher that an option requests.
 
 A watcher is a separate process; a run neither waits for a watcher nor fails because of one.
 """
@@ -25,30 +25,17 @@ _MAX_RESTARTS, _WAIT_S, _CHECK_S = 10, 2.0, 0.25
 def bring_up(
     arguments: argparse.Namespace, start: Callable[[Signals], int], stopped: int = EXIT_INTERRUPTED
 ) -> int:
-    """Start a graph with the watchers for ``--watch`` and ``--foxglove``; return the exit code.
+    """Start a graph, with the watcher for ``--watch``; return the exit code.
 
     Args:
         arguments: the parsed command line.
         start: function that runs the graph and returns the exit code.
         stopped: exit code to return if a signal arrives before the first node is started, or after
             the run.
-
-    Raises:
-        ConfigurationError: if the Foxglove server cannot use the port.
     """
-    watchers = {"watch": list[str]()} if arguments.watch else {}
-    if arguments.foxglove is not None:
-        from greenroof_ros.watch.foxglove_server import refuse_unusable
-
-        refuse_unusable(arguments.foxglove)
-        watchers["foxglove"] = ["--foxglove", str(arguments.foxglove)]
     signals, ending = Signals(), threading.Event()
-    keepers = [
-        threading.Thread(target=_keep_watcher, args=(
-            name, [*options, f"--namespace={arguments.namespace}"], ending
-        )) for name, options in watchers.items()
-    ]
-    for keeper in keepers:
+    keeper = threading.Thread(target=_keep_watcher, args=(arguments.namespace, ending))
+    if arguments.watch:
         keeper.start()
     try:
         code = start(signals)
@@ -58,12 +45,12 @@ def bring_up(
     finally:
         signals.ignore()
         ending.set()
-        for keeper in keepers:
+        if keeper.is_alive():
             keeper.join()
     return code or (stopped if signals.received else EXIT_DONE)
 
 
-def _keep_watcher(name: str, options: list[str], ending: threading.Event) -> None:
+def _keep_watcher(namespace: str, ending: threading.Event) -> None:
     """Run ``greenroof watch`` until the run ends; it prints its address.
 
     If the watcher exits early, it is started again, at most ten times, and a line says so; the run
@@ -71,7 +58,7 @@ def _keep_watcher(name: str, options: list[str], ending: threading.Event) -> Non
     """
     for left in reversed(range(_MAX_RESTARTS + 1)):
         process = subprocess.Popen(
-            [sys.executable, "-m", "greenroof_ros", "watch", *options],
+            [sys.executable, "-m", "greenroof_ros", "watch", f"--namespace={namespace}"],
             stdin=subprocess.DEVNULL, stdout=sys.stderr,  # a run's output may be JSON
             start_new_session=True,  # Ctrl-C is for the run, which ends the watcher
             env=child_environment(),
@@ -86,6 +73,6 @@ def _keep_watcher(name: str, options: list[str], ending: threading.Event) -> Non
                 process.kill()
             return
         then = f"starts again in {_WAIT_S:g} s" if left else "is given up"
-        print_line(f"{name}: the watcher has exited, and {then}; the run continues")
+        print_line(f"watch: the watcher has exited, and {then}; the run continues")
         if ending.wait(_WAIT_S):
             return

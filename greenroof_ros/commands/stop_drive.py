@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, Parser, command
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.live.devices.exchange import read_endpoint, stop_drive
-from greenroof_ros.live.devices.modbus_line import DriveError
 from greenroof_ros.live.live_site import add_drive, read_drive
 
 
@@ -37,8 +37,10 @@ def main() -> int:
     file, at, *broker = read_drive(arguments).values()
     try:
         status = stop_drive(read_endpoint(Path(file), at, "--drive-at", *broker))
-    except DriveError as error:
+    except ConfigurationError:
+        raise
+    except Exception as error:  # whatever it is, someone must look at the pump
         print(f"THE PUMP MAY BE RUNNING: {error}")
         return EXIT_FAILED
-    print(f"the drive reports: {status}")
+    print(f"{'' if status.at_rest else 'THE PUMP MAY BE RUNNING: '}the drive reports: {status}")
     return EXIT_DONE if status.at_rest else EXIT_FAILED

@@ -12,7 +12,6 @@ from greenroof_ros.base.command_line import Parser, command, make_number_type
 from greenroof_ros.base.errors import ConfigurationError, describe_extra
 from greenroof_ros.base.files import state_directory
 from greenroof_ros.base.processes import InterruptedRun, Signals
-from greenroof_ros.ros.arguments import add_foxglove
 from greenroof_ros.ros.domain import add_namespace
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.foxglove_server import FoxgloveServer
@@ -72,9 +71,11 @@ def make_parser() -> Parser:
         epilog=_EPILOG,
     )
     add_namespace(parser)
-    add_foxglove(
-        parser, "instead of the page, serve the graph to Foxglove or Lichtblick on this machine, "
-        "at the address printed.",
+    parser.add_argument(
+        "--foxglove", nargs="?", const=8765, type=make_number_type(0, 65535, int), metavar="PORT",
+        help="instead of the page, serve the graph to Foxglove or Lichtblick on this machine, at "
+        "the address printed. PORT is 8765, as their viewers expect, if omitted; 0 selects any "
+        "free port. Requires the extra [foxglove]",
     )
     parser.add_argument(
         "--allow-release", action="store_true",

@@ -32,6 +32,7 @@ from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.levels import LIMITS
 from greenroof_ros.live.node import LiveNode
 from greenroof_ros.live.pumping.interlocks import Decision, clear_refusal
+from greenroof_ros.live.pumping.limits import check_command_limit
 from greenroof_ros.live.pumping.state_file import MAX_TIME, StateFile
 from greenroof_ros.ros.diagnostics import ERROR, OK, WARN
 from greenroof_ros.ros.parameter_file import check_value
@@ -84,7 +85,9 @@ class ActuatorNode(LiveNode):
         path = self.values[STATE_FILE.name] or state_directory() / f"{own_name}.json"
         self.state_file = StateFile(Path(path), self.site.zone)
         self.decision = Decision({})
-        self._stepped = boot_time()
+        self._stepped, self._checked = boot_time(), -math.inf
+        limit = self.values[COMMAND_LIMIT.name]
+        check_command_limit(limit, self.site.tau, f"parameter {COMMAND_LIMIT.name}")
         self.open_service("stop", SetBool, self._stop)
         self.open_service("release", Trigger, lambda request: self._release())
         self.open_service("hold", SetParametersAtomically, self._hold)
@@ -133,6 +136,8 @@ class ActuatorNode(LiveNode):
         """Decide again, and report."""
         if boot_time() - self._stepped >= _STEP_S:
             self.decide()
+        if now - self._checked >= _STEP_S:  # requests, which decide, may be frequent
+            self._checked = now
             self.state_file.check()
             self.report()
 

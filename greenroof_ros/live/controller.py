@@ -162,7 +162,7 @@ class LiveControllerNode(ControllerNode, LiveNode):
         allowed = allowed and not (self._hold is not None and self._hold.value)
         command, outputs = 0.0, Outputs()
         may_retry = time.monotonic() - self._failed_at >= self._retry_after
-        if not self._stand_in_since or (may_retry and self._may_use_forecast):
+        if not self._stand_in_since or (may_retry and allowed and self._may_use_forecast):
             with self._controllers_code(deciding_limit(self._site.tau)):
                 command, outputs = self._command_by_controller(allowed)
         self._update_stand_in()

@@ -210,7 +210,7 @@ def make_parser() -> Parser:
 
 def add_drive(parser: Parser) -> None:
     """Add the options that choose a drive."""
-    group = parser.add_argument_group("the drive", "a drive over Modbus, or a relay over MQTT")
+    group = parser.add_argument_group("the drive", "A drive over Modbus, or a relay over MQTT.")
     options = {
         "--drive": "{NAME,FILE}", "--drive-at": "ADDRESS", "--broker-login": "FILE",
         "--broker-authority": "FILE",

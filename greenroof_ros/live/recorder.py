@@ -88,7 +88,7 @@ class LiveRecorderNode(LiveNode):
         decode(message)
         if are_alarms:
             before, self._alarms = self._alarms, message[_CONTENT:]
-            if self._alarms == before:
+            if self._alarms == before and not self._bag.problem:  # it may have been lost
                 return
         write = partial(self._bag.write, name, time.time_ns(), message, time.monotonic())
         DISK.do(write, len(message))

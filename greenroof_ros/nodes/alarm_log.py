@@ -63,8 +63,7 @@ class AlarmLog:
         except (OSError, ValueError) as error:
             self._tell(f"warning: {error}{_NOT_SHOWN}")
         else:
-            for number, alarm in read.items():
-                self._alarms.setdefault(number, alarm)  # if it came late, there are new ones
+            self._alarms = read | self._alarms  # if it came late, there are new ones
             self._write_all()
 
     def add(self, changed: Iterable[Alarm]) -> None:

@@ -18,6 +18,7 @@ from array import array
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from greenroof_ros.base.errors import OccupiedError
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.interface.states import PLANT
@@ -150,6 +151,11 @@ class PlantNode(LockstepNode):
     def on_inputs(self) -> None:
         """Compute the next tick of the plant from the inputs of this tick."""
         site = self._site
+        if self._paused:
+            raise OccupiedError(
+                f"answers to tick {site.tick} arrived before the tick was published: nodes of an "
+                "earlier run are still in this graph; stop them"
+            )
         if site.tick == 0:
             self._began = time.monotonic()  # before this, the other nodes were still joining
         if self._frost is not None:
@@ -201,6 +207,8 @@ class PlantNode(LockstepNode):
                 self._pace.timer_period_ns = math.ceil(1e9 * wait)
                 self._pace.reset()
                 return
+            if wait < -1.0:  # a pump's minimum times must not pass faster than in reality
+                self._began -= wait
         self._publish_tick()
 
     def _on_written(self, ticks: float) -> None:

@@ -38,22 +38,9 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
         "run, only at a --speed of 60 or less. The page closes when the graph stops, whereas the "
         "page of greenroof watch stays open. Requires the extra [watch]",
     )
-    add_foxglove(
-        group, "serve the graph to Foxglove or Lichtblick on this machine until the graph stops, "
-        "and print the address of the server.",
-    )
     if not pump:
         group.add_argument(
             "--node-parameters", type=Path, metavar="FILE",
             help="ROS 2 parameter file for the parameters that bringup does not set, such as the "
             "limits of the pump node (doc/reference/nodes.md); unknown parameters are rejected",
         )
-
-
-def add_foxglove(parser: argparse._ActionsContainer, about: str) -> None:
-    """Add the option to serve a graph to Foxglove, with the default port of Foxglove's viewers."""
-    parser.add_argument(
-        "--foxglove", nargs="?", const=8765, type=make_number_type(0, 65535, int), metavar="PORT",
-        help=f"{about} PORT is 8765 if omitted; 0 selects any free port. Requires the extra "
-        "[foxglove]",
-    )

@@ -165,7 +165,7 @@ def _write_dose(dose: Mapping[str, Any], flow: float | None) -> str:
     progress = f"A dose: {words.write_litres(delivered)} of {words.write_litres(volume)}"
     if not flow or flow < 0:
         return f"{progress}; it is waiting."
-    return f"{progress}, {max(1, math.ceil((volume - delivered) / flow / 60))} min left."
+    return f"{progress}, {max(1, math.ceil(min((volume - delivered) / flow / 60, 1e6)))} min left."
 
 
 # --- alarms and events ----------------------------------------------------------------------------

@@ -114,8 +114,9 @@ class Feed:
         store.update(now, time.time())
         is_live = store.mode == "live"
         if is_live and not was_live and self._past_file is not None:
+            past = read_histories(self._past_file)  # the disk may be slow
             with store.lock:
-                store.past |= read_histories(self._past_file)
+                store.past |= past
         wanted = is_live or (store.mode == "simulated" and store.factor <= FASTEST)
         topics = TOPICS if is_live else (*TOPICS, CLOCK)
         self._client.subscribe(topics if wanted else ())

@@ -21,17 +21,6 @@ from greenroof_ros.watch.listening import LOOPBACK, listen
 _POLL_S = 0.05
 
 
-def refuse_unusable(port: int) -> None:
-    """Before anything is started, raise an error if the port is in use or the SDK is missing.
-
-    Raises:
-        ConfigurationError: if the graph cannot be served on this port.
-    """
-    with require_extra("foxglove"):
-        import foxglove  # noqa: F401
-    listen(LOOPBACK, port, key="--foxglove").socket.close()
-
-
 class FoxgloveServer:
     """A server of all topics of the interface on the loopback address.
 
@@ -49,9 +38,10 @@ class FoxgloveServer:
         Raises:
             ConfigurationError: if the port cannot be used, or foxglove-sdk or ROS 2 is missing.
         """
-        refuse_unusable(port)
-        import foxglove
-        from foxglove.websocket import Capability
+        with require_extra("foxglove"):
+            import foxglove
+            from foxglove.websocket import Capability
+        listen(LOOPBACK, port, key="--foxglove").socket.close()  # is it in use?
 
         self._client = GraphClient(namespace, self._on_message)
         self._channels = {

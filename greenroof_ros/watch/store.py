@@ -52,6 +52,8 @@ TICKS, _STALE_S, GAP_S = 3, 5.0, 600.0
 # once a second, and a process that died is back within a few seconds. After the same silence of its
 # plant, a run is over.
 _GONE_S = 10.0
+# How long a watcher that starts may need to hear of a site (s).
+_DISCOVERY_S = 3.0
 # A plan is valid for this time (s): a controller makes a new one when it starts and every hour.
 _PLAN_S = 2 * 3600.0
 _PAPERS = "Levels are judged by the parameters of the paper's site, config/site.yaml."
@@ -114,6 +116,7 @@ class GraphStore(Reports):
         self.seen_at: float | None = None
         self._read_site("")
         self.steady = self.system = 0.0
+        self._listening_since = math.inf  # (steady clock, s)
         self.mode, self.factor = "none", math.nan
         self._began: float | None = None  # when its plant began (steady clock, s); -1 if live
         self.reset()
@@ -138,6 +141,7 @@ class GraphStore(Reports):
         """
         with self.lock:
             self.steady, self.system = steady, system
+            self._listening_since = min(self._listening_since, steady)
             self.mode, plant = self._find_mode(), self.node(PLANT)
             if self.mode != "none":
                 began = -1.0 if self.mode == "live" or plant is None else plant.began
@@ -228,7 +232,8 @@ class GraphStore(Reports):
         ):
             return None
         reported = [self.system - self.steady + node.received_at for node in nodes]
-        return max(reported, default=self.seen_at)
+        is_known = self.steady - self._listening_since >= _DISCOVERY_S
+        return max(reported, default=self.seen_at if is_known else None)
 
     @property
     def runs_on(self) -> bool:

@@ -368,7 +368,8 @@ def _parse(line: bytes) -> dict[int, StoredState]:
         content.setdefault("hold_since", None)
         content.setdefault("volumes", [volume for _, volume in content.get("use", ())])
         if content["unknown"]:
-            content |= {"fault": content["unknown"], "fault_code": "state_unknown"}
+            told = [content["unknown"], content["fault"]]
+            content |= {"fault": "; ".join(filter(None, told)), "fault_code": "state_unknown"}
     elif content["version"] != _VERSION:
         raise ValueError(f"its format is {content['version']}, but this version reads {_VERSION}")
     state = StoredState(**{field.name: content[field.name] for field in fields(StoredState)})
