@@ -85,7 +85,7 @@ class ActuatorNode(LiveNode):
         path = self.values[STATE_FILE.name] or state_directory() / f"{own_name}.json"
         self.state_file = StateFile(Path(path), self.site.zone)
         self.decision = Decision({})
-        self._stepped, self._checked = boot_time(), -math.inf
+        self._stepped, self._reported_at = boot_time(), -math.inf
         limit = self.values[COMMAND_LIMIT.name]
         check_command_limit(limit, self.site.tau, f"parameter {COMMAND_LIMIT.name}")
         self.open_service("stop", SetBool, self._stop)
@@ -136,8 +136,8 @@ class ActuatorNode(LiveNode):
         """Decide again, and report."""
         if boot_time() - self._stepped >= _STEP_S:
             self.decide()
-        if now - self._checked >= _STEP_S:  # requests, which decide, may be frequent
-            self._checked = now
+        if now - self._reported_at >= _STEP_S:  # requests, which decide, may be frequent
+            self._reported_at = now
             self.state_file.check()
             self.report()
 

@@ -116,7 +116,7 @@ class GraphStore(Reports):
         self.seen_at: float | None = None
         self._read_site("")
         self.steady = self.system = 0.0
-        self._listening_since = math.inf  # (steady clock, s)
+        self._listening_since = 0.0  # since the first update (steady clock, s)
         self.mode, self.factor = "none", math.nan
         self._began: float | None = None  # when its plant began (steady clock, s); -1 if live
         self.reset()
@@ -141,7 +141,7 @@ class GraphStore(Reports):
         """
         with self.lock:
             self.steady, self.system = steady, system
-            self._listening_since = min(self._listening_since, steady)
+            self._listening_since = self._listening_since or steady
             self.mode, plant = self._find_mode(), self.node(PLANT)
             if self.mode != "none":
                 began = -1.0 if self.mode == "live" or plant is None else plant.began

@@ -105,7 +105,7 @@ def test_a_run_under_the_eyes_of_five_is_the_same_run(
         bag = {message.log_time: decoder(FLOAT)(message.data)
                for _, _, message in make_reader(stream).iter_messages([LEVEL])}
     past = {int(row["ended"]): row["last"] for row in watched.past["roof"].rows}
-    assert len(past) > 5 and channel["schemaName"] == FLOAT
+    assert past and channel["schemaName"] == FLOAT
     for at, value in (*past.items(), *found.items()):
         assert value in {each for time_ns, each in bag.items() if abs(at - time_ns) <= 20e9}
 

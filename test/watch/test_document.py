@@ -246,7 +246,8 @@ def test_what_is_known_of_the_pump(
     tile, summary, stop = (
         document["tiles"]["pump"], document["tiles"]["summary"], document["stop"]
     )
-    assert (tile["value"], tile["number"]) == (value, said["flow"])
+    told = None if value == "may be running" and not said["flow"] else said["flow"]
+    assert (tile["value"], tile["number"]) == (value, told)
     drawn = make_series(graph, 3)["lines"]["flow"][-2][1]  # before the line's end
     assert (drawn is None) == (said["flow"] is None)
     if sentence:
