@@ -124,10 +124,15 @@ def _serve(channel: socket.socket) -> None:
         reading, writing = os.pipe()
         between = os.fork()
         if between == 0:
+            forked, has_forked = os.pipe()
             parent, child = os.getpid(), os.fork()
             if child:
+                os.read(forked, 1)  # what a library does after a fork may look at the parent
                 os.write(writing, str(child).encode())
                 os._exit(0)
+            os.write(has_forked, b".")
+            os.close(forked)
+            os.close(has_forked)
             for number in (channel.fileno(), reading, writing):
                 os.close(number)
             while os.getppid() == parent:

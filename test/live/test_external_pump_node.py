@@ -141,7 +141,7 @@ def test_a_driver_is_told_the_present_state_when_either_appears(rig: Rig) -> Non
     rig.play(lambda: rig.states[-1].codes == ("driver_lost",), "its loss")
     rig.drive(DRIVER.read_text().replace('"my_pump"', '"another_pump"'))
     rig.play(rig.runs, "running again")
-    until = time.time() + 10
+    until = time.time() + 25
     fields = {"owner": "me", "until": until}.items()
     assert rig.call(SetParametersAtomically, "hold", parameters=[
         Parameter(name, value=value).to_parameter_msg() for name, value in fields
