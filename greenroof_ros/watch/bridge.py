@@ -153,7 +153,8 @@ def make_state(shown: Mapping[str, Any]) -> dict[str, Any]:
     for key, (tile, topic, _) in NUMBERS.items():
         display, number = find_display(topic), tiles[tile]["number"]
         fields[key] = None if number is None else round(number * display.factor, display.decimals)
-    here = shown["mode"] not in ("none", "ended") or fields["problem"] == ON
+    # Of a site that is gone, the problem is known.
+    here = shown["mode"] != "ended" and (shown["mode"] != "none" or fields["problem"] == ON)
     return {"mode": shown["mode"], **(fields if here else dict.fromkeys(fields))}
 
 

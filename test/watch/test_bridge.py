@@ -54,6 +54,13 @@ def state(graph: GraphStore, steady: float = 100.0) -> dict[str, Any]:
     return make_state(make_document(graph, steady))
 
 
+def test_a_bridge_that_starts_after_the_end_of_a_site_tells_of_the_problem() -> None:
+    graph = GraphStore()
+    assert state(graph)["problem"] is None  # nothing has been here
+    graph.seen_at = START / SECOND
+    assert state(graph)["problem"] == "ON"
+
+
 def test_each_value_has_the_pages_unit_and_what_is_old_is_unknown() -> None:
     graph = store("live")
     add_values(graph, 0, 10, {
