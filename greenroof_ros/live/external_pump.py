@@ -20,6 +20,7 @@ begin_program(__name__)
 import math
 
 from rclpy.client import Client
+from rclpy.task import Future
 from std_srvs.srv import SetBool
 
 from greenroof_ros.base.parameter import Parameter
@@ -67,8 +68,9 @@ class ExternalPumpNode(ActuatorNode):
         super().__init__(GUARD, parameters)
         self._max_flow = maximum_pump_flow(self.site, self.site.cistern_volume(self.site.z_o))
         self._hold_sent, self._sent_at = 0.0, -math.inf
-        self._driver: Client | None = None  # the driver's own service to stop it
-        self._told: bool | None = None  # whether it was told to stop; None before it is told
+        self._stops: dict[str, Client] = {}  # the drivers' own services to stop them, by name
+        # What each was told since a driver appeared, and its answer.
+        self._told: dict[str, tuple[bool, Future]] = {}
         self._idle_for = 0.0  # for how long it has not been pumping as commanded (s)
         self._command, self._flow = self.subscribe(COMMAND), self.subscribe(FLOW)
         self.open_outputs(_HOLD, STATE)
@@ -84,7 +86,7 @@ class ExternalPumpNode(ActuatorNode):
             self.resolve_topic_name(self.interface[_HOLD].graph_name)
         )}
         names = [*self._command.publishers.names(), *self._flow.publishers.names()]
-        offers_stop = self._driver is not None and self._driver.service_is_ready()
+        offers_stop = any(client.service_is_ready() for client in self._stops.values())
         if offers_stop or readers & set(names):
             return ""
         return (
@@ -114,15 +116,13 @@ class ExternalPumpNode(ActuatorNode):
         if self._idle_for > limit:
             idle = Diagnosis.of("driver_idle", command=wanted, time=self._idle_for)
         active = evaluate(self.state_file, reasons)
+        if not lost and _ABSENT & self.decision.active.keys():  # another one, or started again
+            self._told.clear()
         hold, now = float(bool(active)), boot_time()
         if hold != self._hold_sent or now - self._sent_at >= _HOLD_S:
             self._hold_sent, self._sent_at = hold, now
             self.publish(_HOLD, hold)
-        if not lost and _ABSENT & self.decision.active.keys():  # another one, or started again
-            if self._driver is not None:
-                self.destroy_client(self._driver)
-            self._driver = self._told = None
-        self._tell_driver(bool(active.keys() - _ABSENT))
+            self._tell_drivers(bool(active.keys() - _ABSENT))
         runs = share is not None and share > RUNNING_SHARE
         state = "running" if runs else "off"
         why = f"the command is {command:g}" if self._command.good else "no valid command arrives"
@@ -138,24 +138,25 @@ class ExternalPumpNode(ActuatorNode):
 
     def _driver_problem(self) -> Diagnosis | None:
         publishers = self._flow.publishers
-        if second := publishers.describe_second():
-            return Diagnosis.of("two_pumps", topic=publishers.full_name, problem=second)
+        if conflict := publishers.describe_conflict():
+            return Diagnosis.of("two_pumps", topic=publishers.full_name, problem=conflict)
         why = str(self._flow.diagnosis or "")
         if not publishers.compatible:
             why = f"{publishers.full_name} has no live publisher"
         return Diagnosis.if_any("driver_lost", why)
 
-    def _tell_driver(self, stop: bool) -> None:
-        """Call the driver's ``~/stop``, if it offers one, unless it knows the present state."""
-        if self._driver is None:
-            offered = dict(self.get_service_names_and_types())
-            for info in self.get_publishers_info_by_topic(self._flow.publishers.full_name):
-                name = f"{info.node_namespace.rstrip('/')}/{info.node_name}/stop"
-                if "std_srvs/srv/SetBool" in offered.get(name, ()):
-                    self._driver = self.create_client(SetBool, name)
-        if self._driver is not None and stop != self._told and self._driver.service_is_ready():
-            self._told = stop
-            self._driver.call_async(SetBool.Request(data=stop))
+    def _tell_drivers(self, stop: bool) -> None:
+        """Call ``~/stop`` of every driver that offers it, until it has answered."""
+        offered = dict(self.get_service_names_and_types())
+        for info in self.get_publishers_info_by_topic(self._flow.publishers.full_name):
+            name = f"{info.node_namespace.rstrip('/')}/{info.node_name}/stop"
+            if name not in self._stops and "std_srvs/srv/SetBool" in offered.get(name, ()):
+                self._stops[name] = self.create_client(SetBool, name)
+        for name, client in self._stops.items():
+            told, answer = self._told.get(name, (None, Future()))
+            if client.service_is_ready() and not (told == stop and answer.done()):
+                client.remove_pending_request(answer)
+                self._told[name] = stop, client.call_async(SetBool.Request(data=stop))
 
 
 main = live_command(ExternalPumpNode, __doc__)

@@ -69,18 +69,18 @@ class LivePublishers(Publishers):
         """Number of publishers with a compatible quality of service, whose messages arrive."""
         return self._alive if self._by_lease else super().compatible
 
-    def describe_second(self) -> str:
+    def describe_conflict(self) -> str:
         """Return a message if there is a second or, with a lease, an incompatible publisher.
 
         If only one of two publishers is known, the middleware has miscounted after a lease expired
         on a busy computer.
         """
-        if self._incompatible_at > -math.inf:
-            if incompatible := self.describe_incompatible():
-                return incompatible
-            if time.monotonic() - self._incompatible_at > _DISCOVERY_S:
-                self._incompatible_at = -math.inf  # it has gone
-        return super().describe_second()
+        if self._incompatible_at == -math.inf and self.count < 2:
+            return ""
+        conflict = super().describe_conflict()
+        if not conflict and time.monotonic() - self._incompatible_at > _DISCOVERY_S:
+            self._incompatible_at = -math.inf  # it has gone
+        return conflict
 
 
 class LiveInput(Input):
@@ -126,7 +126,7 @@ class LiveInput(Input):
 
     def check(self) -> None:
         """Check the latest value at the current time."""
-        self.diagnosis = self.rules.check(boot_time(), self.publishers.describe_second())
+        self.diagnosis = self.rules.check(boot_time(), self.publishers.describe_conflict())
 
     def refuse(self, why: Diagnosis) -> None:
         """Reject the latest value because the node cannot use it."""

@@ -217,8 +217,8 @@ class PumpNode(ActuatorNode):
         The most important reason of a part comes first.
         """
         # Another pump node may use the same drive; then neither runs it.
-        if second := self._flows.describe_second():
-            yield "flow", Diagnosis.of("two_pumps", topic=self._flows.full_name, problem=second)
+        if conflict := self._flows.describe_conflict():
+            yield "flow", Diagnosis.of("two_pumps", topic=self._flows.full_name, problem=conflict)
         status = snapshot.status_at(now)
         if status is None:
             problem = snapshot.problem or f"it has not responded for {LIMIT_S:g} s"

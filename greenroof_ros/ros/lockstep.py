@@ -30,6 +30,7 @@ is used only to end a run that hangs.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -46,6 +47,8 @@ from greenroof_ros.ros.messages import decoder, qos_profile
 from greenroof_ros.ros.publishers import Publishers
 
 CLOCK, RUN = "/clock", "/run"
+# A topic is discovered at most this long (s) before the name of its node.
+_NAMES_S = 0.5
 
 
 class LockstepNode(GraphNode):
@@ -115,6 +118,7 @@ class LockstepNode(GraphNode):
             """Store a message, and let the node act if no other message is awaited."""
             entry.receive(message)
             if name not in awaited:
+                time.sleep(_NAMES_S)
                 raise self.conflict(
                     f"{entry.name} has a second message in tick {self.tick} "
                     f"({', '.join(self.peers[name].names())}); another publisher, or a node of "
@@ -176,8 +180,9 @@ class LockstepNode(GraphNode):
             LockstepError: if there is such a publisher; an OccupiedError before the run.
         """
         for peer in () if self.finished else self.peers.values():
-            if problem := peer.describe_incompatible() or peer.describe_second():
-                raise self.conflict(f"{peer.full_name} {problem}")
+            if conflict := peer.describe_conflict():
+                time.sleep(_NAMES_S)
+                raise self.conflict(f"{peer.full_name} {peer.describe_conflict() or conflict}")
 
     # --- ending -----------------------------------------------------------------------------
 

@@ -54,26 +54,20 @@ class Publishers:
         """Return the names of the publishers' nodes."""
         return sorted({name_owner(info) for info in self._endpoints()})
 
-    def describe_second(self) -> str:
-        """Return a predicate that reports a second publisher, or "" if there is none."""
+    def describe_conflict(self) -> str:
+        """Return a predicate that reports an incompatible or a second publisher, or ""."""
+        if incompatible := self._incompatible():
+            info, lacking = incompatible[0]
+            return (
+                f"has a publisher with an incompatible QoS ({name_owner(info)}): it must have "
+                f"{lacking}; change its QoS, or stop it"
+            )
         count = self.count
         if count < 2 or len(self._endpoints()) < 2:
             return ""
-        names = ", ".join(self.names())
         return (
-            f"has {count} publishers ({names}), but must have only one: stop the other publisher, "
-            "or use another ROS_DOMAIN_ID or --namespace"
-        )
-
-    def describe_incompatible(self) -> str:
-        """Return a predicate that reports an incompatible publisher, or "" if there are none."""
-        incompatible = self._incompatible()
-        if not incompatible:
-            return ""
-        info, lacking = incompatible[0]
-        return (
-            f"has a publisher with an incompatible QoS ({name_owner(info)}): it must have "
-            f"{lacking}; change its QoS, or stop it"
+            f"has {count} publishers ({', '.join(self.names())}), but must have only one: stop the "
+            "other publisher, or use another ROS_DOMAIN_ID or --namespace"
         )
 
     def _endpoints(self) -> list[Any]:
@@ -93,5 +87,4 @@ def name_owner(info: Any) -> str:
     A node that joins the graph just before another node is killed may discover the topics of the
     killed node, but never its name.
     """
-    unknown = info.node_name == "_NODE_NAME_UNKNOWN_"
-    return "a node whose name is unknown" if unknown else str(info.node_name)
+    return str(info.node_name).replace("_NODE_NAME_UNKNOWN_", "a node whose name is unknown")
