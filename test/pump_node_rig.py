@@ -15,7 +15,7 @@ from ros_rig import LATE, Observer
 from simulators import Simulator
 from std_msgs.msg import Float64, String
 
-from greenroof_ros.interface.states import PumpState
+from greenroof_ros.interface.states import ActuatorState
 
 # The node's tau, and a drive that ramps ten times as fast as in real time.
 PERIOD_S = 0.1
@@ -25,7 +25,7 @@ MIN_TIMES = {"min_on": 1.0, "min_off": 1.0}
 
 def state_in(message: String) -> str:
     """Return the pump's state and the reason in a message of /pump/state."""
-    return str(PumpState.read(message.data))
+    return str(ActuatorState.read(message.data))
 
 
 class PumpRig:

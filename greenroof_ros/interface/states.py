@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 STARTING, READY, FINISHED, ENDED = STATES = ("starting", "ready", "finished", "ended")
 
 # Roles in the interface that the code treats specially.
-PLANT, PUMP, RECORDER = "plant", "pump", "recorder"
+PLANT, PUMP, RECORDER, VALVE = "plant", "pump", "recorder", "valve"
 
 
 class DriveState(enum.Enum):
@@ -23,16 +23,17 @@ class DriveState(enum.Enum):
 
 
 PUMP_STATES = ("off", "starting", "running", "stopping", "held", "fault", "unknown")
+VALVE_STATES = ("closed", "opening", "open", "closing", "held", "fault", "unknown")
 
 
 @dataclass(frozen=True)
-class PumpState:
-    """The state of a pump, published as a JSON object on /pump/state.
+class ActuatorState:
+    """The state of an actuator, published as a JSON object on /pump/state or /outlet/state.
 
     Attributes:
-        state: one of ``PUMP_STATES``.
+        state: one of ``PUMP_STATES`` or ``VALVE_STATES``.
         why: the reason, as readable text.
-        codes: codes of the conditions that keep the pump off, starting with the decisive one.
+        codes: codes of the conditions that keep the actuator off, starting with the decisive one.
     """
 
     state: str = "unknown"
@@ -47,13 +48,14 @@ class PumpState:
         return json.dumps(asdict(self), ensure_ascii=False)
 
     @classmethod
-    def read(cls, message: str) -> PumpState:
+    def read(cls, message: str) -> ActuatorState:
         """Return the state in a message, or an unknown state with the text if malformed."""
         try:
             content = json.loads(message)
         except (ValueError, RecursionError):
             content = None
-        if not isinstance(content, dict) or content.get("state") not in PUMP_STATES:
+        known = {*PUMP_STATES, *VALVE_STATES}
+        if not isinstance(content, dict) or str(content.get("state")) not in known:
             return cls(why=message)
         codes = content.get("codes")
         return cls(

@@ -63,7 +63,10 @@ _TOGETHER = (
     (("mains_level", "mains_flow"), ()),
     (("low_outlet_level", "low_outlet_radius"), ()),
     (("low_outlet_valve",), ("low_outlet_level",)),
-    (("valve_closed_in_frost",), ("low_outlet_valve",)),
+    *(((key,), ("low_outlet_valve",)) for key in (
+        "valve_closed_in_frost", "valve_moves_per_hour", "valve_travel_time",
+        "valve_without_power",
+    )),
     (("initial_cistern", "initial_roof"), ()),
     (("quiet_hours",), ("time_zone",)),
 )

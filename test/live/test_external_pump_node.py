@@ -19,7 +19,7 @@ from ros_rig import ERROR, LATE, OK, Observer
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
-from greenroof_ros.interface.states import PumpState
+from greenroof_ros.interface.states import ActuatorState
 
 DRIVER = CHECKOUT / "examples" / "live_pump_driver.py"
 GOOD = {"/cistern/level": 2.5, "/roof/level": 0.01, "/weather/frost": 0.0, "/pump/command": 0.5}
@@ -35,8 +35,8 @@ class Rig:
         self.command = 0.5
         self.flows: list[float] = observer.collect("/pump/flow")
         self.holds: list[float] = observer.collect("/pump/hold")
-        self.states: list[PumpState] = observer.collect(
-            "/pump/state", lambda message: PumpState.read(message.data)
+        self.states: list[ActuatorState] = observer.collect(
+            "/pump/state", lambda message: ActuatorState.read(message.data)
         )
         # Another node, since this one also reads /pump/hold.
         self.peers = Node("peers", context=observer.context, start_parameter_services=False)

@@ -38,6 +38,7 @@ QUANTITIES = {
     section: read_topics()[name] for section, name in {
         "cistern": "/cistern/level", "roof": "/roof/level", "flow_meter": "/pump/meter",
         "rain_gauge": "/gauge/precipitation", "thermometer": "/gauge/temperature",
+        "open_switch": "/outlet/open_switch", "closed_switch": "/outlet/closed_switch",
     }.items()
 }
 
@@ -153,7 +154,9 @@ class Sensors:
     """The sensors of a site."""
 
     cistern: ModbusSensor | MqttSensor = entry("level sensor of the cistern (m)")
-    roof: ModbusSensor | MqttSensor = entry("level sensor of the roof (m)")
+    roof: ModbusSensor | MqttSensor | None = entry(
+        "level sensor of the roof (m), which a site without a pump does not need", default=None
+    )
     flow_meter: ModbusSensor | MqttSensor | None = entry(
         "flow meter of the pump (m3/s)", default=None
     )
@@ -162,6 +165,12 @@ class Sensors:
     )
     thermometer: ModbusSensor | MqttSensor | None = entry(
         "thermometer for the air temperature (degC)", default=None
+    )
+    open_switch: ModbusSensor | MqttSensor | None = entry(
+        "end switch that is 1 while the outlet valve is fully open, and otherwise 0", default=None
+    )
+    closed_switch: ModbusSensor | MqttSensor | None = entry(
+        "end switch that is 1 while the outlet valve is closed, and otherwise 0", default=None
     )
 
     @property

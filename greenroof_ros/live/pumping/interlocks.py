@@ -17,7 +17,7 @@ from greenroof_ros.interface.conditions import (
     Diagnosis,
     read_interlocks,
 )
-from greenroof_ros.interface.states import PumpState
+from greenroof_ros.interface.states import ActuatorState
 from greenroof_ros.live.pumping.state_file import StateFile
 
 # The state of an actuator that is kept off, by the kind of the first active interlock.
@@ -49,9 +49,9 @@ class Decision:
     request: float | None = None
 
     @property
-    def shown(self) -> PumpState:
+    def shown(self) -> ActuatorState:
         """The state as it is published."""
-        return PumpState(self.state, self.why, tuple(self.active))
+        return ActuatorState(self.state, self.why, tuple(self.active))
 
 
 def evaluate(state_file: StateFile, reasons: Iterable[Diagnosis]) -> dict[str, Diagnosis]:
