@@ -41,7 +41,8 @@ def test_packaged_site_is_table_i() -> None:
     # The paper's soil drains by Eq. (4), its cistern has no top-up and one outlet, all rain on its
     # inlet arrives, and a run begins in one of Table II's states.
     absent = {
-        *FIELD_CAPACITY, "mains_level", "mains_flow", "low_outlet_level", "low_outlet_radius", "valve_closed_in_frost",
+        *FIELD_CAPACITY, "mains_level", "mains_flow", "low_outlet_level", "low_outlet_radius",
+        "valve_closed_in_frost",
         "valve_moves_per_hour", "valve_travel_time", "valve_without_power",
         "initial_cistern", "initial_roof", "quiet_hours", "time_zone", "max_dose", "irrigation",
         "contact",
