@@ -21,7 +21,7 @@ from greenroof_ros.base.standard_error import LINES
 from greenroof_ros.watch.bridge import Bridge, make_alarms, make_discovery, make_state
 from greenroof_ros.watch.document import make_document
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.graph_client import PumpRequestError
+from greenroof_ros.watch.graph_client import RequestError
 from greenroof_ros.watch.store import GraphStore
 
 pytest.importorskip("paho.mqtt", reason="the bridge needs paho-mqtt")
@@ -147,8 +147,8 @@ def test_a_stop_is_requested_until_it_is_answered(
 ) -> None:
     """Whatever fails, even if nothing can be published; a refusal is reported, not repeated."""
     answers: list[Exception | str] = [
-        PumpRequestError("no pump node"), ZeroDivisionError("a bug"),
-        PumpRequestError("the disk is full", answered=True), PumpRequestError("no answer"), "held",
+        RequestError("no pump node"), ZeroDivisionError("a bug"),
+        RequestError("the disk is full", answered=True), RequestError("no answer"), "held",
     ]
 
     def request_action(*_: Any, **__: Any) -> str:

@@ -16,7 +16,7 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import parameter_value_to_python
 
-from greenroof_ros.watch.graph_client import GraphClient, PumpRequestError
+from greenroof_ros.watch.graph_client import GraphClient, RequestError
 
 PAGE = {"owner": "the page"}
 HELD = "held: a hold by the page"
@@ -64,7 +64,7 @@ def client(domain: int) -> Iterator[GraphClient]:
 
 def refused(client: GraphClient, sentence: str, seconds: float, *, answered: bool) -> None:
     """Request a stop that is not confirmed."""
-    with pytest.raises(PumpRequestError, match=sentence) as refusal:
+    with pytest.raises(RequestError, match=sentence) as refusal:
         client.request("stop", seconds, **PAGE)
     assert refusal.value.answered == answered
 
@@ -88,7 +88,7 @@ def test_a_stop_goes_to_every_node_that_may_control_the_pump(
 ) -> None:
     """Also to one that no one has reported; what is not a stop goes to none of several."""
     pumps = [Pump(domain), Pump(domain, "other")]
-    wait_for(lambda: client.find_pumps() == {"/pump": 1, "/other": 1}, 60, "both nodes")
+    wait_for(lambda: client.find_nodes() == {"/pump": 1, "/other": 1}, 60, "both nodes")
     assert client.request("stop", 20, **PAGE) == f"/other: {HELD}; /pump: {HELD}"
     assert [pump.requests for pump in pumps] == [[PAGE]] * 2
     # A node that does not answer keeps the stop from no other.
@@ -96,14 +96,14 @@ def test_a_stop_goes_to_every_node_that_may_control_the_pump(
     refused(client, f"/other did not answer .*; /pump: {HELD}", 1.0, answered=False)
     assert len(pumps[0].requests) == 2
     for action in ("release", "clear", "reset", "dose"):
-        with pytest.raises(PumpRequestError, match="Nothing was done, because it is unclear"):
+        with pytest.raises(RequestError, match="Nothing was done, because it is unclear"):
             client.request(action, 20)
     # One that has gone is not asked any more, so that the other can be released.
     pumps.pop().close()
-    wait_for(lambda: client.find_pumps() == {"/pump": 1}, 60, "the end of the other node")
+    wait_for(lambda: client.find_nodes() == {"/pump": 1}, 60, "the end of the other node")
     # Of two nodes of one name, one can hang although an answer comes.
     pumps.append(Pump(domain))
-    wait_for(lambda: client.find_pumps() == {"/pump": 2}, 60, "its twin")
+    wait_for(lambda: client.find_nodes() == {"/pump": 2}, 60, "its twin")
     refused(client, "two nodes have this name", 3.0, answered=False)
     for pump in pumps:
         pump.close()

@@ -21,7 +21,7 @@ from page_server import request, served
 
 from greenroof_ros.watch import server
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.graph_client import PumpRequestError
+from greenroof_ros.watch.graph_client import RequestError
 from greenroof_ros.watch.listening import LOOPBACK
 from greenroof_ros.watch.store import GraphStore
 
@@ -49,7 +49,7 @@ class Pump:
             self.done.append((action, request))
             self.answers.wait(60)
             if action == "clear":
-                raise PumpRequestError("not this one")
+                raise RequestError("not this one")
             return f"{action} done"
 
 
