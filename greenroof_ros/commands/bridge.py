@@ -25,9 +25,8 @@ rain, frost, the controller's plan, and alarms with their codes. Home Assistant 
 automatically. The bridge works alongside any graph in this ROS domain, simulated or live. The
 bridge may be started and stopped at any time, since no node waits for it.
 
-Anyone who may publish on the topics greenroof/SITE/stop and greenroof/SITE/valve_close can stop
-the pump and close the outlet valve. Neither can be released over MQTT, and the pump cannot be
-started. With --allow-open, the valve can be opened for 30 minutes.
+Anyone who may publish on the topics greenroof/SITE/stop, .../valve_close and, with --allow-open,
+.../valve_open can do that. Nothing can be released, and the pump cannot be started over MQTT.
 """
 _EPILOG = """\
 examples:
@@ -69,8 +68,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--allow-open", action="store_true",
-        help="allow anyone who may publish on the topic greenroof/SITE/valve_open to open the "
-        "outlet valve for 30 minutes at a time",
+        help="allow the outlet valve to be opened over MQTT, for 30 minutes at a time",
     )
     add_namespace(
         parser, "namespace of the graph; it is also the site's name on MQTT (roof if there is no "
@@ -90,4 +88,4 @@ def main() -> None:
     store, signals = GraphStore(arguments.namespace), Signals()
     store.seen_at = read_last_seen(find_past_file(arguments.namespace))
     with suppress(InterruptedRun), Feed(store) as feed:
-        Bridge(store, feed, broker, allow_open=arguments.allow_open).run(signals)
+        Bridge(store, feed, broker, arguments.allow_open).run(signals)

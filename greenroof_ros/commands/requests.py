@@ -7,13 +7,11 @@ They are ``greenroof hold``, ``release``, ``reset`` and ``dose``, and those that
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 import time
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 from typing import Any, NoReturn
 
 from greenroof_ros.base.command_line import (
@@ -39,15 +37,20 @@ _PATIENCE_S = 20.0
 # How long its reports are awaited (s), before a reset asks for confirmation and during a dose.
 _REPORT_S = 5.0
 _POLL_S = 0.1
-# Longest hold with an end (s): ten years.
-_MAX_HOLD_S = 87_600 * 3600.0
-# Units of a duration (s), which is in hours without one.
-_UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86_400.0, "": 3600.0}
+# The number in a duration, at most ten years in hours; and the units (s), hours if there is none.
+_read_number = make_number_type(0.001, 87_600)
+_UNITS = {"s": 1.0, "min": 60.0, "d": 86_400.0, "h": 3600.0, "": 3600.0}
+# The words of each device in a description.
+_WORDS = {
+    PUMP: {"device": "pump", "off": "off", "starts": "starts", "group": "greenroof"},
+    VALVE: {
+        "device": "outlet valve", "off": "closed", "starts": "opens", "group": "greenroof outlet"
+    },
+}
 _QUESTION = (
-    "The {what} as soon as the fault is cleared. Have you remedied its cause, and made sure that "
-    "no one is working on the {role}? [y/N] "
+    "The {0} may start moving as soon as the fault is cleared. Have you remedied its cause, and "
+    "made sure that no one is working on the {0}? [y/N] "
 )
-_MAY = {PUMP: "pump may start", VALVE: "valve may open"}
 
 
 @dataclass(frozen=True)
@@ -58,11 +61,12 @@ class Request:
         name: name of the command.
         done: state of the pump or the valve after a successful request, as worded in the list of
             exit codes.
-        description: description for the help.
+        description: description for the help, in which the words of the device are left open.
         request: function that makes the request, given the command line and the nodes' reports, and
             returns the outcome.
         add_options: function that adds the command's own options.
         examples: examples for the help.
+        role: role of the node.
     """
 
     name: str
@@ -71,13 +75,15 @@ class Request:
     request: Callable[[GraphClient, argparse.Namespace, Reports], str]
     add_options: Callable[[Parser], object] = lambda parser: None
     examples: str = ""
+    role: str = PUMP
 
     def make_parser(self) -> Parser:
         """Return the command's parser."""
+        prog = f"greenroof {self.name}"
         parser = Parser(
-            prog=f"greenroof {self.name}", description=self.description,
-            epilog=f"{self.examples}exit codes: 0 {self.done}, 1 not {self.done}, or not "
-            "confirmed, 2 bad usage",
+            prog=prog, description=self.description.format(**_WORDS[self.role]),
+            epilog=f"{self.examples.format(prog=prog)}exit codes: 0 {self.done}, "
+            f"1 not {self.done}, or not confirmed, 2 bad usage",
         )
         self.add_options(parser)
         add_namespace(parser)
@@ -88,7 +94,7 @@ class Request:
         command(self._run)()
 
     def _run(self) -> int:
-        arguments = self.make_parser().parse_args()
+        arguments = self.make_parser().parse_args(namespace=argparse.Namespace(role=self.role))
         reports = Reports(arguments.namespace)
 
         def receive(name: str, message: bytes, *_: Any) -> None:
@@ -113,8 +119,7 @@ def _add_hold_options(parser: Parser) -> None:
     )
     end.add_argument(
         "--for", dest="seconds", type=_parse_duration, metavar="TIME",
-        help="end the hold after this time, such as 30min, 2h or 3d; a number without a unit is in "
-        "hours (default: no end)",
+        help="end the hold after this time, such as 30min, 48h or 48 (hours; default: no end)",
     )
     parser.add_argument(
         "--reason", default="", metavar="TEXT",
@@ -143,41 +148,32 @@ _parse_future_time.__name__ = "TIME"  # argparse and the documentation show this
 
 def _parse_duration(text: str) -> float:
     """Return a duration (s) such as ``30min``; a number without a unit is in hours."""
-    match = re.fullmatch(r"(\d+\.?\d*) ?(s|min|h|d|)", text)
-    seconds = float(match[1]) * _UNITS[match[2]] if match else 0.0
-    if not 1.0 <= seconds <= _MAX_HOLD_S:
-        raise argparse.ArgumentTypeError(
-            f"must be a time such as 45s, 30min, 2h or 3d, at least 1 s, not {text}"
-        )
-    return seconds
+    unit = next(unit for unit in _UNITS if text.endswith(unit))
+    return _read_number(text.removesuffix(unit)) * _UNITS[unit]
 
 
 _parse_duration.__name__ = "TIME"
 
 
-def _hold(
-    client: GraphClient, arguments: argparse.Namespace, _: Reports, role: str = PUMP
-) -> str:
+def _hold(client: GraphClient, arguments: argparse.Namespace, _: Reports) -> str:
     until = arguments.until
     if arguments.seconds is not None:
         until = time.time() + arguments.seconds
     end = {} if until is None else {"until": until}
     return client.request(
-        "stop", _PATIENCE_S, role, owner="the command line", reason=arguments.reason, **end
+        "stop", _PATIENCE_S, arguments.role, owner="the command line", reason=arguments.reason,
+        **end,
     )
 
 
-def _release(
-    client: GraphClient, _: argparse.Namespace, __: Reports, role: str = PUMP
-) -> str:
-    return client.request("release", _PATIENCE_S, role)
+def _release(client: GraphClient, arguments: argparse.Namespace, _: Reports) -> str:
+    return client.request("release", _PATIENCE_S, arguments.role)
 
 
 def _add_open_options(parser: Parser) -> None:
     parser.add_argument(
         "--for", dest="seconds", type=_parse_duration, required=True, metavar="TIME",
-        help="open the valve for this time, such as 30min or 2h; a number without a unit is in "
-        "hours",
+        help="open the valve for this time, such as 30min or 2h",
     )
 
 
@@ -226,25 +222,23 @@ def _add_reset_options(parser: Parser) -> None:
     )
 
 
-def _reset(
-    client: GraphClient, arguments: argparse.Namespace, reports: Reports, role: str = PUMP
-) -> str:
+def _reset(client: GraphClient, arguments: argparse.Namespace, reports: Reports) -> str:
     if not arguments.yes:
         until = time.monotonic() + _REPORT_S
-        while (node := reports.node(role)) is None and time.monotonic() < until:
+        while (node := reports.node(arguments.role)) is None and time.monotonic() < until:
             time.sleep(_POLL_S)
             client.receive()
         if node is not None and (fault := node.values.get("fault")):
             print(f"The fault: {fault}", file=sys.stderr)
-        if not _ask_to_confirm(role):
+        if not _ask_to_confirm(arguments.role):
             raise RequestError("not cleared: the request was not confirmed")
-    return client.request("reset", _PATIENCE_S, role)
+    return client.request("reset", _PATIENCE_S, arguments.role)
 
 
 def _ask_to_confirm(role: str) -> bool:
     """Ask for confirmation on the terminal; treat a missing answer as no."""
     try:
-        return input(_QUESTION.format(what=_MAY[role], role=role)).strip().lower() in ("y", "yes")
+        return input(_QUESTION.format(role)).strip().lower() in ("y", "yes")
     except EOFError:
         print(file=sys.stderr)
         return False
@@ -252,25 +246,26 @@ def _ask_to_confirm(role: str) -> bool:
 
 HOLD = Request(
     "hold", "held",
-    "Keep the pump off, regardless of its command and even after a restart, until 'greenroof "
+    "Keep the {device} {off}, regardless of its command and even after a restart, until '{group} "
     "release' or a given time. There is only one hold at a time: a new hold replaces the owner "
     "and the reason of the earlier hold, but never ends before the earlier hold would have ended.",
     _hold, _add_hold_options,
-    "examples:\n  greenroof hold --reason 'the roof is being repaired'\n"
-    "  greenroof hold --until 2026-12-24T08:00\n  greenroof hold --for 48\n\n",
+    "examples:\n  {prog} --reason 'the roof is being repaired'\n"
+    "  {prog} --until 2026-12-24T08:00\n  {prog} --for 48h\n\n",
 )
 RELEASE = Request(
     "release", "released",
-    "End the hold of the pump, whoever requested it. The pump then starts automatically when the "
-    "controller requires it and nothing else keeps it off. A fault is not cleared.",
+    "End the hold of the {device}, whoever requested it. The {device} then {starts} automatically "
+    "when the controller requires it and nothing else keeps it {off}. A fault is not cleared.",
     _release,
 )
 RESET = Request(
     "reset", "cleared",
-    "Clear a latched fault of the pump, in the pump node and in the drive, once the cause of the "
-    "fault has been remedied. The command is intended for a person standing at the pump, and asks "
-    "for confirmation first. A hold stays in force until 'greenroof release'. After a reset, the "
-    "pump starts when the controller requires it and nothing else keeps it off.",
+    "Clear a latched fault of the {device}, in its node and in its drive or relay, once the cause "
+    "of the fault has been remedied. The command is intended for a person standing at the "
+    "{device}, and asks for confirmation first. A hold stays in force until '{group} release'. "
+    "After a reset, the {device} {starts} when the controller requires it and nothing else keeps "
+    "it {off}.",
     _reset, _add_reset_options,
 )
 DOSE = Request(
@@ -280,34 +275,14 @@ DOSE = Request(
     "If an interlock becomes active, or if the pump cannot start within a minute, the dose is "
     "abandoned and does not resume. Ctrl-C ends this command but not the dose; to end the dose, "
     "stop the pump.",
-    _dose, _add_dose_options, "example:\n  greenroof dose --litres 200\n\n",
+    _dose, _add_dose_options, "example:\n  {prog} --litres 200\n\n",
 )
 OUTLET_OPEN = Request(
     "outlet open", "opened",
-    "Open the valve of the cistern's low outlet for a limited time, regardless of the controller's "
-    "command. The interlocks stay in force: the valve closes earlier if anything requires it to be "
-    "closed. 'greenroof outlet close' ends the opening.",
-    _open, _add_open_options, "example:\n  greenroof outlet open --for 30min\n\n",
+    "Open the valve of the cistern's low outlet for a limited time, regardless of its command. It "
+    "closes earlier if an interlock requires that, or by '{group} close'.",
+    _open, _add_open_options, "example:\n  {prog} --for 30min\n\n", VALVE,
 )
-OUTLET_CLOSE = Request(
-    "outlet close", "closed",
-    "Close the valve of the cistern's low outlet, and keep it closed by a hold, regardless of its "
-    "command and even after a restart, until 'greenroof outlet release' or a given time. The "
-    "overflow above the outlet stays open.",
-    partial(_hold, role=VALVE), _add_hold_options,
-    "examples:\n  greenroof outlet close --reason 'the sewer is being repaired'\n"
-    "  greenroof outlet close --for 2d\n\n",
-)
-OUTLET_RELEASE = Request(
-    "outlet release", "released",
-    "End the hold of the outlet valve, whoever requested it. The valve then opens automatically "
-    "when the controller requires it and nothing else keeps it closed. A fault is not cleared.",
-    partial(_release, role=VALVE),
-)
-OUTLET_RESET = Request(
-    "outlet reset", "cleared",
-    "Clear a latched fault of the outlet valve, such as valve_stuck_open, once its cause has been "
-    "remedied. The command is intended for a person standing at the valve, and asks for "
-    "confirmation first. A hold stays in force until 'greenroof outlet release'.",
-    partial(_reset, role=VALVE), _add_reset_options,
-)
+OUTLET_CLOSE = replace(HOLD, name="outlet close", role=VALVE)
+OUTLET_RELEASE = replace(RELEASE, name="outlet release", role=VALVE)
+OUTLET_RESET = replace(RESET, name="outlet reset", role=VALVE)

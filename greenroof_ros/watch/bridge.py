@@ -6,7 +6,7 @@ import json
 import threading
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from greenroof_ros.base.mqtt import Broker, make_client
@@ -20,8 +20,11 @@ from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.words import UNKNOWN, find_display
 
 ONLINE, OFFLINE, ON, OFF = "online", "offline", "ON", "OFF"
-STOP, CLOSE, OPEN = "stop", "valve_close", "valve_open"
-"""Topics of requests, below that of the site; the whole payload is the name in capitals."""
+BUTTONS = {
+    "stop": "Stop the pump", "valve_close": "Close and hold the outlet valve",
+    "valve_open": "Open the outlet valve for 30 minutes",
+}
+"""Requests, each with its label in Home Assistant. The whole payload is the name in capitals."""
 NUMBERS = {
     "roof_level": ("roof", "/roof/level", {"device_class": "distance"}),
     "cistern_level": ("cistern", "/cistern/level", {"device_class": "distance"}),
@@ -56,9 +59,7 @@ class Bridge:
     Assistant is told of the valve once it is known that the site has one.
     """
 
-    def __init__(
-        self, store: GraphStore, feed: Feed, broker: Broker, *, allow_open: bool = False
-    ) -> None:
+    def __init__(self, store: GraphStore, feed: Feed, broker: Broker, allow_open: bool) -> None:
         """Prepare the bridge without connecting to the broker.
 
         Args:
@@ -71,15 +72,13 @@ class Bridge:
             ConfigurationError: if the MQTT library is missing, or the login or certificate file is
                 invalid.
         """
-        site = store.namespace.strip("/").replace("/", "_") or "roof"
+        self._site = site = store.namespace.strip("/").replace("/", "_") or "roof"
         self._store, self._feed, self._broker = store, feed, broker
         self._base = f"greenroof/{site}"
-        self._discovery = make_discovery(site)
-        self._with_valve = make_discovery(site, valve=True, allow_open=allow_open)
-        self._topics = (STOP, CLOSE, OPEN) if allow_open else (STOP, CLOSE)
-        # What was requested, added by the client's thread, and that something was.
-        self._requested: set[str] = set()
-        self._is_requested = threading.Event()
+        self._buttons = [name for name in BUTTONS if allow_open or name != "valve_open"]
+        self._announced: list[str] = []  # the buttons that Home Assistant was told of
+        # What was requested, and that something was; set by the client's thread.
+        self._requested, self._is_requested = set[str](), threading.Event()
         self._client = make_client(
             broker, f"greenroof_{site}", self._on_connect, self._on_message,
             lambda why: print_seldom(why, f"not connected to {broker}: {why}; trying again"),
@@ -121,7 +120,8 @@ class Bridge:
         try:
             answer = self._feed.request_action(name, owner="MQTT")
         except Exception as error:
-            is_answered = name == OPEN or (isinstance(error, RequestError) and error.answered)
+            is_refused = isinstance(error, RequestError) and error.answered
+            is_answered = is_refused or name == "valve_open"
             kind, answer = f"no {name} {is_answered}", str(error)
         print_seldom(kind, f"{name} requested over MQTT: {answer}")
         return is_answered
@@ -133,32 +133,29 @@ class Bridge:
         # Again and again, as another bridge of this site may have ended.
         self._publish("availability", ONLINE, retain=True)
         shown = make_document(self._store, time.monotonic())
-        if VALVE in shown["tiles"] and self._discovery is not self._with_valve:
-            self._discovery = self._with_valve
-            self._publish_discovery()
+        buttons = self._buttons if VALVE in shown["tiles"] else self._buttons[:1]
+        if buttons != self._announced:
+            self._announced = buttons
+            for topic, text in make_discovery(self._site, buttons).items():
+                self._client.publish(topic, text, retain=True)
         for name, content in (("state", make_state(shown)), ("alarms", make_alarms(shown))):
             self._publish(name, json.dumps(content, allow_nan=False))
-
-    def _publish_discovery(self) -> None:
-        for topic, text in self._discovery.items():
-            self._client.publish(topic, text, retain=True)
 
     # --- in the client's thread -----------------------------------------------------------------
 
     def _on_connect(self) -> None:
         print_seldom("connected", f"connected to {self._broker}; topics: {self._base}/")
-        for name in self._topics:
+        for name in self._buttons:
             self._client.subscribe(f"{self._base}/{name}")
-        self._publish_discovery()
+        self._announced = []
 
     def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
-        name = topic.rpartition("/")[2]
-        if payload == name.upper().encode() and not retained:
-            self._requested.add(name)
+        word = topic.rpartition("/")[2].upper()
+        if payload == word.encode() and not retained:
+            self._requested.add(word.lower())
             self._is_requested.set()
         else:
-            must = f"must be {name.upper()}, and not retained"
-            print_seldom("ignored", f"{topic}: message ignored: {must}")
+            print_seldom("ignored", f"{topic}: message ignored: must be {word}, and not retained")
 
 
 def make_state(shown: Mapping[str, Any]) -> dict[str, Any]:
@@ -192,9 +189,7 @@ def make_alarms(shown: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def make_discovery(
-    site: str, *, valve: bool = False, allow_open: bool = False
-) -> dict[str, str]:
+def make_discovery(site: str, buttons: Sequence[str] = ("stop",)) -> dict[str, str]:
     """Return the messages that let Home Assistant discover a site, one for each entity, by topic.
 
     Every entity takes its value from a field of the same message, ``greenroof/SITE/state``. Each
@@ -203,8 +198,7 @@ def make_discovery(
 
     Args:
         site: name of the site in topics and IDs, consisting of letters, digits and _.
-        valve: whether the site has an outlet valve.
-        allow_open: whether the valve may be opened over MQTT.
+        buttons: names of the requests that are possible; those on the valve if there is one.
     """
     base, node = f"greenroof/{site}", f"greenroof_{site}"
     entities: dict[str, tuple[str, dict[str, Any]]] = {
@@ -216,16 +210,12 @@ def make_discovery(
             "name": "Alarm", "device_class": "problem", "json_attributes_topic": f"{base}/alarms",
         }),
     }
-    buttons = {STOP: "Stop the pump"}
-    if valve:
+    if "valve_close" in buttons:
         options = {"device_class": "enum", "options": [*VALVE_STATES]}
         entities[VALVE] = "sensor", {"name": "Outlet valve", **options}
-        buttons[CLOSE] = "Close and hold the outlet valve"
-    if valve and allow_open:
-        buttons[OPEN] = "Open the outlet valve for 30 minutes"
-    for key, name in buttons.items():
+    for key in buttons:
         entities[key] = "button", {
-            "name": name, "command_topic": f"{base}/{key}", "payload_press": key.upper(),
+            "name": BUTTONS[key], "command_topic": f"{base}/{key}", "payload_press": key.upper(),
         }
     for key, (_, topic, kind) in NUMBERS.items():
         display = find_display(topic)

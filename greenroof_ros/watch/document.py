@@ -49,8 +49,6 @@ _START = (
 )
 _GO_AND_SEE = "Go and see whether the pump is stopped. If not, use its panel or the main switch."
 
-_GO_AND_CLOSE = "Go and see whether the outlet valve is closed."
-
 _LOCK_OUT = "Anyone working on the pump must lock it out at the pump itself."
 _STOP = f"A stop holds the pump off until someone releases it. {_LOCK_OUT}"
 _RELEASE = (
@@ -62,12 +60,9 @@ _DOSE = (
     f"to the roof's target. The dose ends early if anything keeps the pump off. {_LOCK_OUT}"
 )
 
-_CLOSE = "The valve closes and stays closed until someone releases it."
-_RELEASE_VALVE = (
-    "The valve then opens automatically when the controller requires it and nothing else keeps it "
-    "closed."
-)
-_OPEN = "The valve opens for 30 minutes, and closes earlier if anything requires it to be closed."
+_CLOSE = "The valve closes, and is kept closed until someone releases it."
+_RELEASE_VALVE = "The valve then opens when the controller requires it and nothing keeps it closed."
+_OPEN = "The valve opens for 30 minutes, unless an interlock keeps it closed or closes it earlier."
 
 
 def make_document(store: GraphStore, steady: float) -> dict[str, Any]:
@@ -131,25 +126,16 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
             actions["clear"] = f"The fault is cleared: {fault}. {_RELEASE}"
         if dose["max"] is not None and not values.get("no_dose"):
             actions["dose"] = _DOSE
-    actions |= _list_valve_actions(store)
+    if (valve := store.node(VALVE)) is not None:
+        actions["valve_close"] = _CLOSE
+        if store.allow_release:
+            held = valve.values.get("hold")
+            actions |= {"valve_release": _RELEASE_VALVE} if held else {"valve_open": _OPEN}
     return {
         "possible": bool(store.offered), "needed": store.site.irrigated, "hold": hold,
         "stopped": bool(hold) and at_rest, "dose": dose, "actions": actions,
         "label": "Keep the pump off" if at_rest else "Stop the pump",
     }
-
-
-def _list_valve_actions(store: GraphStore) -> dict[str, str]:
-    """Return the question to ask before each action on the valve that is possible here."""
-    actions, node = {}, store.node(VALVE)
-    if node is not None:
-        actions["valve_close"] = _CLOSE
-    if node is not None and node.is_online(store.steady) and store.allow_release:
-        if node.values.get("hold"):
-            actions["valve_release"] = _RELEASE_VALVE
-        elif not node.values.get("fault"):
-            actions["valve_open"] = _OPEN
-    return actions
 
 
 def _describe_hold(store: GraphStore, values: Mapping[str, Any]) -> str:
@@ -267,7 +253,7 @@ def _summarize(
         (store.mode == "ended", "The run has ended, and its last state is shown.", step),
         (store.runs_on, _WELDED, step),
         (pump["state"] == "alarm", "The pump may be running.", f"{_GO_AND_SEE} {step}".strip()),
-        ("alarm" in states, "The outlet valve may be open.", f"{_GO_AND_CLOSE} {step}".strip()),
+        ("alarm" in states, "The outlet valve may be open: go and see.", step),
         (worst, f"{worst}.", step),
         (True, now, step or (_UNKNOWN if unknown and not starting else "Nothing to do.")),
     )

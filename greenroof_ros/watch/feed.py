@@ -93,8 +93,7 @@ class Feed:
             request["until"] = time.time() + _OPEN_S
         if self._client is None or not self._requesting.acquire(timeout=2 * _STOP_S):
             raise RequestError(
-                f"The watcher is busy, so no request was sent to the {role or PUMP} node and "
-                "nothing was done."
+                "The watcher is busy, so no request was sent, and nothing was done."
             )
         try:
             return self._client.request(name, _STOP_S, role or PUMP, **request)

@@ -156,21 +156,19 @@ class GraphClient:
             role: ``pump``, or ``valve`` for the nodes that also offer to open.
         """
         services = dict(self._caller.get_service_names_and_types())
-        counts = {
+        nodes = {
             offered[0]: count
             for service, types in services.items()
             if "rcl_interfaces/srv/SetParametersAtomically" in types
             and (offered := self._offers_hold.match(service))
+            and (f"{offered[0]}/open" in services) == (role == VALVE)
             and (count := self._caller.count_services(service))  # listed for this client alone: 0
         }
-        for key in [key for key in self._clients if key[0] not in counts]:
+        for key in [key for key in self._clients if key[0] not in nodes]:
             self._caller.destroy_client(self._clients.pop(key))
-        for name in counts:
+        for name in nodes:
             self._open_client(name, "hold")
-        return {
-            name: count for name, count in counts.items()
-            if (f"{name}/open" in services) == (role == VALVE)
-        }
+        return nodes
 
     def _open_client(self, name: str, service: str) -> Any:
         if (name, service) not in self._clients:

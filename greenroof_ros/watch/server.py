@@ -65,10 +65,6 @@ _CURRENT_S = 0.5
 _DOCUMENTS = {"/state": 0} | {f"/charts?hours={hours}": hours for hours in HOURS}
 _DOCUMENT_PATHS = "/state", "/charts"
 
-_ACTIONS = (
-    "stop", "release", "clear", "dose", "valve_close", "valve_release", "valve_open",
-)
-
 _Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
@@ -106,8 +102,10 @@ class PageServer:
                 self._app.router.add_get(path, _make_file_handler(file), allow_head=False)
         for path in _DOCUMENT_PATHS:
             self._app.router.add_get(path, self._read_document, allow_head=False)
-        for action in _ACTIONS:
+        for action in ("stop", "release", "clear", "dose"):
             self._app.router.add_post(f"/{action}", self._act)
+        for action in ("close", "release", "open"):
+            self._app.router.add_post(f"/valve_{action}", self._act)
 
     def serve(self, signals: Signals) -> None:
         """Serve the page until a signal arrives.

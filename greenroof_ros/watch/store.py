@@ -21,7 +21,7 @@ from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.text import clean_text
 from greenroof_ros.base.times import clock_time
 from greenroof_ros.interface.alarm import Alarm
-from greenroof_ros.interface.states import PLANT, PUMP, VALVE
+from greenroof_ros.interface.states import PLANT, PUMP
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.ros.alarm_status import read_status
 from greenroof_ros.ros.reports import NodeReport, Reports, Status
@@ -184,17 +184,6 @@ class GraphStore(Reports):
     def pump_values(self) -> Mapping[str, Any]:
         """The values that the pump node last reported; empty if it never has."""
         return {} if self.pump is None else self.pump.values
-
-    @property
-    def has_valve(self) -> bool:
-        """Whether this is a live site with an outlet valve."""
-        is_expected = self.mode == "live" and self.site.low_outlet_valve
-        return is_expected or self.node(VALVE) is not None
-
-    @property
-    def valve_values(self) -> Mapping[str, Any]:
-        """The values that the valve node last reported; empty if it never has."""
-        return {} if (node := self.node(VALVE)) is None else node.values
 
     # --- alarms ---------------------------------------------------------------------------------
 

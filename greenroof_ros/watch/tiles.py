@@ -6,7 +6,7 @@ the value, and a ``sentence`` with details. A value that is overdue is unknown.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -17,6 +17,7 @@ from greenroof_ros.interface.states import PUMP, PUMP_STATES, VALVE, VALVE_STATE
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.results.sums import NEAR_TARGET
 from greenroof_ros.ros.alarms import describe_alarm
+from greenroof_ros.ros.reports import NodeReport
 from greenroof_ros.watch import words
 from greenroof_ros.watch.store import FLOW, GraphStore
 
@@ -36,7 +37,7 @@ Tile = dict[str, Any]
 
 def make_tiles(store: GraphStore) -> dict[str, Tile]:
     """Return all tiles, by their keys."""
-    pump = _make_pump_tile(store)
+    pump, valve = _make_pump_tile(store), store.node(VALVE)
     return {
         "roof": _make_tile(store, "Roof level", _ROOF, _judge_roof),
         "cistern": _make_tile(store, "Cistern level", _CISTERN, _judge_cistern),
@@ -44,7 +45,7 @@ def make_tiles(store: GraphStore) -> dict[str, Tile]:
         "watering": _make_watering_tile(store, pump),
         "rain": _make_tile(store, "Rain", _RAIN, lambda *_: ("good", _write_coming_rain(store))),
         "temperature": _make_temperature_tile(store),
-        **({VALVE: _make_valve_tile(store)} if store.has_valve else {}),
+        **({} if valve is None else {VALVE: _make_valve_tile(store, valve)}),
     }
 
 
@@ -124,7 +125,7 @@ def _judge_cistern(store: GraphStore, level: float) -> tuple[str, str]:
     if days > 0 and (given := store.given_since(now - days * _DAY_S)):
         left = number_of(round(usable * days / given), "day")
         text += f", enough for {left} at the use of the past {number_of(days, 'day')}"
-    if not store.has_valve and (share := store.present_value(_VALVE)) is not None:
+    if store.mode != "live" and (share := store.present_value(_VALVE)) is not None:
         text += f"; the outlet valve is {words.write_value(_VALVE, share)} open"
     return "good", text
 
@@ -133,18 +134,14 @@ def _make_temperature_tile(store: GraphStore) -> Tile:
     """Return the tile of the temperature, or of frost if there is no thermometer."""
     frost = store.present_value(_FROST)
     state, stops = ("cold", "the pump stays off until it is above 0 °C") if frost else ("good", "")
-    measured = _THERMOMETER in store.newest or "thermometer" in _list_reporting(store)
+    reporting = {part for node in store.nodes.values() for part in (node.role, *node.parts)}
+    measured = _THERMOMETER in store.newest or "thermometer" in reporting
     source = "measured" if measured else "according to the forecast" if store.forecast else ""
     return _make_tile(
         store, "Temperature", _THERMOMETER if measured else _FROST,
         lambda *_: (state, _join(source, stops)),
         None if measured else lambda frost: "0 °C or below" if frost else "above 0 °C",
     )
-
-
-def _list_reporting(store: GraphStore) -> set[str]:
-    """Return the roles of all nodes, and the names of their parts."""
-    return {part for node in store.nodes.values() for part in (node.role, *node.parts)}
 
 
 def _write_coming_rain(store: GraphStore) -> str:
@@ -175,7 +172,8 @@ def _make_pump_tile(store: GraphStore) -> Tile:
     number = None if no_speed and not may_turn else store.present_value(FLOW)
     if may_turn and not number:
         number = None  # no flow is no news of a pump that may be turning
-    if state == "held" and _is_intended(store, PUMP):
+    kept_off = any(alarm.role == PUMP and alarm.part == PUMP for alarm in store.present)
+    if state == "held" and not kept_off and not values.get("hold"):  # as intended
         state = "off"
     value = state
     if may_turn:
@@ -186,13 +184,6 @@ def _make_pump_tile(store: GraphStore) -> Tile:
         "label": "Pump", "value": value, "number": number, "state": state,
         "sentence": _join("" if number is None else write_flow(number), why),
     }
-
-
-def _is_intended(store: GraphStore, role: str) -> bool:
-    """Return whether an actuator is kept off as intended: by no person, and without an alarm."""
-    node = store.node(role)
-    held = node is not None and node.values.get("hold")
-    return not held and not any(alarm.role == alarm.part == role for alarm in store.present)
 
 
 def _read_pump_state(store: GraphStore) -> tuple[str, str]:
@@ -261,47 +252,37 @@ def _write_given(store: GraphStore) -> str:
 # --- the outlet valve -----------------------------------------------------------------------------
 
 
-def _make_valve_tile(store: GraphStore) -> Tile:
-    """Return the tile of the valve: its state, command and position, flow, and the reason.
+def _make_valve_tile(store: GraphStore, node: NodeReport) -> Tile:
+    """Return the tile of the valve: command and position, which are two values, and the reason.
 
     The state is ``alarm`` if the valve might be open unnoticed.
     """
-    node, values = store.node(VALVE), store.valve_values
+    values, lost = node.values, store.mode != "ended" and not node.is_online(store.steady)
     state, why = words.text_of(values, "valve_state"), words.text_of(values, "valve_why")
-    state = state if state in VALVE_STATES else words.UNKNOWN
-    lost = node is None or (store.mode != "ended" and not node.is_online(store.steady))
-    number = None if lost else words.number_in(values, "position")
-    may_be_open = values.get("at_rest") is False and (lost or state == words.UNKNOWN)
-    if state == "held" and _is_intended(store, VALVE):
+    position, flow, until = (
+        words.number_in(values, key) for key in ("position", "flow", "open_until")
+    )
+    kept_closed = any(alarm.role == VALVE and alarm.part == VALVE for alarm in store.present)
+    if state == "held" and not kept_closed and not values.get("hold"):  # as intended
         state = "closed"
-    value, told = state, [_write_position(store, number), *_write_opening(store), why]
-    if node is None:
-        told = ["no valve node is responding"]
-    elif lost:
-        value, told = words.UNKNOWN, [f"{state} at last contact", why]
-    if may_be_open:
-        value, told = "may be open", ["it is unknown whether the valve is closed", *told]
-    return {
-        "label": "Outlet valve", "value": value, "number": number,
-        "state": "alarm" if may_be_open else value, "sentence": _join(*told),
-    }
-
-
-def _write_position(store: GraphStore, position: float | None) -> str:
-    """Write the command and the position, which are two values."""
-    command = "open" if store.valve_values.get("commanded") else "closed"
+    rated = state if state in VALVE_STATES else words.UNKNOWN
     where = "position unknown"
     if position is not None:
         where = f"position {words.write_value(_POSITION, position)} by its end switches"
-    elif not {"open_switch", "closed_switch"} & _list_reporting(store):
+    elif store.node("open_switch") is None:
         where += ": no end switches"
-    return f"commanded {command}; {where}"
-
-
-def _write_opening(store: GraphStore) -> Iterator[str]:
-    """Write the flow, if it is known, and until when a person has opened the valve."""
-    values = store.valve_values
-    if (flow := words.number_in(values, "flow")) is not None:
-        yield words.write_value(_OUTLET_FLOW, flow)
-    if (until := words.number_in(values, "open_until")) is not None:
-        yield f"opened by {words.text_of(values, 'opened_by')} until {store.time_text(until)}"
+    told = [
+        f"commanded {'open' if values.get('commanded') else 'closed'}", where,
+        "" if flow is None else words.write_value(_OUTLET_FLOW, flow),
+        "" if until is None else
+        f"opened by {words.text_of(values, 'opened_by')} until {store.time_text(until)}",
+    ]
+    if lost:
+        rated, position, told = words.UNKNOWN, None, [f"{state} at last contact"]
+    value = rated
+    if values.get("at_rest") is False and rated == words.UNKNOWN:
+        value, rated = "may be open", "alarm"
+    return {
+        "label": "Outlet valve", "value": value, "number": position, "state": rated,
+        "sentence": _join(*told, why),
+    }

@@ -164,7 +164,7 @@ def test_a_stop_is_requested_until_it_is_answered(
     graph = store("live")
     with (
         mosquitto(tmp_path) as broker, Talker(broker) as heard,
-        running(Bridge(graph, Feed(graph), parse_broker(broker.address, "broker")).run),
+        running(Bridge(graph, Feed(graph), parse_broker(broker.address, "broker"), False).run),
     ):
         wait_for(lambda: heard.last("greenroof/roof/availability"), 60, "a message")
         for left in (2, 0):
