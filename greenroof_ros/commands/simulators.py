@@ -15,7 +15,6 @@ from greenroof_ros.live.devices.exchange import Endpoint, read_endpoint
 from greenroof_ros.live.devices.modbus_line import check_installed
 from greenroof_ros.live.devices.relay import RelayEndpoint
 from greenroof_ros.live.devices.sensor_file import Sensors, default_sensors, read_sensors
-from greenroof_ros.live.upkeep import check_site
 from greenroof_ros.simulation.options import add_site_arguments, build_run
 
 if TYPE_CHECKING:
@@ -75,7 +74,6 @@ def main() -> None:
     endpoint = read_endpoint(find_drive_file(arguments.drive), arguments.at, "--at")
     sensors = read_sensors(arguments.sensors or default_sensors())
     run = build_run(arguments)
-    check_site(run.site, run.site_file)
     asyncio.run(_simulate(run, sensors, endpoint))
 
 
