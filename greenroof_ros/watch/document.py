@@ -227,7 +227,7 @@ def _summarize(
     states = {tiles[role]["state"] for role in (PUMP, VALVE) if role in tiles}
     level = "ok" if (
         known and not rows and store.mode != "none" and tiles["cistern"]["state"] == "good"
-        and (roof["state"] == "good" or is_watered)
+        and (roof["state"] in ("good", "none") or is_watered)
         and not states & {"unknown", "fault", "held"}
     ) else "warn"
     if serious or gone is not None or "alarm" in states:
@@ -253,7 +253,7 @@ def _summarize(
         (store.mode == "ended", "The run has ended, and its last state is shown.", step),
         (store.runs_on, _WELDED, step),
         (pump["state"] == "alarm", "The pump may be running.", f"{_GO_AND_SEE} {step}".strip()),
-        ("alarm" in states, "The outlet valve may be open: go and see.", step),
+        ("alarm" in states, "The outlet valve may be open.", step),
         (worst, f"{worst}.", step),
         (True, now, step or (_UNKNOWN if unknown and not starting else "Nothing to do.")),
     )

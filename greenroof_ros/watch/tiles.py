@@ -38,8 +38,11 @@ Tile = dict[str, Any]
 def make_tiles(store: GraphStore) -> dict[str, Tile]:
     """Return all tiles, by their keys."""
     pump, valve = _make_pump_tile(store), store.node(VALVE)
+    roof = _make_tile(store, "Roof level", _ROOF, _judge_roof)
+    if not store.site.irrigated and _ROOF not in store.newest:
+        roof |= {"state": "none", "sentence": "not measured"}
     return {
-        "roof": _make_tile(store, "Roof level", _ROOF, _judge_roof),
+        "roof": roof,
         "cistern": _make_tile(store, "Cistern level", _CISTERN, _judge_cistern),
         "pump": pump,
         "watering": _make_watering_tile(store, pump),
@@ -115,10 +118,12 @@ def _judge_cistern(store: GraphStore, level: float) -> tuple[str, str]:
     """Describe what can be pumped and for how long it lasts."""
     site = store.site
     usable = site.cistern_volume(level - site.suction_level)
-    if usable <= 0:
+    if usable <= 0 and site.irrigated:
         return "low", "too low for the pump, since it is not above the suction level"
     if level > site.z_o:
         return "high", "above its overflow, so water is running to the sewer"
+    if not site.irrigated:
+        return "good", f"{words.write_number(site.cistern_volume(level), 'm³', 1)} of water"
     text = f"{words.write_number(usable, 'm³', 1)} above the suction level can be pumped"
     now, first = store.now, store.flow_since
     days = 0 if first is None else min(_DAYS, int((now - first) // _DAY_S))
@@ -189,6 +194,8 @@ def _make_pump_tile(store: GraphStore) -> Tile:
 def _read_pump_state(store: GraphStore) -> tuple[str, str]:
     """Return the pump's state and the reason; in a simulation, derive both if not reported."""
     values = store.pump_values
+    if not store.site.irrigated:
+        return "off", "the site has no pump"
     if state := words.text_of(values, "pump_state"):
         # Of a hold, the page states more, and in the site's time.
         hold = values.get("hold")
@@ -216,7 +223,7 @@ def _make_watering_tile(store: GraphStore, pump: Tile) -> Tile:
     share, plan, now = store.present_value(_COMMAND), store.plan, store.now
     pumped = None if plan is None else plan.pumped(now)
     value, state, sentence = "not now", "good", ""
-    if share is None:
+    if share is None and store.site.irrigated:
         value, state, sentence = words.UNKNOWN, "unknown", "the controller's command is unknown"
     elif share:
         value = "now"
@@ -258,14 +265,11 @@ def _make_valve_tile(store: GraphStore, node: NodeReport) -> Tile:
     The state is ``alarm`` if the valve might be open unnoticed.
     """
     values, lost = node.values, store.mode != "ended" and not node.is_online(store.steady)
-    state, why = words.text_of(values, "valve_state"), words.text_of(values, "valve_why")
+    reported, why = words.text_of(values, "valve_state"), words.text_of(values, "valve_why")
     position, flow, until = (
         words.number_in(values, key) for key in ("position", "flow", "open_until")
     )
-    kept_closed = any(alarm.role == VALVE and alarm.part == VALVE for alarm in store.present)
-    if state == "held" and not kept_closed and not values.get("hold"):  # as intended
-        state = "closed"
-    rated = state if state in VALVE_STATES else words.UNKNOWN
+    value = state = reported if reported in VALVE_STATES else words.UNKNOWN
     where = "position unknown"
     if position is not None:
         where = f"position {words.write_value(_POSITION, position)} by its end switches"
@@ -274,15 +278,14 @@ def _make_valve_tile(store: GraphStore, node: NodeReport) -> Tile:
     told = [
         f"commanded {'open' if values.get('commanded') else 'closed'}", where,
         "" if flow is None else words.write_value(_OUTLET_FLOW, flow),
-        "" if until is None else
-        f"opened by {words.text_of(values, 'opened_by')} until {store.time_text(until)}",
+        "" if until is None else f"requested to be open until {store.time_text(until)}",
     ]
     if lost:
-        rated, position, told = words.UNKNOWN, None, [f"{state} at last contact"]
-    value = rated
-    if values.get("at_rest") is False and rated == words.UNKNOWN:
-        value, rated = "may be open", "alarm"
+        value = state = words.UNKNOWN
+        position, told = None, [f"{reported} at last contact"]
+    if values.get("at_rest") is False and (lost or values.get("speed", 0.0) is None):
+        value, state = "may be open", "alarm"
     return {
-        "label": "Outlet valve", "value": value, "number": position, "state": rated,
+        "label": "Outlet valve", "value": value, "number": position, "state": state,
         "sentence": _join(*told, why),
     }

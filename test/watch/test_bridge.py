@@ -12,13 +12,13 @@ import pytest
 from brokers import Talker, mosquitto, needs_mosquitto
 from commands import run_command
 from graphs import Process, environment, wait_for
-from page_inputs import SECOND, START, add_plan, add_values, alarm, fail, store
+from page_inputs import SECOND, START, add_plan, add_values, alarm, fail, store, valve
 from page_server import running
 from test_watch_command import end, running_pump
 
 from greenroof_ros.base.mqtt import parse_broker
 from greenroof_ros.base.standard_error import LINES
-from greenroof_ros.watch.bridge import Bridge, make_alarms, make_discovery, make_state
+from greenroof_ros.watch.bridge import BUTTONS, Bridge, make_alarms, make_discovery, make_state
 from greenroof_ros.watch.document import make_document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.graph_client import RequestError
@@ -33,7 +33,7 @@ UNITS = {
 
 
 def test_discovery_is_what_home_assistant_documents() -> None:
-    messages = make_discovery("site1")
+    messages = make_discovery("site1", [*BUTTONS])
     for topic, text in messages.items():
         said = json.loads(text)
         match = re.fullmatch(r"homeassistant/(\w+)/greenroof_site1/(\w+)/config", topic)
@@ -44,7 +44,7 @@ def test_discovery_is_what_home_assistant_documents() -> None:
         elif (own := said.get("device_class")) in UNITS:
             assert said.get("unit_of_measurement") == UNITS[own]
             assert ("state_class" in said) == (own != "enum") and 30 <= said["expire_after"] <= 60
-    assert len(messages) == 11
+    assert (len(messages), len(make_discovery("site1"))) == (14, 11)
 
 
 # --- what is published ----------------------------------------------------------------------------
@@ -175,3 +175,36 @@ def test_a_stop_is_requested_until_it_is_answered(
     said = capfd.readouterr().err
     assert "MQTT: no pump node" in said and "MQTT: the disk is full" in said
     assert "MQTT: held" in said and "ZeroDivisionError: a bug" in said
+
+
+@needs_mosquitto
+@pytest.mark.parametrize("allow_open", [True, False])
+def test_the_valve_is_closed_and_if_allowed_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, allow_open: bool
+) -> None:
+    """An opening is requested once, whatever fails; the valve is announced once it is known."""
+    requested: list[str] = []
+
+    def request_action(_: Feed, action: str, **__: Any) -> str:
+        requested.append(action)
+        raise RequestError("no valve node", answered=action == "valve_close")
+
+    monkeypatch.setattr("greenroof_ros.watch.bridge._POLL_S", 0.05)
+    monkeypatch.setattr(Feed, "request_action", request_action)
+    graph = store("live")
+    bridge = "homeassistant/{}/greenroof_roof/{}/config".format
+    with (
+        mosquitto(tmp_path) as broker, Talker(broker) as heard,
+        running(Bridge(graph, Feed(graph), parse_broker(broker.address, "broker"), allow_open).run),
+    ):
+        wait_for(lambda: heard.last(bridge("button", "stop")), 60, "the pump's button")
+        assert not heard.last(bridge("sensor", "valve"))
+        graph.add_statuses(time.monotonic() + 1e6, 0, valve("open: as commanded"))
+        wait_for(lambda: '"valve": "open"' in str(heard.last("greenroof/roof/state")), 60, "it")
+        assert heard.last(bridge("sensor", "valve")) and heard.last(bridge("button", "valve_close"))
+        assert bool(heard.last(bridge("button", "valve_open"))) == allow_open
+        for name in ("valve_open", "valve_release", "valve_close"):
+            heard.publish(f"greenroof/roof/{name}", name.upper())
+        wait_for(lambda: "valve_close" in requested, 60, "a request")
+        time.sleep(0.5)
+    assert sorted(requested) == ["valve_close", "valve_open"][:1 + allow_open]

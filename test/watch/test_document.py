@@ -21,6 +21,7 @@ from page_inputs import (
     pump,
     rows,
     store,
+    valve,
 )
 from paper import PAPER_SITE
 
@@ -259,6 +260,57 @@ def test_what_is_known_of_the_pump(
         assert (shared in document["advice"]) == (BROKER in alarms)
     else:
         assert summary["level"] == "ok"
+
+
+# --- the outlet valve -----------------------------------------------------------------------------
+
+OPEN = {"at_rest": False, "speed": 1.0, "position": 1, "commanded": True, "flow": 1e-3}
+BLIND = {"position": None, "at_rest": False, "speed": 1.0, "commanded": True}
+AT_LAST = "open at last contact; as commanded"
+
+
+@pytest.mark.parametrize(("text", "said", "steady", "expected", "action"), [
+    ("open: as commanded", OPEN, 100.0, ("open", "open", "commanded open; position 100 % by its "
+     "end switches; 60.0 L/min; as commanded"), "valve_open"),
+    ("opening: opened by MQTT", BLIND | {"open_until": START / SECOND + 1800}, 100.0,
+     ("opening", "opening", "commanded open; position unknown: no end switches; requested to be "
+      "open until 00:30; opened by MQTT"), "valve_open"),
+    ("held: painting", {"hold": HOLD}, 100.0, ("held", "held", "commanded closed; position 0 % by "
+     "its end switches; painting"), "valve_release"),
+    ("broken", {}, 100.0, ("unknown", "unknown", "commanded closed; position 0 % by its end "
+     "switches"), "valve_open"),
+    ("open: as commanded", OPEN, 104.0, ("may be open", "alarm", AT_LAST), "valve_open"),
+    ("closed: dry", {}, 104.0, ("unknown", "unknown", "closed at last contact; dry"), "valve_open"),
+    ("unknown: it is lost", BLIND | {"speed": None, "commanded": False}, 100.0, ("may be open",
+     "alarm", "commanded closed; position unknown: no end switches; it is lost"), "valve_open"),
+])
+def test_what_is_known_of_the_valve(
+    text: str, said: dict[str, Any], steady: float, expected: tuple[str, str, str], action: str
+) -> None:
+    """Command and position are two values; one that may be open unnoticed is an alarm."""
+    graph = watched("live")
+    pump_says(graph, 100.0, "off: why")
+    assert "valve" not in shown(graph)["tiles"].keys() | shown(graph)["stop"]["actions"].keys()
+    graph.add_statuses(100.0, 0, valve(text, **said))
+    document = shown(graph, steady)
+    assert tile_of(graph, "valve", steady) == expected
+    assert document["stop"]["actions"].keys() == {"stop", "valve_close"}
+    summary = document["tiles"]["summary"]
+    level = {"open": "ok", "opening": "ok", "alarm": "error"}.get(expected[1], "warn")
+    assert summary["level"] == level
+    assert (summary["sentence"] == "The outlet valve may be open.") == (level == "error")
+    graph.allow_release = True
+    assert shown(graph, steady)["stop"]["actions"].keys() == {"stop", "valve_close", action}
+
+
+def test_a_site_without_a_pump_needs_none() -> None:
+    graph = store("live", replace(SITE, irrigation="none", low_outlet_valve=True))
+    add_values(graph, 0, 61, {"/cistern/level": 2.5, "/weather/frost": 0.0})
+    graph.add_statuses(100.0, 0, valve("closed: the command is 0"))
+    document = shown(graph)
+    assert document["tiles"]["summary"]["level"] == "ok" and not document["stop"]["needed"]
+    assert tile_of(graph, "pump") == ("off", "off", "the site has no pump")
+    assert tile_of(graph, "cistern")[2].endswith("m³ of water")
 
 
 # --- alarms, events, notes --------------------------------------------------------------------

@@ -25,13 +25,14 @@ HELD = "held: a hold by the page"
 class Pump(Peer):
     """A pump node's service for a hold, with the answer that a test sets."""
 
-    def __init__(self, domain: int, name: str = "pump") -> None:
+    def __init__(self, domain: int, name: str = "pump", *services: str) -> None:
         super().__init__(domain, name)
         self.requests: list[dict[str, Any]] = []
         self.success, self.answer = True, HELD
         self.answers = threading.Event()
         self.answers.set()
-        self.node.create_service(SetParametersAtomically, "~/hold", self._on_hold)
+        for service in ("hold", *services):
+            self.node.create_service(SetParametersAtomically, f"~/{service}", self._on_hold)
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._executor.spin, daemon=True)
@@ -107,3 +108,21 @@ def test_a_stop_goes_to_every_node_that_may_control_the_pump(
     refused(client, "two nodes have this name", 3.0, answered=False)
     for pump in pumps:
         pump.close()
+
+
+def test_the_valve_is_no_pump(domain: int, client: GraphClient) -> None:
+    """It is told by what it offers, and neither is sent what is meant for the other."""
+    pump, valve = Pump(domain), Pump(domain, "valve", "open")
+    opening = {"owner": "me", "until": 4e9}
+    wait_for(lambda: client.find_nodes() == {"/pump": 1}, 60, "the pump")
+    wait_for(lambda: client.find_nodes("valve") == {"/valve": 1}, 60, "the valve")
+    for action, role, asked in (
+        ("open", "valve", opening), ("close", "valve", PAGE), ("stop", "pump", PAGE),
+    ):
+        assert client.request(action, 20, role, **asked) == HELD
+    assert (valve.requests, pump.requests) == ([opening, PAGE], [PAGE])
+    valve.close()
+    wait_for(lambda: not client.find_nodes("valve"), 60, "its end")
+    with pytest.raises(RequestError, match="There is no valve node"):
+        client.request("close", 0.5, "valve", **PAGE)
+    pump.close()

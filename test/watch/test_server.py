@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 from graphs import wait_for
 from page_inputs import pump as pump_says
+from page_inputs import valve as valve_says
 from page_server import request, served
 
 from greenroof_ros.watch import server
@@ -68,6 +69,7 @@ def watched() -> GraphStore:
     store.add_statuses(time.monotonic() + 1e6, 0, pump_says(
         "held: x", hold={"owner": "x"}, fault="slow", no_clear="", max_dose=1.0, no_dose="",
     ))
+    store.add_statuses(time.monotonic() + 1e6, 0, valve_says("closed: dry"))
     return store
 
 
@@ -146,8 +148,11 @@ def test_nothing_else_is_done_unless_that_was_allowed_with_a_token(
     ):
         watched.allow_release = allowed
         with served(watched, token) as port:
-            for action in ("release", "clear", "dose"):
+            assert request(port, "POST", "/valve_close", **RIGHT).status == 200
+            assert pump.done.pop() == ("valve_close", {"owner": "the page"})
+            for action in ("release", "clear", "dose", "valve_open"):
                 assert request(port, "POST", f"/{action}", DOSE, **RIGHT).status == status
+    assert pump.done.pop() == ("valve_open", {"owner": "the page"})
     assert pump.done == [("release", {}), ("clear", {}), ("dose", {"volume": 0.2, "asked_at": 7.0})]
     with served(watched, "secret") as port:
         for wrong in (b"{", b"[]", b"[" * 9000, b'{"volume": 1}'):
