@@ -75,6 +75,8 @@ def test_each_value_has_the_pages_unit_and_what_is_old_is_unknown() -> None:
         "mode": "live", "roof_level": 45.7, "cistern_level": 2500, "rain": 3.6, "flow": 60.0,
         "command": 25, "frost": "ON", "pump": "unknown", "condition": "none", "problem": "OFF",
     }
+    graph.add_statuses(100.0, 0, valve("open: as commanded"))
+    assert state(graph)["valve"] == "open"
     numbers = "roof_level", "cistern_level", "rain", "flow", "command", "frost"
     assert {state(graph, 161.0)[key] for key in numbers} == {None}
     assert state(graph, 161.0)["condition"] == "unknown"  # the alarms are old, too
@@ -145,9 +147,12 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
 def test_a_stop_is_requested_until_it_is_answered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Whatever fails, even if nothing can be published; a refusal is reported, not repeated."""
+    """Whatever fails, even if nothing can be published; a refusal is reported, not repeated.
+
+    Nor is a request to open the valve.
+    """
     answers: list[Exception | str] = [
-        RequestError("no pump node"), ZeroDivisionError("a bug"),
+        RequestError("no valve node"), RequestError("no pump node"), ZeroDivisionError("a bug"),
         RequestError("the disk is full", answered=True), RequestError("no answer"), "held",
     ]
 
@@ -164,47 +169,14 @@ def test_a_stop_is_requested_until_it_is_answered(
     graph = store("live")
     with (
         mosquitto(tmp_path) as broker, Talker(broker) as heard,
-        running(Bridge(graph, Feed(graph), parse_broker(broker.address, "broker"), False).run),
+        running(Bridge(graph, Feed(graph), parse_broker(broker.address, "broker"), True).run),
     ):
         wait_for(lambda: heard.last("greenroof/roof/availability"), 60, "a message")
-        for left in (2, 0):
-            heard.publish("greenroof/roof/stop", "STOP")
+        for name, left in (("valve_open", 5), ("stop", 2), ("valve_close", 0)):
+            heard.publish(f"greenroof/roof/{name}", name.upper())
             wait_for(lambda left=left: len(answers) == left, 60, "an answer")
             time.sleep(0.5)
             assert len(answers) == left
     said = capfd.readouterr().err
     assert "MQTT: no pump node" in said and "MQTT: the disk is full" in said
     assert "MQTT: held" in said and "ZeroDivisionError: a bug" in said
-
-
-@needs_mosquitto
-@pytest.mark.parametrize("allow_open", [True, False])
-def test_the_valve_is_closed_and_if_allowed_opened(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, allow_open: bool
-) -> None:
-    """An opening is requested once, whatever fails; the valve is announced once it is known."""
-    requested: list[str] = []
-
-    def request_action(_: Feed, action: str, **__: Any) -> str:
-        requested.append(action)
-        raise RequestError("no valve node", answered=action == "valve_close")
-
-    monkeypatch.setattr("greenroof_ros.watch.bridge._POLL_S", 0.05)
-    monkeypatch.setattr(Feed, "request_action", request_action)
-    graph = store("live")
-    bridge = "homeassistant/{}/greenroof_roof/{}/config".format
-    with (
-        mosquitto(tmp_path) as broker, Talker(broker) as heard,
-        running(Bridge(graph, Feed(graph), parse_broker(broker.address, "broker"), allow_open).run),
-    ):
-        wait_for(lambda: heard.last(bridge("button", "stop")), 60, "the pump's button")
-        assert not heard.last(bridge("sensor", "valve"))
-        graph.add_statuses(time.monotonic() + 1e6, 0, valve("open: as commanded"))
-        wait_for(lambda: '"valve": "open"' in str(heard.last("greenroof/roof/state")), 60, "it")
-        assert heard.last(bridge("sensor", "valve")) and heard.last(bridge("button", "valve_close"))
-        assert bool(heard.last(bridge("button", "valve_open"))) == allow_open
-        for name in ("valve_open", "valve_release", "valve_close"):
-            heard.publish(f"greenroof/roof/{name}", name.upper())
-        wait_for(lambda: "valve_close" in requested, 60, "a request")
-        time.sleep(0.5)
-    assert sorted(requested) == ["valve_close", "valve_open"][:1 + allow_open]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -12,36 +12,22 @@ from greenroof_ros.__main__ import COMMANDS
 from greenroof_ros.commands import requests
 
 
-@pytest.mark.parametrize(("line", "request_", "seconds"), [
-    ("hold --for 48", ("stop", "pump"), 172_800), ("release", ("release", "pump"), None),
-    ("outlet close --for 2d", ("stop", "valve"), 172_800),
-    ("outlet open --for 30min", ("open", "valve"), 1800),
-    ("outlet open --for 45s", ("open", "valve"), 45),
-    ("outlet release", ("release", "valve"), None), ("outlet reset --yes", ("reset", "valve"), None),
-    ("outlet open --for 30m", None, None), ("outlet open", None, None),
+@pytest.mark.parametrize(("name", "options", "made"), [
+    ("hold", "--for 48", [("stop", "pump", 172_800)]), ("release", "", [("release", "pump", 0)]),
+    ("outlet close", "--for 2d", [("stop", "valve", 172_800)]),
+    ("outlet open", "--for 30min", [("open", "valve", 1800)]), ("outlet open", "--for 3x", []),
+    ("outlet reset", "--yes", [("reset", "valve", 0)]),
 ])
 def test_a_command_makes_its_request(
-    monkeypatch: pytest.MonkeyPatch, line: str, request_: tuple[str, str] | None,
-    seconds: float | None,
+    monkeypatch: pytest.MonkeyPatch, name: str, options: str, made: list[tuple[str, str, int]]
 ) -> None:
-    made: list[tuple[str, str]] = []
-
-    class Client:
-        def __init__(self, *_: Any) -> None:
-            """Join no graph."""
-
-        def request(self, action: str, _: float, role: str, **given: Any) -> str:
-            made.append((action, role))
-            assert ("until" in given) == (seconds is not None)
-            assert abs(given.get("until", 0.0) - time.time() - (seconds or 0.0)) < 60 or not seconds
-            return "done"
-
-        def close(self) -> None:
-            """Leave none."""
-
-    monkeypatch.setattr(requests, "GraphClient", Client)
-    name = next(name for name in COMMANDS if f"{line} ".startswith(f"{name} "))
-    monkeypatch.setattr(sys, "argv", [name, *line.removeprefix(name).split()])
+    now, graph = time.time(), MagicMock()
+    monkeypatch.setattr(requests, "GraphClient", graph)
+    monkeypatch.setattr(sys, "argv", [name, *options.split()])
     with pytest.raises(SystemExit) as end:
         COMMANDS[name].load().main()
-    assert (end.value.code, made) == ((0, [request_]) if request_ else (2, []))
+    calls = graph.return_value.request.call_args_list
+    assert end.value.code == (0 if made else 2)
+    assert [(action, role) for (action, _, role), _ in calls] == [each[:2] for each in made]
+    for (_, given), (*_, seconds) in zip(calls, made, strict=True):
+        assert given.get("until", now) == pytest.approx(now + seconds, abs=60)
