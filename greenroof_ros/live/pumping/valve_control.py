@@ -139,6 +139,8 @@ class ValveControl:
         self._usage = UsageLimits(
             state_file, settings.max_run, settings.max_volume_per_day, "valve"
         )
+        stored = state_file.state
+        self._closed_at = stored.elapsed - stored.since_start  # or later
         self.opened_by, self.open_until = "", -math.inf
         self._on = False
         # Time until the valve is surely closed (s), if its relay stays off or silent.
@@ -159,7 +161,8 @@ class ValveControl:
     @property
     def _wait(self) -> float:
         """Time until the valve may open again (s)."""
-        return max(0.0, 2 * HOUR_S / self._moves - self._state_file.state.since_start)
+        closed_for = self._state_file.state.elapsed - self._closed_at
+        return max(0.0, 2 * HOUR_S / self._moves - closed_for)
 
     def step(self, dt: float, observed: ValveObservation) -> Decision:
         """Determine the state of the valve for this step.
@@ -192,6 +195,7 @@ class ValveControl:
         self._on = wanted and may_open and not active
         if self._on != before:
             file.switch(self._on)
+            self._closed_at = file.state.elapsed
         state, why = "closed", "the command is 0"
         if active:
             state, why = state_of(active)
