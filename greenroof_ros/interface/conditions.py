@@ -33,6 +33,7 @@ class Interlock:
         input: part of the pump node that reports the unknown input; empty if the interlock is not
             about an input.
         explained_by: other parts of the pump node that report more details.
+        valve: True if the interlock is only that of the outlet valve.
     """
 
     kind: str
@@ -42,6 +43,7 @@ class Interlock:
     on_page: bool = False
     input: str = ""
     explained_by: tuple[str, ...] = ()
+    valve: bool = False
 
     @property
     def parts(self) -> tuple[str, ...]:

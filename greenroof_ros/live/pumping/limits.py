@@ -46,6 +46,7 @@ class Observation:
         speed: speed of the drive, as a share of the rated speed; negative if the pump turns
             backwards.
         flow: flow that a flow meter or, without one, the drive measures (m3/s).
+        outlet_closed: whether the valve of the low outlet is known to be closed.
         reasons: the pump node's own reasons for keeping the pump off, among them the drive's fault.
     """
 
@@ -57,6 +58,7 @@ class Observation:
     time_ns: int = 0
     speed: float | None = None
     flow: float | None = None
+    outlet_closed: bool = False
     reasons: Sequence[Diagnosis] = ()
 
 
