@@ -44,7 +44,7 @@ def make_parser() -> Parser:
         epilog="examples:\n"
         "  greenroof simulators live --watch\n"
         "  greenroof simulators live --site my_site.yaml --controller onoff --watch\n"
-        "  greenroof simulators live --site config/site_valve.yaml --controller drain --watch\n\n"
+        "  greenroof simulators live --site config/site_valve.yaml --outlet drain --watch\n\n"
         "Ctrl-C ends the site, and then its devices.\n\n"
         "exit codes: those of greenroof live",
     )
