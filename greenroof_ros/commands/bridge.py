@@ -25,8 +25,8 @@ rain, frost, the controller's plan, and alarms with their codes. Home Assistant 
 automatically. The bridge works alongside any graph in this ROS domain, simulated or live. The
 bridge may be started and stopped at any time, since no node waits for it.
 
-Anyone who may publish on the topics greenroof/SITE/stop, .../valve_close and, with --allow-open,
-.../valve_open can do that. Nothing can be released, and the pump cannot be started over MQTT.
+Anyone who may publish on the topics greenroof/SITE/stop and greenroof/SITE/valve_close can stop
+the pump and close the outlet valve, and open it with --allow-open. Nothing else can be requested.
 """
 _EPILOG = """\
 examples:

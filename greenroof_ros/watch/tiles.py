@@ -45,10 +45,10 @@ def make_tiles(store: GraphStore) -> dict[str, Tile]:
         "roof": roof,
         "cistern": _make_tile(store, "Cistern level", _CISTERN, _judge_cistern),
         "pump": pump,
+        **({} if valve is None else {VALVE: _make_valve_tile(store, valve)}),
         "watering": _make_watering_tile(store, pump),
         "rain": _make_tile(store, "Rain", _RAIN, lambda *_: ("good", _write_coming_rain(store))),
         "temperature": _make_temperature_tile(store),
-        **({} if valve is None else {VALVE: _make_valve_tile(store, valve)}),
     }
 
 
