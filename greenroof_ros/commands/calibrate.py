@@ -19,7 +19,6 @@ from greenroof_ros.analysis.calibration.percolation import (
     choose_exponent,
     fit_exponents,
 )
-from greenroof_ros.analysis.calibration.pumps import PumpFit, fit_pumps
 from greenroof_ros.analysis.calibration.record import (
     halve_steps,
     read_months,
@@ -47,8 +46,7 @@ _DESCRIPTION = """\
 Fit a site's roof parameters to a measured record: field capacity, wilting point, depletion
 fraction, drainage time and crop coefficient, as far as the record determines them, and the exponent
 of percolation, which is changed only if the validation tells it apart. The model is fitted to the
-first half of the rain and validated on the second half. If the record contains the pumps' state and
-the cistern's level, the pump curve is fitted first, to the rate at which the cistern's level falls.
+first half of the rain and validated on the second half.
 """
 _EPILOG = """\
 MEASURED is a bag recorded by this project, or a CSV file with rows at most a day apart. Empty cells
@@ -118,22 +116,16 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
     with require_extra("study"):
         from greenroof_ros.analysis.calibration.page import render
 
-    def read(site: Site) -> StepRecord:
-        if measured.is_dir() or measured.suffix.lower() == ".mcap":
-            return read_bag_record(measured, site)
-        return read_csv_record(measured, site, months)
-
     site = complete_roof(read_site(site_file))
-    record = read(site)
+    if measured.is_dir() or measured.suffix.lower() == ".mcap":
+        record = read_bag_record(measured, site)
+    else:
+        record = read_csv_record(measured, site, months)
     for line in record.contents:
         print(escape(f"record: {line}"), file=sys.stderr)
     for note in record.notes:
         print(escape(f"note: {note}"), file=sys.stderr)
     counts = select_months(record, months)
-    pumps = fit_pumps(site, record.select(counts))
-    site = pumps.site
-    if pumps.parameters:
-        record = read(site)  # with the fitted pumps, their state means a different flow
     counted = record.select(counts)
     warnings = check_record(counted, site)
     for warning in warnings:
@@ -144,9 +136,7 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
     with ProgressBar() as progress:
         fits = fit_exponents(site, record, halves, progress.show, sorted({*EXPONENTS, own}))
     fitted, of_exponents = choose_exponent(fits, own)
-    fitted = fitted._replace(
-        site=lower_target(fitted.site), parameters=[*fitted.parameters, *pumps.parameters]
-    )
+    fitted = fitted._replace(site=lower_target(fitted.site))
     rows = [
         score(
             name, part, getattr(fitted.simulated, name)[steps], series[steps],
@@ -155,7 +145,7 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
         for name, series in record.measured.items() for part, steps in halves.items()
     ]
     warnings += check_fit(rows, measured)
-    notes = [*_list_notes(record, halves, site, fitted.site, pumps), of_exponents]
+    notes = [*_list_notes(record, halves, site, fitted.site), of_exponents]
     spans = {part: _name_span(record, steps) for part, steps in halves.items()}
     entries = list_fit_entries(fitted, site.z_veg)
     heading = _write_heading(measured, spans, rows, notes + warnings)
@@ -167,7 +157,7 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
 
 
 def _list_notes(
-    record: StepRecord, halves: Mapping[str, Steps], before: Site, fitted: Site, pumps: PumpFit
+    record: StepRecord, halves: Mapping[str, Steps], before: Site, fitted: Site
 ) -> list[str]:
     """Return notes for the user about the fit, in addition to the parameters and scores."""
     days = record.step_s / DAY_S
@@ -182,17 +172,6 @@ def _list_notes(
             f"target: z_veg was {before.z_veg:g} m, and the fitted roof holds "
             f"{fitted.roof_level(fitted.z_cap):.3g} m; z_veg is set to {fitted.z_veg:g} m, where "
             "half of the plant-available water is left (FAO-56, chapter 8); choose your own target"
-        )
-    if pumps.runs:
-        notes.append(
-            f"pumps: {1000 * pumps.flow:.3g} l/s at full command, plus or minus "
-            f"{1000 * pumps.half:.2g} l/s (95 %), with {pumps.level:.2f} m in the cistern; "
-            f"estimated from {pumps.runs} runs"
-        )
-    elif record.command is not None and record.cistern is not None:
-        notes.append(
-            "pumps: not fitted, since there are fewer than ten runs in which nothing else changes "
-            "the cistern's level"
         )
     return notes
 
