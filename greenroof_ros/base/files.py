@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import glob
 import math
 import os
 import re
-from collections.abc import Callable, Container, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -94,6 +95,16 @@ def as_started(file: Path) -> Path:
 def is_there(path: Path) -> bool:
     """Return True if the path exists, and False if it is too long for a file name."""
     return os.path.exists(path)  # noqa: PTH110 (pathlib raises an error)
+
+
+def find_matches(name: str, places: Iterable[Path]) -> list[Path]:
+    """Return the files that match a name or pattern, from the first directory with such files."""
+    for place in places:
+        if is_there(place / name):
+            return [place / name]
+        if found := sorted(glob.glob(str(place / name))):  # noqa: PTH207
+            return [Path(file) for file in found]
+    return []
 
 
 MAX_BYTES = 100_000_000

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import textwrap
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -32,12 +31,11 @@ from greenroof_ros.analysis.calibration.site_file import (
     list_fit_entries,
 )
 from greenroof_ros.analysis.calibration.step_record import DAY_S, StepRecord, Steps, name_time
-from greenroof_ros.base.command_line import Parser, add_site, command
+from greenroof_ros.base.command_line import Parser, add_site, command, print_lines
 from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import ConfigurationError, require_extra
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.progress import ProgressBar
-from greenroof_ros.base.text import escape
 from greenroof_ros.commands.output_file import refuse_unwritable
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
@@ -94,8 +92,8 @@ def main() -> None:
     arguments = make_parser().parse_args()
     output: Path = arguments.output
     page_file = output.with_suffix(".html") if output.name else output
-    refuse_unwritable(output, (".yaml", ".yml"), "--output")
-    refuse_unwritable(page_file, (".html",), "--output")
+    refuse_unwritable(output, ".yaml", ".yml")
+    refuse_unwritable(page_file, ".html")
     if arguments.months is not None:
         read_months(arguments.months)
     text, page = _calibrate(arguments.measured, arguments.months, arguments.site)
@@ -121,15 +119,12 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
         record = read_bag_record(measured, site)
     else:
         record = read_csv_record(measured, site, months)
-    for line in record.contents:
-        print(escape(f"record: {line}"), file=sys.stderr)
-    for note in record.notes:
-        print(escape(f"note: {note}"), file=sys.stderr)
+    print_lines("record", record.contents)
+    print_lines("note", record.notes)
     counts = select_months(record, months)
     counted = record.select(counts)
     warnings = check_record(counted, site)
-    for warning in warnings:
-        print(escape(f"warning: {warning}"), file=sys.stderr)
+    print_lines("warning", warnings)
     halves = halve_steps(record, select_comparable(record) & counts)
     _refuse_dry(record, halves)
     own = site.percolation_exponent

@@ -17,11 +17,7 @@ from greenroof_ros.analysis.workers.choice import (
     describe_end,
     open_workers,
 )
-from greenroof_ros.base.command_line import (
-    EXIT_DONE,
-    Parser,
-    command,
-)
+from greenroof_ros.base.command_line import EXIT_DONE, Parser, command, print_lines
 from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import require_extra
 from greenroof_ros.base.files import find_shipped
@@ -84,8 +80,7 @@ def main() -> int:
         from greenroof_ros.analysis.district.result import PAGE, DistrictResult, make_directory
     places = [] if arguments.weather is None else [arguments.weather]
     district = run.read_run(find_shipped(arguments.district), places)
-    for note in district.notes:
-        print(escape(f"note: {note}"), file=sys.stderr)
+    print_lines("note", district.notes)
     make_directory(arguments.output)
     signals = Signals()  # from now on, a signal ends the run at the next report
     try:
@@ -108,8 +103,7 @@ def main() -> int:
     result.save(arguments.output, with_swmm=arguments.swmm)
     _show(result.rows, page)
     print(escape(result.sentence))
-    for warning in result.warnings:
-        print(escape(f"warning: {warning}"), file=sys.stderr)
+    print_lines("warning", result.warnings)
     print(escape(f"written to {arguments.output / PAGE}"))
     return EXIT_DONE
 

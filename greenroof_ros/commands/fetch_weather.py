@@ -137,7 +137,7 @@ def main() -> int:
     """Fetch the weather of the years named on the command line."""
     arguments = make_parser().parse_args()
     output: Path = arguments.output
-    refuse_unwritable(output, (".csv",), "--output")
+    refuse_unwritable(output, ".csv")
     site, now = read_site(arguments.site), datetime.now(timezone.utc)
     if arguments.eccc is None:
         source = open_meteo_archive(site, arguments.years, now.date(), arguments.url)

@@ -75,11 +75,7 @@ examples:
 
 def make_parser() -> Parser:
     """Return the parser of the command line."""
-    parser = Parser(
-        prog="greenroof study",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
-    )
+    parser = Parser(prog="greenroof study", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument(
         "grid", nargs="?", type=Path, metavar="GRID.yaml",
         help="grid file, your own or one of this package's (default: the paper's, "

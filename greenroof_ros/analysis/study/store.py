@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 import shutil
 from collections.abc import Mapping, Sequence
@@ -22,7 +20,7 @@ from greenroof_ros.base.files import add_path_to_errors, replace_text
 from greenroof_ros.base.processes import LockedError, lock_file
 from greenroof_ros.forecast.skill import REAL, read_skill
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
-from greenroof_ros.results.table import parameter_columns
+from greenroof_ros.results.table import format_csv, parameter_columns
 from greenroof_ros.results.versions import versions
 
 _OUTCOME = "outcome.json"
@@ -204,12 +202,8 @@ class StudyStore:
                 else None,
                 **self.discharge_bounds.get(case.discharge_bound_identity, {}),
             })
-        text = io.StringIO()
-        columns = list(dict.fromkeys(column for row in rows for column in row))
-        writer = csv.DictWriter(text, columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)  # floats keep all their digits
-        replace_text(self.directory / "results.csv", text.getvalue())
+        columns = dict.fromkeys(column for row in rows for column in row)
+        replace_text(self.directory / "results.csv", format_csv(columns, rows))
         return rows
 
 
