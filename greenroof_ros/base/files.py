@@ -285,6 +285,25 @@ def _at(node: yaml.Node, problem: str) -> yaml.MarkedYAMLError:
     return yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
 
 
+def claim_directory(directory: Path, is_own: Callable[[str], bool] = lambda name: False) -> None:
+    """Create a command's output directory, or check that it contains nothing else.
+
+    Args:
+        directory: the directory.
+        is_own: function that tells whether a file may be there, because it will be replaced.
+
+    Raises:
+        ConfigurationError: if the directory contains other files.
+        OSError: if the directory cannot be written to.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    if others := [file.name for file in directory.iterdir() if not is_own(file.name)]:
+        raise ConfigurationError(
+            f"exists and is not empty: it contains {min(others)}; choose another directory",
+            key="--output", value=str(directory),
+        )
+
+
 @contextmanager
 def add_path_to_errors(path: Path) -> Iterator[None]:
     """Add a path to an OSError without one, such as an error from reading an open file.

@@ -20,7 +20,7 @@ from greenroof_ros.analysis.workers.choice import (
 from greenroof_ros.base.command_line import EXIT_DONE, Parser, command, print_lines
 from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import require_extra
-from greenroof_ros.base.files import find_shipped
+from greenroof_ros.base.files import claim_directory, find_shipped
 from greenroof_ros.base.processes import InterruptedRun, Signals, count_cores
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.text import escape
@@ -77,11 +77,11 @@ def main() -> int:
     check_workers(arguments)
     with require_extra("study"):
         from greenroof_ros.analysis.district import page, run
-        from greenroof_ros.analysis.district.result import PAGE, DistrictResult, make_directory
+        from greenroof_ros.analysis.district.result import PAGE, DistrictResult
     places = [] if arguments.weather is None else [arguments.weather]
     district = run.read_run(find_shipped(arguments.district), places)
     print_lines("note", district.notes)
-    make_directory(arguments.output)
+    claim_directory(arguments.output)
     signals = Signals()  # from now on, a signal ends the run at the next report
     try:
         with ProgressBar() as bar:

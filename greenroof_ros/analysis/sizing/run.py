@@ -58,7 +58,8 @@ def size_site(
     outlets = plans.read_outlets(values.get("outlets"))
     knee = KNEE_RANGE.read(values.get("knee", KNEE), key="knee")
     jobs = int(JOBS.read(values.get("jobs", 1), key="jobs"))
-    prices = _read_prices({name: values[name] for name in PRICES if name in values})
+    priced = {name: values[name] for name in PRICES if name in values}
+    prices = make_record(Prices, priced) if priced else None
     if "weather" not in values:
         raise ConfigurationError(
             "is missing; specify records that cover at least one season", key="weather"
@@ -116,21 +117,3 @@ def size_site(
         site, designs, list(runs), f"{window}", 24.0 * window.days, metrics, incomplete,
         [*notes, *as_lines(summary), *list_notes(runs, site)], prices, knee, tried, starts,
     )
-
-
-def _read_prices(given: Mapping[str, Any]) -> Prices | None:
-    """Return the prices, or None if no price is given.
-
-    Raises:
-        ConfigurationError: if a price is out of range, or if only some of the prices are given.
-    """
-    if not given:
-        return None
-    for name in PRICES:
-        if name not in given:
-            raise ConfigurationError(
-                "is missing: to compute costs, set the years and all prices (0 for anything that "
-                "costs nothing)",
-                key=name,
-            )
-    return make_record(Prices, given)
