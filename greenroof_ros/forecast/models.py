@@ -44,10 +44,8 @@ from greenroof_ros.weather.quantities import (
     PRECIPITATION,
     QUANTITIES,
 )
-from greenroof_ros.weather.records import HOUR
+from greenroof_ros.weather.records import HOUR, Array
 from greenroof_ros.weather.series import Weather, select_records
-
-Array = NDArray[np.float64]
 
 # Reach of a filter in multiples of the larger of memory and error of timing; exp(-6) remains.
 _REACH = 6

@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from greenroof_ros.analysis.sizing.choice import MAX_STRESS, Prices, find_knee, find_target
+from greenroof_ros.analysis.sizing.choice import MAX_STRESS, Prices, Values, find_knee, find_target
 from greenroof_ros.analysis.sizing.columns import (
     COLUMNS,
     COST,
@@ -39,8 +38,6 @@ if TYPE_CHECKING:
     import polars
 
     from greenroof_ros.analysis.report.drawing import Figure
-
-Values = NDArray[np.float64]
 
 PAGE, TABLE = "sizes.html", "sizes.csv"
 _FIGURE = re.compile(r"sizes-[\d.]+mm\.(svg|png)")
