@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.interface.conditions import Diagnosis
@@ -17,6 +17,7 @@ from greenroof_ros.live.devices.exchange import (
     DriveSnapshot,
     read_endpoint,
 )
+from greenroof_ros.live.live_input import bad_inputs
 from greenroof_ros.physics.pump import STANDSTILL
 from greenroof_ros.ros.diagnostics import ERROR, WARN
 from greenroof_ros.site.site import Site
@@ -36,7 +37,15 @@ _WARNINGS = {"drive_local", "second_master", "start_failed", "drive_guards_later
 
 
 class DriveNode(ActuatorNode):
-    """A node that drives its actuator over Modbus, or switches it with a relay over MQTT."""
+    """A node that drives its actuator over Modbus, or switches it with a relay over MQTT.
+
+    Attributes:
+        observed: topics of the observations, by the names of their fields.
+        parts: names of the observations that each part of the node reports on.
+    """
+
+    observed: Mapping[str, str]
+    parts: Mapping[str, Sequence[str]]
 
     def __init__(
         self, name: str, role: str, parameters: Callable[[Site], Iterable[Parameter]]
@@ -59,6 +68,13 @@ class DriveNode(ActuatorNode):
         )
         self.reports.hardware = f"{self.endpoint.file}, {self.endpoint}"
         self._resetting_until = -math.inf
+
+    def observe(self) -> dict[str, float | None]:
+        """Return the latest value of every observation, by its name; None if it is unknown."""
+        return {
+            name: float(entry.value) if self.acted and (entry := self.inputs[topic]).good else None
+            for name, topic in self.observed.items()
+        }
 
     def switch_off(self) -> str:
         """Stop the drive, even during a silence."""
@@ -119,13 +135,17 @@ class DriveNode(ActuatorNode):
             why = self.state_file.problem or "the state is not saved yet"
             yield "state file", Diagnosis.of("state_not_kept", why=why)
 
-    def report_drive(self, reasons: Iterable[tuple[str, Diagnosis]], **well: str) -> None:
-        """Report on the drive.
+    def report_parts(self, reasons: Iterable[tuple[str, Diagnosis]], **well: str) -> None:
+        """Report on the inputs and on the drive.
 
         Args:
             reasons: the reasons, as from :meth:`drive_reasons`.
             well: what is reported about each further part, if there is no reason about it.
         """
+        for part, names in self.parts.items():
+            topics = [self.observed[name] for name in names if name in self.observed]
+            bad = bad_inputs(self.inputs[topic] for topic in topics)
+            self.reports.diagnose(part, bad, "the latest value is used")
         file, snapshot = self.endpoint.file, self.exchange.snapshot
         if unverified := ", ".join(file.unverified):
             self.reports.diagnose("drive file", Diagnosis.of(

@@ -33,7 +33,7 @@ from greenroof_ros.live.devices.drive_file import MAX_RAMP_S
 from greenroof_ros.live.devices.exchange import UNREAD_S, DriveSnapshot
 from greenroof_ros.live.drive_node import DRIVE_PARAMETERS, TIMEOUT_LIMIT, DriveNode
 from greenroof_ros.live.levels import Levels, live_parameters
-from greenroof_ros.live.live_input import LiveInput, bad_inputs
+from greenroof_ros.live.live_input import LiveInput
 from greenroof_ros.live.node import live_command
 from greenroof_ros.live.pumping.interlocks import Decision
 from greenroof_ros.live.pumping.limits import Observation, PumpSettings, pump_parameters
@@ -76,6 +76,8 @@ def parameters(site: Site) -> list[Parameter]:
 
 class PumpNode(DriveNode):
     """Node that runs the pump of a live site as commanded, unless an interlock is active."""
+
+    observed, parts = _INPUTS, _INPUT_PARTS
 
     def __init__(self) -> None:
         """Declare the parameters, and open the topics and services.
@@ -144,10 +146,7 @@ class PumpNode(DriveNode):
 
     def _observe(self, snapshot: DriveSnapshot, now: float) -> Observation:
         status = snapshot.status_at(now)
-        values = {
-            name: float(entry.value) if self.acted and (entry := self.inputs[topic]).good else None
-            for name, topic in _INPUTS.items()
-        }
+        values = self.observe()
         if values["flow"] is None and status is not None:
             values["flow"] = status.flow
         return Observation(
@@ -184,11 +183,8 @@ class PumpNode(DriveNode):
     def report(self) -> None:
         """Report on every part of the node."""
         super().report()
-        for part, names in _INPUT_PARTS.items():
-            bad = bad_inputs(self.inputs[_INPUTS[name]] for name in names)
-            self.reports.diagnose(part, bad, "the latest value is used")
         reasons = self._reasons(self.exchange.snapshot, boot_time())
-        self.report_drive(reasons, flow="this is the only pump node")
+        self.report_parts(reasons, flow="this is the only pump node")
 
 
 main = live_command(PumpNode, __doc__)

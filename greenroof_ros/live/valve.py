@@ -29,7 +29,6 @@ from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.devices.exchange import UNREAD_S
 from greenroof_ros.live.drive_node import DRIVE_PARAMETERS, TIMEOUT_LIMIT, DriveNode
 from greenroof_ros.live.levels import Levels, live_parameters
-from greenroof_ros.live.live_input import bad_inputs
 from greenroof_ros.live.node import live_command
 from greenroof_ros.live.pumping.interlocks import Decision
 from greenroof_ros.live.pumping.state_file import MAX_TIME
@@ -55,10 +54,11 @@ _INPUTS = {
     "opened": "/outlet/open_switch",
     "closed": "/outlet/closed_switch",
 }
+_SWITCHES = "opened", "closed"
 # The parts that report on inputs, as in the interlocks of the table.
 _INPUT_PARTS = {
     "command": ("command",), "levels": ("cistern_level",), "frost": ("frost",), "rain": ("rain",),
-    "switches": ("opened", "closed"),
+    "switches": _SWITCHES,
 }
 # The fields of a request to open the valve.
 _OPEN = (
@@ -78,6 +78,8 @@ def parameters(site: Site) -> list[Parameter]:
 class ValveNode(DriveNode):
     """Node that opens the outlet valve of a live site, unless an interlock is active."""
 
+    parts = _INPUT_PARTS
+
     def __init__(self) -> None:
         """Declare the parameters, and open the topics and services.
 
@@ -91,13 +93,12 @@ class ValveNode(DriveNode):
             site, ValveSettings(**settings), self.state_file,
             relay_stops_after=UNREAD_S + values[TIMEOUT_LIMIT.name],
         )
-        self._levels = Levels(site, values, self.subscribe, needs_roof=False)
-        self._names = {
-            name: topic for name, topic in _INPUTS.items()
-            if (values["has_switches"] or name not in ("opened", "closed"))
-            and (site.irrigated or name != "pumped")
+        missing = {
+            *(() if values["has_switches"] else _SWITCHES), *(() if site.irrigated else ["pumped"])
         }
-        for topic in self._names.values():
+        self.observed = {name: _INPUTS[name] for name in _INPUTS if name not in missing}
+        Levels(site, values, self.subscribe, needs_roof=False)
+        for topic in self.observed.values():
             if topic not in self.inputs:
                 self.subscribe(topic, optional=topic == FLOW)
         self.open_outputs(_POSITION, _OUTFLOW, _STATE)
@@ -108,16 +109,16 @@ class ValveNode(DriveNode):
         self._control.discard_evidence()
 
     def _open(self, request: SetParametersAtomically.Request) -> tuple[bool, str]:
-        self._control.open_by_hand(**read_fields("open", request, _OPEN))
+        control, fields = self._control, read_fields("open", request, _OPEN)
+        control.opened_by, control.open_until = fields["owner"], fields["until"]
         state = self.decide()
-        return not self.decision.active or not self._control.is_by_hand, state
+        return not (self.decision.active and control.is_by_hand), state
 
     def on_inputs(self) -> None:
         """Publish position and flow, which are NaN if they are unknown."""
-        for topic, value in (
-            (_POSITION, self.decision.position), (_OUTFLOW, self.decision.flow),
-        ):
-            self.publish(topic, math.nan if value is None else value)
+        position, flow = self.decision.position, self.decision.flow
+        self.publish(_POSITION, math.nan if position is None else position)
+        self.publish(_OUTFLOW, math.nan if flow is None else flow)
 
     def step(self, dt: float) -> Decision:
         """Decide based on the present observations, and switch the relay."""
@@ -126,19 +127,13 @@ class ValveNode(DriveNode):
         if dt <= PAUSE_S:
             status = snapshot.status_at(now)
             observed = ValveObservation(
-                **{name: self._value(topic) for name, topic in self._names.items()},
+                **{"pumped": 0.0, **self.observe()},
                 on=None if status is None else status.running,
                 reasons=[reason for _, reason in self.drive_reasons(snapshot, now)],
             )
         decision = self._control.step(dt, observed)
         self.exchange.request_speed(decision.request)
         return decision
-
-    def _value(self, topic: str) -> float | None:
-        entry = self.inputs[topic]
-        return float(entry.value) if self.acted and entry.good else None
-
-    # --- reports ----------------------------------------------------------------------------------
 
     def progress(self) -> dict[str, Any]:
         """Return the values that bringup and the page show."""
@@ -153,13 +148,8 @@ class ValveNode(DriveNode):
     def report(self) -> None:
         """Report on every part of the node."""
         super().report()
-        for part, names in _INPUT_PARTS.items():
-            bad = bad_inputs(
-                self.inputs[self._names[name]] for name in names if name in self._names
-            )
-            self.reports.diagnose(part, bad, "the latest value is used")
         self.reports.diagnose("opening", self._control.stuck, "it opens", WARN)
-        self.report_drive(self.drive_reasons(self.exchange.snapshot, boot_time()))
+        self.report_parts(self.drive_reasons(self.exchange.snapshot, boot_time()))
 
 
 main = live_command(ValveNode, __doc__)

@@ -113,8 +113,13 @@ class StoredState:
     boot_s: float = 0.0
 
     @property
+    def since_start(self) -> float:
+        """Time since the last start (s); infinite if there was none."""
+        return self.elapsed - self.starts[-1] if self.starts else math.inf
+
+    @property
     def day_volume(self) -> float:
-        """Volume that was pumped in the last 24 h (m3)."""
+        """Volume that was pumped or released in the last 24 h (m3)."""
         return math.fsum(self.volumes)
 
     def clears_in(self, limit: float) -> float:
