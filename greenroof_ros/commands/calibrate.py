@@ -13,7 +13,11 @@ from greenroof_ros.analysis.calibration.bag_record import read_bag_record
 from greenroof_ros.analysis.calibration.checks import check_fit, check_record
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
 from greenroof_ros.analysis.calibration.fit import Fit, complete_roof, lower_target
-from greenroof_ros.analysis.calibration.percolation import EXPONENTS, choose_exponent, fit_exponents
+from greenroof_ros.analysis.calibration.percolation import (
+    EXPONENTS,
+    choose_exponent,
+    fit_exponents,
+)
 from greenroof_ros.analysis.calibration.record import (
     halve_steps,
     read_months,

@@ -28,7 +28,12 @@ from greenroof_ros.base.times import FIRST_YEAR, to_people
 from greenroof_ros.commands.output_file import refuse_unwritable
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import format_place, measure_distance
-from greenroof_ros.weather.download import eccc_station, fetch, join_blocks, open_meteo_archive
+from greenroof_ros.weather.download import (
+    eccc_station,
+    fetch,
+    join_blocks,
+    open_meteo_archive,
+)
 from greenroof_ros.weather.quantities import PRECIPITATION
 from greenroof_ros.weather.records import HOUR, name_hours, write_records
 

@@ -14,7 +14,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from zoneinfo import ZoneInfo
 
-from greenroof_ros.base.command_line import Parser, command, make_number_type, print_lines
+from greenroof_ros.base.command_line import (
+    Parser,
+    command,
+    make_number_type,
+    print_lines,
+)
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.parameter import Parameter

@@ -13,7 +13,13 @@ from rich.table import Table
 from greenroof_ros.analysis.verification.checks import check_forecasts
 from greenroof_ros.analysis.verification.pairs import Class, Sum, read_issued_forecasts, tally_pairs
 from greenroof_ros.analysis.verification.scores import SHOWN, Tally
-from greenroof_ros.base.command_line import Parser, add_site, command, make_number_type, print_lines
+from greenroof_ros.base.command_line import (
+    Parser,
+    add_site,
+    command,
+    make_number_type,
+    print_lines,
+)
 from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import add_path_to_errors

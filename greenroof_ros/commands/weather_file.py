@@ -31,7 +31,13 @@ from greenroof_ros.weather.read import (
     read_file,
     read_measured,
 )
-from greenroof_ros.weather.records import HOUR, Records, describe_rows, name_files, write_records
+from greenroof_ros.weather.records import (
+    HOUR,
+    Records,
+    describe_rows,
+    name_files,
+    write_records,
+)
 from greenroof_ros.weather.series import Weather
 from greenroof_ros.weather.summary import as_lines, summarize
 from greenroof_ros.weather.table import Rows

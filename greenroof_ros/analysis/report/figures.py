@@ -22,7 +22,11 @@ from greenroof_ros.analysis.report.drawing import (
     value_scale,
 )
 from greenroof_ros.analysis.report.groups import TOTAL, CaseRuns, Item, Report
-from greenroof_ros.analysis.report.trajectories import Drawn, figures_over_time, select_curves
+from greenroof_ros.analysis.report.trajectories import (
+    Drawn,
+    figures_over_time,
+    select_curves,
+)
 from greenroof_ros.results.table import EventRow
 
 # With more lines than this in one panel, every controller has its own figures.
