@@ -74,14 +74,15 @@ def main() -> None:
         sensors = directory / "sensors.yaml"
         sensors.write_text(_describe_sensors(site, sensor_port), encoding="utf-8")
         common = ["--site", str(arguments.site), "--sensors", str(sensors)]
-        simulated = [f"--cistern={_CISTERN * site.cistern_volume(site.z_o)}"]
+        cistern = _CISTERN * site.cistern_volume(site.z_o)
+        simulated = [f"--cistern={cistern}", f"--roof={_ROOF * site.x2_star}"]
         if site.irrigated:
             drive = directory / "drive.yaml"
             drive.write_text(_describe_drive(), encoding="utf-8")
             drive_at = f"gateway://127.0.0.1:{drive_port}"
             common += ["--drive", str(drive)]
             others += ["--drive-at", drive_at]
-            simulated += ["--at", drive_at, f"--roof={_ROOF * site.x2_star}"]
+            simulated += ["--at", drive_at]
         if site.low_outlet_valve:
             stack.enter_context(_run_broker(directory, broker_port))
             common += ["--valve", _RELAY, "--valve-at", f"mqtt://127.0.0.1:{broker_port}/valve"]
