@@ -496,7 +496,7 @@ def _valves() -> Iterator[Case]:
         for fault in ("kill", "stop long"):
             yield Case(rig, fault, "valve", Expected(
                 bound="relay", signs=(("valve", "node_silent"),)))
-        yield Case(rig, VALVE, "relay out of reach", Expected(bound="relay", signs=lost))
+        yield Case(rig, VALVE, "relay lost", Expected(bound="relay", signs=lost))
         for target in ("killed", "restarted", "paused", "half_open"):
             yield Case(rig, "broker of the valve", target, Expected(bound="relay", signs=lost))
         yield Case(rig, VALVE, "reboot", Expected(bound="relay"))
