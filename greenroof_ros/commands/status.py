@@ -112,12 +112,11 @@ def _write_lines(shown: Mapping[str, Any], code: int) -> list[str]:
     for name in _TILES:
         tile = tiles[name]
         lines.append(f"{tile['label']:14} {tile['value']:14} {tile['sentence']}".rstrip())
-    lines += [*map(_write_alarm, shown["alarms"]), *filter(None, [shown["contact"]])]
-    lines += shown["notes"]
+    lines += [
+        f"{_LEVELS[row['level']]}. {row['what']} since {row['since_text']}. {row['do']}"
+        for row in shown["alarms"]
+    ]
+    lines += [*filter(None, [shown["contact"]]), *shown["notes"]]
     if (hidden := len(lines) - _MAX_LINES + 1) > 1:
         lines[-hidden:] = [f"and {hidden} more lines; see 'greenroof watch'"]
     return lines
-
-
-def _write_alarm(row: Mapping[str, Any]) -> str:
-    return f"{_LEVELS[row['level']]}. {row['what']} since {row['since_text']}. {row['do']}"

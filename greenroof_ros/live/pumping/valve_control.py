@@ -31,9 +31,9 @@ _TRAVEL_S, _MOVES = 30.0, 4.0
 _UNSEEN_S = 180.0
 # A command of this share, or more, opens the valve.
 _OPENS = 0.5
-# Averaging time of the cistern's level (s), and movement of the level that evaporation or the drift
-# of its sensor may cause (m/s).
-_AVERAGING_S, _DRIFT = 60.0, 1e-3 / 3600
+# Averaging time of the cistern's level (s), how long an open valve must have drained (s), and
+# movement of the level that evaporation or the drift of its sensor may cause (m/s).
+_AVERAGING_S, _DRAINS_FOR_S, _DRIFT = 60.0, 600.0, 1e-3 / 3600
 # Margin of what was pumped, since the pump's flow is not exact; and the share of the expected
 # volume that must at least have left through an open valve.
 _PUMPED, _LEAST = 1.25, 0.1
@@ -300,7 +300,10 @@ class ValveControl:
         if not is_open and fell > tolerance:
             yield Diagnosis.of("valve_leaks", volume=fell, minutes=minutes)
         if not self._settings.has_switches:
-            is_stuck = self._expected > 3 * tolerance and fell < _LEAST * self._expected
+            is_stuck = (
+                self._elapsed > _DRAINS_FOR_S and self._expected > 3 * tolerance
+                and fell < _LEAST * self._expected
+            )
             self.stuck = Diagnosis.of(
                 "valve_stuck_closed", "level", minutes=minutes, expected=self._expected
             ) if is_open and is_stuck else None
