@@ -457,7 +457,7 @@ def _intruders() -> Iterator[Case]:
 
 # --- the outlet valve -----------------------------------------------------------------------------
 
-VALVE, VALVE_ALARM = "valve", "valve alarm"
+VALVE, VALVE_ALARM, VALVE_MOVES = "valve", "valve alarm", "valve moves"
 
 
 def _valve(*codes: str, part: str = "valve") -> tuple[Sign, ...]:
@@ -479,7 +479,7 @@ def _valves() -> Iterator[Case]:
         yield Case("valve:tasmota", VALVE, target, Expected(bound=bound, signs=_valve(code)))
     yield Case("valve with switches:shelly_gen2", VALVE, "silence of closed_switch", Expected(
         bound="switch", signs=_valve("position_unknown")))
-    yield Case("valve moves:tasmota", VALVE, "moves", Expected(signs=_valve("hold")))
+    yield Case("valve moves:tasmota", VALVE_MOVES, "moves", Expected(signs=_valve("hold")))
     for limit, bound, code, recovery in (
         ("max_run", "limit", "max_run", "heals"),
         ("max_volume_per_day", "released", "daily_volume", "stays"),
