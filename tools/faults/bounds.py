@@ -32,6 +32,8 @@ TRAVEL_S, LONGEST_TRAVEL_S = 1.0, 6.0
 LEAK, LEAK_TOLERANCE_M = 1e-3, 2e-3
 # Time between two readings of a sensor at a site with a valve (s), and its averaging time (s).
 SENSOR_S, VALVE_AVERAGING_S = 1.0, 60.0
+# How long an open valve must have drained before it is judged by the level (s).
+DRAINS_FOR_S = 600.0
 # Time for which a person opens the valve (s).
 BY_HAND_S = 5.0
 # What the valve releases at most in a day, in a case about this limit (m3).
@@ -142,6 +144,7 @@ def valve_bounds(site: Site) -> dict[str, float]:
         "leak": water / LEAK + 2 * VALVE_AVERAGING_S + LONGEST_TRAVEL_S + exchange + alarm,
         "drained": water / (0.5 * flow) + 2 * VALVE_AVERAGING_S + LONGEST_TRAVEL_S + exchange
         + alarm,
-        # An open valve that drains nothing: three times the tolerance.
-        "not drained": 3 * water / (0.5 * flow) + LONGEST_TRAVEL_S + exchange + alarm,
+        # An open valve that drains nothing, for as long as it takes to drain something.
+        "not drained": max(DRAINS_FOR_S, 3 * water / (0.5 * flow)) + LONGEST_TRAVEL_S + exchange
+        + alarm,
     }

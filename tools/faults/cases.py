@@ -457,7 +457,7 @@ def _intruders() -> Iterator[Case]:
 
 # --- the outlet valve -----------------------------------------------------------------------------
 
-VALVE, VALVE_ALARM = "valve", "valve alarm"
+VALVE, VALVE_ALARM, VALVE_MOVES = "valve", "valve alarm", "valve moves"
 
 
 def _valve(*codes: str, part: str = "valve") -> tuple[Sign, ...]:
@@ -479,7 +479,7 @@ def _valves() -> Iterator[Case]:
         yield Case("valve:tasmota", VALVE, target, Expected(bound=bound, signs=_valve(code)))
     yield Case("valve with switches:shelly_gen2", VALVE, "silence of closed_switch", Expected(
         bound="switch", signs=_valve("position_unknown")))
-    yield Case("valve moves:tasmota", VALVE, "moves", Expected(signs=_valve("hold")))
+    yield Case("valve moves:tasmota", VALVE_MOVES, "moves", Expected(signs=_valve("hold")))
     for limit, bound, code, recovery in (
         ("max_run", "limit", "max_run", "heals"),
         ("max_volume_per_day", "released", "daily_volume", "stays"),
@@ -496,7 +496,7 @@ def _valves() -> Iterator[Case]:
         for fault in ("kill", "stop long"):
             yield Case(rig, fault, "valve", Expected(
                 bound="relay", signs=(("valve", "node_silent"),)))
-        yield Case(rig, VALVE, "relay out of reach", Expected(bound="relay", signs=lost))
+        yield Case(rig, VALVE, "relay lost", Expected(bound="relay", signs=lost))
         for target in ("killed", "restarted", "paused", "half_open"):
             yield Case(rig, "broker of the valve", target, Expected(bound="relay", signs=lost))
         yield Case(rig, VALVE, "reboot", Expected(bound="relay"))

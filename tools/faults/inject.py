@@ -23,6 +23,7 @@ from faults.cases import (
     ROUNDS,
     VALVE,
     VALVE_ALARM,
+    VALVE_MOVES,
     Case,
 )
 from faults.players import HOSTILE, HUGE, OFF_S, ON_S
@@ -162,7 +163,7 @@ def begin(rig: Rig, case: Case, rng: random.Random, undo: ExitStack) -> None:
             undo.callback(rig.free)
         case "failing disk":
             _failing_disk(rig, case.target.partition(",")[0])
-        case fault if fault in (VALVE, VALVE_ALARM):
+        case fault if fault in (VALVE, VALVE_ALARM, VALVE_MOVES):
             begin_valve(rig, case.target, undo)
         case "broker of the valve":
             assert isinstance(rig, ValveRig)

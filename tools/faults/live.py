@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from faults.bounds import RAMP_S
-from faults.cases import VALVE_ALARM, Case, Sign
+from faults.cases import VALVE_ALARM, VALVE_MOVES, Case, Sign
 from faults.inject import begin
 from faults.rig import BrokenError, Rig, SiteRig, leftover, wait
 from mcap.exceptions import McapError
@@ -33,6 +33,8 @@ _STEADY_S = 6.0
 # Time after which no alarm of the fault may be shown any more (s); a gauge or a forecast file that
 # is good again counts only after a while.
 _CLEAR_S = 15.0
+# Time in which a valve that opens again drains what shows this, by the level (s).
+_DRAINS_S = 240.0
 # How far below the suction level the cistern may be pumped: five seconds at full flow (m).
 _DRY_M = 0.002
 # What a recorder may lose (s): data since its last flush, and the flush in progress.
@@ -132,7 +134,7 @@ def _fault(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None:
     with ExitStack() as undo:
         begin(rig, case, rng, undo)
         slow = ("dry", "power cycle, then kill", "unstoppable", "timeout rewritten",
-                "failing disk", VALVE_ALARM)
+                "failing disk", VALVE_ALARM, VALVE_MOVES)
         if case.fault in slow or case.fault.startswith("second"):
             began = time.monotonic()  # the fault took some time to begin
         if expected.stops:
@@ -253,6 +255,8 @@ def _check_no_alarm(rig: Rig, case: Case, outcome: Outcome) -> None:
     until = time.monotonic() + _CLEAR_S
     if case.fault == "full disk":
         until += RETRY_S + FLUSH_S  # the recorder's wait before it tries again
+    if case.target == "stuck closed":
+        until += _DRAINS_S
     while standing := set(rig.watcher.codes.items()).intersection(case.expected.signs):
         if time.monotonic() > until:
             outcome.fail(f"still an alarm after the end of the fault: {standing}")

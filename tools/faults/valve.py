@@ -294,7 +294,7 @@ def begin_valve(rig: Rig, fault: str, undo: ExitStack) -> None:
             watcher.stop(True)
         case "moves":
             _check_moves(rig, undo)
-        case "relay out of reach":
+        case "relay lost":
             devices.relay.lost = True
             undo.callback(setattr, devices.relay, "lost", False)
         case "reboot":

@@ -141,7 +141,8 @@ class ValveControl:
         )
         stored = state_file.state
         self._closed_at = stored.elapsed - stored.since_start  # or later
-        self.opened_by, self.open_until = "", -math.inf
+        self.opened_by = ""
+        self.open_until = self._requested_until = self._by_hand_for = -math.inf
         self._on = False
         # Time until the valve is surely closed (s), if its relay stays off or silent.
         self._closes_in = self._closes_after
@@ -156,7 +157,7 @@ class ValveControl:
     @property
     def is_by_hand(self) -> bool:
         """Whether a person opens the valve."""
-        return time.time() < self.open_until
+        return time.time() < self.open_until and self._by_hand_for > 0
 
     @property
     def _wait(self) -> float:
@@ -175,6 +176,10 @@ class ValveControl:
             self._state_file, observed.cistern_level, self._settings.has_switches
         )
         most = low_outlet_flow(self._p, self._p.a1 * (self._site.z_o if level is None else level))
+        if self.open_until != self._requested_until:
+            self._requested_until = self.open_until
+            self._by_hand_for = self.open_until - time.time()
+        self._by_hand_for -= dt  # a system clock that is set back does not make it longer
         if self._on or observed.on:
             self._closes_in = self._closes_after
         elif observed.on is False:
@@ -255,6 +260,8 @@ class ValveControl:
         agrees = None in switches or position == float(self._on)
         self._against_for = 0.0 if agrees else self._against_for + dt
         passed, is_late = self._against_for, self._against_for > self._travel
+        if not self._on and passed <= self._closes_after:
+            is_late = is_late and self._closes_in <= 0  # a relay that is lost may still be on
         if self._settings.has_switches:
             self.stuck = Diagnosis.of(
                 "valve_stuck_closed", "switch", time=passed

@@ -165,10 +165,12 @@ def test_it_remembers_the_rain_over_a_short_restart_alone(
 def test_a_person_opens_it_for_a_time_under_the_same_interlocks() -> None:
     rig = opened()
     rig.run(100, 0.0)
-    rig.control.opened_by, rig.control.open_until = "the owner", time.time() + 900
+    rig.control.opened_by, rig.control.open_until = "the owner", time.time() + 4000
     rig.run(2000, None)
     assert rig.is_open and rig.decision.why == "opened by the owner"
     assert not rig.run(1, None, frost=1.0).request
+    rig.run(2000, None)
+    assert not rig.is_open  # the system clock stands still here: it has been set back
     rig.control.open_until = time.time()
     assert [*rig.run(2000, None).active] == ["command_unknown"]
 
