@@ -7,8 +7,8 @@ tau of the site, and /outlet/state whenever it changes.
 
 :mod:`greenroof_ros.live.actuator` describes the services ``~/stop``, ``~/release``, ``~/hold``,
 ``~/clear`` and ``~/reset``. ``~/open`` (rcl_interfaces/SetParametersAtomically: ``owner``, and
-``until`` in s since 1970) opens the valve by hand until a time, unless an interlock is active; a
-time that has passed ends this.
+``until`` in s since 1970) opens the valve by hand until a time, or until an interlock becomes
+active; a time that has passed ends this.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from greenroof_ros.base.interrupts import begin_program
 begin_program(__name__)
 
 import math
+import time
 from typing import Any
 
 from rcl_interfaces.srv import SetParametersAtomically
@@ -110,9 +111,10 @@ class ValveNode(DriveNode):
 
     def _open(self, request: SetParametersAtomically.Request) -> tuple[bool, str]:
         control, fields = self._control, read_fields("open", request, _OPEN)
-        control.opened_by, control.open_until = fields["owner"], fields["until"]
+        seconds = fields["until"] - time.time()
+        control.opened_by, control.open_for = fields["owner"], max(0.0, seconds)
         state = self.decide()
-        return not (self.decision.active and control.is_by_hand), state
+        return seconds <= 0 or not self.decision.active, state
 
     def on_inputs(self) -> None:
         """Publish position and flow, which are NaN if they are unknown."""
@@ -141,8 +143,8 @@ class ValveNode(DriveNode):
         return {
             **super().progress(),
             "position": decision.position, "commanded": decision.request is not None,
-            "opened_by": control.opened_by if control.is_by_hand else "",
-            "open_until": control.open_until if control.is_by_hand else None,
+            "opened_by": control.opened_by if control.open_for else "",
+            "open_until": time.time() + control.open_for if control.open_for else None,
         }
 
     def report(self) -> None:

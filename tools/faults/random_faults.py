@@ -237,7 +237,7 @@ def run_valve(seed: int, file: Path) -> int:
                 rain = 0.0
             case 22:
                 control.opened_by = "the page"
-                control.open_until = time.time() + rng.choice((1e4, -1.0))
+                control.open_for = rng.choice((1e4, 0.0))
             case 23:  # a suspend, in which the relay switches off
                 for _ in range(60):
                     valve.lost_for = max(valve.lost_for, TIMER_S)
@@ -262,7 +262,7 @@ def run_valve(seed: int, file: Path) -> int:
             observed[name] = None if bad else value
             spoilt = fault in ("nan", "two publishers") or abs(value - true[name]) > 1.0
             if (spoilt or now - came_at[name] > VALVE_AGE[name]) and (
-                name != "command" or not control.is_by_hand
+                name != "command" or not control.open_for
             ):
                 must_not.append(name)
         seen = observed["rain"]

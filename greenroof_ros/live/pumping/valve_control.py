@@ -8,7 +8,6 @@ the building.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -108,7 +107,7 @@ class ValveControl:
 
     Attributes:
         opened_by: who opened the valve by hand last.
-        open_until: end of the opening by hand (s since 1970).
+        open_for: for how long it will be open by hand (s); an interlock ends this.
         stuck: warning of a valve that does not open; None if there is none.
     """
 
@@ -141,8 +140,7 @@ class ValveControl:
         )
         stored = state_file.state
         self._closed_at = stored.elapsed - stored.since_start  # or later
-        self.opened_by = ""
-        self.open_until = self._requested_until = self._by_hand_for = -math.inf
+        self.opened_by, self.open_for = "", 0.0
         self._on = False
         # Time until the valve is surely closed (s), if its relay stays off or silent.
         self._closes_in = self._closes_after
@@ -153,11 +151,6 @@ class ValveControl:
         self.stuck: Diagnosis | None = None
         self._against_for = 0.0
         self._begin_balance(None)
-
-    @property
-    def is_by_hand(self) -> bool:
-        """Whether a person opens the valve."""
-        return time.time() < self.open_until and self._by_hand_for > 0
 
     @property
     def _wait(self) -> float:
@@ -176,10 +169,7 @@ class ValveControl:
             self._state_file, observed.cistern_level, self._settings.has_switches
         )
         most = low_outlet_flow(self._p, self._p.a1 * (self._site.z_o if level is None else level))
-        if self.open_until != self._requested_until:
-            self._requested_until = self.open_until
-            self._by_hand_for = self.open_until - time.time()
-        self._by_hand_for -= dt  # a system clock that is set back does not make it longer
+        self.open_for = max(0.0, self.open_for - dt)
         if self._on or observed.on:
             self._closes_in = self._closes_after
         elif observed.on is False:
@@ -195,7 +185,9 @@ class ValveControl:
             *self._check_water(dt, observed, at_rest), *observed.reasons,
         ])
         before = self._on
-        wanted = self.is_by_hand or (observed.command or 0.0) >= _OPENS
+        if active:
+            self.open_for = 0.0
+        wanted = self.open_for > 0 or (observed.command or 0.0) >= _OPENS
         may_open = self._on or (at_rest and not self._wait)
         self._on = wanted and may_open and not active
         if self._on != before:
@@ -209,7 +201,7 @@ class ValveControl:
         elif self._on:
             is_open = position == 1 if has_switches else file.state.since_start >= self._travel
             state = "open" if is_open else "opening"
-            why = f"opened by {self.opened_by}" if self.is_by_hand else "as commanded"
+            why = f"opened by {self.opened_by}" if self.open_for else "as commanded"
         elif wanted:
             again = duration(math.ceil(self._wait))
             why = f"it may open in {again}: it makes at most {self._moves:g} moves an hour"
@@ -237,7 +229,7 @@ class ValveControl:
     def _limits(self, observed: ValveObservation) -> Iterator[Diagnosis]:
         site, settings = self._site, self._settings
         known = {"cistern_level": observed.cistern_level}
-        if not self.is_by_hand:
+        if not self.open_for:
             known["command"] = observed.command
         if site.valve_closed_in_frost is not False:
             known["frost"] = observed.frost

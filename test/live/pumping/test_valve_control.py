@@ -165,14 +165,15 @@ def test_it_remembers_the_rain_over_a_short_restart_alone(
 def test_a_person_opens_it_for_a_time_under_the_same_interlocks() -> None:
     rig = opened()
     rig.run(100, 0.0)
-    rig.control.opened_by, rig.control.open_until = "the owner", time.time() + 4000
-    rig.run(2000, None)
+    rig.run(1800, 0.0)
+    rig.control.opened_by, rig.control.open_for = "the owner", 600.0
+    rig.run(500, None)
     assert rig.is_open and rig.decision.why == "opened by the owner"
-    assert not rig.run(1, None, frost=1.0).request
-    rig.run(2000, None)
-    assert not rig.is_open  # the system clock stands still here: it has been set back
-    rig.control.open_until = time.time()
-    assert [*rig.run(2000, None).active] == ["command_unknown"]
+    assert [*rig.run(101, None).active] == ["command_unknown"]
+    rig.run(2000, 0.0)
+    rig.control.open_for = 7200.0
+    assert rig.run(60, None).request and not rig.run(1, None, frost=1.0).request
+    assert [*rig.run(2000, None).active] == ["command_unknown"]  # it does not open again
 
 
 @pytest.mark.parametrize(("fault", "code"), [
