@@ -59,6 +59,7 @@ from greenroof_ros.interface.conditions import (
     read_conditions,
     read_interlocks,
 )
+from greenroof_ros.interface.states import VALVE
 from greenroof_ros.interface.topics import Topic, read_topics
 from greenroof_ros.live.devices import drive_file, sensor_file
 from greenroof_ros.live.pumping.limits import pump_parameters
@@ -439,19 +440,24 @@ def pump_settings() -> str:
 
 
 def interlocks() -> str | None:
-    """Return the conditions that keep the pump off, in their order; None without ROS 2."""
+    """Return the conditions that keep the pump off or the valve closed; None without ROS 2."""
     if importlib.util.find_spec("rclpy") is None:
         return None
-    from greenroof_ros.live import pump, weather
+    from greenroof_ros.live import pump, valve, weather
 
     meanings, site = read_conditions(), read_site(default_site_file())
-    limits = {entry.name: entry for node in (weather, pump) for entry in node.parameters(site)}
+    with_valve = read_site(default_site_file().with_name("site_valve.yaml"))
+    limits = {entry.name: entry for entry in (
+        *valve.parameters(with_valve), *weather.parameters(site), *pump.parameters(site),
+    )}
 
     def limit(name: str) -> str:
         return f"`{name}` ({quantity(limits[name].default, limits[name].unit).replace('`', '')})"
 
     def row(code: str, entry: Interlock) -> tuple[str, str, str]:
         parts = [meanings[code].meaning]
+        if entry.valve or VALVE in meanings[code].by_role:
+            parts.append(f"{'only' if entry.valve else 'also'} for the outlet valve")
         if entry.limit:
             parts.append(f"parameters: {', '.join(map(limit, entry.limit))}")
         if entry.by or entry.on_page:
@@ -469,7 +475,7 @@ def interlocks() -> str | None:
 
 # What a code is about: how it begins; all interlocks are about the pump.
 _SUBJECTS = {
-    "Pump": "drive_ driver_ standstill_ stop_",
+    "Pump and outlet valve": "drive_ driver_ standstill_ stop_ valve_",
     "Inputs and sensors": "input_ sensor_ readings_ broker_ values_ devices_",
     "Forecast and weather": "forecast_ no_forecast temperature_ freezing thermometer_ gauge_",
     "Controller, recorder and nodes": "controller_ not_ peers_ node_ station_",
@@ -479,7 +485,7 @@ _SUBJECTS = {
 def _subject(code: str, condition: Condition) -> str:
     """Return what a condition is about, as a heading."""
     if condition.interlock is not None:
-        return "Pump"
+        return next(iter(_SUBJECTS))
     return next(
         subject for subject, beginnings in _SUBJECTS.items()
         if code.startswith(tuple(beginnings.split()))
@@ -679,7 +685,7 @@ def nodes() -> str | None:
     from rclpy.parameter import Parameter as RosParameter
 
     from greenroof_ros.live import controller as live_controller
-    from greenroof_ros.live import external_pump, pump, sensors
+    from greenroof_ros.live import external_pump, pump, sensors, valve
     from greenroof_ros.live import recorder as live_recorder
     from greenroof_ros.live import weather as live_weather
     from greenroof_ros.nodes import alarms, controller, plant, recorder, weather
@@ -691,6 +697,7 @@ def nodes() -> str | None:
         "live_controller": live_controller.parameters(None),
         "live_recorder": live_recorder.parameters(site), "sensors": sensors.parameters(site),
         "pump": pump.parameters(site), "pump_guard": external_pump.parameters(site),
+        "valve": valve.parameters(read_site(default_site_file().with_name("site_valve.yaml"))),
         "alarms": alarms.parameters(site),
     }
     of_nodes: dict[tuple[str, str, str], list[str]] = {}

@@ -46,11 +46,15 @@ GROUPS = {
         "run": Command("bringup.simulated", "run the node graph of a simulated site"),
         "live": Command("bringup.live", "operate a real site with sensors and a pump"),
         "fetch-forecast": Command("fetch_forecast", "fetch a forecast from the internet"),
-        "hold": Command("pump_requests", "hold the pump off until a release or a given "
+        "hold": Command("requests", "hold the pump off until a release or a given "
         "time", "HOLD"),
-        "release": Command("pump_requests", "end the pump's hold", "RELEASE"),
-        "reset": Command("pump_requests", "clear a latched fault of the pump", "RESET"),
-        "dose": Command("pump_requests", "pump a specified volume now", "DOSE"),
+        "release": Command("requests", "end the pump's hold", "RELEASE"),
+        "reset": Command("requests", "clear a latched fault of the pump", "RESET"),
+        "dose": Command("requests", "pump a specified volume now", "DOSE"),
+        "outlet open": Command("requests", "open the outlet valve for a time", "OUTLET_OPEN"),
+        "outlet close": Command("requests", "close and hold the outlet valve", "OUTLET_CLOSE"),
+        "outlet release": Command("requests", "end the valve's hold", "OUTLET_RELEASE"),
+        "outlet reset": Command("requests", "clear a latched fault of the valve", "OUTLET_RESET"),
         "stop-drive": Command("stop_drive", "stop a drive whose program has died"),
     },
     "monitor and evaluate runs and sites": {

@@ -63,10 +63,10 @@ def run_here(directory: Path, text: str) -> StudyStore:
     for case in store.cases:
         store.write_outcome(case, run_case(inputs, case, store.trajectory_every))
         if case.bound_block != 0 and case.bound_identity not in store.bounds:
-            store.write_bound(case, bound_case(inputs, case))
+            store.write_bound(case.bound_identity, bound_case(inputs, case))
         identity = case.discharge_bound_identity
-        if identity and identity not in store.discharge_bounds:
-            store.write_discharge_bound(case, bound_discharge(inputs, case))
+        if identity and identity not in store.bounds:
+            store.write_bound(identity, bound_discharge(inputs, case))
     store.write_table()
     return store
 

@@ -53,6 +53,12 @@ def print_error(text: str) -> None:
     print(f"error: {escape(text)}", file=sys.stderr)
 
 
+def print_lines(kind: str, lines: Iterable[str]) -> None:
+    """Print lines on standard error, each after what it is, such as ``note``."""
+    for line in lines:
+        print(escape(f"{kind}: {line}"), file=sys.stderr)
+
+
 def command(
     main: Callable[[], int | None], *, failed: int | None = None
 ) -> Callable[[], NoReturn]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import glob
 import math
 import os
 import re
-from collections.abc import Callable, Container, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -94,6 +95,16 @@ def as_started(file: Path) -> Path:
 def is_there(path: Path) -> bool:
     """Return True if the path exists, and False if it is too long for a file name."""
     return os.path.exists(path)  # noqa: PTH110 (pathlib raises an error)
+
+
+def find_matches(name: str, places: Iterable[Path]) -> list[Path]:
+    """Return the files that match a name or pattern, from the first directory with such files."""
+    for place in places:
+        if is_there(place / name):
+            return [place / name]
+        if found := sorted(glob.glob(str(place / name))):  # noqa: PTH207
+            return [Path(file) for file in found]
+    return []
 
 
 MAX_BYTES = 100_000_000
@@ -272,6 +283,25 @@ def _read_node(node: yaml.Node, left: Iterator[int]) -> Any:
 
 def _at(node: yaml.Node, problem: str) -> yaml.MarkedYAMLError:
     return yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
+
+
+def claim_directory(directory: Path, is_own: Callable[[str], bool] = lambda name: False) -> None:
+    """Create a command's output directory, or check that it contains nothing else.
+
+    Args:
+        directory: the directory.
+        is_own: function that tells whether a file may be there, because it will be replaced.
+
+    Raises:
+        ConfigurationError: if the directory contains other files.
+        OSError: if the directory cannot be written to.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    if others := [file.name for file in directory.iterdir() if not is_own(file.name)]:
+        raise ConfigurationError(
+            f"exists and is not empty: it contains {min(others)}; choose another directory",
+            key="--output", value=str(directory),
+        )
 
 
 @contextmanager

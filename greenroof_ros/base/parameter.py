@@ -256,17 +256,13 @@ def _value(kind: Any, value: Any, entry: Parameter, key: str) -> Any:
             for number, item in enumerate(value, start=1)
         )
     if origin is dict:
-        return {
-            _key(inner[0], name, entry, f"{key}.{name}"):
-                _value(inner[1], item, entry, f"{key}.{name}")
-            for name, item in _mapping(value, key).items()
-        }
+        made = {}
+        for name, item in _mapping(value, key).items():
+            own = f"{key}.{name}"  # files.read_yaml returns keys as text
+            number = name if inner[0] is str else _scalar(inner[0], parse_plain(name), entry, own)
+            made[number] = _value(inner[1], item, entry, own)
+        return made
     return _scalar(kind, value, entry, key)
-
-
-def _key(kind: Any, name: str, entry: Parameter, key: str) -> Any:
-    """Convert a mapping's key to the key's type, because `files.read_yaml` returns keys as text."""
-    return name if kind is str else _scalar(kind, parse_plain(name), entry, key)
 
 
 def _scalar(kind: Any, value: Any, entry: Parameter, key: str) -> Any:

@@ -13,12 +13,7 @@ from greenroof_ros.base.command_line import (
 )
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.times import hours_minutes_seconds
-from greenroof_ros.simulation.bound import (
-    BLOCK_S,
-    NoBoundError,
-    bound_discharge,
-    clairvoyant_bound,
-)
+from greenroof_ros.simulation.bound import BLOCK_S, NoBoundError, bound_discharge, clairvoyant_bound
 from greenroof_ros.simulation.loop import simulate
 from greenroof_ros.simulation.options import add_site_arguments, build_run
 from greenroof_ros.simulation.run import Run, count_ticks

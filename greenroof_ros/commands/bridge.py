@@ -20,13 +20,13 @@ from greenroof_ros.watch.store import GraphStore
 _NICENESS = 10
 
 _DESCRIPTION = """\
-Publish the values shown on the page of 'greenroof watch' over MQTT: levels, pump, rain, frost, the
-controller's plan, and alarms with their codes. Home Assistant discovers the site automatically. The
-bridge works alongside any graph in this ROS domain, simulated or live. The bridge may be started
-and stopped at any time, since no node waits for it.
+Publish the values shown on the page of 'greenroof watch' over MQTT: levels, pump, outlet valve,
+rain, frost, the controller's plan, and alarms with their codes. Home Assistant discovers the site
+automatically. The bridge works alongside any graph in this ROS domain, simulated or live. The
+bridge may be started and stopped at any time, since no node waits for it.
 
-Anyone who may publish on the topic greenroof/SITE/stop can stop the pump. The pump cannot be
-released or started over MQTT.
+Anyone who may publish on the topics greenroof/SITE/stop and greenroof/SITE/valve_close can stop
+the pump and close the outlet valve, and open it with --allow-open. Nothing else can be requested.
 """
 _EPILOG = """\
 examples:
@@ -66,6 +66,10 @@ def make_parser() -> Parser:
         help="trust the certificates in this PEM file for mqtts:// (default: the system's "
              "certificates)",
     )
+    parser.add_argument(
+        "--allow-open", action="store_true",
+        help="allow the outlet valve to be opened over MQTT, for 30 minutes at a time",
+    )
     add_namespace(
         parser, "namespace of the graph; it is also the site's name on MQTT (roof if there is no "
         "namespace), so two sites on one broker need different namespaces",
@@ -84,4 +88,4 @@ def main() -> None:
     store, signals = GraphStore(arguments.namespace), Signals()
     store.seen_at = read_last_seen(find_past_file(arguments.namespace))
     with suppress(InterruptedRun), Feed(store) as feed:
-        Bridge(store, feed, broker).run(signals)
+        Bridge(store, feed, broker, arguments.allow_open).run(signals)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import textwrap
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -14,12 +13,7 @@ from greenroof_ros.analysis.calibration.bag_record import read_bag_record
 from greenroof_ros.analysis.calibration.checks import check_fit, check_record
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
 from greenroof_ros.analysis.calibration.fit import Fit, complete_roof, lower_target
-from greenroof_ros.analysis.calibration.percolation import (
-    EXPONENTS,
-    choose_exponent,
-    fit_exponents,
-)
-from greenroof_ros.analysis.calibration.pumps import PumpFit, fit_pumps
+from greenroof_ros.analysis.calibration.percolation import EXPONENTS, choose_exponent, fit_exponents
 from greenroof_ros.analysis.calibration.record import (
     halve_steps,
     read_months,
@@ -33,12 +27,11 @@ from greenroof_ros.analysis.calibration.site_file import (
     list_fit_entries,
 )
 from greenroof_ros.analysis.calibration.step_record import DAY_S, StepRecord, Steps, name_time
-from greenroof_ros.base.command_line import Parser, add_site, command
+from greenroof_ros.base.command_line import Parser, add_site, command, print_lines
 from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import ConfigurationError, require_extra
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.progress import ProgressBar
-from greenroof_ros.base.text import escape
 from greenroof_ros.commands.output_file import refuse_unwritable
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
@@ -47,8 +40,7 @@ _DESCRIPTION = """\
 Fit a site's roof parameters to a measured record: field capacity, wilting point, depletion
 fraction, drainage time and crop coefficient, as far as the record determines them, and the exponent
 of percolation, which is changed only if the validation tells it apart. The model is fitted to the
-first half of the rain and validated on the second half. If the record contains the pumps' state and
-the cistern's level, the pump curve is fitted first, to the rate at which the cistern's level falls.
+first half of the rain and validated on the second half.
 """
 _EPILOG = """\
 MEASURED is a bag recorded by this project, or a CSV file with rows at most a day apart. Empty cells
@@ -96,8 +88,8 @@ def main() -> None:
     arguments = make_parser().parse_args()
     output: Path = arguments.output
     page_file = output.with_suffix(".html") if output.name else output
-    refuse_unwritable(output, (".yaml", ".yml"), "--output")
-    refuse_unwritable(page_file, (".html",), "--output")
+    refuse_unwritable(output, ".yaml", ".yml")
+    refuse_unwritable(page_file, ".html")
     if arguments.months is not None:
         read_months(arguments.months)
     text, page = _calibrate(arguments.measured, arguments.months, arguments.site)
@@ -118,35 +110,24 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
     with require_extra("study"):
         from greenroof_ros.analysis.calibration.page import render
 
-    def read(site: Site) -> StepRecord:
-        if measured.is_dir() or measured.suffix.lower() == ".mcap":
-            return read_bag_record(measured, site)
-        return read_csv_record(measured, site, months)
-
     site = complete_roof(read_site(site_file))
-    record = read(site)
-    for line in record.contents:
-        print(escape(f"record: {line}"), file=sys.stderr)
-    for note in record.notes:
-        print(escape(f"note: {note}"), file=sys.stderr)
+    if measured.is_dir() or measured.suffix.lower() == ".mcap":
+        record = read_bag_record(measured, site)
+    else:
+        record = read_csv_record(measured, site, months)
+    print_lines("record", record.contents)
+    print_lines("note", record.notes)
     counts = select_months(record, months)
-    pumps = fit_pumps(site, record.select(counts))
-    site = pumps.site
-    if pumps.parameters:
-        record = read(site)  # with the fitted pumps, their state means a different flow
     counted = record.select(counts)
     warnings = check_record(counted, site)
-    for warning in warnings:
-        print(escape(f"warning: {warning}"), file=sys.stderr)
+    print_lines("warning", warnings)
     halves = halve_steps(record, select_comparable(record) & counts)
     _refuse_dry(record, halves)
     own = site.percolation_exponent
     with ProgressBar() as progress:
         fits = fit_exponents(site, record, halves, progress.show, sorted({*EXPONENTS, own}))
     fitted, of_exponents = choose_exponent(fits, own)
-    fitted = fitted._replace(
-        site=lower_target(fitted.site), parameters=[*fitted.parameters, *pumps.parameters]
-    )
+    fitted = fitted._replace(site=lower_target(fitted.site))
     rows = [
         score(
             name, part, getattr(fitted.simulated, name)[steps], series[steps],
@@ -155,7 +136,7 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
         for name, series in record.measured.items() for part, steps in halves.items()
     ]
     warnings += check_fit(rows, measured)
-    notes = [*_list_notes(record, halves, site, fitted.site, pumps), of_exponents]
+    notes = [*_list_notes(record, halves, site, fitted.site), of_exponents]
     spans = {part: _name_span(record, steps) for part, steps in halves.items()}
     entries = list_fit_entries(fitted, site.z_veg)
     heading = _write_heading(measured, spans, rows, notes + warnings)
@@ -167,7 +148,7 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
 
 
 def _list_notes(
-    record: StepRecord, halves: Mapping[str, Steps], before: Site, fitted: Site, pumps: PumpFit
+    record: StepRecord, halves: Mapping[str, Steps], before: Site, fitted: Site
 ) -> list[str]:
     """Return notes for the user about the fit, in addition to the parameters and scores."""
     days = record.step_s / DAY_S
@@ -182,17 +163,6 @@ def _list_notes(
             f"target: z_veg was {before.z_veg:g} m, and the fitted roof holds "
             f"{fitted.roof_level(fitted.z_cap):.3g} m; z_veg is set to {fitted.z_veg:g} m, where "
             "half of the plant-available water is left (FAO-56, chapter 8); choose your own target"
-        )
-    if pumps.runs:
-        notes.append(
-            f"pumps: {1000 * pumps.flow:.3g} l/s at full command, plus or minus "
-            f"{1000 * pumps.half:.2g} l/s (95 %), with {pumps.level:.2f} m in the cistern; "
-            f"estimated from {pumps.runs} runs"
-        )
-    elif record.command is not None and record.cistern is not None:
-        notes.append(
-            "pumps: not fitted, since there are fewer than ten runs in which nothing else changes "
-            "the cistern's level"
         )
     return notes
 

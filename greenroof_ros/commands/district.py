@@ -17,14 +17,10 @@ from greenroof_ros.analysis.workers.choice import (
     describe_end,
     open_workers,
 )
-from greenroof_ros.base.command_line import (
-    EXIT_DONE,
-    Parser,
-    command,
-)
+from greenroof_ros.base.command_line import EXIT_DONE, Parser, command, print_lines
 from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import require_extra
-from greenroof_ros.base.files import find_shipped
+from greenroof_ros.base.files import claim_directory, find_shipped
 from greenroof_ros.base.processes import InterruptedRun, Signals, count_cores
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.base.text import escape
@@ -81,12 +77,11 @@ def main() -> int:
     check_workers(arguments)
     with require_extra("study"):
         from greenroof_ros.analysis.district import page, run
-        from greenroof_ros.analysis.district.result import PAGE, DistrictResult, make_directory
+        from greenroof_ros.analysis.district.result import PAGE, DistrictResult
     places = [] if arguments.weather is None else [arguments.weather]
     district = run.read_run(find_shipped(arguments.district), places)
-    for note in district.notes:
-        print(escape(f"note: {note}"), file=sys.stderr)
-    make_directory(arguments.output)
+    print_lines("note", district.notes)
+    claim_directory(arguments.output)
     signals = Signals()  # from now on, a signal ends the run at the next report
     try:
         with ProgressBar() as bar:
@@ -108,8 +103,7 @@ def main() -> int:
     result.save(arguments.output, with_swmm=arguments.swmm)
     _show(result.rows, page)
     print(escape(result.sentence))
-    for warning in result.warnings:
-        print(escape(f"warning: {warning}"), file=sys.stderr)
+    print_lines("warning", result.warnings)
     print(escape(f"written to {arguments.output / PAGE}"))
     return EXIT_DONE
 

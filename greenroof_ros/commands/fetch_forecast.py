@@ -17,12 +17,7 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.http import ServiceError
 from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import to_people
-from greenroof_ros.forecast.service import (
-    ATTRIBUTION,
-    MAX_DAYS,
-    ForecastFiles,
-    Service,
-)
+from greenroof_ros.forecast.service import ATTRIBUTION, MAX_DAYS, ForecastFiles, Service
 from greenroof_ros.site.file import read_site
 
 

@@ -28,12 +28,7 @@ from greenroof_ros.base.times import FIRST_YEAR, to_people
 from greenroof_ros.commands.output_file import refuse_unwritable
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import format_place, measure_distance
-from greenroof_ros.weather.download import (
-    eccc_station,
-    fetch,
-    join_blocks,
-    open_meteo_archive,
-)
+from greenroof_ros.weather.download import eccc_station, fetch, join_blocks, open_meteo_archive
 from greenroof_ros.weather.quantities import PRECIPITATION
 from greenroof_ros.weather.records import HOUR, name_hours, write_records
 
@@ -137,7 +132,7 @@ def main() -> int:
     """Fetch the weather of the years named on the command line."""
     arguments = make_parser().parse_args()
     output: Path = arguments.output
-    refuse_unwritable(output, (".csv",), "--output")
+    refuse_unwritable(output, ".csv")
     site, now = read_site(arguments.site), datetime.now(timezone.utc)
     if arguments.eccc is None:
         source = open_meteo_archive(site, arguments.years, now.date(), arguments.url)

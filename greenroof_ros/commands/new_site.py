@@ -14,11 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from zoneinfo import ZoneInfo
 
-from greenroof_ros.base.command_line import (
-    Parser,
-    command,
-    make_number_type,
-)
+from greenroof_ros.base.command_line import Parser, command, make_number_type, print_lines
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.parameter import Parameter
@@ -211,7 +207,7 @@ def main() -> None:
     """Write the site file that the command line and the answers describe."""
     arguments = make_parser().parse_args()
     output: Path = arguments.output
-    refuse_unwritable(output, (".yaml", ".yml"), "--output")
+    refuse_unwritable(output, ".yaml", ".yml")
     _ask_what_is_missing(arguments)
     _check_clock(arguments.place, arguments.time_zone)
     text = format_new_site(
@@ -228,8 +224,7 @@ def main() -> None:
         ) from error
     for option, key in (*_ASKED.items(), *_ASSUMED.items()):
         _note_unusual(option, SITE_KEYS[key], getattr(arguments, key))
-    for note in (*_note_target(site), *note_pumps(site)):
-        print(escape(f"note: {note}"), file=sys.stderr)
+    print_lines("note", (*_note_target(site), *note_pumps(site)))
     with add_path_to_errors(output), output.open("x", encoding="utf-8") as stream:
         stream.write(text)
     print(escape(f"written: {output}, for a house at {format_place(*arguments.place)}"))

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
 
 from greenroof_ros.base.errors import ConfigurationError
 
 
-def refuse_unwritable(file: Path, endings: Sequence[str], key: str) -> None:
-    """Reject a file that has the wrong extension, already exists, or cannot be written.
+def refuse_unwritable(file: Path, *endings: str) -> None:
+    """Reject a file for ``--output`` that has the wrong extension, exists, or cannot be written.
 
     Args:
         file: the file to write.
         endings: the allowed file extensions, such as ``.html``.
-        key: option that specifies the file.
 
     Raises:
         ConfigurationError: if the file has the wrong extension, already exists, or cannot be
             written.
     """
     def error(expected: str) -> ConfigurationError:
-        return ConfigurationError(expected, key=key, value=str(file))
+        return ConfigurationError(expected, key="--output", value=str(file))
 
     if file.suffix not in endings:
         raise error(f"must be a file name that ends in {' or '.join(endings)}")

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
-import sys
 from pathlib import Path
 from typing import NamedTuple
 
 from mcap.records import Channel, Message, Schema
 
-from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, Parser, command
+from greenroof_ros.base.command_line import EXIT_DONE, EXIT_FAILED, Parser, command, print_lines
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import from_epoch_ns, to_people
@@ -176,6 +175,5 @@ def main() -> int:
     arguments = make_parser().parse_args()
     recovered = recover(arguments.directory, arguments.output)
     print(escape(f"{recovered.messages} messages recovered to {recovered.bag}"))
-    for loss in recovered.losses:
-        print(escape(f"lost: {loss}"), file=sys.stderr)
+    print_lines("lost", recovered.losses)
     return EXIT_FAILED if recovered.losses else EXIT_DONE

@@ -33,11 +33,7 @@ examples:
 
 def make_parser() -> Parser:
     """Return the parser of the command line."""
-    parser = Parser(
-        prog="greenroof report",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
-    )
+    parser = Parser(prog="greenroof report", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument(
         "paths", type=Path, nargs="+", metavar="PATH",
         help="directory of a study or a run, a bag, or an .mcap file",

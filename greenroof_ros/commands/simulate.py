@@ -25,11 +25,7 @@ from greenroof_ros.results.trajectory import CSV, Trajectory, columns_of
 from greenroof_ros.simulation import screen, summary
 from greenroof_ros.simulation.directory import make_run_directory, write_configuration
 from greenroof_ros.simulation.loop import Simulation, Tick, simulate
-from greenroof_ros.simulation.options import (
-    add_output_arguments,
-    add_run_arguments,
-    build_run,
-)
+from greenroof_ros.simulation.options import add_output_arguments, add_run_arguments, build_run
 from greenroof_ros.simulation.run import Run
 
 # Time between two updates of the progress (s): often enough for the eye, rarely enough to cost

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import socket
 import subprocess
 import sys
 import threading
 from collections import deque
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 
 import yaml
 
 from greenroof_ros.base.command_line import Parser, add_site, command, refuse
+from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.processes import child_environment, scratch_directory
+from greenroof_ros.commands.simulators import add_valve_fault
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
 
-_DRIVE = "danfoss_fc202"
+_DRIVE, _RELAY = "danfoss_fc202", "tasmota"
 # Options of `greenroof live` that name the devices, and therefore have no effect here.
-_DEVICES = "--sensors", "--drive", "--drive-at", "--pump"
+_DEVICES = "--sensors", "--drive", "--drive-at", "--pump", "--valve", "--valve-at"
 # How full the cistern, and the roof relative to its target, are at the start: the roof is thirsty.
 _CISTERN, _ROOF = 0.6, 0.7
 # Time for which the simulated devices may end (s).
@@ -33,10 +39,12 @@ def make_parser() -> Parser:
         usage="%(prog)s [--site FILE] [--state DIR] [options of greenroof live]",
         description="Try a live site without any devices: simulate its sensors and its drive, with "
         "a dry roof, and run greenroof live on them. The roof is watered within a minute. No "
-        "broker and no forecast are needed; other options are passed to greenroof live.",
+        "forecast is needed, and no broker, except mosquitto for the relay of a site with a valve; "
+        "other options are passed to greenroof live.",
         epilog="examples:\n"
         "  greenroof simulators live --watch\n"
-        "  greenroof simulators live --site my_site.yaml --controller onoff --watch\n\n"
+        "  greenroof simulators live --site my_site.yaml --controller onoff --watch\n"
+        "  greenroof simulators live --site config/site_valve.yaml --outlet drain --watch\n\n"
         "Ctrl-C ends the site, and then its devices.\n\n"
         "exit codes: those of greenroof live",
     )
@@ -46,6 +54,7 @@ def make_parser() -> Parser:
         help="directory of the simulated site, which should not be that of a real one (default: "
         "%(default)s)",
     )
+    add_valve_fault(parser)
     return parser
 
 
@@ -59,39 +68,68 @@ def main() -> None:
         for word in others for option in _DEVICES
     ))
     site = read_site(arguments.site)
-    with scratch_directory() as directory:
+    with ExitStack() as stack:
+        directory = stack.enter_context(scratch_directory())
+        drive_port, sensor_port, broker_port = _find_free_ports(3)
         sensors = directory / "sensors.yaml"
-        drive_port, sensor_port = _find_free_ports(2)
         sensors.write_text(_describe_sensors(site, sensor_port), encoding="utf-8")
-        drive = directory / "drive.yaml"
-        drive.write_text(_describe_drive(), encoding="utf-8")
-        drive_at = f"gateway://127.0.0.1:{drive_port}"
-        devices = subprocess.Popen(
-            [
-                sys.executable, "-m", "greenroof_ros", "simulators", "site",
-                "--site", str(arguments.site), "--sensors", str(sensors),
-                "--drive", str(drive), "--at", drive_at,
-                f"--cistern={_CISTERN * site.cistern_volume(site.z_o)}",
-                f"--roof={_ROOF * site.x2_star}",
-            ],
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=child_environment(),
-            start_new_session=True,  # Ctrl-C is for the site, which still has to stop the pump
+        common = ["--site", str(arguments.site), "--sensors", str(sensors)]
+        simulated = [f"--cistern={_CISTERN * site.cistern_volume(site.z_o)}"]
+        if site.irrigated:
+            drive = directory / "drive.yaml"
+            drive.write_text(_describe_drive(), encoding="utf-8")
+            drive_at = f"gateway://127.0.0.1:{drive_port}"
+            common += ["--drive", str(drive)]
+            others += ["--drive-at", drive_at]
+            simulated += ["--at", drive_at, f"--roof={_ROOF * site.x2_star}"]
+        if site.low_outlet_valve:
+            stack.enter_context(_run_broker(directory, broker_port))
+            common += ["--valve", _RELAY, "--valve-at", f"mqtt://127.0.0.1:{broker_port}/valve"]
+        if arguments.valve_fault is not None:
+            simulated += ["--valve-fault", arguments.valve_fault]
+            simulated += ["--valve-fault-after", f"{arguments.valve_fault_after}"]
+        devices = stack.enter_context(_run(
+            [sys.executable, "-m", "greenroof_ros", "simulators", "site", *common, *simulated],
+        ))
+        assert devices.stdout is not None
+        if devices.stdout.readline():  # they are ready
+            # What they print later is not shown, but must not fill the pipe and stop them.
+            threading.Thread(target=deque, args=(devices.stdout, 0), daemon=True).start()
+            print(f"the simulated devices are process {devices.pid}", flush=True)
+            _run_live([*common, "--state", str(arguments.state), *others])
+        sys.exit(devices.wait(_ENDING_S))  # it has printed why it cannot start
+
+
+@contextmanager
+def _run(command: list[str]) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a process until the end of a block."""
+    process = subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=child_environment(),
+        start_new_session=True,  # Ctrl-C is for the site, which still has to stop the pump
+    )
+    try:
+        yield process
+    finally:
+        process.terminate()
+        process.wait(_ENDING_S)
+
+
+def _run_broker(directory: Path, port: int) -> AbstractContextManager[subprocess.Popen[bytes]]:
+    """Run a broker for the relay of the valve, which only this computer can reach.
+
+    Raises:
+        ConfigurationError: if Mosquitto is not installed.
+    """
+    mosquitto = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
+    if mosquitto is None:
+        raise ConfigurationError(
+            "needs the MQTT broker mosquitto for the relay of the valve: apt install mosquitto"
         )
-        try:
-            assert devices.stdout is not None
-            if devices.stdout.readline():  # they are ready
-                # What they print later is not shown, but must not fill the pipe and stop them.
-                threading.Thread(target=deque, args=(devices.stdout, 0), daemon=True).start()
-                print(f"the simulated devices are process {devices.pid}", flush=True)
-                _run_live([
-                    "--site", str(arguments.site), "--state", str(arguments.state),
-                    "--sensors", str(sensors), "--drive", str(drive), "--drive-at", drive_at,
-                    *others,
-                ])
-            sys.exit(devices.wait(_ENDING_S))  # it has printed why it cannot start
-        finally:
-            devices.terminate()
-            devices.wait(_ENDING_S)
+    file = directory / "mosquitto.conf"
+    file.write_text(
+        f"listener {port} 127.0.0.1\nallow_anonymous true\nlog_dest none\n", encoding="utf-8"
+    )
+    return _run([mosquitto, "-c", str(file)])
 
 
 def _run_live(options: list[str]) -> None:
@@ -109,11 +147,12 @@ def _describe_drive() -> str:
 
 
 def _describe_sensors(site: Site, port: int) -> str:
-    """Return a sensor file with two level sensors and a thermometer behind one Modbus port."""
-    names = {
-        "cistern": (0.0, 2.0 * site.z_o), "roof": (0.0, 2.0 * site.z_soil),
-        "thermometer": (-40.0, 60.0),
-    }
+    """Return a sensor file with all sensors that the site needs behind one Modbus port."""
+    names = {"cistern": (0.0, 2.0 * site.z_o), "thermometer": (-40.0, 60.0)}
+    if site.irrigated:
+        names["roof"] = 0.0, 2.0 * site.z_soil
+    if site.low_outlet_valve:
+        names |= dict.fromkeys(("rain_gauge", "open_switch", "closed_switch"), (0.0, 1.0))
     return "".join(
         f'{name}: {{address: "tcp://127.0.0.1:{port}", device_id: {number}, register: 0, '
         f"kind: input, type: float32, word_order: high first, scale: 1.0, offset: 0.0, low: {low}, "

@@ -1,7 +1,8 @@
-"""Simulate a site with its sensors and its drive or relay: ``greenroof simulators site``."""
+"""Simulate a site with its sensors, pump and valve: ``greenroof simulators site``."""
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import signal
 import time
@@ -9,20 +10,24 @@ from collections.abc import Coroutine
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greenroof_ros.base.command_line import Parser, command
-from greenroof_ros.live.devices.drive_file import find_drive_file
+from greenroof_ros.base.command_line import Parser, command, make_number_type, refuse
+from greenroof_ros.base.mqtt import parse_topic
+from greenroof_ros.live.devices.drive_file import find_drive_file, read_relay_file
 from greenroof_ros.live.devices.exchange import Endpoint, read_endpoint
 from greenroof_ros.live.devices.modbus_line import check_installed
 from greenroof_ros.live.devices.relay import RelayEndpoint
 from greenroof_ros.live.devices.sensor_file import Sensors, default_sensors, read_sensors
-from greenroof_ros.live.upkeep import check_site
+from greenroof_ros.live.simulators.valve import FAULTS, SimulatedValve
 from greenroof_ros.simulation.options import add_site_arguments, build_run
 
 if TYPE_CHECKING:
     from greenroof_ros.simulation.run import Run
 
-# Time without a request after which the simulated relay switches itself off (s).
+# Time without a request after which a simulated relay switches itself off (s).
 _TIMER_S = 5.0
+# The share of the valve's longest travel time that the simulated valve takes.
+_TRAVEL = 1 / 3
+_TRAVEL_S = 30.0
 
 
 def make_parser() -> Parser:
@@ -31,13 +36,15 @@ def make_parser() -> Parser:
         prog="greenroof simulators site",
         usage="%(prog)s [options]",
         description="Simulate the devices of a live site in real time: cistern and roof with their "
-        "sensors on Modbus or MQTT, and the pump with its drive on Modbus or its relay on MQTT. "
-        "The registers, control words, fault codes and communication timeout are those of the "
-        "drive file. The air temperature is 15 degC.",
+        "sensors on Modbus or MQTT, the pump with its drive on Modbus or its relay on MQTT, and "
+        "the valve of the low outlet with its relay on MQTT, as far as the site has them. The "
+        "registers, control words, fault codes and communication timeout are those of the drive "
+        "file. The air temperature is 15 degC.",
         epilog="examples:\n"
         "  greenroof simulators site\n"
         "  greenroof simulators site --drive abb_acs880 --at gateway://127.0.0.1:5020\n"
-        "  greenroof simulators site --drive tasmota --at mqtt://127.0.0.1/roof-pump\n\n"
+        "  greenroof simulators site --drive tasmota --at mqtt://127.0.0.1/roof-pump\n"
+        "  greenroof simulators site --site config/site_valve.yaml --valve-fault leak\n\n"
         "The first line of output states that the simulator is ready, and lists its addresses. "
         "Ctrl-C stops the simulator.\n\n"
         "exit codes: 0 ended by Ctrl-C or SIGTERM, 2 bad usage or configuration",
@@ -47,7 +54,7 @@ def make_parser() -> Parser:
     )
     devices.add_argument(
         "--drive", default="danfoss_fc202", metavar="NAME",
-        help="simulate this drive or relay: a name in config/drives/, or your own file "
+        help="simulate this drive or relay of the pump: a name in config/drives/, or your own file "
         "(default: %(default)s)",
     )
     devices.add_argument(
@@ -56,6 +63,16 @@ def make_parser() -> Parser:
         "the drive's serial port, a serial line, or mqtt://HOST/TOPIC for a relay (default: "
         "%(default)s)",
     )
+    devices.add_argument(
+        "--valve", default="tasmota", metavar="NAME",
+        help="simulate this relay of the valve: a name in config/drives/, or your own relay file "
+        "(default: %(default)s)",
+    )
+    devices.add_argument(
+        "--valve-at", default="mqtt://127.0.0.1/valve", metavar="ADDRESS",
+        help="address of this relay: mqtt://HOST/TOPIC (default: %(default)s)",
+    )
+    add_valve_fault(devices)
     devices.add_argument(
         "--sensors", type=Path, metavar="FILE",
         help="simulate the sensors in this file (default: config/sensors.yaml)",
@@ -67,19 +84,42 @@ def make_parser() -> Parser:
     return parser
 
 
+def add_valve_fault(group: argparse._ActionsContainer) -> None:
+    """Add the options for a fault of the valve."""
+    group.add_argument(
+        "--valve-fault", choices=FAULTS,
+        help="let the valve fail: it does not close any more, does not open any more, leaks 2 "
+        "L/min while it is closed, or has an end switch that always reports that it is open",
+    )
+    group.add_argument(
+        "--valve-fault-after", type=make_number_type(0.0, 1e9), metavar="S", default=60.0,
+        help="time after the start at which the fault begins (s; default: %(default)g)",
+    )
+
+
 @command
 def main() -> None:
     """Simulate the site that the command line specifies."""
     arguments = make_parser().parse_args()
     check_installed()
-    endpoint = read_endpoint(find_drive_file(arguments.drive), arguments.at, "--at")
-    sensors = read_sensors(arguments.sensors or default_sensors())
     run = build_run(arguments)
-    check_site(run.site, run.site_file)
-    asyncio.run(_simulate(run, sensors, endpoint))
+    drive: Endpoint | None = None
+    valve: RelayEndpoint | None = None
+    if run.site.irrigated:
+        drive = read_endpoint(find_drive_file(arguments.drive), arguments.at, "--at")
+    if run.site.low_outlet_valve:
+        relay = read_relay_file(find_drive_file(arguments.valve))
+        valve = RelayEndpoint(relay, *parse_topic(arguments.valve_at, "--valve-at"))
+    refuse((arguments.valve_fault and valve is None, "--valve-fault", arguments.valve_fault,
+            "must be left out: the site has no valve"))
+    sensors = read_sensors(arguments.sensors or default_sensors())
+    asyncio.run(_simulate(run, sensors, drive, valve, arguments))
 
 
-async def _simulate(run: Run, sensors: Sensors, endpoint: Endpoint) -> None:
+async def _simulate(
+    run: Run, sensors: Sensors, drive_at: Endpoint | None, valve_at: RelayEndpoint | None,
+    arguments: argparse.Namespace,
+) -> None:
     from greenroof_ros.live.simulators.drive import SimulatedDrive, drive_server
     from greenroof_ros.live.simulators.relay import SimulatedRelay
     from greenroof_ros.live.simulators.server import Server
@@ -95,27 +135,37 @@ async def _simulate(run: Run, sensors: Sensors, endpoint: Endpoint) -> None:
     def speed() -> float:
         if isinstance(device, SimulatedDrive):
             device.advance()
-        return device.speed
+        return 0.0 if device is None else device.speed
 
-    device: SimulatedDrive | SimulatedRelay
+    def connect(endpoint: RelayEndpoint) -> SimulatedRelay:
+        relay = SimulatedRelay(endpoint.file, endpoint.broker, endpoint.device, _TIMER_S)
+        tasks.append(relay.run(ended))
+        return relay
+
+    device: SimulatedDrive | SimulatedRelay | None = None
+    valve: SimulatedValve | None = None
     servers: list[Server] = []
     tasks: list[Coroutine[Any, Any, None]] = []
-    if isinstance(endpoint, RelayEndpoint):
-        device = relay = SimulatedRelay(
-            endpoint.file, endpoint.broker, endpoint.device, _TIMER_S
-        )
-        tasks.append(relay.run(ended))
-    else:
-        device = drive = SimulatedDrive(endpoint.file, endpoint.address.interface)
-        servers.append(drive_server(drive, endpoint.file, endpoint.address))
+    if isinstance(drive_at, RelayEndpoint):
+        device = connect(drive_at)
+    elif drive_at is not None:
+        device = drive = SimulatedDrive(drive_at.file, drive_at.address.interface)
+        servers.append(drive_server(drive, drive_at.file, drive_at.address))
+    if valve_at is not None:
+        of_valve = connect(valve_at)
+        travel_s = _TRAVEL * (run.site.valve_travel_time or _TRAVEL_S)
+        fault = arguments.valve_fault or "", began + arguments.valve_fault_after
+        valve = SimulatedValve(lambda: of_valve.on, travel_s, *fault)
     weather = run.series.precipitation, run.series.evapotranspiration
-    site = SimulatedSite(run.site, *weather, (run.x1, run.x2), sensors, speed)
+    site = SimulatedSite(run.site, *weather, (run.x1, run.x2), sensors, speed, valve)
     if isinstance(device, SimulatedDrive):
         device.flow, device.log = site.flow, log
     servers += site.servers
     for server in servers:
         await server.open()
-    print(f"ready: drive {endpoint}, {site.addresses}", flush=True)
+    places = {"drive": drive_at, "valve": valve_at}
+    named = [f"{name} {endpoint}" for name, endpoint in places.items() if endpoint is not None]
+    print(f"ready: {', '.join([*named, site.addresses])}", flush=True)
     await asyncio.gather(site.run(ended), *tasks)
     for server in servers:
         server.close()

@@ -23,7 +23,8 @@ from greenroof_ros.base.command_line import (
     option_of,
 )
 from greenroof_ros.base.console import PlainConsole
-from greenroof_ros.base.errors import ConfigurationError, rename_keys, require_extra
+from greenroof_ros.base.errors import rename_keys, require_extra
+from greenroof_ros.base.files import claim_directory
 from greenroof_ros.base.processes import Signals, count_cores
 from greenroof_ros.base.progress import ProgressBar
 from greenroof_ros.simulation.inputs import INPUTS
@@ -114,7 +115,7 @@ def main() -> None:
     with require_extra("study"):
         import altair  # noqa: F401 - before the runs, not after them
         import jinja2  # noqa: F401
-    _refuse_other_files(arguments.output)
+    claim_directory(arguments.output, lambda name: name.startswith("sizes"))
     given: dict[str, Any] = {name: getattr(arguments, name) for name in OPTIONS}
     if given["jobs"] is None:
         given["jobs"] = count_cores()
@@ -128,23 +129,6 @@ def main() -> None:
         report("drawing", 1.0)
         page = sizes.save(arguments.output)
     show(sizes, page)
-
-
-def _refuse_other_files(directory: Path) -> None:
-    """Reject a directory that contains files other than those of a sizing.
-
-    Raises:
-        ConfigurationError: if the directory contains other files.
-        OSError: if the directory cannot be written to.
-    """
-    directory.mkdir(parents=True, exist_ok=True)
-    others = [file.name for file in directory.iterdir() if not file.name.startswith("sizes")]
-    if others:
-        raise ConfigurationError(
-            f"contains {min(others)}, which is not the result of a sizing; choose another "
-            "directory",
-            key="--output", value=str(directory),
-        )
 
 
 def show(sizes: Sizes, page: Path) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 from greenroof_ros.base.command_line import EXIT_DONE, Parser, command
 from greenroof_ros.commands.watch import find_past_file
+from greenroof_ros.interface.states import VALVE
 from greenroof_ros.ros.domain import add_namespace
 from greenroof_ros.watch.document import make_document
 from greenroof_ros.watch.feed import Feed
@@ -22,7 +23,7 @@ WARNING, ALARM, NOTHING = 1, 2, 3
 _SETTLED_S, _MAX_S = 2.0, 5.0
 _POLL_S = 0.1
 _MAX_LINES = 15
-_TILES = "roof", "cistern", "pump", "watering", "rain", "temperature"
+_TILES = "roof", "cistern", "pump", VALVE, "watering", "rain", "temperature"
 _LEVELS = {"error": "Alarm", "warn": "Warning"}
 
 _DESCRIPTION = """\
@@ -84,7 +85,8 @@ def _read_status(store: GraphStore) -> dict[str, Any]:
 
 def _find_unknown(shown: Mapping[str, Any]) -> set[str]:
     """Return the names of the tiles whose values are unknown."""
-    return {name for name in _TILES if shown["tiles"][name]["state"] == "unknown"}
+    tiles = shown["tiles"]
+    return {name for name in _TILES if name in tiles and tiles[name]["state"] == "unknown"}
 
 
 def _judge(shown: Mapping[str, Any]) -> int:
@@ -109,15 +111,13 @@ def _write_lines(shown: Mapping[str, Any], code: int) -> list[str]:
         return [f"{summary} {advice}"]
     where = filter(None, (shown["heading"], shown["namespace"], shown["time"]["text"]))
     lines = [summary, f"What to do: {advice}", "; ".join(where)]
-    for name in _TILES:
-        tile = tiles[name]
+    for tile in [tiles[name] for name in _TILES if name in tiles]:
         lines.append(f"{tile['label']:14} {tile['value']:14} {tile['sentence']}".rstrip())
-    lines += [*map(_write_alarm, shown["alarms"]), *filter(None, [shown["contact"]])]
-    lines += shown["notes"]
+    lines += [
+        f"{_LEVELS[row['level']]}. {row['what']} since {row['since_text']}. {row['do']}"
+        for row in shown["alarms"]
+    ]
+    lines += [*filter(None, [shown["contact"]]), *shown["notes"]]
     if (hidden := len(lines) - _MAX_LINES + 1) > 1:
         lines[-hidden:] = [f"and {hidden} more lines; see 'greenroof watch'"]
     return lines
-
-
-def _write_alarm(row: Mapping[str, Any]) -> str:
-    return f"{_LEVELS[row['level']]}. {row['what']} since {row['since_text']}. {row['do']}"

@@ -42,8 +42,8 @@ from greenroof_ros.physics.compiled import note_if_slow
 from greenroof_ros.simulation.screen import print_weather
 from greenroof_ros.weather.summary import as_lines
 
-_Bound: TypeAlias = tuple[Callable[[Path, Case], Any], Case, Callable[[Case, Any], None]]
-"""Function that computes a bound, the case, and function that stores the bound."""
+_Bounds: TypeAlias = dict[str, tuple[Callable[[Path, Case], dict[str, float]], Case]]
+"""Functions that compute bounds, each with a case, by the identity of the bound."""
 
 _REFRESH_S = 0.5
 # What every worker needs.
@@ -75,11 +75,7 @@ examples:
 
 def make_parser() -> Parser:
     """Return the parser of the command line."""
-    parser = Parser(
-        prog="greenroof study",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
-    )
+    parser = Parser(prog="greenroof study", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument(
         "grid", nargs="?", type=Path, metavar="GRID.yaml",
         help="grid file, your own or one of this package's (default: the paper's, "
@@ -135,31 +131,23 @@ def main() -> int:
         yaml.safe_dump(contents, sort_keys=False, allow_unicode=True, width=1000),
     )
     open_cases = [case for case in cases if case.identity not in store.outcomes]
-    unbounded = {
-        case.bound_identity: case for case in cases
-        if case.bound_block != 0 and case.bound_identity not in store.bounds
-    }
+    bounds: _Bounds = {}
+    for case in cases:
+        if case.bound_block != 0:
+            bounds[case.bound_identity] = bound_case, case
+        if case.discharge_bound_identity:
+            bounds[case.discharge_bound_identity] = bound_discharge, case
+    bounds = {identity: each for identity, each in bounds.items() if identity not in store.bounds}
     if store.outcomes:
         print(f"{len(store.outcomes)} of {len(cases)} runs are already stored", file=sys.stderr)
-    unbounded_discharges = {
-        identity: case for case in cases
-        if (identity := case.discharge_bound_identity)
-        and identity not in store.discharge_bounds
-    }
-    compiled = (case for case in open_cases if case.inputs.controller.kind is OnOff)
-    note_if_slow(sum(case.ticks for case in (*compiled, *unbounded_discharges.values())))
+    compiled = [case for case in open_cases if case.inputs.controller.kind is OnOff]
+    compiled += [case for bound, case in bounds.values() if bound is bound_discharge]
+    note_if_slow(sum(case.ticks for case in compiled))
     signals: Signals | None = None
     try:
-        if open_cases or unbounded or unbounded_discharges:
+        if open_cases or bounds:
             with open_workers(arguments, collect_contents(cases), _PRELOADED) as workers:
                 signals = Signals()  # from now on a signal ends the study between two results
-                bounds: list[_Bound] = [
-                    *((bound_case, case, store.write_bound) for case in unbounded.values()),
-                    *(
-                        (bound_discharge, case, store.write_discharge_bound)
-                        for case in unbounded_discharges.values()
-                    ),
-                ]
                 _run(store, open_cases, bounds, workers, signals)
     except (BrokenExecutor, InterruptedRun) as error:
         why, code = describe_end(error, signals)
@@ -177,8 +165,7 @@ def main() -> int:
 
 
 def _run(
-    store: StudyStore, cases: Sequence[Case], bounds: Sequence[_Bound], workers: Workers,
-    signals: Signals,
+    store: StudyStore, cases: Sequence[Case], bounds: _Bounds, workers: Workers, signals: Signals
 ) -> None:
     """Run the given cases and compute the given bounds; store each result as it arrives."""
     names = Names(store.cases)
@@ -187,12 +174,12 @@ def _run(
         not case.inputs.controller.ensemble, not case.inputs.controller.outputs, -case.hours,
         case.weather_name, case.start,
     ))
-    pending: dict[Future[Any], tuple[Case, Callable[[Case, Any], None]]] = {
-        workers.submit(bound, case): (case, write) for bound, case, write in bounds
+    # Each with the identity of its bound, which is empty for a run.
+    pending: dict[Future[Any], tuple[Case, str]] = {
+        workers.submit(bound, case): (case, identity) for identity, (bound, case) in bounds.items()
     }
     pending |= {
-        workers.submit(run_case, case, store.trajectory_every): (case, store.write_outcome)
-        for case in cases
+        workers.submit(run_case, case, store.trajectory_every): (case, "") for case in cases
     }
     tasks, runs = len(pending), 0
     with ProgressBar() as progress:
@@ -202,18 +189,20 @@ def _run(
             done, _ = wait(pending, timeout=_REFRESH_S, return_when=FIRST_COMPLETED)
             broken: Exception | None = None
             for future in done:
-                case, write = pending.pop(future)
-                is_run = write == store.write_outcome
+                case, identity = pending.pop(future)
                 try:
                     result = workers.result(future)
                 except (BrokenExecutor, CancelledError) as error:
                     broken = error  # raised once all results that came before are stored
                     continue
                 except Exception as error:  # raised by the run
-                    _report_failure(store, names, case, error, is_run=is_run)
+                    _report_failure(store, names, case, error, is_run=not identity)
                 else:
-                    write(case, result)
-                runs += is_run
+                    if identity:
+                        store.write_bound(identity, result)
+                    else:
+                        store.write_outcome(case, result)
+                runs += not identity
             if broken is not None:
                 raise broken
             signals.check()

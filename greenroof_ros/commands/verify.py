@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 import math
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -16,19 +13,14 @@ from rich.table import Table
 from greenroof_ros.analysis.verification.checks import check_forecasts
 from greenroof_ros.analysis.verification.pairs import Class, Sum, read_issued_forecasts, tally_pairs
 from greenroof_ros.analysis.verification.scores import SHOWN, Tally
-from greenroof_ros.base.command_line import (
-    Parser,
-    add_site,
-    command,
-    make_number_type,
-)
+from greenroof_ros.base.command_line import Parser, add_site, command, make_number_type, print_lines
 from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.progress import ProgressBar
-from greenroof_ros.base.text import escape
 from greenroof_ros.base.times import to_people
 from greenroof_ros.commands.output_file import refuse_unwritable
+from greenroof_ros.results.table import format_csv
 from greenroof_ros.site.file import read_site
 from greenroof_ros.weather.read import find_files, read_weather
 from greenroof_ros.weather.summary import as_lines, summarize
@@ -106,7 +98,7 @@ def main() -> None:
     arguments = make_parser().parse_args()
     sums = _read_sums(arguments)
     if arguments.output is not None:
-        refuse_unwritable(arguments.output, (".csv",), "--output")
+        refuse_unwritable(arguments.output, ".csv")
     site = read_site(arguments.site)
     weather = read_weather(find_files(arguments.weather, "--weather"), site, method="")
     forecasts = read_issued_forecasts(arguments.forecasts, weather, site, arguments.horizon)
@@ -143,10 +135,8 @@ def main() -> None:
     ]
     if len(notes) > _MAX_NOTES:
         notes[_MAX_NOTES:] = [f"and {len(notes) - _MAX_NOTES} more notes"]
-    for note in notes:
-        print(escape(f"note: {note}"), file=sys.stderr)
-    for warning in warnings:
-        print(escape(f"warning: {warning}"), file=sys.stderr)
+    print_lines("note", notes)
+    print_lines("warning", warnings)
     if arguments.output:
         console.print(f"written: {arguments.output}", soft_wrap=True)
 
@@ -189,16 +179,13 @@ def _make_table(title: str, tallies: Mapping[Class, Tally]) -> Table:
 
 def _write_csv(tallies: Mapping[Class, Tally]) -> str:
     """Return all scores as CSV, one line per class; leave a cell empty if there is no score."""
-    stream = io.StringIO()
-    rows = csv.writer(stream, lineterminator="\n")
-    rows.writerow(
-        ("lead_from_h", "lead_to_h", "sum_hours", "event_mm",
-         *("crps_mm" if name == "crps" else name for name in SHOWN))
-    )
-    for key, of_class in tallies.items():
-        scores = of_class.scores()
-        rows.writerow(
-            (key.low, key.high, key.sum.hours, f"{key.sum.event:g}", scores.n,
-             *("" if math.isnan(value) else f"{value:.6g}" for value in scores[1:]))
-        )
-    return stream.getvalue()
+    columns = [
+        "lead_from_h", "lead_to_h", "sum_hours", "event_mm",
+        *("crps_mm" if name == "crps" else name for name in SHOWN),
+    ]
+    rows = [
+        (key.low, key.high, key.sum.hours, f"{key.sum.event:g}", scores.n,
+         *("" if math.isnan(value) else f"{value:.6g}" for value in scores[1:]))
+        for key, scores in ((key, of_class.scores()) for key, of_class in tallies.items())
+    ]
+    return format_csv(columns, [dict(zip(columns, row, strict=True)) for row in rows])

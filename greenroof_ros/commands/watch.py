@@ -33,8 +33,8 @@ _DESCRIPTION = """\
 Show the state of the roof on a page in a browser: levels, pump, rain, the controller's plan, alarms
 and advice. The page shows any graph in this ROS domain, either live or simulated at up to 60 times
 real time. Any number of watchers may be started and stopped at any time, since no run waits for
-them. The page can stop the pump, and can also release it with --allow-release. With --foxglove,
-there is no page: Foxglove or Lichtblick shows the graph instead.
+them. The page can stop the pump and close the outlet valve, and can also release both with
+--allow-release. With --foxglove, there is no page: Foxglove or Lichtblick shows the graph instead.
 
 The page shows the values that the watcher itself has received in the past week. The values of a
 live site are saved for the next start, every 10 minutes and when the command ends, in
@@ -80,8 +80,8 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--allow-release", action="store_true",
         help="allow the page to release the pump, whoever holds it, to clear the fault "
-        "speed_not_followed and, if the site file allows doses, to request a dose. The page then "
-        "requires its token on this machine as well",
+        "speed_not_followed, to open and release the outlet valve and, if the site file allows "
+        "doses, to request a dose. The page then requires its token on this machine as well",
     )
     parser.add_argument(
         "--host", metavar="ADDRESS",
@@ -131,13 +131,13 @@ def _print_address(listener: Listener, token: str, port: int | None, *, release:
         print(f"port {PORTS[0]} is in use, perhaps by another watcher", file=sys.stderr)
     if not listener.is_loopback:
         print(
-            "anyone who has the address, including its token, can view the page and stop the "
-            "pump; the connection is not encrypted", file=sys.stderr,
+            "anyone who has the address, including its token, can view the page, stop the pump "
+            "and close the outlet valve; the connection is not encrypted", file=sys.stderr,
         )
     if release:
         print(
-            "anyone who has the address, including its token, can release the pump, and can "
-            "request a dose if the site file allows doses", file=sys.stderr,
+            "anyone who has the address, including its token, can release the pump, open the "
+            "outlet valve, and request a dose if the site file allows doses", file=sys.stderr,
         )
     print(listener.url + (f"#token={token}" if token else ""), flush=True)
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from greenroof_ros.base.command_line import Parser, add_site, command
+from greenroof_ros.base.command_line import Parser, add_site, command, option_of
 from greenroof_ros.base.console import PlainConsole
 from greenroof_ros.base.errors import ConfigurationError, rename_keys
 from greenroof_ros.base.files import add_path_to_errors, parse_yaml
@@ -31,13 +31,7 @@ from greenroof_ros.weather.read import (
     read_file,
     read_measured,
 )
-from greenroof_ros.weather.records import (
-    HOUR,
-    Records,
-    describe_rows,
-    name_files,
-    write_records,
-)
+from greenroof_ros.weather.records import HOUR, Records, describe_rows, name_files, write_records
 from greenroof_ros.weather.series import Weather
 from greenroof_ros.weather.summary import as_lines, summarize
 from greenroof_ros.weather.table import Rows
@@ -95,7 +89,7 @@ def make_parser() -> Parser:
     parser.hint = _DASH
     for key in _options():
         group.add_argument(
-            _flag(key), help=key.description.replace("%", "%%"), dest=key.name,
+            option_of(key.name), help=key.description.replace("%", "%%"), dest=key.name,
             metavar="NAME=VALUE" if _is_mapping(key) else "VALUE",
             nargs="*" if _has_many(key) else None, action="extend" if _has_many(key) else "store",
         )
@@ -104,10 +98,6 @@ def make_parser() -> Parser:
 
 def _options() -> list[Parameter]:
     return [key for key in parameters_of(Description) if key.name not in _NOT_OPTIONS]
-
-
-def _flag(key: Parameter) -> str:
-    return f"--{key.name.replace('_', '-')}"
 
 
 def _is_mapping(key: Parameter) -> bool:
@@ -128,12 +118,12 @@ def _read_options(arguments: Namespace) -> Description | None:
         if _is_mapping(key):
             pairs = [item.partition("=") for item in value]
             value = {
-                name: parse_yaml(text, Path(_flag(key))) if text.startswith("[") else text
+                name: parse_yaml(text, Path(option_of(key.name))) if text.startswith("[") else text
                 for name, _, text in pairs
             }
         elif "str" not in str(key.kind):  # a number as in a description
             texts = value if _has_many(key) else [value]
-            numbers = [parse_yaml(text, Path(_flag(key))) for text in texts]
+            numbers = [parse_yaml(text, Path(option_of(key.name))) for text in texts]
             value = numbers[0] if len(numbers) == 1 else numbers
         given[key.name] = value
     return make_description(given) if given else None
@@ -145,7 +135,7 @@ def main() -> None:
     arguments = make_parser().parse_args()
     output: Path | None = arguments.output
     if output is not None:
-        refuse_unwritable(output, (".csv",), "--output")
+        refuse_unwritable(output, ".csv")
     files = find_files(arguments.files, "FILE")
     if arguments.describe:
         own = {} if arguments.encoding is None else {"encodings": [arguments.encoding]}
@@ -154,7 +144,7 @@ def main() -> None:
     site = read_site(arguments.site)
     # A file for another place is described, too; a run rejects it, or warns.
     anywhere = replace(site, latitude=None, longitude=None, elevation=None)
-    with rename_keys({key.name: _flag(key) for key in _options()}):
+    with rename_keys({key.name: option_of(key.name) for key in _options()}):
         options = _read_options(arguments)
         measured = read_measured(files, anywhere, options)
         sources = [*_describe_sources(files, anywhere, options)]

@@ -31,10 +31,8 @@ from greenroof_ros.weather import quantities
 from greenroof_ros.weather.description import END, TIME, Description
 from greenroof_ros.weather.open_meteo import read_answer
 from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
-from greenroof_ros.weather.records import HOUR, bridge_gaps, make_hours
+from greenroof_ros.weather.records import HOUR, Array, bridge_gaps, make_hours
 from greenroof_ros.weather.table import Row, Rows, Table, arrange, read_table
-
-Array = NDArray[np.float64]
 
 SUFFIXES = (".csv", ".json")
 """suffixes of forecast files"""

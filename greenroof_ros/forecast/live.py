@@ -73,7 +73,10 @@ class LiveForecast:
         issues: the known forecasts, in order of their time of issue, all with evapotranspiration.
     """
 
-    def __init__(self, site: Site, horizon: float, limit: float, all_members: bool) -> None:
+    def __init__(
+        self, site: Site, horizon: float, limit: float, all_members: bool,
+        outlet_horizon: float = 0.0,
+    ) -> None:
         """Set the site and the look-ahead, without any forecast yet.
 
         Args:
@@ -84,10 +87,11 @@ class LiveForecast:
             limit: maximum age of the latest forecast (s).
             all_members: whether to return the rain of all members of an ensemble or only of the
                 first member.
+            outlet_horizon: length of the forecast for planning the outlet valve (h); 0 for none.
         """
         self.issues: list[IssuedForecast] = []
         self._site = site
-        self._ends = look_ahead_ends(site, horizon)
+        self._ends = look_ahead_ends(site, horizon, outlet_horizon)
         self._limit = timedelta(seconds=limit)
         self._all_members = all_members
 

@@ -44,10 +44,8 @@ from greenroof_ros.weather.quantities import (
     PRECIPITATION,
     QUANTITIES,
 )
-from greenroof_ros.weather.records import HOUR
+from greenroof_ros.weather.records import HOUR, Array
 from greenroof_ros.weather.series import Weather, select_records
-
-Array = NDArray[np.float64]
 
 # Reach of a filter in multiples of the larger of memory and error of timing; exp(-6) remains.
 _REACH = 6
@@ -305,7 +303,9 @@ class ErrorModel(ForecastModel):
     def forecast(self, hour: int, hours: int) -> tuple[Array, Array, datetime | None]:
         """Return the forecast; see :class:`ForecastModel`."""
         _, evapotranspiration, _ = super().forecast(hour, hours)  # rejects missing records
-        issue = self._find_newest(hour)
+        # A forecast is the latest until the next one is issued. If the records do not begin at a
+        # whole hour of UTC, it counts from their first hour that begins after its issue.
+        issue = (self._first + hour - self._delay) // ISSUE_HOURS * ISSUE_HOURS
         key = issue, ISSUE_HOURS - 1 + self._delay + hours
         if key not in self._made:
             self._made = {key: self._make(*key)}
@@ -313,16 +313,6 @@ class ErrorModel(ForecastModel):
         leads = slice(self._first + hour - issue, self._first + hour - issue + hours)
         dried = np.minimum(evapotranspiration * factor[leads], QUANTITIES[EVAPOTRANSPIRATION].high)
         return rain[:, leads].copy(), dried, from_epoch_ns(issue * 3600 * 10**9)
-
-    def _find_newest(self, hour: int) -> int:
-        """Return the time (h since 1970) of the latest forecast in a given hour of the records.
-
-        A forecast is the latest until the next one is issued. If the records do not begin at a
-        whole hour of UTC, a forecast counts from the first hour of the records that begins after
-        its issue. A forecast issued before the start of the records keeps its actual time of issue.
-        """
-        known = self._first + hour - self._delay
-        return known // ISSUE_HOURS * ISSUE_HOURS
 
     def _make(self, issue: int, leads: int) -> tuple[Array, Array]:
         """Make the forecast issued at a given time (h since 1970).

@@ -16,17 +16,15 @@ from datetime import datetime
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.base.times import to_minutes
 from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
 from greenroof_ros.forecast.models import ForecastModel, make_model
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
-from greenroof_ros.weather.records import HOUR
+from greenroof_ros.weather.records import HOUR, Array
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
-Array = NDArray[np.float64]
 Rain: TypeAlias = "array[float] | Array"
 """a single forecast of rain, shape (steps,), or all members of an ensemble, (members, steps)"""
 

@@ -14,6 +14,7 @@ from typing import Any
 
 from greenroof_ros.base.files import read_yaml, shared_directory
 from greenroof_ros.base.times import duration
+from greenroof_ros.interface.states import VALVE
 
 LATCHED, INHIBIT, PERMISSIVE = "latched", "inhibit", "permissive"
 
@@ -33,6 +34,7 @@ class Interlock:
         input: part of the pump node that reports the unknown input; empty if the interlock is not
             about an input.
         explained_by: other parts of the pump node that report more details.
+        valve: True if the interlock is only that of the outlet valve.
     """
 
     kind: str
@@ -42,6 +44,7 @@ class Interlock:
     on_page: bool = False
     input: str = ""
     explained_by: tuple[str, ...] = ()
+    valve: bool = False
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -79,10 +82,11 @@ class Condition:
             node: fully qualified name of the node, for the commands that the advice names.
             role: the node's role in the interface.
         """
+        group = "outlet " if role == VALVE else ""
         return self.by_role.get(role, self.advice).format(
             node=node,
-            reset=f"{command_for(node, 'reset')}, in a terminal on the site's machine",
-            release=command_for(node, "release"),
+            reset=f"{command_for(node, f'{group}reset')}, in a terminal on the site's machine",
+            release=command_for(node, f"{group}release"),
         )
 
 

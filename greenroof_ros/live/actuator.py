@@ -27,7 +27,7 @@ from std_srvs.srv import SetBool, Trigger
 from greenroof_ros.base.files import state_directory
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.interface.conditions import Diagnosis
-from greenroof_ros.interface.states import PUMP, DriveState
+from greenroof_ros.interface.states import PUMP, VALVE, DriveState
 from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.levels import LIMITS
 from greenroof_ros.live.node import LiveNode
@@ -46,8 +46,12 @@ STATE_FILE = Parameter(
 )
 COMMAND, FLOW, STATE = "/pump/command", "/pump/flow", "/pump/state"
 COMMAND_LIMIT = LIMITS[COMMAND]
+_STATES = {PUMP: STATE, VALVE: "/outlet/state"}
+_UNKNOWN = {PUMP: "standstill_unknown", VALVE: "valve_may_be_open"}
 # Interval between two decisions (s).
 _STEP_S = 0.1
+# The reasons that are as intended, of which nobody is warned.
+_INTENDED = {"quiet_hours", "wet_weather"}
 # The interlocks for which no drive is run, whatever is commanded.
 _REFUSED = {"drive_timeout", "drive_guards_later", "state_not_kept"}
 # The fields of a hold.
@@ -68,17 +72,20 @@ class ActuatorNode(LiveNode):
         decision: the last decision.
     """
 
-    def __init__(self, name: str, parameters: Callable[[Site], Iterable[Parameter]]) -> None:
+    def __init__(
+        self, name: str, role: str, parameters: Callable[[Site], Iterable[Parameter]]
+    ) -> None:
         """Join the graph, and open the state file and the services.
 
         Args:
             name: name of the node.
+            role: ``pump`` or ``valve``, which is also the name of its part that acts.
             parameters: function that returns the node's parameters at a site.
 
         Raises:
             ConfigurationError: if a parameter is invalid, or another process uses the state file.
         """
-        super().__init__(name, PUMP)
+        super().__init__(name, role)
         self.site = self.declare_site()
         self.values = declare(self, parameters(self.site))
         own_name = self.get_fully_qualified_name().strip("/").replace("/", "-")
@@ -126,7 +133,7 @@ class ActuatorNode(LiveNode):
         before, self.decision = self.decision.shown, self.step(dt)
         shown = self.decision.shown
         if shown != before:
-            self.publish(STATE, shown.message())
+            self.publish(_STATES[self.role], shown.message())
             # Not at every change of the words, since they contain numbers.
             if (shown.state, shown.codes) != (before.state, before.codes):
                 self.get_logger().info(str(shown))
@@ -150,12 +157,13 @@ class ActuatorNode(LiveNode):
             level = ERROR
         elif not decision.at_rest and decision.speed is None:
             # What the pump does matters more than why it should be off.
-            level, shown = ERROR, Diagnosis("standstill_unknown")
-        elif first is not None and first.code != "quiet_hours":  # these are as intended
+            level, shown = ERROR, Diagnosis(_UNKNOWN[self.role])
+        elif first is not None and first.code not in _INTENDED:
             level = WARN
-            if first.code == "hold" and not decision.at_rest:
+            if (self.role, first.code) == (PUMP, "hold") and not decision.at_rest:
                 shown = Diagnosis("stop_not_followed")
-        self.reports.diagnose(PUMP, shown and replace(shown, text=words), words, level, log=False)
+        found = shown and replace(shown, text=words)
+        self.reports.diagnose(self.role, found, words, level, log=False)
         problem = Diagnosis.if_any("state_not_kept", self.state_file.problem)
         self.reports.diagnose("state file", problem, "holds and faults are being saved")
 
@@ -166,7 +174,8 @@ class ActuatorNode(LiveNode):
         if decision.speed is None:
             state = DriveState.CONNECTING
         return {
-            "pump_state": decision.state, "pump_why": decision.why, "at_rest": decision.at_rest,
+            f"{self.role}_state": decision.state, f"{self.role}_why": decision.why,
+            "at_rest": decision.at_rest,
             "speed": decision.speed, "flow": decision.flow, "drive_state": state.value,
             "fault": stored.fault, "no_clear": clear_refusal(self.state_file),
             "hold": {

@@ -24,6 +24,7 @@ from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.times import from_epoch_ns, to_people
 from greenroof_ros.controllers.decide import ControllerError, locate_error, may_decide
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
+from greenroof_ros.controllers.outlet import OutletPolicy
 from greenroof_ros.controllers.protocol import set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.interface.conditions import Diagnosis
@@ -99,7 +100,9 @@ class LiveControllerNode(ControllerNode, LiveNode):
         # The pump node alone limits how often the pump starts, and states when it may start next.
         self._site = replace(self._site, starts_per_hour=math.inf)
         values = declare(self, [LEARNED_FILE, EXTERNAL_PUMP, *LIVE_PARAMETERS])
-        self._levels = Levels(self._site, values, self.subscribe)
+        self._levels = Levels(
+            self._site, values, self.subscribe, needs_roof=self._site.irrigated
+        )
         self._cistern, self._roof = self._levels.cistern, self._levels.roof
         self._frost = self.subscribe(FROST)
         # Without the others, the node still commands.
@@ -116,10 +119,15 @@ class LiveControllerNode(ControllerNode, LiveNode):
         self._learned_file = NumberFile(Path(file)) if file else None
         self._learned: dict[str, float] = {}
         self._saved_at = time.monotonic()
+        self._own_steps = choice.count_own_steps(self._site, self._values)
+        if self._site.low_outlet_valve:
+            self.open_outputs("/outlet/command")
         with self._keeping_learned():
             self._learned = self._learned_file.read() if self._learned_file is not None else {}
         with self._controllers_code(_STARTING_S):
             self.make_controller()
+        if self._outlet is None and choice.of_valve:  # it does not need the controller
+            self._make_outlet()
         # When the controller last worked, and had a forecast if it needs one (steady clock, s).
         self._worked_at = time.monotonic()
 
@@ -138,9 +146,32 @@ class LiveControllerNode(ControllerNode, LiveNode):
     def make_controller(self) -> None:
         """Create a new controller with the values that the previous controller had learned."""
         super().make_controller()
+        self._make_outlet()
         if self._learned and getattr(self.controller, "learned", None) is not None:
             with self._keeping_learned():
                 self.controller.learned = self._learned
+
+    def _make_outlet(self) -> None:
+        """Make the policy of the outlet valve, whose node alone remembers when it rained."""
+        self._outlet = self._choice.make_outlet(
+            self._site, self._values, self.controller, math.inf
+        )
+
+    def _command_outlet(self, outlet: OutletPolicy) -> float:
+        """Return the command to the valve; without a forecast, a plan is made without one.
+
+        The valve needs no roof: an unknown level of the roof counts as its target.
+        """
+        fails = self.controller is None and not self._choice.of_valve
+        if fails or not self._cistern.good:
+            return 0.0
+        roof = self._roof.value if self._roof.good else self._site.z_veg
+        weather = [self._gauge.value if self._gauge.good else math.nan], ()
+        if self._find_bad_forecast() is None:
+            weather = self._rain.value, self._evapotranspiration.value
+        with self._controllers_code(deciding_limit(self._site.tau)):
+            return outlet(self._cistern.value, roof, *weather)
+        return 0.0
 
     @contextmanager
     def _keeping_learned(self) -> Iterator[None]:

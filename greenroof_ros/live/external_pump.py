@@ -25,6 +25,7 @@ from std_srvs.srv import SetBool
 
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.interface.conditions import Diagnosis
+from greenroof_ros.interface.states import PUMP
 from greenroof_ros.live.actuator import COMMAND, FLOW, STATE, STATE_FILE, ActuatorNode
 from greenroof_ros.live.boot_clock import boot_time
 from greenroof_ros.live.levels import live_parameters
@@ -65,7 +66,7 @@ class ExternalPumpNode(ActuatorNode):
         Raises:
             ConfigurationError: if a parameter is invalid.
         """
-        super().__init__(GUARD, parameters)
+        super().__init__(GUARD, PUMP, parameters)
         self._max_flow = maximum_pump_flow(self.site, self.site.cistern_volume(self.site.z_o))
         self._hold_sent, self._sent_at = 0.0, -math.inf
         self._stops: dict[str, Client] = {}  # the drivers' own services to stop them, by name

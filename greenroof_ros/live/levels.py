@@ -59,7 +59,8 @@ class Levels:
     """
 
     def __init__(
-        self, site: Site, values: Mapping[str, Any], subscribe: Callable[..., LiveInput]
+        self, site: Site, values: Mapping[str, Any], subscribe: Callable[..., LiveInput], *,
+        needs_roof: bool = True,
     ) -> None:
         """Open both inputs.
 
@@ -68,6 +69,7 @@ class Levels:
             values: values of the node's :func:`live_parameters`.
             subscribe: function that opens an input:
                 :meth:`greenroof_ros.live.node.LiveNode.subscribe`.
+            needs_roof: whether the node does not act without the level of the roof.
         """
         self._site, self._frozen_movement = site, values[_FROZEN_MOVEMENT.name]
         self._rules = [
@@ -75,7 +77,9 @@ class Levels:
             for bounds in (cistern_bounds(site), roof_bounds(site))
         ]
         self.cistern = subscribe("/cistern/level", level=self._rules[0])
-        self.roof = subscribe("/roof/level", level=self._rules[1])
+        self.roof = subscribe(
+            "/roof/level", optional=not needs_roof, level=self._rules[1]
+        )
 
     @property
     def displacements(self) -> tuple[float, float]:

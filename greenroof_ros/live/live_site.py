@@ -7,18 +7,20 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.base.command_line import Parser, add_site, make_number_type, refuse
+from greenroof_ros.controllers.outlet import OPEN
 from greenroof_ros.controllers.registry import EXTERNAL, FOR_A_SITE
 from greenroof_ros.forecast.service import OPEN_METEO
-from greenroof_ros.interface.states import PUMP, RECORDER
+from greenroof_ros.interface.states import PUMP, RECORDER, VALVE
 from greenroof_ros.live.devices.drive import DriveEndpoint
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.exchange import CHOICE, Endpoint, read_endpoint
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS, ModbusSensor, read_sensors
 from greenroof_ros.live.pumping.state_file import GUARD
 from greenroof_ros.live.supervisor import ACTUATORS_SILENT_S, SiteProcess
-from greenroof_ros.live.upkeep import check_site, silence_limit
+from greenroof_ros.live.upkeep import silence_limit
 from greenroof_ros.ros.alarms import ROLE
 from greenroof_ros.ros.arguments import add_graph_arguments
+from greenroof_ros.simulation.inputs import find_needs
 from greenroof_ros.simulation.options import add_controller_arguments, read_controller
 from greenroof_ros.site.file import read_site
 
@@ -27,6 +29,7 @@ STATION = "station"
 _LIVE = "greenroof_ros.live"
 # What a sensor on a broker may name a file for.
 _BROKER_FILES = "login", "authority"
+_SWITCHES = {"open_switch", "closed_switch"}
 # Length of the forecast that people are shown if the controller ignores it (h).
 _SHOWN_H = 12.0
 
@@ -55,11 +58,10 @@ class LiveSite:
             ConfigurationError: if an option, or a file that it names, is invalid or missing.
         """
         site = read_site(arguments.site)
-        check_site(site, arguments.site)
         self.tau = site.tau
         self.controller, given = read_controller(arguments)
         self.parameters = self.controller.complete_parameters(site, given)
-        drive = read_drive(arguments)
+        drive, valve = read_drive(arguments), read_device(arguments, "valve")
         self.drive_at = drive.get("address")
         self.drive: Endpoint | None = None
         if drive:
@@ -73,12 +75,20 @@ class LiveSite:
             arguments.forecast = file = str(Path(arguments.forecast).resolve())
             refuse((not file.lower().endswith(".csv"), "--forecast", file,
                     "must be a FILE.csv, which is read again whenever it is replaced"))
+        has_switches = {*sensors} >= _SWITCHES
+        may_stay_open = site.valve_without_power == "may_stay_open"
         sees_frost = arguments.sensors == EXTERNAL or "thermometer" in sensors
         has_weather = arguments.weather is None
         lacks_forecast = has_weather and arguments.forecast is None
         for option, is_missing in {
             "--sensors": arguments.sensors is None,
-            "--drive, or --pump external": not drive and not arguments.pump,
+            "--drive, or --pump external":
+                site.irrigated and not drive and not arguments.pump,
+            "--valve, and --valve-at": site.low_outlet_valve and not valve,
+            "the level of the roof in --sensors":
+                site.irrigated and bool(sensors) and "roof" not in sensors,
+            "each of both end switches in --sensors": len(_SWITCHES & {*sensors}) == 1
+                or (may_stay_open and not has_switches and arguments.sensors != EXTERNAL),
             "--forecast, or a controller without a forecast, such as onoff":
                 lacks_forecast and self.controller.needs_forecast,
             "--forecast, or a thermometer, which shows frost": lacks_forecast and not sees_frost,
@@ -86,6 +96,10 @@ class LiveSite:
             refuse((is_missing, option, None, "is missing; what nodes of your own publish is "
                     "external, see greenroof live --help"))
         refuse(
+            (not site.irrigated and (drive or arguments.pump), "--drive or --pump",
+             arguments.drive or arguments.pump, "does not fit a site without a pump"),
+            (valve and not site.low_outlet_valve, "--valve", arguments.valve,
+             "does not fit a site without a valve (low_outlet_valve)"),
             (isinstance(self.drive, DriveEndpoint) and self.drive.address.line and any(
                 sensor.place.connection == self.drive.address.connection
                 for sensor in sensors.values() if isinstance(sensor, ModbusSensor)
@@ -95,18 +109,31 @@ class LiveSite:
         )
         self.forecast: str | None = arguments.forecast
         of_sensors = [getattr(each, key, "") for each in sensors.values() for key in _BROKER_FILES]
-        of_drive = [value for name, value in drive.items() if name != "address"]
+        of_drive = [
+            value for device in (drive, valve) for name, value in device.items()
+            if name != "address"
+        ]
         own = [arguments.sensors] if sensors else []
         self.files = [Path(file) for file in (*own, *of_drive, *of_sensors) if file]
         state = arguments.state.resolve()
         pump, module = (PUMP, "pump") if drive else (GUARD, "external_pump")
         name, common = self.controller.name, {"site_file": str(arguments.site)}
-        self.nodes: dict[str, tuple[str, dict[str, Any]]] = {
-            pump: (f"{_LIVE}.{module}", {
+        self.nodes: dict[str, tuple[str, dict[str, Any]]] = {}
+        if site.irrigated:
+            self.nodes[pump] = f"{_LIVE}.{module}", {
                 **common, **drive, "state_file": str(state / f"{PUMP}.json"),
-            }),
+            }
+        if valve:
+            self.nodes[VALVE] = f"{_LIVE}.{VALVE}", {
+                **common, **valve, "state_file": str(state / f"{VALVE}.json"),
+                "has_switches": has_switches,
+                "opens_in_wet_weather": self.parameters.get("outlet") == OPEN
+                or getattr(self.controller.kind, "opens_in_wet_weather", False),
+            }
+        actuators = [*self.nodes]
+        self.nodes |= {
             name: (f"{_LIVE}.controller", {
-                **common, **self.parameters, "external_pump": not drive,
+                **common, **self.parameters, "external_pump": site.irrigated and not drive,
                 # A controller cannot use what another one has learned.
                 "state_file": str(state / f"{name}.json"),
             }),
@@ -117,12 +144,13 @@ class LiveSite:
         }
         if has_weather:
             kind, fetched = self.controller, arguments.forecast == OPEN_METEO
+            all_members, outlet_horizon = find_needs(kind, self.parameters)
             # On/off control ignores the forecast, which then is for people alone.
             shown = _SHOWN_H if kind.reference == "onoff" else 0.0
             self.nodes["weather"] = f"{_LIVE}.weather", {
                 **common,
                 "forecast": str(state / "forecast.csv") if fetched else arguments.forecast or "",
-                "fetch": fetched, "all_members": kind.ensemble,
+                "fetch": fetched, "all_members": all_members, "outlet_horizon": outlet_horizon,
                 "horizon": self.parameters.get("horizon", shown),
             }
         gauges = {QUANTITIES[each].live_publishers[0] for each in {*sensors} - {*TANKS}}
@@ -136,7 +164,8 @@ class LiveSite:
         words = [f"{_LIVE}.controller", "--controller", self.controller.reference]
         logs, limit = state / "log", silence_limit(site.tau)
         self.processes = (
-            SiteProcess(pump, [f"{_LIVE}.{module}"], logs, ACTUATORS_SILENT_S),
+            *(SiteProcess(each, [self.nodes[each][0]], logs, ACTUATORS_SILENT_S)
+              for each in actuators),
             SiteProcess(name, words, logs, limit),
             SiteProcess(STATION, station, logs, limit),
         )
@@ -148,16 +177,29 @@ def read_drive(arguments: argparse.Namespace) -> dict[str, str]:
     Raises:
         ConfigurationError: if the drive file does not exist, or the options are inconsistent.
     """
-    drive, at = arguments.drive, arguments.drive_at
-    refuse(
-        (bool(drive) != bool(at), "--drive", drive,
-         "and --drive-at (tcp://192.168.0.20:502, /dev/ttyUSB0, mqtt://...) require each other"),
-        (drive and arguments.pump == EXTERNAL, "--pump", EXTERNAL,
-         "assigns the pump to your own node, but --drive to the pump node; use only one of them"),
-    )
+    refuse((arguments.drive and arguments.pump == EXTERNAL, "--pump", EXTERNAL,
+            "assigns the pump to your own node, but --drive to the pump node; use only one of "
+            "them"))
+    return read_device(arguments, "drive")
+
+
+def read_device(arguments: argparse.Namespace, option: str) -> dict[str, str]:
+    """Return the parameters (CHOICE) of a drive or a relay; empty if there is none.
+
+    Args:
+        arguments: the parsed command line.
+        option: name of the option that chooses it: ``drive`` or ``valve``.
+
+    Raises:
+        ConfigurationError: if its file does not exist, or only one of two options is given.
+    """
+    name, at = getattr(arguments, option), getattr(arguments, f"{option}_at")
+    refuse((bool(name) != bool(at), f"--{option}", name,
+            f"and --{option}-at (tcp://192.168.0.20:502, /dev/ttyUSB0, mqtt://...) require each "
+            "other"))
     files = arguments.broker_login, arguments.broker_authority
     absolute = [str(Path(file).resolve()) if file else "" for file in files]
-    values = [str(find_drive_file(drive).resolve()), at, *absolute] if drive else []
+    values = [str(find_drive_file(name).resolve()), at, *absolute] if name else []
     return {parameter.name: value for parameter, value in zip(CHOICE, values, strict=False)}
 
 
@@ -205,6 +247,16 @@ def make_parser() -> Parser:
     )
     add_graph_arguments(parser)
     add_drive(parser)
+    valve = parser.add_argument_group(
+        "the outlet valve", "A relay over MQTT that opens the valve while it is on."
+    )
+    valve.add_argument(
+        "--valve", default="", metavar="{NAME,FILE}",
+        help="make of the relay: a name in config/drives/, or a relay file",
+    )
+    valve.add_argument(
+        "--valve-at", default="", metavar="ADDRESS", help="its address: mqtt://HOST[:PORT]/DEVICE",
+    )
     return parser
 
 

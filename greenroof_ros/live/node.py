@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from pathlib import Path
 from typing import Any, NoReturn
 
 from rclpy.executors import SingleThreadedExecutor
@@ -24,7 +23,7 @@ from greenroof_ros.live.levels import LIMITS, RECOVERY
 from greenroof_ros.live.live_input import LiveInput, LivePublishers, bad_inputs
 from greenroof_ros.live.live_topics import read_live_topics
 from greenroof_ros.live.pumping.input_rules import AWAITED, InputRules, LevelRule
-from greenroof_ros.live.upkeep import check_site, send_beat
+from greenroof_ros.live.upkeep import send_beat
 from greenroof_ros.ros.diagnostics import ERROR, WARN
 from greenroof_ros.ros.executable import node_command
 from greenroof_ros.ros.graph_node import GraphNode
@@ -84,11 +83,9 @@ class LiveNode(GraphNode):
         """Declare the parameter ``site_file``, and read the site; its tau is the node's period.
 
         Raises:
-            ConfigurationError: if the file or a value in it is invalid, or a live site cannot serve
-                the site.
+            ConfigurationError: if the file or a value in it is invalid.
         """
         site = super().declare_site()
-        check_site(site, Path(self.get_parameter("site_file").value))
         self._period = site.tau
         self._due = boot_time() + min(site.tau, _FIRST_S)
         return site

@@ -74,7 +74,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         DISK.do(partial(_try, partial(replace_text, kept, files.site, parents=True)))
         write = _summarize(site, state)
         supervisor = LiveSupervisor(
-            *site.processes,
+            site.processes,
             ros_arguments(map(files.copy_of, [parameters, *user_files]), namespace),
             make_stopper(site.drive) if site.drive is not None else None, _tell, files.write,
         )

@@ -131,16 +131,16 @@ class LiveSupervisor:
     """
 
     def __init__(
-        self, actuators: SiteProcess, controller: SiteProcess, station: SiteProcess,
+        self, processes: Sequence[SiteProcess],
         ros_arguments: Collection[str], stop_drive: StopDrive | None, tell: Callable[[str], None],
         prepare: Callable[[], Mapping[str, str]],
     ) -> None:
         """Start nothing yet.
 
         Args:
-            actuators: the process that drives the pump, or watches the user's own pump driver.
-            controller: the process with the controller.
-            station: the process with all other nodes, which reports the alarms.
+            processes: the processes, in the order in which they end. The first one drives the pump,
+                watches the user's own pump driver or, at a site without a pump, moves the valve;
+                the last one is the station, which reports the alarms.
             ros_arguments: ROS arguments of all processes.
             stop_drive: function that stops the drive; None if there is no drive or the user runs
                 the pump.
@@ -150,8 +150,8 @@ class LiveSupervisor:
                 environment, or raises an :class:`OSError`.
         """
         self.may_run = ""
-        self._actuators, self._station = actuators, station
-        self._processes = actuators, controller, station  # in the order in which they end
+        self._actuators, self._station = processes[0], processes[-1]
+        self._processes = processes
         self._ros_arguments, self._prepare = ros_arguments, prepare
         self._stop_drive, self._tell = stop_drive, tell
         self._stopper = ThreadPoolExecutor(1)

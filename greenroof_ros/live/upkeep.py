@@ -1,4 +1,4 @@
-"""What bringup and a live site's processes agree on: sites, heartbeats, time limits and restarts.
+"""What bringup and a live site's processes agree on: heartbeats, time limits and restarts.
 
 The heartbeat of a process is one byte with each report, on a pipe to bringup. A pipe is used rather
 than a topic, since discovery can take seconds, and bringup must not miss a process that hangs. This
@@ -11,10 +11,6 @@ import math
 import os
 from collections import deque
 from contextlib import suppress
-from pathlib import Path
-
-from greenroof_ros.base.command_line import refuse
-from greenroof_ros.site.site import Site
 
 PIPE = "GREENROOF_ROS_HEARTBEAT"
 """environment variable with the file descriptor of the pipe's end, which does not block"""
@@ -25,21 +21,6 @@ _FIRST_WAIT_S, MAX_WAIT_S = 1.0, 10.0
 # How long a controller may take to decide (s), or the tick if that is longer; and how much longer
 # its process may be silent before the supervisor kills it. The pump stops by the command's age.
 _DECIDING_S, _SILENT_S = 3.0, 2.0
-
-
-def check_site(site: Site, file: Path | None) -> None:
-    """Reject a site that a live site cannot serve.
-
-    Raises:
-        ConfigurationError: if the site has a valve at its low outlet, or no pump.
-    """
-    refuse(
-        (not site.irrigated, f"{file}: irrigation", site.irrigation,
-         "must be left out: a live site runs a pump, and this site has none"),
-        (site.low_outlet_valve, f"{file}: low_outlet_valve", True,
-         "must be false: a live site cannot command the valve yet, so the valve would not move "
-         "although the controller's plan relies on it"),
-    )
 
 
 def send_beat(reached: bool) -> None:

@@ -83,7 +83,8 @@ class LiveWeatherNode(WeatherNode, LiveNode):
         self._file = ForecastFile(file := Path(values["forecast"])) if values["forecast"] else None
         self._fetcher: Fetcher | None = None
         self._forecast = LiveForecast(
-            site, values["horizon"], values["issue_limit"], values["all_members"]
+            site, values["horizon"], values["issue_limit"], values["all_members"],
+            values["outlet_horizon"],
         )
         if self._file is not None:
             self._reader.do(self._file.update)
@@ -92,11 +93,12 @@ class LiveWeatherNode(WeatherNode, LiveNode):
         self._rain_gauge, self._thermometer = (
             self.subscribe(name, optional=True) for name in _GAUGES
         )
-        self.open_weather(site, values["horizon"])
+        self.open_weather(site, values["horizon"], values["outlet_horizon"])
 
     def _fetch(self, values: dict[str, Any], file: Path) -> None:
         """Start fetching forecasts on a separate thread."""
-        days = math.ceil(values["horizon"] / 24) + 2  # from midnight UTC; used until issue_limit
+        hours = max(values["horizon"], values["outlet_horizon"])
+        days = math.ceil(hours / 24) + 2  # from midnight UTC; used until issue_limit
         service = Service(
             self._site, ensemble=values["all_members"], days=min(days, MAX_DAYS),
             url=values["fetch_url"],

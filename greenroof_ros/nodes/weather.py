@@ -20,7 +20,7 @@ from greenroof_ros.ros.graph_node import GraphNode
 from greenroof_ros.ros.lockstep import CLOCK, LockstepNode
 from greenroof_ros.ros.messages import WithFront
 from greenroof_ros.ros.parameters import declare, look_ahead_parameters, site_file
-from greenroof_ros.site.horizon import MAX_HORIZON, look_ahead_ends
+from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.read import default_weather, find_files, read_weather
 from greenroof_ros.weather.series import GAPS, REFUSE, Hour, WeatherSeries
@@ -55,10 +55,6 @@ def parameters(site: Site) -> list[Parameter]:
             among=GAPS,
         ),
         *look_ahead_parameters(),
-        Parameter(
-            "outlet_horizon", 0.0, "", 0.0, MAX_HORIZON, "length of the forecasts for planning "
-            "the outlet valve (h), reached by appending steps; 0 if the valve is not planned",
-        ),
         Parameter(
             "forecast", PERFECT,
             meaning=f"forecast model ({', '.join(MODELS)}), or a file or directory of archived "

@@ -1,4 +1,4 @@
-"""The check that polars can be used in a process, which it cannot in some forks."""
+"""Data frames, which some forked processes cannot create."""
 
 from __future__ import annotations
 
@@ -6,8 +6,12 @@ import contextlib
 import os
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from greenroof_ros.base.errors import ConfigurationError
+from greenroof_ros.base.errors import ConfigurationError, require_extra
+
+if TYPE_CHECKING:
+    import polars
 
 # Whether this process was forked from one in which polars was running threads.
 _lost_threads = False
@@ -33,6 +37,18 @@ def refuse_forked_polars() -> None:
             "cannot be created in a process that was forked after polars was used; start the "
             "processes with spawn: multiprocessing.get_context('spawn')", key="a data frame",
         )
+
+
+def make_frame(data: Any, **options: Any) -> polars.DataFrame:
+    """Return a data frame, from the arguments of ``polars.DataFrame``.
+
+    Raises:
+        ConfigurationError: if polars is not installed, or would wait forever.
+    """
+    refuse_forked_polars()
+    with require_extra("study"):
+        import polars
+    return polars.DataFrame(data, **options)
 
 
 if hasattr(os, "register_at_fork"):  # Windows does not fork

@@ -93,13 +93,20 @@ def event_rows(start: datetime, events: Iterable[Event]) -> list[EventRow]:
     ]
 
 
+def format_csv(columns: Iterable[str], rows: Iterable[Mapping[str, Any]]) -> str:
+    """Return rows as CSV with a header; floats keep all their digits, None is an empty cell."""
+    text = io.StringIO()
+    table = csv.DictWriter(text, [*columns], lineterminator="\n")
+    table.writeheader()
+    table.writerows(rows)
+    return text.getvalue()
+
+
 def format_events(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return the content of ``events.csv``, with full-precision numbers and lower-case Booleans."""
-    text = io.StringIO()
-    table = csv.DictWriter(text, _EVENT_COLUMNS, lineterminator="\n")
-    table.writeheader()
-    table.writerows({**row, "complete": json.dumps(row["complete"])} for row in rows)
-    return text.getvalue()
+    return format_csv(
+        _EVENT_COLUMNS, ({**row, "complete": json.dumps(row["complete"])} for row in rows)
+    )
 
 
 def read_events(file: Path) -> list[EventRow]:

@@ -14,7 +14,6 @@ from typing import Any
 
 from greenroof_ros.base.command_line import refuse
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
-from greenroof_ros.base.files import default_site_file
 from greenroof_ros.base.parameter import Parameter
 from greenroof_ros.base.parameter_sections import read_sections
 from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
@@ -52,7 +51,7 @@ def node_parameter_files(
         return []
     refuse((not file.is_file(), "--node-parameters", str(file), "must be an existing file"))
     nodes = {
-        f"{arguments.namespace}/{name}": _parameters_of(module, controller)
+        f"{arguments.namespace}/{name}": _parameters_of(module, controller, arguments.site)
         for name, module in modules.items()
     }
     for section in read_sections(file):
@@ -95,8 +94,8 @@ def find_value(files: Iterable[Path], node: str, parameter: Parameter) -> Any:
     return value
 
 
-def _parameters_of(module: str, controller: ControllerChoice) -> dict[str, Parameter]:
-    of = controller if module.endswith(".controller") else read_site(default_site_file())
+def _parameters_of(module: str, controller: ControllerChoice, site: Path) -> dict[str, Parameter]:
+    of = controller if module.endswith(".controller") else read_site(site)
     return {parameter.name: parameter for parameter in import_module(module).parameters(of)}
 
 

@@ -41,6 +41,10 @@ def look_ahead_parameters() -> list[Parameter]:
             "increasing duration; 0 selects forecasts of the next M ticks",
         ),
         Parameter(
+            "outlet_horizon", 0.0, "", 0.0, MAX_HORIZON, "length of the forecasts for planning "
+            "the outlet valve (h), reached by appending steps; 0 if the valve is not planned",
+        ),
+        Parameter(
             "all_members", False, meaning="publish all members of a forecast ensemble, for a "
             "controller that uses them (lookahead); false: publish only the first member",
         ),

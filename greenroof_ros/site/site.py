@@ -63,7 +63,7 @@ class Cistern:
     valve_moves_per_hour: float | None = entry(
         "maximum number of openings and closings of the valve in an hour; the valve is then either "
         "open or closed: it opens if it is commanded to open by half or more, at the earliest "
-        "2/valve_moves_per_hour h after its last opening, and otherwise closes at once; if "
+        "2/valve_moves_per_hour h after it has last closed, and otherwise closes at once; if "
         "omitted, a simulated valve follows every command, and that of a live site makes at most 4 "
         "moves an hour", 2.0, 3600.0, unit="1/h", default=None,
     )

@@ -1,4 +1,4 @@
-"""MQTT bridge that publishes the page's values and accepts stop requests; see :class:`Bridge`."""
+"""MQTT bridge that publishes the page's values and accepts few requests; see :class:`Bridge`."""
 
 from __future__ import annotations
 
@@ -6,22 +6,25 @@ import json
 import threading
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from greenroof_ros.base.mqtt import Broker, make_client
 from greenroof_ros.base.processes import Signals
 from greenroof_ros.base.standard_error import print_seldom
-from greenroof_ros.interface.states import PUMP_STATES
+from greenroof_ros.interface.states import PUMP_STATES, VALVE, VALVE_STATES
 from greenroof_ros.watch.document import make_document
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.graph_client import PumpRequestError
+from greenroof_ros.watch.graph_client import RequestError
 from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.words import UNKNOWN, find_display
 
 ONLINE, OFFLINE, ON, OFF = "online", "offline", "ON", "OFF"
-STOP = "STOP"
-"""The whole payload of a message that stops the pump."""
+BUTTONS = {
+    "stop": "Stop the pump", "valve_close": "Close and hold the outlet valve",
+    "valve_open": "Open the outlet valve for 30 minutes",
+}
+"""Requests, each with its label in Home Assistant. The whole payload is the name in capitals."""
 NUMBERS = {
     "roof_level": ("roof", "/roof/level", {"device_class": "distance"}),
     "cistern_level": ("cistern", "/cistern/level", {"device_class": "distance"}),
@@ -38,37 +41,44 @@ _MAX_TEXT, _MAX_ALARMS = 255, 10
 
 
 class Bridge:
-    """A bridge that publishes a site over MQTT and accepts a single request: to stop the pump.
+    """A bridge that publishes a site over MQTT and accepts requests to stop the pump.
 
-    The bridge publishes ``state``, ``alarms`` and ``availability``, and subscribes to ``stop``, all
-    under ``greenroof/SITE/``. The state and the alarms are sent every second. They are not
-    retained, since a client that connects later would mistake an old value for a current one. A
-    stop that the broker has retained is ignored, since it would stop the pump again each time the
-    bridge connects. While connected, the bridge obeys every stop, and requests it again until the
-    pump node has confirmed or refused it. MQTT 3.1.1 does not tell a connected subscriber whether a
-    message was sent as a retained message, and a stop that a person has requested must be obeyed.
-    The broker does not queue stop requests while the bridge is disconnected.
+    It also accepts requests to close the outlet valve and, if that was allowed, to open it for 30
+    minutes. The bridge publishes ``state``, ``alarms`` and ``availability``, and subscribes to
+    ``stop``, ``valve_close`` and ``valve_open``, all under ``greenroof/SITE/``. The state and the
+    alarms are sent every second. They are not retained, since a client that connects later would
+    mistake an old value for a current one. A stop that the broker has retained is ignored, since it
+    would stop the pump again each time the bridge connects. While connected, the bridge obeys every
+    stop, and requests it again until the pump node has confirmed or refused it. The same applies to
+    the closing of the valve, but the opening is requested once. MQTT 3.1.1 does not tell a
+    connected subscriber whether a message was sent as a retained message, and a stop that a person
+    has requested must be obeyed. The broker does not queue stop requests while the bridge is
+    disconnected.
 
-    When the bridge connects, it replaces what others have left in its retained messages.
+    When the bridge connects, it replaces what others have left in its retained messages. Home
+    Assistant is told of the valve once it is known that the site has one.
     """
 
-    def __init__(self, store: GraphStore, feed: Feed, broker: Broker) -> None:
+    def __init__(self, store: GraphStore, feed: Feed, broker: Broker, allow_open: bool) -> None:
         """Prepare the bridge without connecting to the broker.
 
         Args:
             store: graph state to publish.
             feed: feed of the store, through which the pump is stopped.
             broker: MQTT broker to publish to.
+            allow_open: whether the valve may be opened over MQTT.
 
         Raises:
             ConfigurationError: if the MQTT library is missing, or the login or certificate file is
                 invalid.
         """
-        site = store.namespace.strip("/").replace("/", "_") or "roof"
+        self._site = site = store.namespace.strip("/").replace("/", "_") or "roof"
         self._store, self._feed, self._broker = store, feed, broker
         self._base = f"greenroof/{site}"
-        self._discovery = make_discovery(site)
-        self._stop = threading.Event()  # set by the client's thread: a stop was requested
+        self._buttons = [name for name in BUTTONS if allow_open or name != "valve_open"]
+        self._announced: list[str] = []  # the buttons that Home Assistant was told of
+        # What was requested, and that something was; set by the client's thread.
+        self._requested, self._is_requested = set[str](), threading.Event()
         self._client = make_client(
             broker, f"greenroof_{site}", self._on_connect, self._on_message,
             lambda why: print_seldom(why, f"not connected to {broker}: {why}; trying again"),
@@ -84,16 +94,17 @@ class Bridge:
         Raises:
             InterruptedRun: if a signal arrives.
         """
-        is_open = False  # a stop was requested that the pump node has not answered
+        unanswered: set[str] = set()
         self._client.loop_start()
         try:
             while True:
                 signals.check()
-                if self._stop.wait(_POLL_S):
-                    self._stop.clear()
-                    is_open = True
-                if is_open:
-                    is_open = not self._is_answered()
+                if self._is_requested.wait(_POLL_S):
+                    self._is_requested.clear()
+                while self._requested:
+                    unanswered.add(self._requested.pop())
+                # The stop first, and the valve is closed before a request to open it.
+                unanswered = {name for name in sorted(unanswered) if not self._is_answered(name)}
                 try:
                     self._publish_state()
                 except Exception:  # Home Assistant shows as unavailable what is not renewed
@@ -103,15 +114,16 @@ class Bridge:
             self._client.disconnect()  # after this message
             self._client.loop_stop()
 
-    def _is_answered(self) -> bool:
-        """Request a stop; return False if it must be requested again, whatever the reason."""
-        kind, is_answered = "stop", True
+    def _is_answered(self, name: str) -> bool:
+        """Request an action; return False if it must be requested again, whatever the reason."""
+        kind, is_answered = name, True
         try:
-            answer = self._feed.request_action("stop", owner="MQTT")
+            answer = self._feed.request_action(name, owner="MQTT")
         except Exception as error:
-            is_answered = isinstance(error, PumpRequestError) and error.answered
-            kind, answer = f"no stop {is_answered}", str(error)
-        print_seldom(kind, f"stop requested over MQTT: {answer}")
+            is_refused = isinstance(error, RequestError) and error.answered
+            is_answered = is_refused or name == "valve_open"
+            kind, answer = f"no {name} {is_answered}", str(error)
+        print_seldom(kind, f"{name} requested over MQTT: {answer}")
         return is_answered
 
     def _publish(self, name: str, text: str, *, retain: bool = False) -> None:
@@ -121,6 +133,11 @@ class Bridge:
         # Again and again, as another bridge of this site may have ended.
         self._publish("availability", ONLINE, retain=True)
         shown = make_document(self._store, time.monotonic())
+        buttons = self._buttons if VALVE in shown["tiles"] else self._buttons[:1]
+        if buttons != self._announced:
+            self._announced = buttons
+            for topic, text in make_discovery(self._site, buttons).items():
+                self._client.publish(topic, text, retain=True)
         for name, content in (("state", make_state(shown)), ("alarms", make_alarms(shown))):
             self._publish(name, json.dumps(content, allow_nan=False))
 
@@ -128,15 +145,17 @@ class Bridge:
 
     def _on_connect(self) -> None:
         print_seldom("connected", f"connected to {self._broker}; topics: {self._base}/")
-        self._client.subscribe(f"{self._base}/stop")
-        for topic, text in self._discovery.items():
-            self._client.publish(topic, text, retain=True)
+        for name in self._buttons:
+            self._client.subscribe(f"{self._base}/{name}")
+        self._announced = []
 
     def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
-        if payload == STOP.encode() and not retained:
-            self._stop.set()
+        word = topic.rpartition("/")[2].upper()
+        if payload == word.encode() and not retained:
+            self._requested.add(word.lower())
+            self._is_requested.set()
         else:
-            print_seldom("ignored", f"{topic}: message ignored: must be {STOP}, and not retained")
+            print_seldom("ignored", f"{topic}: message ignored: must be {word}, and not retained")
 
 
 def make_state(shown: Mapping[str, Any]) -> dict[str, Any]:
@@ -150,6 +169,8 @@ def make_state(shown: Mapping[str, Any]) -> dict[str, Any]:
         "condition": rows[0]["code"] if rows else "none" if shown["known"] else UNKNOWN,
         "problem": ON if tiles["summary"]["level"] == "error" else OFF,
     }
+    if (valve := tiles.get(VALVE)) is not None:
+        fields[VALVE] = UNKNOWN if valve["state"] == "alarm" else valve["state"]
     for key, (tile, topic, _) in NUMBERS.items():
         display, number = find_display(topic), tiles[tile]["number"]
         fields[key] = None if number is None else round(number * display.factor, display.decimals)
@@ -168,7 +189,7 @@ def make_alarms(shown: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def make_discovery(site: str) -> dict[str, str]:
+def make_discovery(site: str, buttons: Sequence[str] = ("stop",)) -> dict[str, str]:
     """Return the messages that let Home Assistant discover a site, one for each entity, by topic.
 
     Every entity takes its value from a field of the same message, ``greenroof/SITE/state``. Each
@@ -177,6 +198,7 @@ def make_discovery(site: str) -> dict[str, str]:
 
     Args:
         site: name of the site in topics and IDs, consisting of letters, digits and _.
+        buttons: names of the requests that are possible; those on the valve if there is one.
     """
     base, node = f"greenroof/{site}", f"greenroof_{site}"
     entities: dict[str, tuple[str, dict[str, Any]]] = {
@@ -187,10 +209,14 @@ def make_discovery(site: str) -> dict[str, str]:
         "problem": ("binary_sensor", {
             "name": "Alarm", "device_class": "problem", "json_attributes_topic": f"{base}/alarms",
         }),
-        "stop": ("button", {
-            "name": "Stop the pump", "command_topic": f"{base}/stop", "payload_press": STOP,
-        }),
     }
+    if "valve_close" in buttons:
+        options = {"device_class": "enum", "options": [*VALVE_STATES]}
+        entities[VALVE] = "sensor", {"name": "Outlet valve", **options}
+    for key in buttons:
+        entities[key] = "button", {
+            "name": BUTTONS[key], "command_topic": f"{base}/{key}", "payload_press": key.upper(),
+        }
     for key, (_, topic, kind) in NUMBERS.items():
         display = find_display(topic)
         entities[key] = "sensor", {

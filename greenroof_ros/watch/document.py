@@ -17,7 +17,7 @@ from typing import Any
 from greenroof_ros.base.text import clean_text, number_of
 from greenroof_ros.interface.alarm import advise
 from greenroof_ros.interface.conditions import command_for
-from greenroof_ros.interface.states import PUMP
+from greenroof_ros.interface.states import PUMP, VALVE
 from greenroof_ros.ros.alarms import describe_alarm
 from greenroof_ros.watch import words
 from greenroof_ros.watch.lines import AHEAD_S, END_S, STRETCH_NS
@@ -59,6 +59,10 @@ _DOSE = (
     "The pump then delivers this volume once, regardless of the controller's command, but only up "
     f"to the roof's target. The dose ends early if anything keeps the pump off. {_LOCK_OUT}"
 )
+
+_CLOSE = "The valve closes, and is kept closed until someone releases it."
+_RELEASE_VALVE = "The valve then opens when the controller requires it and nothing keeps it closed."
+_OPEN = "The valve opens for 30 minutes, unless an interlock keeps it closed or closes it earlier."
 
 
 def make_document(store: GraphStore, steady: float) -> dict[str, Any]:
@@ -102,7 +106,7 @@ def _list_notes(store: GraphStore) -> list[str]:
 
 
 def describe_stop(store: GraphStore) -> dict[str, Any]:
-    """Return the actions on the pump that are possible here, and what the pump node says of them.
+    """Return the actions that are possible here, and what the pump node says of those on the pump.
 
     The pump can be stopped if any node may control it, regardless of what the nodes report. It
     counts as stopped if it is held and at standstill; a hold alone only means that the pump should
@@ -122,9 +126,14 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
             actions["clear"] = f"The fault is cleared: {fault}. {_RELEASE}"
         if dose["max"] is not None and not values.get("no_dose"):
             actions["dose"] = _DOSE
+    if (valve := store.node(VALVE)) is not None:
+        actions["valve_close"] = _CLOSE
+        if store.allow_release:
+            held = valve.values.get("hold")
+            actions |= {"valve_release": _RELEASE_VALVE} if held else {"valve_open": _OPEN}
     return {
-        "possible": bool(store.offered), "hold": hold, "stopped": bool(hold) and at_rest,
-        "dose": dose, "actions": actions,
+        "possible": bool(store.offered), "needed": store.site.irrigated, "hold": hold,
+        "stopped": bool(hold) and at_rest, "dose": dose, "actions": actions,
         "label": "Keep the pump off" if at_rest else "Stop the pump",
     }
 
@@ -215,21 +224,22 @@ def _summarize(
     # It is not green if a value is not as it should be, even if no action is needed. A dry roof
     # that is being watered is as it should be.
     is_watered = (roof["state"], pump["state"]) == ("low", "running")
+    states = {tiles[role]["state"] for role in (PUMP, VALVE) if role in tiles}
     level = "ok" if (
         known and not rows and store.mode != "none" and tiles["cistern"]["state"] == "good"
-        and (roof["state"] == "good" or is_watered)
-        and pump["state"] not in ("unknown", "fault", "held")
+        and (roof["state"] in ("good", "none") or is_watered)
+        and not states & {"unknown", "fault", "held"}
     ) else "warn"
-    if serious or gone is not None or pump["state"] == "alarm":
+    if serious or gone is not None or "alarm" in states:
         level = "error"
     counts = (len(serious), "alarm"), (len(rows) - len(serious), "warning")
     word = ", ".join(number_of(count, name) for count, name in counts if count)
     word = word or ("All is well" if level == "ok" else "")
     if not known and gone is None:
         word = "Whether there are alarms is unknown"
-    # The advice on the first alarm; of a hold or a pump that may turn, the box states more.
-    told = "hold", "standstill_unknown"
-    step = next((row["do"] for row in rows if row["code"] not in told), "")
+    # The advice on the first alarm; of a held pump or one that may turn, the box states more.
+    told = (PUMP, "hold"), (PUMP, "standstill_unknown")
+    step = next((row["do"] for row in rows if (row["role"], row["code"]) not in told), "")
     unknown = any(tiles[name]["state"] == "unknown" for name in ("roof", "cistern", "pump"))
     worst = serious[0]["what"] if serious else ""
     if worst and serious[0]["role"] != PUMP:
@@ -243,6 +253,7 @@ def _summarize(
         (store.mode == "ended", "The run has ended, and its last state is shown.", step),
         (store.runs_on, _WELDED, step),
         (pump["state"] == "alarm", "The pump may be running.", f"{_GO_AND_SEE} {step}".strip()),
+        ("alarm" in states, "The outlet valve may be open.", step),
         (worst, f"{worst}.", step),
         (True, now, step or (_UNKNOWN if unknown and not starting else "Nothing to do.")),
     )

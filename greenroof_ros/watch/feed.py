@@ -1,4 +1,4 @@
-"""Feed that passes messages from a running graph to the store and requests to the pump node.
+"""Feed that passes messages from a running graph to the store, and requests to its nodes.
 
 A watcher must not slow down the graph: see :mod:`greenroof_ros.watch.graph_client`. Each of a
 watcher's subscriptions nevertheless costs the publisher time in every tick, so the watcher receives
@@ -17,12 +17,13 @@ from typing import Any
 
 from greenroof_ros.base.disk import DISK
 from greenroof_ros.base.standard_error import print_seldom
+from greenroof_ros.interface.states import PUMP
 from greenroof_ros.watch.graph_client import (
     ALARMS,
     CLOCK,
     DIAGNOSTICS,
     GraphClient,
-    PumpRequestError,
+    RequestError,
     read_message,
 )
 from greenroof_ros.watch.lines import read_histories, write_histories
@@ -31,6 +32,8 @@ from greenroof_ros.watch.store import FASTEST, TOPICS, GraphStore
 # Interval at which the watcher receives new messages (s).
 _POLL_S = 0.1
 _STOP_S = 3.0
+# For how long the valve is opened (s).
+_OPEN_S = 1800.0
 # Interval at which the past of a live site is saved, and longest wait at the end for this (s).
 _SAVE_S, _SAVED_S = 600.0, 10.0
 
@@ -71,25 +74,29 @@ class Feed:
         DISK.wait(_SAVED_S)
 
     def request_action(self, action: str, **request: Any) -> str:
-        """Request a hold, a release, the clearing of a fault or a dose; callable from any thread.
+        """Request an action; callable from any thread.
 
         Args:
             action: name of the action, as in
-                :meth:`greenroof_ros.watch.graph_client.GraphClient.request`.
+                :meth:`greenroof_ros.watch.graph_client.GraphClient.request`; for the valve,
+                ``valve_close``, ``valve_release`` or ``valve_open``, which is for 30 minutes.
             request: parameters of the action.
 
         Returns:
-            The pump node's answer.
+            The node's answer.
 
         Raises:
-            PumpRequestError: if the pump node does not confirm the request.
+            RequestError: if the node does not confirm the request.
         """
+        role, _, name = action.rpartition("_")
+        if name == "open":
+            request["until"] = time.time() + _OPEN_S
         if self._client is None or not self._requesting.acquire(timeout=2 * _STOP_S):
-            raise PumpRequestError(
-                "The watcher is busy, so no request was sent to the pump node and nothing was done."
+            raise RequestError(
+                "The watcher is busy, so no request was sent, and nothing was done."
             )
         try:
-            return self._client.request(action, _STOP_S, **request)
+            return self._client.request(name, _STOP_S, role or PUMP, **request)
         finally:
             self._requesting.release()
 
@@ -122,7 +129,7 @@ class Feed:
         self._client.subscribe(topics if wanted else ())
         if self._requesting.acquire(blocking=False):  # a request itself finds the pumps
             try:
-                store.offered = self._client.find_pumps()
+                store.offered = self._client.find_nodes()
             finally:
                 self._requesting.release()
         if now - self._saved_at >= _SAVE_S:

@@ -1,6 +1,7 @@
-"""A client of a graph, which receives selected topics and can hold the pump.
+"""A client of a graph, which receives selected topics and can hold the pump or the outlet valve.
 
-The client can also release the pump, clear some faults and, if the site allows it, request a dose.
+The client can also release both, clear some faults, open the valve and, if the site allows it,
+request a dose.
 
 The client must not delay any node. It therefore subscribes with best-effort reliability and
 volatile durability, so no publisher stores or resends messages for the client, or waits for it. The
@@ -19,6 +20,7 @@ from contextlib import suppress
 from itertools import islice
 from typing import Any
 
+from greenroof_ros.interface.states import PUMP, VALVE
 from greenroof_ros.interface.topics import Qos, read_topics
 from greenroof_ros.ros.domain import SHUTDOWN_S, join
 from greenroof_ros.ros.rclpy_internals import take_messages
@@ -34,6 +36,8 @@ _DISCOVERY_S, _SPIN_S = 2.0, 0.02
 _NO_CLOCK_S = 10.0
 
 DIAGNOSTICS, ALARMS, CLOCK = "/diagnostics", "/alarms", "/clock"
+HOLDS = "stop", "close"
+"""Actions that hold the pump off or the valve closed."""
 
 
 def read_message(name: str, message: bytes) -> Any:
@@ -54,11 +58,11 @@ def read_message(name: str, message: bytes) -> Any:
     return None
 
 
-class PumpRequestError(Exception):
-    """Error for a request that the pump node did not confirm; the message states the reason.
+class RequestError(Exception):
+    """Error for a request that a node did not confirm; the message states the reason.
 
     Attributes:
-        answered: whether every node that may control the pump has answered, if only by a refusal.
+        answered: whether every node that the request is for has answered, if only by a refusal.
     """
 
     def __init__(self, reason: str, *, answered: bool = False) -> None:
@@ -102,7 +106,7 @@ class GraphClient:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._caller)
         self._types: dict[str, Any] = dict.fromkeys(("release", "clear", "reset"), Trigger)
-        self._types |= dict.fromkeys(("hold", "dose"), SetParametersAtomically)
+        self._types |= dict.fromkeys(("hold", "dose", "open"), SetParametersAtomically)
         self._offers_hold = re.compile(re.escape(namespace) + "/[^/]+(?=/hold$)")
         self._joined_at = time.monotonic()
         self._clients: dict[tuple[str, str], Any] = {}  # by node and service
@@ -142,24 +146,29 @@ class GraphClient:
             if time_ns := self._clock_ns if simulated else arrived_ns:
                 self._on_message(name, message, time_ns)
 
-    def find_pumps(self) -> dict[str, int]:
+    def find_nodes(self, role: str = PUMP) -> dict[str, int]:
         """Return the names of the nodes that offer a hold service, with how many have this name.
 
         The names do not depend on any reports. A client is opened for each service, so that it is
         ready for a later stop.
+
+        Args:
+            role: ``pump``, or ``valve`` for the nodes that also offer to open.
         """
-        pumps = {
+        services = dict(self._caller.get_service_names_and_types())
+        nodes = {
             offered[0]: count
-            for service, types in self._caller.get_service_names_and_types()
+            for service, types in services.items()
             if "rcl_interfaces/srv/SetParametersAtomically" in types
             and (offered := self._offers_hold.match(service))
+            and (f"{offered[0]}/open" in services) == (role == VALVE)
             and (count := self._caller.count_services(service))  # listed for this client alone: 0
         }
-        for key in [key for key in self._clients if key[0] not in pumps]:
+        for key in [key for key in self._clients if key[0] not in nodes]:
             self._caller.destroy_client(self._clients.pop(key))
-        for name in pumps:
+        for name in nodes:
             self._open_client(name, "hold")
-        return pumps
+        return nodes
 
     def _open_client(self, name: str, service: str) -> Any:
         if (name, service) not in self._clients:
@@ -168,29 +177,34 @@ class GraphClient:
             )
         return self._clients[name, service]
 
-    def request(self, action: str, timeout_s: float, **parameters: float | str) -> str:
-        """Make a request to the pump node, and return its answer.
+    def request(
+        self, action: str, timeout_s: float, role: str = PUMP, **parameters: float | str
+    ) -> str:
+        """Make a request to the node of the pump or the valve, and return its answer.
 
         A stop is sent to every node that may control the pump. If more than one node may control
-        the pump, no other request is sent to any of them.
+        the pump, no other request is sent to any of them. The same applies to the valve.
 
         Args:
             action: name of the action. ``stop`` holds the pump until someone releases it, or until
-                a given time. ``release`` ends the hold, regardless of who requested it. ``clear``
-                clears a latched fault that may be cleared remotely. ``reset`` clears any fault, and
-                is meant for a person at the pump. ``dose`` delivers a volume.
+                a given time; so does ``close`` with the valve. ``release`` ends the hold,
+                regardless of who requested it. ``clear`` clears a latched fault that may be cleared
+                remotely. ``reset`` clears any fault, and is meant for a person at the device.
+                ``dose`` delivers a volume. ``open`` opens the valve until a given time.
             timeout_s: maximum time to wait for the answer (s).
+            role: role of the node: ``pump`` or ``valve``.
             parameters: parameters of the action. A stop has an ``owner`` (the person or program
                 that requests it), a ``reason`` (may be empty) and, if it ends at a given time, this
                 time as ``until`` (s since 1970). A dose has a ``volume`` (m3) and ``asked_at``, the
-                time at which the user requested the dose (s since 1970).
+                time at which the user requested the dose (s since 1970). An opening has an
+                ``owner`` and ``until``.
 
         Raises:
-            PumpRequestError: if the pump node does not confirm the request.
+            RequestError: if the node does not confirm the request.
         """
         from rclpy.parameter import Parameter
 
-        service = "hold" if action == "stop" else action
+        service = "hold" if action in HOLDS else action
         request = self._types[service].Request()
         if parameters:
             request.parameters = [
@@ -201,26 +215,26 @@ class GraphClient:
         until = now + timeout_s
         settled = min(until, self._joined_at + _DISCOVERY_S)
         sent: dict[str, Any] = {}
-        pumps: dict[str, int] = {}
+        nodes: dict[str, int] = {}
 
         def are_answered() -> bool:
-            return bool(pumps) and all(name in sent and sent[name].done() for name in pumps)
+            return bool(nodes) and all(name in sent and sent[name].done() for name in nodes)
 
         while now < until and (now < settled or not are_answered()):
-            pumps = self.find_pumps()
-            if action != "stop" and sum(pumps.values()) > 1:
-                raise PumpRequestError(
+            nodes = self.find_nodes(role)
+            if service != "hold" and sum(nodes.values()) > 1:
+                raise RequestError(
                     "Nothing was done, because it is unclear which of these nodes controls the "
-                    f"pump: {', '.join(sorted(pumps))}. Shut down the nodes that should not be "
+                    f"{role}: {', '.join(sorted(nodes))}. Shut down the nodes that should not be "
                     "running."
                 )
-            for name in pumps.keys() - sent.keys():
+            for name in nodes.keys() - sent.keys():
                 client = self._open_client(name, service)
-                if client.service_is_ready() and (action == "stop" or now >= settled):
+                if client.service_is_ready() and (service == "hold" or now >= settled):
                     sent[name] = client.call_async(request)
             self._executor.spin_once(timeout_sec=_SPIN_S)
             now = time.monotonic()
-        return _read_answers(service, timeout_s, pumps, sent)
+        return _read_answers(role, service, timeout_s, nodes, sent)
 
     def close(self) -> None:
         """Leave the domain."""
@@ -233,27 +247,28 @@ class GraphClient:
 
 
 def _read_answers(
-    service: str, timeout_s: float, pumps: Mapping[str, int], sent: Mapping[str, Any]
+    role: str, service: str, timeout_s: float, nodes: Mapping[str, int], sent: Mapping[str, Any]
 ) -> str:
     """Return the answers of all nodes as a sentence.
 
     Args:
+        role: role of the nodes.
         service: name of the service.
         timeout_s: time spent waiting for the answers (s).
-        pumps: names of the nodes, each with the number of nodes that have this name.
+        nodes: names of the nodes, each with the number of nodes that have this name.
         sent: future of each request that was sent, by the name of the node.
 
     Raises:
-        PumpRequestError: if a node does not confirm the request.
+        RequestError: if a node does not confirm the request.
     """
-    if not pumps:
-        raise PumpRequestError(
-            "There is no pump node to send the request to: no node provides the service "
-            f"{service}. Start the pump node's graph first, with the same ROS_DOMAIN_ID, "
+    if not nodes:
+        raise RequestError(
+            f"There is no {role} node to send the request to: no node provides the service "
+            f"{service}. Start the {role} node's graph first, with the same ROS_DOMAIN_ID, "
             "ROS_AUTOMATIC_DISCOVERY_RANGE and --namespace."
         )
     sentences, confirmed, answered = [], True, True
-    for name, count in sorted(pumps.items()):
+    for name, count in sorted(nodes.items()):
         ok, text = False, (
             f"{name} did not answer within {timeout_s:g} s: it may or may not have carried out the "
             "request."
@@ -268,8 +283,8 @@ def _read_answers(
             ok = has_answered = False
             text += "; two nodes have this name: shut down one, and try again"
         confirmed, answered = confirmed and ok, answered and has_answered
-        sentences.append(f"{name}: {text}" if len(pumps) > 1 or count > 1 else text)
+        sentences.append(f"{name}: {text}" if len(nodes) > 1 or count > 1 else text)
     if not confirmed:
         # A hold with this answer may be in force, but it would not survive a restart.
-        raise PumpRequestError("; ".join(sentences), answered=answered)
+        raise RequestError("; ".join(sentences), answered=answered)
     return "; ".join(sentences)

@@ -1,9 +1,10 @@
 """HTTP server for the page: its files, two documents that it polls, and the actions it can request.
 
-Anyone who can reach the address can view the page and stop the pump. If a token has been set, it is
-required for both. The page can release a hold only if releasing was allowed when the server
-was started; this requires a token. The page can then also clear a fault that does not require a
-person at the pump and, if the site file allows doses, request a dose.
+Anyone who can reach the address can view the page, stop the pump and close the outlet valve. If a
+token has been set, it is required for all of this. The page can release a hold only if releasing
+was allowed when the server was started; this requires a token. The page can then also open the
+valve, clear a fault that does not require a person at the pump and, if the site file allows doses,
+request a dose.
 
 Every path is a fixed route; no path is looked up in the file system. Other pages in the same
 browser cannot make requests: a request must name this host (and not another name that resolves to
@@ -36,7 +37,7 @@ from greenroof_ros.base.standard_error import print_seldom
 from greenroof_ros.base.text import clean_text
 from greenroof_ros.watch.document import HOURS, describe_stop, make_document, make_series
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.graph_client import PumpRequestError
+from greenroof_ros.watch.graph_client import HOLDS, RequestError
 from greenroof_ros.watch.listening import Listener
 from greenroof_ros.watch.store import GraphStore
 
@@ -103,6 +104,8 @@ class PageServer:
             self._app.router.add_get(path, self._read_document, allow_head=False)
         for action in ("stop", "release", "clear", "dose"):
             self._app.router.add_post(f"/{action}", self._act)
+        for action in ("close", "release", "open"):
+            self._app.router.add_post(f"/valve_{action}", self._act)
 
     def serve(self, signals: Signals) -> None:
         """Serve the page until a signal arrives.
@@ -164,7 +167,7 @@ class PageServer:
         try:
             self._check(request)
             answer = await handler(request)
-        except PumpRequestError as failure:
+        except RequestError as failure:
             answer = _make_response(False, str(failure))
         except web.HTTPException as error:
             answer = _make_response(False, error.reason, error.status)
@@ -226,20 +229,21 @@ class PageServer:
         return body, ETag(hashlib.sha256(body).hexdigest())
 
     async def _act(self, request: web.Request) -> web.Response:
-        """Carry out an action on the pump.
+        """Carry out an action on the pump or the valve.
 
         A stop that is requested while one is under way gets the answer to that one. Any other
         action is refused while one is under way, so nothing is done after a stop that was requested
-        before it, and a stop waits for one other action at most.
+        before it, and a stop waits for one other action at most, and the closing of the valve.
         """
         action = request.path[1:]
-        if action != "stop":
+        name = action.removeprefix("valve_")
+        if name not in HOLDS:
             with self._store.lock:
                 offered = describe_stop(self._store)["actions"]
             # Behind a proxy, every request comes from this machine, so it needs a token.
             if self._token is None or action not in offered:
                 raise web.HTTPForbidden(reason="this action is not offered now")
-        given: dict[str, Any] = {"owner": "the page"} if action == "stop" else {}
+        given: dict[str, Any] = {"owner": "the page"} if name in (*HOLDS, "open") else {}
         if action == "dose":
             try:
                 body = json.loads(await request.read())
@@ -248,7 +252,7 @@ class PageServer:
                 reason = "volume (m3) and asked_at (s) must be numbers"
                 raise web.HTTPBadRequest(reason=reason) from None
         under_way = {name for name, task in self._acting.items() if not task.done()}
-        if action != "stop" and under_way:
+        if name not in HOLDS and under_way:
             return _make_response(False, "Nothing was done: another request is under way.")
         if action not in under_way:
             self._acting[action] = asyncio.create_task(

@@ -1,4 +1,4 @@
-"""The values to read at a glance: roof, cistern, pump, watering, rain and temperature.
+"""The values to read at a glance: roof, cistern, pump, watering, rain, temperature and valve.
 
 Every tile has a ``label``, a ``value`` in words, this value as a ``number``, a ``state`` that rates
 the value, and a ``sentence`` with details. A value that is overdue is unknown.
@@ -13,10 +13,11 @@ from typing import Any
 from greenroof_ros.base.text import number_of
 from greenroof_ros.base.times import duration
 from greenroof_ros.interface.conditions import read_conditions
-from greenroof_ros.interface.states import PUMP, PUMP_STATES
+from greenroof_ros.interface.states import PUMP, PUMP_STATES, VALVE, VALVE_STATES
 from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.results.sums import NEAR_TARGET
 from greenroof_ros.ros.alarms import describe_alarm
+from greenroof_ros.ros.reports import NodeReport
 from greenroof_ros.watch import words
 from greenroof_ros.watch.store import FLOW, GraphStore
 
@@ -27,6 +28,7 @@ _SEEN_S = 3600.0
 _COMMAND, _RAIN = "/pump/command", "/weather/precipitation"
 _ROOF, _CISTERN, _FROST = "/roof/level", "/cistern/level", "/weather/frost"
 _THERMOMETER, _VALVE = "/gauge/temperature", "/outlet/command"
+_POSITION, _OUTLET_FLOW = "/outlet/position", "/outlet/flow"
 write_level = partial(words.write_value, _ROOF)
 write_flow = partial(words.write_value, FLOW)
 
@@ -35,11 +37,15 @@ Tile = dict[str, Any]
 
 def make_tiles(store: GraphStore) -> dict[str, Tile]:
     """Return all tiles, by their keys."""
-    pump = _make_pump_tile(store)
+    pump, valve = _make_pump_tile(store), store.node(VALVE)
+    roof = _make_tile(store, "Roof level", _ROOF, _judge_roof)
+    if not store.site.irrigated and _ROOF not in store.newest:
+        roof |= {"state": "none", "sentence": "not measured"}
     return {
-        "roof": _make_tile(store, "Roof level", _ROOF, _judge_roof),
+        "roof": roof,
         "cistern": _make_tile(store, "Cistern level", _CISTERN, _judge_cistern),
         "pump": pump,
+        **({} if valve is None else {VALVE: _make_valve_tile(store, valve)}),
         "watering": _make_watering_tile(store, pump),
         "rain": _make_tile(store, "Rain", _RAIN, lambda *_: ("good", _write_coming_rain(store))),
         "temperature": _make_temperature_tile(store),
@@ -112,17 +118,19 @@ def _judge_cistern(store: GraphStore, level: float) -> tuple[str, str]:
     """Describe what can be pumped and for how long it lasts."""
     site = store.site
     usable = site.cistern_volume(level - site.suction_level)
-    if usable <= 0:
+    if usable <= 0 and site.irrigated:
         return "low", "too low for the pump, since it is not above the suction level"
     if level > site.z_o:
         return "high", "above its overflow, so water is running to the sewer"
+    if not site.irrigated:
+        return "good", f"{words.write_number(site.cistern_volume(level), 'm³', 1)} of water"
     text = f"{words.write_number(usable, 'm³', 1)} above the suction level can be pumped"
     now, first = store.now, store.flow_since
     days = 0 if first is None else min(_DAYS, int((now - first) // _DAY_S))
     if days > 0 and (given := store.given_since(now - days * _DAY_S)):
         left = number_of(round(usable * days / given), "day")
         text += f", enough for {left} at the use of the past {number_of(days, 'day')}"
-    if (share := store.present_value(_VALVE)) is not None:
+    if store.mode != "live" and (share := store.present_value(_VALVE)) is not None:
         text += f"; the outlet valve is {words.write_value(_VALVE, share)} open"
     return "good", text
 
@@ -186,6 +194,8 @@ def _make_pump_tile(store: GraphStore) -> Tile:
 def _read_pump_state(store: GraphStore) -> tuple[str, str]:
     """Return the pump's state and the reason; in a simulation, derive both if not reported."""
     values = store.pump_values
+    if not store.site.irrigated:
+        return "off", "the site has no pump"
     if state := words.text_of(values, "pump_state"):
         # Of a hold, the page states more, and in the site's time.
         hold = values.get("hold")
@@ -213,7 +223,7 @@ def _make_watering_tile(store: GraphStore, pump: Tile) -> Tile:
     share, plan, now = store.present_value(_COMMAND), store.plan, store.now
     pumped = None if plan is None else plan.pumped(now)
     value, state, sentence = "not now", "good", ""
-    if share is None:
+    if share is None and store.site.irrigated:
         value, state, sentence = words.UNKNOWN, "unknown", "the controller's command is unknown"
     elif share:
         value = "now"
@@ -244,3 +254,38 @@ def _write_given(store: GraphStore) -> str:
     )
     since = f" (seen since {store.time_text(first)})" if first > now - _DAYS * _DAY_S else ""
     return f"given: {today} today, {week} in the past {_DAYS} days{since}"
+
+
+# --- the outlet valve -----------------------------------------------------------------------------
+
+
+def _make_valve_tile(store: GraphStore, node: NodeReport) -> Tile:
+    """Return the tile of the valve: command and position, which are two values, and the reason.
+
+    The state is ``alarm`` if the valve might be open unnoticed.
+    """
+    values, lost = node.values, store.mode != "ended" and not node.is_online(store.steady)
+    reported, why = words.text_of(values, "valve_state"), words.text_of(values, "valve_why")
+    position, flow, until = (
+        words.number_in(values, key) for key in ("position", "flow", "open_until")
+    )
+    value = state = reported if reported in VALVE_STATES else words.UNKNOWN
+    where = "position unknown"
+    if position is not None:
+        where = f"position {words.write_value(_POSITION, position)} by its end switches"
+    elif store.node("open_switch") is None:
+        where += ": no end switches"
+    told = [
+        f"commanded {'open' if values.get('commanded') else 'closed'}", where,
+        "" if flow is None else words.write_value(_OUTLET_FLOW, flow),
+        "" if until is None else f"requested to be open until {store.time_text(until)}",
+    ]
+    if lost:
+        value = state = words.UNKNOWN
+        position, told = None, [f"{reported} at last contact"]
+    if values.get("at_rest") is False and (lost or values.get("speed", 0.0) is None):
+        value, state = "may be open", "alarm"
+    return {
+        "label": "Outlet valve", "value": value, "number": position, "state": state,
+        "sentence": _join(*told, why),
+    }

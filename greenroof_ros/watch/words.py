@@ -15,7 +15,7 @@ from greenroof_ros.interface.topics import Display, read_topics
 
 UNKNOWN = "unknown"
 # A command in an advice, rather than the service of that name.
-_COMMAND = re.compile(r"\bgreenroof(?= (?:live|release|reset|watch)\b)")
+_COMMAND = re.compile(r"\bgreenroof(?= (?:live|outlet|release|reset|watch)\b)")
 
 
 def write_number(value: float, unit: str, decimals: int, factor: float = 1.0) -> str:

@@ -27,9 +27,8 @@ from greenroof_ros.weather.quantities import (
     TEMPERATURE,
     WIND,
 )
-from greenroof_ros.weather.records import HOUR, Records, find_gaps
+from greenroof_ros.weather.records import HOUR, Array, Records, find_gaps
 
-Values = NDArray[np.float64]
 Days = NDArray[np.datetime64]
 
 FAO56, HARGREAVES, MONTHLY = "fao56", "hargreaves", "monthly"
@@ -44,12 +43,12 @@ _DAY_S, _PART_S = 86400, 300
 _ENOUGH_H, _MAX_GAP_DAYS = 18, 3
 
 
-def saturation_vapour_pressure(temperature: Values) -> Values:
+def saturation_vapour_pressure(temperature: Array) -> Array:
     """Return e0 (kPa) at a temperature (degC), Eq. 11; at the dew point, the vapour pressure."""
     return 0.6108 * np.exp(17.27 * temperature / (temperature + 237.3))
 
 
-def compute_hourly(site: Place, first: datetime, values: dict[str, Values]) -> Values:
+def compute_hourly(site: Place, first: datetime, values: dict[str, Array]) -> Array:
     """Return the reference evapotranspiration of consecutive hours, Eq. 53 (mm/h), shape (hours,).
 
     Net radiation is computed with Eqs. 37-40 from solar radiation. If solar radiation was not
@@ -96,7 +95,7 @@ def compute_hourly(site: Place, first: datetime, values: dict[str, Values]) -> V
     return np.asarray(model(len(hour), night_ratio).eto_fao(max_ETo=None, decimals=None))
 
 
-def compute_fao56(records: Records, site: Place) -> Values:
+def compute_fao56(records: Records, site: Place) -> Array:
     """Return the evapotranspiration of the vegetation in every hour (mm/day), shape (hours,).
 
     The result is the site's crop coefficient times the reference evapotranspiration; it is NaN for
@@ -122,7 +121,7 @@ def compute_fao56(records: Records, site: Place) -> Values:
     return result * 24 * site.crop_coefficient
 
 
-def _compute_stretches(site: Place, records: Records, values: dict[str, Values]) -> Values:
+def _compute_stretches(site: Place, records: Records, values: dict[str, Array]) -> Array:
     """Apply :func:`compute_hourly` to every period without gaps; the result is NaN in gaps.
 
     Each period is computed separately, because the cloudiness at night is that of the previous
@@ -180,7 +179,7 @@ def is_polar(site: Place) -> bool:
     return (site.latitude or 0.0) not in _LATITUDES
 
 
-def repeat_monthly(records: Records, site: Place) -> Values | None:
+def repeat_monthly(records: Records, site: Place) -> Array | None:
     """Return the site's monthly mean evapotranspiration (mm/day) for every hour, if known."""
     if site.monthly_evapotranspiration is None:
         return None
@@ -200,7 +199,7 @@ def _number_days(seconds: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.asarray((days - days.astype("datetime64[Y]")).astype(np.int64) + 1)
 
 
-def hargreaves(latitude: float, days: Days, minimum: Values, maximum: Values) -> Values:
+def hargreaves(latitude: float, days: Days, minimum: Array, maximum: Array) -> Array:
     """Return each day's reference evapotranspiration (mm/day), FAO-56 Eq. 52, shape (days,).
 
     ET0 = 0.0023 (Tmean + 17.8) sqrt(Tmax - Tmin) Ra, where Ra is in mm/day and Tmean is the mean of
@@ -222,7 +221,7 @@ def hargreaves(latitude: float, days: Days, minimum: Values, maximum: Values) ->
     return np.asarray(np.maximum(0.0, reference * (_MM_PER_MJ * model["R_a"])))
 
 
-def sun_height(latitude: float, seconds: NDArray[np.int64], east_of_meridian: float) -> Values:
+def sun_height(latitude: float, seconds: NDArray[np.int64], east_of_meridian: float) -> Array:
     """Return the sine of the sun's elevation, 0 at night, FAO-56 Eqs. 24 and 31-33.
 
     Args:
@@ -242,8 +241,8 @@ def sun_height(latitude: float, seconds: NDArray[np.int64], east_of_meridian: fl
 
 
 def spread_over_day(
-    daily: Values, site: Place, seconds: NDArray[np.int64], step_s: float
-) -> Values:
+    daily: Array, site: Place, seconds: NDArray[np.int64], step_s: float
+) -> Array:
     """Distribute daily evapotranspiration over steps in proportion to the sun's elevation.
 
     The daily totals are preserved. A step that spans midnight belongs to the day in which it
@@ -273,8 +272,8 @@ def spread_over_day(
 
 
 def find_extremes(
-    day: NDArray[np.intp], minimum: Values, maximum: Values, needed: float
-) -> Values:
+    day: NDArray[np.intp], minimum: Array, maximum: Array, needed: float
+) -> Array:
     """Return the minimum and maximum temperature of every day (degC), shape (2, days).
 
     Args:
@@ -293,8 +292,8 @@ def find_extremes(
 
 
 def spread_hargreaves(
-    site: Place, dates: Days, extremes: Values, seconds: NDArray[np.int64], step_s: float
-) -> tuple[Values, NDArray[np.bool_]]:
+    site: Place, dates: Days, extremes: Array, seconds: NDArray[np.int64], step_s: float
+) -> tuple[Array, NDArray[np.bool_]]:
     """Return each step's reference evapotranspiration (mm) by Hargreaves' method.
 
     Every step receives a share of the evapotranspiration of the day in which it begins. On days
@@ -323,7 +322,7 @@ def spread_hargreaves(
     return spread_over_day(daily, site, seconds, step_s), far[day]
 
 
-def compute_hargreaves(records: Records, site: Place) -> Values:
+def compute_hargreaves(records: Records, site: Place) -> Array:
     """Return the vegetation's hourly evapotranspiration by Hargreaves' method (mm/day).
 
     The result, shape (hours,), is the site's crop coefficient times the reference

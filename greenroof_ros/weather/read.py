@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import shared_directory
@@ -16,11 +15,9 @@ from greenroof_ros.site.site import Place
 from greenroof_ros.weather import evapotranspiration, open_meteo, quantities
 from greenroof_ros.weather.description import Description, read_description
 from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
-from greenroof_ros.weather.records import Records, bridge_gaps, make_hours, write_records
+from greenroof_ros.weather.records import Array, Records, bridge_gaps, make_hours, write_records
 from greenroof_ros.weather.series import FILL, REFUSE, Weather
 from greenroof_ros.weather.table import Rows, read_rows
-
-Array = NDArray[np.float64]
 
 # The longest gap (h) that is filled, by linear interpolation between the hours before and after.
 # Temperature, wind and evapotranspiration follow the sun, so half a day must remain to show their

@@ -13,7 +13,6 @@ from datetime import datetime
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.base.files import parse_yaml, read_text, shared_directory
 from greenroof_ros.base.times import to_people
@@ -21,9 +20,7 @@ from greenroof_ros.site.site import Place
 from greenroof_ros.weather import quantities
 from greenroof_ros.weather.evapotranspiration import saturation_vapour_pressure, sun_height
 from greenroof_ros.weather.quantities import DEW_POINT, PRECIPITATION, RADIATION, TEMPERATURE, WIND
-from greenroof_ros.weather.records import HOUR, Records, find_gaps
-
-Values = NDArray[np.float64]
+from greenroof_ros.weather.records import HOUR, Array, Records, find_gaps
 
 _MONTHS = "Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"
 # Rain that ends a dry spell (mm a day).
@@ -107,7 +104,7 @@ def as_lines(summary: Mapping[str, Any]) -> list[str]:
     return [*lines, *summary["notes"]]
 
 
-def _describe(series: Values) -> dict[str, Any]:
+def _describe(series: Array) -> dict[str, Any]:
     known = series[~np.isnan(series)]
     about = {
         name: float(f"{find(known):.6g}") if known.size else None
@@ -116,7 +113,7 @@ def _describe(series: Values) -> dict[str, Any]:
     return {**about, "missing": int(series.size - known.size)}
 
 
-def _describe_rain(series: Values, first: datetime) -> dict[str, Any]:
+def _describe_rain(series: Array, first: datetime) -> dict[str, Any]:
     rain = np.nan_to_num(series)
     local = np.datetime64(first.replace(tzinfo=None), "h") + np.arange(len(rain))
     days, of_day = np.unique(local.astype("datetime64[D]"), return_inverse=True)
@@ -136,7 +133,7 @@ def _describe_rain(series: Values, first: datetime) -> dict[str, Any]:
     }
 
 
-def _find_peak(series: Values) -> int:
+def _find_peak(series: Array) -> int:
     """Return the hour of the day, counted from the first hour, with the highest mean."""
     days = np.pad(series, (0, -len(series) % 24), constant_values=np.nan).reshape(-1, 24)
     known = np.count_nonzero(~np.isnan(days), axis=0)
@@ -162,7 +159,7 @@ def _note(statistics: Mapping[str, float]) -> Iterator[str]:
 
 
 def _find_statistics(
-    values: Mapping[str, Values], known: Mapping[str, int], rain: Mapping[str, Any],
+    values: Mapping[str, Array], known: Mapping[str, int], rain: Mapping[str, Any],
     first: datetime, position: tuple[float | None, float | None],
 ) -> Iterator[tuple[str, float]]:
     """Yield each statistic for which enough hours are known; it may be infinite or NaN."""

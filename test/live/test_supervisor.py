@@ -47,7 +47,7 @@ class Site:
             SiteProcess(name, ["small_node", kind, str(directory / "reached")], directory, limit)
             for name, kind, limit in zip(NAMES, kinds, (2.0, silence_s, silence_s), strict=True)
         ]
-        self.supervisor = LiveSupervisor(*self.processes, [], stop_drive, self.told.append, dict)
+        self.supervisor = LiveSupervisor(self.processes, [], stop_drive, self.told.append, dict)
 
     def end(self) -> None:
         """End all processes; none may be left."""

@@ -183,4 +183,6 @@ def test_every_code_has_words_for_whoever_stands_at_the_pump() -> None:
             assert advice != OTHER and "{" not in advice
             assert not re.search(r"\bros2\b|\b[a-z]+_[a-z]+|\bm3\b", advice), (code, advice)
     assert "greenroof release --namespace site1" in advise("hold", "pump", "/site1/pump")
+    leaks = advise("valve_leaks", "valve", "/site1/valve")
+    assert "greenroof outlet reset --namespace site1" in leaks
     assert advise("of another version", "pump", "/pump") == OTHER

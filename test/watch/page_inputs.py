@@ -50,6 +50,13 @@ def pump(text: str, **values: Any) -> list[Status]:
     return node("/pump", "pump", **report)
 
 
+def valve(text: str, **values: Any) -> list[Status]:
+    """Return what a valve node reports: a state with its reason; it is closed unless given."""
+    state, _, why = text.partition(": ")
+    report = {"valve_state": state, "valve_why": why, "at_rest": True, "position": 0, "speed": 0.0}
+    return node("/valve", "valve", **(report | values))
+
+
 def store(
     mode: str = "simulated", site: Site = PAPER_SITE, *alarms: Status, steady: float = 100.0
 ) -> GraphStore:

@@ -30,7 +30,7 @@ from greenroof_ros.interface.topics import read_topics
 from greenroof_ros.ros.messages import decoder
 from greenroof_ros.watch import feed
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.graph_client import PumpRequestError
+from greenroof_ros.watch.graph_client import RequestError
 from greenroof_ros.watch.store import GraphStore
 
 LEVEL, FLOAT = "/roof/level", "std_msgs/msg/Float64"
@@ -117,6 +117,6 @@ def test_a_stop_is_answered_if_all_else_fails(
     with in_domain(domain), Feed(GraphStore()) as watcher:
         time.sleep(0.5)
         began = time.monotonic()
-        with pytest.raises(PumpRequestError, match="no pump node"):
+        with pytest.raises(RequestError, match="no pump node"):
             watcher.request_action("stop", owner="the page")
         assert time.monotonic() - began < 15

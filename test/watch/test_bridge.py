@@ -12,16 +12,16 @@ import pytest
 from brokers import Talker, mosquitto, needs_mosquitto
 from commands import run_command
 from graphs import Process, environment, wait_for
-from page_inputs import SECOND, START, add_plan, add_values, alarm, fail, store
+from page_inputs import SECOND, START, add_plan, add_values, alarm, fail, store, valve
 from page_server import running
 from test_watch_command import end, running_pump
 
 from greenroof_ros.base.mqtt import parse_broker
 from greenroof_ros.base.standard_error import LINES
-from greenroof_ros.watch.bridge import Bridge, make_alarms, make_discovery, make_state
+from greenroof_ros.watch.bridge import BUTTONS, Bridge, make_alarms, make_discovery, make_state
 from greenroof_ros.watch.document import make_document
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.graph_client import PumpRequestError
+from greenroof_ros.watch.graph_client import RequestError
 from greenroof_ros.watch.store import GraphStore
 
 pytest.importorskip("paho.mqtt", reason="the bridge needs paho-mqtt")
@@ -33,7 +33,7 @@ UNITS = {
 
 
 def test_discovery_is_what_home_assistant_documents() -> None:
-    messages = make_discovery("site1")
+    messages = make_discovery("site1", [*BUTTONS])
     for topic, text in messages.items():
         said = json.loads(text)
         match = re.fullmatch(r"homeassistant/(\w+)/greenroof_site1/(\w+)/config", topic)
@@ -44,7 +44,7 @@ def test_discovery_is_what_home_assistant_documents() -> None:
         elif (own := said.get("device_class")) in UNITS:
             assert said.get("unit_of_measurement") == UNITS[own]
             assert ("state_class" in said) == (own != "enum") and 30 <= said["expire_after"] <= 60
-    assert len(messages) == 11
+    assert (len(messages), len(make_discovery("site1"))) == (14, 11)
 
 
 # --- what is published ----------------------------------------------------------------------------
@@ -75,6 +75,8 @@ def test_each_value_has_the_pages_unit_and_what_is_old_is_unknown() -> None:
         "mode": "live", "roof_level": 45.7, "cistern_level": 2500, "rain": 3.6, "flow": 60.0,
         "command": 25, "frost": "ON", "pump": "unknown", "condition": "none", "problem": "OFF",
     }
+    graph.add_statuses(100.0, 0, valve("open: as commanded"))
+    assert state(graph)["valve"] == "open"
     numbers = "roof_level", "cistern_level", "rain", "flow", "command", "frost"
     assert {state(graph, 161.0)[key] for key in numbers} == {None}
     assert state(graph, 161.0)["condition"] == "unknown"  # the alarms are old, too
@@ -145,10 +147,13 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
 def test_a_stop_is_requested_until_it_is_answered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Whatever fails, even if nothing can be published; a refusal is reported, not repeated."""
+    """Whatever fails, even if nothing can be published; a refusal is reported, not repeated.
+
+    Nor is a request to open the valve.
+    """
     answers: list[Exception | str] = [
-        PumpRequestError("no pump node"), ZeroDivisionError("a bug"),
-        PumpRequestError("the disk is full", answered=True), PumpRequestError("no answer"), "held",
+        RequestError("no valve node"), RequestError("no pump node"), ZeroDivisionError("a bug"),
+        RequestError("the disk is full", answered=True), RequestError("no answer"), "held",
     ]
 
     def request_action(*_: Any, **__: Any) -> str:
@@ -164,11 +169,11 @@ def test_a_stop_is_requested_until_it_is_answered(
     graph = store("live")
     with (
         mosquitto(tmp_path) as broker, Talker(broker) as heard,
-        running(Bridge(graph, Feed(graph), parse_broker(broker.address, "broker")).run),
+        running(Bridge(graph, Feed(graph), parse_broker(broker.address, "broker"), True).run),
     ):
         wait_for(lambda: heard.last("greenroof/roof/availability"), 60, "a message")
-        for left in (2, 0):
-            heard.publish("greenroof/roof/stop", "STOP")
+        for name, left in (("valve_open", 5), ("stop", 2), ("valve_close", 0)):
+            heard.publish(f"greenroof/roof/{name}", name.upper())
             wait_for(lambda left=left: len(answers) == left, 60, "an answer")
             time.sleep(0.5)
             assert len(answers) == left

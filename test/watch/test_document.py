@@ -21,6 +21,7 @@ from page_inputs import (
     pump,
     rows,
     store,
+    valve,
 )
 from paper import PAPER_SITE
 
@@ -259,6 +260,46 @@ def test_what_is_known_of_the_pump(
         assert (shared in document["advice"]) == (BROKER in alarms)
     else:
         assert summary["level"] == "ok"
+
+
+# --- the outlet valve -----------------------------------------------------------------------------
+
+OPEN = {"at_rest": False, "speed": 1.0, "position": 1, "commanded": True, "flow": 1e-3}
+BLIND = OPEN | {"position": None, "flow": None, "open_until": START / SECOND + 1800}
+
+
+@pytest.mark.parametrize(("text", "said", "steady", "level", "expected"), [
+    ("open: as commanded", OPEN, 100.0, "ok", ("open", "open",
+     "commanded open; position 100 % by its end switches; 60.0 L/min; as commanded")),
+    ("opening: by MQTT", BLIND, 100.0, "ok", ("opening", "opening", "commanded open; "
+     "position unknown: no end switches; requested to be open until 00:30; by MQTT")),
+    ("closed: dry", {}, 104.0, "warn", ("unknown", "unknown", "closed at last contact; dry")),
+    ("open: as commanded", OPEN, 104.0, "error", ("may be open", "alarm",
+     "open at last contact; as commanded")),
+    ("held: lost", {"at_rest": False, "speed": None}, 100.0, "error", ("may be open", "alarm",
+     "commanded closed; position 0 % by its end switches; lost")),
+])
+def test_what_is_known_of_the_valve(
+    text: str, said: dict[str, Any], steady: float, level: str, expected: tuple[str, str, str]
+) -> None:
+    """Command and position are two values; one that may be open unnoticed is an alarm."""
+    graph = watched("live")
+    pump_says(graph, 100.0, "off: why")
+    assert "valve" not in shown(graph)["tiles"].keys() | shown(graph)["stop"]["actions"].keys()
+    graph.add_statuses(100.0, 0, valve(text, **said))
+    assert tile_of(graph, "valve", steady) == expected
+    assert shown(graph, steady)["tiles"]["summary"]["level"] == level
+    assert shown(graph)["stop"]["actions"].keys() == {"stop", "valve_close"}
+    graph.allow_release = True
+    assert shown(graph)["stop"]["actions"].keys() == {"stop", "valve_close", "valve_open"}
+
+
+def test_a_site_without_a_pump_needs_none() -> None:
+    graph = store("live", replace(SITE, irrigation="none", low_outlet_valve=True))
+    add_values(graph, 0, 61, {"/cistern/level": 2.5, "/weather/frost": 0.0})
+    graph.add_statuses(100.0, 0, valve("closed: the command is 0"))
+    document = shown(graph)
+    assert document["tiles"]["summary"]["level"] == "ok" and not document["stop"]["needed"]
 
 
 # --- alarms, events, notes --------------------------------------------------------------------

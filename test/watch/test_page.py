@@ -25,6 +25,7 @@ from page_inputs import (
     fail,
     pump,
     store,
+    valve,
 )
 from page_server import served
 from peers import repeating
@@ -276,6 +277,11 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(open_page:
     said[:] = pump("held: frost", max_dose=0.5, no_dose="the pump may not run: frost")
     until_shown(page, "#no-dose", "No dose is possible now: the pump may not run: frost.")
     assert not page.locator("#dose-button").is_visible()
+    said[:] = [*pump("off: the command is 0"), *valve("closed: the command is 0")]
+    confirm(page, "valve_close", "Close the outlet valve?")
+    confirm(page, "valve_open", "Open the outlet valve for 30 minutes?")
+    wait_for(lambda: posted(page)[-2:] == ["valve_close", "valve_open"], 60, "both requests")
+    assert not page.locator("#valve_release-button").is_visible()
     assert page.said == [] == page.context.cookies()
 
 

@@ -17,11 +17,12 @@ from typing import Any
 import pytest
 from graphs import wait_for
 from page_inputs import pump as pump_says
+from page_inputs import valve as valve_says
 from page_server import request, served
 
 from greenroof_ros.watch import server
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.graph_client import PumpRequestError
+from greenroof_ros.watch.graph_client import RequestError
 from greenroof_ros.watch.listening import LOOPBACK
 from greenroof_ros.watch.store import GraphStore
 
@@ -49,7 +50,7 @@ class Pump:
             self.done.append((action, request))
             self.answers.wait(60)
             if action == "clear":
-                raise PumpRequestError("not this one")
+                raise RequestError("not this one")
             return f"{action} done"
 
 
@@ -68,6 +69,7 @@ def watched() -> GraphStore:
     store.add_statuses(time.monotonic() + 1e6, 0, pump_says(
         "held: x", hold={"owner": "x"}, fault="slow", no_clear="", max_dose=1.0, no_dose="",
     ))
+    store.add_statuses(time.monotonic() + 1e6, 0, valve_says("closed: dry"))
     return store
 
 
@@ -146,8 +148,11 @@ def test_nothing_else_is_done_unless_that_was_allowed_with_a_token(
     ):
         watched.allow_release = allowed
         with served(watched, token) as port:
-            for action in ("release", "clear", "dose"):
+            assert request(port, "POST", "/valve_close", **RIGHT).status == 200
+            assert pump.done.pop() == ("valve_close", {"owner": "the page"})
+            for action in ("release", "clear", "dose", "valve_open"):
                 assert request(port, "POST", f"/{action}", DOSE, **RIGHT).status == status
+    assert pump.done.pop() == ("valve_open", {"owner": "the page"})
     assert pump.done == [("release", {}), ("clear", {}), ("dose", {"volume": 0.2, "asked_at": 7.0})]
     with served(watched, "secret") as port:
         for wrong in (b"{", b"[]", b"[" * 9000, b'{"volume": 1}'):

@@ -107,7 +107,7 @@ def test_beyond_loopback_and_to_release_it_needs_its_token(domain: int, tmp_path
     """
     (port,), file, tokens = free_ports(1), tmp_path / "token", []
     for options, warning in (
-        (("--host", "0.0.0.0", "--token-file", file.name), "can view the page and stop"),
+        (("--host", "0.0.0.0", "--token-file", file.name), "can view the page, stop"),
         (("--allow-release",), "can release the pump"), (("--token-file", file.name), ""),
     ):
         process = Process(domain, "watch", *options, "--port", str(port), cwd=tmp_path)

@@ -455,11 +455,79 @@ def _intruders() -> Iterator[Case]:
         yield Case(SITE, "second graph", target, _RUNS_ON)
 
 
+# --- the outlet valve -----------------------------------------------------------------------------
+
+VALVE, VALVE_ALARM = "valve", "valve alarm"
+
+
+def _valve(*codes: str, part: str = "valve") -> tuple[Sign, ...]:
+    """Return signs with these codes, shown by the valve node."""
+    return tuple((f"valve: {part}", code) for code in codes)
+
+
+def _valves() -> Iterator[Case]:
+    """Yield the cases of a live site with a valve on a relay, and without a pump."""
+    lost = _valve("drive_lost", part="drive")
+    for target, bound, code in (
+        ("frost", "sensor", "frost"),
+        ("rain", "sensor", "wet_weather"),
+        ("silence of thermometer", "thermometer", "frost_unknown"),
+        ("silence of rain_gauge", "gauge", "rain_unknown"),
+        ("silence of cistern", "level", "cistern_level_unknown"),
+        ("hold", "step", "hold"),
+    ):
+        yield Case("valve:tasmota", VALVE, target, Expected(bound=bound, signs=_valve(code)))
+    yield Case("valve with switches:shelly_gen2", VALVE, "silence of closed_switch", Expected(
+        bound="switch", signs=_valve("position_unknown")))
+    yield Case("valve moves:tasmota", VALVE, "moves", Expected(signs=_valve("hold")))
+    for limit, bound, code, recovery in (
+        ("max_run", "limit", "max_run", "heals"),
+        ("max_volume_per_day", "released", "daily_volume", "stays"),
+    ):
+        yield Case(f"valve {limit}:tasmota", "stuck for ever", "/outlet/command", Expected(
+            bound=bound, signs=_valve(code), recovery=recovery))
+    yield Case("valve:tasmota", "intruder", "/outlet/command", Expected(
+        bound="command", signs=_valve("command_unknown")))
+    yield Case("valve:tasmota", "kill", "onoff", Expected(
+        stops=None, bound="command", signs=(("onoff", "node_silent"),)))
+    yield Case("valve:tasmota", "stop long", "onoff", Expected(
+        bound="command", signs=_valve("command_unknown")))
+    for rig in ("valve:tasmota", "valve with switches:shelly_gen2"):
+        for fault in ("kill", "stop long"):
+            yield Case(rig, fault, "valve", Expected(
+                bound="relay", signs=(("valve", "node_silent"),)))
+        yield Case(rig, VALVE, "relay out of reach", Expected(bound="relay", signs=lost))
+        for target in ("killed", "restarted", "paused", "half_open"):
+            yield Case(rig, "broker of the valve", target, Expected(bound="relay", signs=lost))
+        yield Case(rig, VALVE, "reboot", Expected(bound="relay"))
+        yield Case(rig, VALVE, "all killed", Expected(bound="relay", recovery="ends"))
+    yield Case("valve:tasmota", VALVE, "suspend", Expected(bound="step"))
+    for direction in ("forward", "back"):
+        yield Case("valve:tasmota", VALVE, f"clock of {direction}", _RUNS_ON)
+        yield Case("valve by hand:tasmota", VALVE, f"clock of {direction}", Expected(
+            bound="by hand"))
+    rig = "valve with switches:shelly_gen2"
+    for target, bound, sign in (
+        ("stuck open", "travel", _valve("valve_stuck_open")),
+        ("wrong switch", "travel", _valve("switches_disagree")),
+    ):
+        yield Case(rig, VALVE_ALARM, target, Expected(
+            stops=None, watch=0.0, bound=bound, signs=sign, recovery="latches"))
+    for target, bound in (("stuck open", "drained"), ("leak", "leak")):
+        yield Case("valve:tasmota", VALVE_ALARM, target, Expected(
+            stops=None, watch=0.0, bound=bound, signs=_valve("valve_leaks"), recovery="latches"))
+    for rig, bound in (("valve with switches:shelly_gen2", "travel"),
+                       ("valve:tasmota", "not drained")):
+        yield Case(rig, VALVE_ALARM, "stuck closed", Expected(
+            stops=None, watch=0.0, bound=bound,
+            signs=_valve("valve_stuck_closed", part="opening")))
+
+
 def all_cases() -> list[Case]:
     """Return the whole campaign."""
     cases = [
         *_processes(), *_own_driver(), *_drives(), *_relays(), *_sensors(), *_brokers(),
-        *_forecasts(), *_harmless(), *_records(), *_limits(), *_topics(), *_intruders(),
+        *_forecasts(), *_harmless(), *_records(), *_limits(), *_topics(), *_intruders(), *_valves(),
     ]
     assert len({case.id for case in cases}) == len(cases)
     return cases

@@ -15,7 +15,16 @@ from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 from faults.bounds import DRIVE_TIMEOUT_S
-from faults.cases import CHANGES, DISK_SIGNS, GAUGES, LEVELS, ROUNDS, Case
+from faults.cases import (
+    CHANGES,
+    DISK_SIGNS,
+    GAUGES,
+    LEVELS,
+    ROUNDS,
+    VALVE,
+    VALVE_ALARM,
+    Case,
+)
 from faults.players import HOSTILE, HUGE, OFF_S, ON_S
 from faults.rig import (
     FailingDiskRig,
@@ -29,6 +38,7 @@ from faults.rig import (
     wait,
 )
 from faults.truth import AT_REST
+from faults.valve import ValveRig, begin_valve
 from faults.watcher import Watcher
 from graphs import Process, environment, reserved_domain
 from ros_rig import FORECAST_HEADER, write_forecast
@@ -152,6 +162,11 @@ def begin(rig: Rig, case: Case, rng: random.Random, undo: ExitStack) -> None:
             undo.callback(rig.free)
         case "failing disk":
             _failing_disk(rig, case.target.partition(",")[0])
+        case fault if fault in (VALVE, VALVE_ALARM):
+            begin_valve(rig, case.target, undo)
+        case "broker of the valve":
+            assert isinstance(rig, ValveRig)
+            _broker(rig, case.target, rng, undo)
         case "stuck for ever":
             pass  # the command is the same from the start
         case "from the start":
@@ -238,7 +253,7 @@ def _on_wire(inject: Callable[[str], None], fault: str, undo: ExitStack) -> None
 
 
 def _broker(
-    rig: MqttRig | RelayRig, fault: str, rng: random.Random, undo: ExitStack
+    rig: MqttRig | RelayRig | ValveRig, fault: str, rng: random.Random, undo: ExitStack
 ) -> None:
     """Do something to the broker of sensors or relay, or to the cable."""
     broker = rig.broker

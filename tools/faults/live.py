@@ -9,8 +9,8 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from faults.bounds import RAMP_S, bounds
-from faults.cases import Case, Sign
+from faults.bounds import RAMP_S
+from faults.cases import VALVE_ALARM, Case, Sign
 from faults.inject import begin
 from faults.rig import BrokenError, Rig, SiteRig, leftover, wait
 from mcap.exceptions import McapError
@@ -89,7 +89,7 @@ def run_case(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None
     time.sleep(rng.uniform(0.0, 1.0))  # a random phase of the ticks, which last a second
     if not rig.runs():
         rig.until_running()
-    outcome.bound = bounds(rig.site)[case.expected.bound]
+    outcome.bound = rig.bounds()[case.expected.bound]
     _fault(rig, case, rng, outcome)
     if rig.truth.maximum > 1.001:
         outcome.fail(f"the pump turned at {rig.truth.maximum:.3f} of its rated speed")
@@ -132,7 +132,7 @@ def _fault(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None:
     with ExitStack() as undo:
         begin(rig, case, rng, undo)
         slow = ("dry", "power cycle, then kill", "unstoppable", "timeout rewritten",
-                "failing disk")
+                "failing disk", VALVE_ALARM)
         if case.fault in slow or case.fault.startswith("second"):
             began = time.monotonic()  # the fault took some time to begin
         if expected.stops:
@@ -141,7 +141,7 @@ def _fault(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None:
             time.sleep(max(0.0, began + expected.watch - time.monotonic()))
         since = 0.0 if case.fault == "from the start" else began
         _signs(rig, case, since, alarms, outcome)
-        if case.fault == "unstoppable":
+        if case.fault in ("unstoppable", VALVE_ALARM):
             outcome.to_safe = time.monotonic() - began
         if expected.stops is False and rig.truth.minimum(began, time.monotonic()) < _MIN_SPEED:
             outcome.fail(f"the pump stopped, but should have run on: {_reported(rig, began)}")
@@ -229,13 +229,13 @@ def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
             if expected == "latches":
                 outcome.fail("the fault did not latch: the pump ran again automatically")
             return
-        if rig.watcher.pump_state == "fault" and expected != "heals":
+        if rig.watcher.state == "fault" and expected != "heals":
             time.sleep(RAMP_S + 1.0)  # the fault may have latched while the pump turned
             break
         time.sleep(0.05)
     if expected == "heals":
         outcome.fail(f"did not heal within {patience:.0f} s: {rig.watcher.last.get('pump: pump')}")
-    if rig.watcher.pump_state != "fault" and expected == "latches":
+    if rig.watcher.state != "fault" and expected == "latches":
         outcome.fail(f"no latched fault: {rig.watcher.last.get('pump: pump')}")
     max_speed = rig.truth.max_speed(time.monotonic() - 0.5, time.monotonic())
     if max_speed > _MIN_SPEED:

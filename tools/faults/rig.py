@@ -18,7 +18,7 @@ from typing import Any
 import yaml
 from brokers import Mosquitto, Talker
 from disks import disk_that_fails, fill, small_disk
-from faults.bounds import DRIVE_TIMEOUT_S, LIMIT_S, RAMP_S
+from faults.bounds import DRIVE_TIMEOUT_S, LIMIT_S, RAMP_S, bounds
 from faults.cases import GAUGES, LEVELS, PLAYED, Sign
 from faults.line import Cable, Line
 from faults.players import Players
@@ -213,9 +213,13 @@ class Rig:
         self.started.update(pids.values())
         return pids
 
+    def bounds(self) -> Mapping[str, float]:
+        """Return each bound by its name (s)."""
+        return bounds(self.site)
+
     def runs(self) -> bool:
         """Return whether the pump runs, by its true speed and by its node."""
-        return self.truth.runs() and self.watcher.pump_state in ("running", "starting")
+        return self.truth.runs() and self.watcher.state in ("running", "starting")
 
     def until_guarded(self) -> None:
         """Wait until the drive's own timeout works, which may take some time after power-up.

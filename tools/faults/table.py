@@ -18,8 +18,13 @@ _BEGIN, _END = "<!-- measured: make faults -->\n", "<!-- end of table -->"
 _ROWS = {
     "pump node and bringup killed together": ("kill both",),
     "a motor that cannot be stopped (time to the alarm)": ("unstoppable",),
+    "an outlet valve that does not follow (time to the alarm)": ("valve alarm",),
     "a relay, its broker and the pump node": ("relay/",),
     "a user's own pump driver killed, stopped or held": ("own driver/",),
+    "an outlet valve, its relay, sensors and processes": (
+        "valve/", "valve with switches/", "valve by hand/", "valve max_run/",
+        "valve max_volume_per_day/", "valve moves/",
+    ),
     "a process killed, ended or stopped": ("kill", "term", "stop"),
     "a drive, its line, power and timeout": ("drive", "power cycle", "timeout rewritten"),
     "level sensors, their lines and broker": (

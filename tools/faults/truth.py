@@ -30,14 +30,26 @@ class Truth:
     """Reads the workbenches of drive and site, in a thread of its own."""
 
     def __init__(self, drive: Address, site: Address | None = None) -> None:
-        self.maximum = 0.0
-        self.samples: deque[tuple[float, float]] = deque(maxlen=_CAPACITY)  # time (s), speed
         self._drive = Workbench(drive)
         self._site = None if site is None else Workbench(site)
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin to sample."""
+        self.maximum = 0.0
+        self.samples: deque[tuple[float, float]] = deque(maxlen=_CAPACITY)  # time (s), speed
         self._lock = threading.Lock()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._sample, daemon=True)
         self._thread.start()
+
+    def read(self) -> float:
+        """Return the present speed.
+
+        Raises:
+            DriveError: if nothing is known, since the simulator is killed or stopped.
+        """
+        return self._drive.speed()
 
     def close(self) -> None:
         self._ended.set()
@@ -48,10 +60,9 @@ class Truth:
 
     def _sample(self) -> None:
         while not self._ended.wait(_PERIOD_S):
-            # Nothing is known while the simulator is killed or stopped.
             with suppress(DriveError), self._lock:
                 before = time.monotonic()
-                speed = self._drive.speed()
+                speed = self.read()
                 self.samples.append(((before + time.monotonic()) / 2, speed))
                 self.maximum = max(self.maximum, speed)
 

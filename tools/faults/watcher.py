@@ -14,7 +14,7 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from faults.cases import Sign
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -48,14 +48,14 @@ class Watcher:
         last: the newest of these texts, by status.
         codes: code of each status when it was last received; empty if all is well.
         signs: conditions that came up: the time, the status and the code.
-        pump_state: the pump's state in a word, from its node.
+        state: the actuator's state in a word, from its node.
     """
 
-    def __init__(self, domain: int, name: str = "watcher") -> None:
+    def __init__(self, domain: int, name: str = "watcher", actuator: str = "pump") -> None:
         self.texts: list[tuple[float, str, str]] = []
         self.last: dict[str, str] = {}
         self.signs: list[tuple[float, Sign]] = []
-        self.pump_state = ""
+        self.state, self._actuator = "", actuator
         self.codes: dict[str, str] = {}
         self._context = rclpy.Context()
         with _transport():
@@ -73,9 +73,9 @@ class Watcher:
         self.node.create_subscription(
             DiagnosticArray, "/diagnostics", self._on_diagnostics, qos_profile(topic.qos)
         )
-        self._reset = self.node.create_client(Trigger, "/pump/reset")
+        self._reset = self.node.create_client(Trigger, f"/{actuator}/reset")
         self._stops = {
-            name: self.node.create_client(SetBool, f"/{name}/stop") for name in ("pump", GUARD)
+            name: self.node.create_client(SetBool, f"/{name}/stop") for name in (actuator, GUARD)
         }
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
@@ -110,8 +110,8 @@ class Watcher:
                 self.texts.append((now, who, text))
         else:
             code = json.loads(values.get("code", '""'))
-            if who == "pump":
-                self.pump_state = json.loads(values.get("pump_state", '""'))
+            if who == self._actuator:
+                self.state = json.loads(values.get(f"{who}_state", '""'))
         if code and self.codes.get(who) != code:
             self.signs.append((now, (who, code)))
         self.codes[who] = code
@@ -162,12 +162,22 @@ class Watcher:
     # --- services -------------------------------------------------------------------------------
 
     def reset(self, seconds: float = 5.0) -> str:
-        """Call ~/reset of the pump node and return its answer; empty if there was none."""
+        """Call ~/reset of the actuator's node, and return its answer; empty if there was none."""
         return self._call(self._reset, Trigger.Request(), seconds)
 
-    def stop(self, on: bool, seconds: float = 5.0, node: str = "pump") -> str:
-        """Call ~/stop of the pump node, or of the guard of a user's own driver."""
-        return self._call(self._stops[node], SetBool.Request(data=on), seconds)
+    def stop(self, on: bool, seconds: float = 5.0, node: str = "") -> str:
+        """Call ~/stop of the actuator's node, or of the guard of a user's own driver."""
+        return self._call(self._stops[node or self._actuator], SetBool.Request(data=on), seconds)
+
+    def open_until(self, until: float, seconds: float = 5.0) -> str:
+        """Call ~/open of the valve's node: open it by hand until a time (s since 1970)."""
+        client = self.node.create_client(SetParametersAtomically, "/valve/open")
+        values = {"owner": "the campaign", "until": until}
+        answer = self._answer(client, SetParametersAtomically.Request(parameters=[
+            Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
+        ]), seconds)
+        self.node.destroy_client(client)
+        return "" if answer is None else answer.result.reason or "answered"
 
     def set_parameter(self, node: str, name: str, values: Sequence[float | bool]) -> list[bool]:
         """Set a node's parameter to one value after another; return which it accepted."""

@@ -29,16 +29,6 @@ from greenroof_ros.simulation.loop import Tick
 from greenroof_ros.site.horizon import look_ahead_ends
 
 
-def _read_share(outlet: Any) -> float:
-    """Return a valve command as a number.
-
-    Raises:
-        ConfigurationError: if it is not a number from 0 to 1.
-    """
-    share = read_number(outlet)
-    return float(SHARE.read(outlet if share is None else share, key="outlet"))
-
-
 class Environment:
     """A site with its weather, for which a program sets the command at every tick.
 
@@ -144,12 +134,13 @@ class Environment:
             )
         opening = 1.0
         if self._policy is not None:
-            given = None if outlet is None else _read_share(outlet)
             outlook = self._run.forecast.at(self._sites.tick)
             cistern, roof = map(float, self._sites.levels[0])
             # The policy is called in every tick, because it counts the time without rain.
             opening = self._policy(cistern, roof, outlook.rain, outlook.evapotranspiration)
-            opening = opening if given is None else given
+            if outlet is not None:
+                number = read_number(outlet)
+                opening = SHARE.read(outlet if number is None else number, key="outlet")
         elif outlet is not None:
             raise ConfigurationError(
                 "commands the valve on the low outlet, which this site does not have "

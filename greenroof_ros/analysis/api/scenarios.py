@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from copy import deepcopy
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -17,10 +18,10 @@ from typing import TYPE_CHECKING, Any
 from greenroof_ros.analysis.api.arguments import read_site
 from greenroof_ros.analysis.api.control import Function
 from greenroof_ros.analysis.api.simulate import Result, simulate
-from greenroof_ros.base.errors import ConfigurationError, describe_choices, require_extra
+from greenroof_ros.base.errors import ConfigurationError, describe_choices
 from greenroof_ros.base.files import read_lines, read_yaml, shared_directory
 from greenroof_ros.controllers.protocol import Controller
-from greenroof_ros.results.forked_polars import refuse_forked_polars
+from greenroof_ros.results.forked_polars import make_frame
 from greenroof_ros.simulation.bound import BLOCK_S, bound_discharge, clairvoyant_bound
 from greenroof_ros.simulation.inputs import INPUTS
 
@@ -33,23 +34,6 @@ _COLUMNS = ("scenario", "controller", "score", "bound", "stress_hours")
 _MAINS = "mains_m3"
 # Maximum number of time blocks with a variable of their own when a bound is computed.
 _BLOCKS = 5000
-
-
-_MAPPINGS = ("inputs", "weights", "controllers")
-
-
-def _freeze(value: Any) -> Any:
-    """Return a value with all mappings replaced by read-only copies."""
-    if isinstance(value, Mapping):
-        return MappingProxyType({key: _freeze(each) for key, each in value.items()})
-    return value
-
-
-def _thaw(value: Any) -> Any:
-    """Return a value with all mappings replaced by dicts."""
-    if isinstance(value, Mapping):
-        return {key: _thaw(each) for key, each in value.items()}
-    return value
 
 
 @dataclass(frozen=True)
@@ -69,7 +53,6 @@ class Scenario:
     Attributes:
         name: name of the scenario.
         about: description in one sentence.
-        inputs: inputs of :func:`.simulate`, apart from the controller.
         unit: unit of the score.
         score: description of the score; lower is better.
         weights: weights of the metrics in the weighted sum that forms the score, by metric.
@@ -78,21 +61,16 @@ class Scenario:
 
     name: str
     about: str
-    inputs: Mapping[str, Any] = field(repr=False)
     unit: str
     score: str
     weights: Mapping[str, float] = field(repr=False)
     controllers: Mapping[str, Mapping[str, Any]] = field(repr=False)
+    _inputs: dict[str, Any] = field(repr=False)
 
-    def __post_init__(self) -> None:
-        """Make all mappings read-only, including nested ones."""
-        for name in _MAPPINGS:
-            object.__setattr__(self, name, _freeze(getattr(self, name)))
-
-    def __reduce__(self) -> tuple[type[Scenario], tuple[Any, ...]]:
-        """Copy and pickle the scenario as plain values: read-only mappings cannot be pickled."""
-        values = (getattr(self, each.name) for each in fields(self))
-        return Scenario, tuple(_thaw(value) for value in values)
+    @property
+    def inputs(self) -> dict[str, Any]:
+        """Inputs of :func:`.simulate`, apart from the controller; a copy each time."""
+        return deepcopy(self._inputs)
 
     def evaluate(self, result: Result) -> float:
         """Return the score of a run in this scenario."""
@@ -130,8 +108,8 @@ def _read_scenarios() -> dict[str, Scenario]:
         if Path(inputs.get("forecast", "")).suffix:
             inputs["forecast"] = str(config / inputs["forecast"])
         scenarios[name] = Scenario(
-            name, entry["about"], inputs, score["unit"], score["about"], score["weights"],
-            entry["controllers"],
+            name, entry["about"], score["unit"], score["about"], score["weights"],
+            entry["controllers"], inputs,
         )
     return scenarios
 
@@ -176,10 +154,7 @@ class Score:
         Raises:
             ConfigurationError: if polars is not installed.
         """
-        refuse_forked_polars()
-        with require_extra("study"):
-            import polars
-        return polars.DataFrame(self.rows).drop("scenario")
+        return make_frame(self.rows).drop("scenario")
 
     def __repr__(self) -> str:
         """Return the score on one line, with the table below it."""

@@ -26,7 +26,7 @@ from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.soil import layer_outflow, percolation
 from greenroof_ros.physics.storm_water import Event
-from greenroof_ros.results.forked_polars import refuse_forked_polars
+from greenroof_ros.results.forked_polars import make_frame, refuse_forked_polars
 from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.results.trajectory import (
     COLUMNS,
@@ -335,10 +335,7 @@ class Comparison:
             >>> table["controller", "pump_starts"].rows()
             [('on/off', 1), ('MPC', 1)]
         """
-        refuse_forked_polars()
-        with require_extra("study"):
-            import polars
-        return polars.DataFrame([
+        return make_frame([
             {"controller": name, **result.metrics} for name, result in self.results.items()
         ])
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.analysis.api.commanded import CommandedSites, Surroundings, follow
+from greenroof_ros.analysis.api.commanded import CommandedSites, Surroundings, Values, follow
 from greenroof_ros.analysis.api.gym import RANDOM, GreenRoofEnv, read_actions
 from greenroof_ros.base.errors import ConfigurationError, require_extra
 from greenroof_ros.base.processes import count_cores
@@ -39,7 +39,6 @@ with require_extra("gym"):
     from gymnasium.vector.utils import batch_space
 
 Array = NDArray[np.float32]
-Values = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 _HOUR_NS, _MINUTE_NS = 3_600_000_000_000, 60_000_000_000

@@ -12,8 +12,6 @@ from greenroof_ros.analysis.calibration.step_record import StepRecord, Values
 from greenroof_ros.analysis.report.bags import run_directory
 from greenroof_ros.analysis.report.run import read_about
 from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.physics.parameters import plant_parameters
-from greenroof_ros.physics.pump import running_flow
 from greenroof_ros.results.bag_read import load_bag
 from greenroof_ros.site.file import read_site
 from greenroof_ros.site.site import Site
@@ -37,10 +35,9 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
     a weather file and the forecasts of a live site do not include the crop coefficient, so all
     other evapotranspiration is used unchanged.
 
-    The command is counted only while the pumps deliver water. The command is unknown in steps with
-    a command above 1, which no real pump can follow. In a gap only evapotranspiration is filled in,
-    because the roof continues to dry. The fill value is the value at the same time on the previous
-    day or, on the first day, the last value before the gap.
+    In a gap only evapotranspiration is filled in, because the roof continues to dry. The fill value
+    is the value at the same time on the previous day or, on the first day, the last value before
+    the gap.
 
     Raises:
         ConfigurationError: if the bag cannot be read, is shorter than two steps, or contains no
@@ -79,18 +76,13 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
             "is not in the bag, or is always 0; without it, the drying of the roof cannot be "
             "fitted", file=bag, key="/weather/evapotranspiration",
         )
-    beyond = summed((trajectory.command > 1).astype(np.float64)) > 0
-    running = trajectory.pump_flow > running_flow(plant_parameters(site))
-    command = summed(np.where(running, trajectory.command, 0.0)) / _STEP_S
     return StepRecord(
         source=bag, start=trajectory.start, step_s=_STEP_S,
         rain=summed(trajectory.precipitation) * 1000,
         reference=_fill_gaps(reference),
         pumped=summed(trajectory.pump_flow) * mm,
         runoff=summed(trajectory.drainage) * mm if np.any(trajectory.drainage > 0) else None,
-        level=np.where(gap, np.nan, trajectory.roof[first] / site.a2),
-        cistern=np.where(gap, np.nan, trajectory.cistern[first] / site.a1),
-        command=np.where(beyond, np.nan, command), notes=notes,
+        level=np.where(gap, np.nan, trajectory.roof[first] / site.a2), notes=notes,
     )
 
 

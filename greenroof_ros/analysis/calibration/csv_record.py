@@ -119,9 +119,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
     record = StepRecord(
         source=file, start=rows.first, step_s=step_s, rain=rain, reference=np.zeros(steps),
         pumped=_compute_pumped(series, site, step_s), runoff=series.get("runoff"),
-        level=series.get("level"), temperature=series.get(TEMPERATURE),
-        last_decimal=last_decimal, cistern=series.get("cistern level"),
-        command=series.get("pump state"),
+        level=series.get("level"), last_decimal=last_decimal,
         reference_column=columns[EVAPOTRANSPIRATION][0] if measured else "",
         contents=_show(rows, site),
     )

@@ -382,14 +382,14 @@ def compute_intervals(
 ) -> Values:
     """Return the half-width of every parameter's 95 % interval.
 
-    The half-widths come from :func:`compute_half_intervals`. The fit is treated as linear: leaving
-    out a group with residuals r_g and Jacobian J_g moves the parameters by (J'J - J_g'J_g)^-1 J_g'
-    r_g. If few groups contain most of the information about a parameter, its variance is less
-    certain. The degrees of freedom are Kish's effective number of groups minus one, sum(w)^2 /
-    sum(w^2) - 1, where w is the information that is lost without a group; they are at least 1. If
-    all groups are equal, the degrees of freedom are the number of groups minus one. If one group
-    alone determines nearly everything about a parameter, nothing shows how the parameter would
-    vary, and the half-width of its interval is infinite.
+    The method is Tukey's jackknife (Efron 1982, doi:10.1137/1.9781611970319) with Student's t. The
+    fit is treated as linear: leaving out a group with residuals r_g and Jacobian J_g moves the
+    parameters by (J'J - J_g'J_g)^-1 J_g' r_g. If few groups contain most of the information about a
+    parameter, its variance is less certain. The degrees of freedom are Kish's effective number of
+    groups minus one, sum(w)^2 / sum(w^2) - 1, where w is the information that is lost without a
+    group; they are at least 1. If all groups are equal, the degrees of freedom are the number of
+    groups minus one. If one group alone determines nearly everything about a parameter, nothing
+    shows how the parameter would vary, and the half-width of its interval is infinite.
 
     Args:
         jacobian: Jacobian at the fit, shape (n, parameters).
@@ -397,6 +397,8 @@ def compute_intervals(
         groups: index of the group to which each residual belongs, shape (n,). Residuals in one
             group may depend on each other.
     """
+    from scipy.stats import t as student  # half of the import time; not for rejected records
+
     moved, kept = [], []
     for group in np.unique(groups):
         own = groups == group
@@ -406,7 +408,8 @@ def compute_intervals(
     whole = _measure_information(jacobian)
     lost = whole - kept
     degrees = np.maximum(1.0, lost.sum(axis=0) ** 2 / np.sum(lost**2, axis=0) - 1)
-    half = compute_half_intervals(np.array(moved), degrees)
+    variance = np.var(moved, axis=0) * (len(moved) - 1)
+    half = student.ppf((1 + _CONFIDENCE) / 2, degrees) * np.sqrt(variance)
     return np.where(lost.max(axis=0) >= _ALONE * whole, np.inf, half)
 
 
@@ -422,20 +425,3 @@ def _measure_information(jacobian: Values) -> Values:
         unexplained_part = column - others @ np.linalg.lstsq(others, column, rcond=None)[0]
         unexplained.append(float(unexplained_part @ unexplained_part))
     return np.array(unexplained)
-
-
-def compute_half_intervals(moved: Values, degrees: Values | int) -> Values:
-    """Return the half-width of every 95 % interval, from the values obtained without each group.
-
-    The method is Tukey's jackknife (Efron 1982, doi:10.1137/1.9781611970319) with Student's t.
-
-    Args:
-        moved: values obtained with each group left out in turn, shape (groups, values); a constant
-            added to all groups makes no difference.
-        degrees: degrees of freedom of each value; if all groups are equal, the number of groups
-            minus one.
-    """
-    from scipy.stats import t as student  # half of the import time; not for rejected records
-
-    variance = np.var(moved, axis=0) * (len(moved) - 1)
-    return np.asarray(student.ppf((1 + _CONFIDENCE) / 2, degrees) * np.sqrt(variance))

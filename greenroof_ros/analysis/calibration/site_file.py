@@ -36,7 +36,7 @@ def list_fit_entries(fit: Fit, target: float) -> Entries:
     """Return the entries of a fit, each with its interval, or the reason why it is not identified.
 
     Args:
-        fit: result of the fit, with the pumps' parameters if the record contains data on them.
+        fit: result of the fit.
         target: target depth on the roof (m) in the original site file.
     """
     entries: Entries = {name: (getattr(fit.site, name), "unchanged, not fitted") for name in _ROOF}

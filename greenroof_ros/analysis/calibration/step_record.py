@@ -35,20 +35,13 @@ class StepRecord:
         runoff: runoff from the roof (mm); None if it was not measured.
         level: water level in the substrate at the start of the step (m); None if it was not
             measured.
-        temperature: air temperature (degC); None if it was not measured.
         last_decimal: resolution of the runoff's last decimal place (mm); 0 if the runoff was not
             rounded.
-        cistern: level of the cistern at the start of the step (m); None if it was not measured.
-        command: mean share of the pumps' maximum flow (1); None if the share is unknown.
         reference_column: column of the file that contains the evapotranspiration; empty if it was
             computed.
         notes: sentences about data that could not be used unchanged.
         contents: lines that show what the record contains; see
             :mod:`greenroof_ros.weather.summary`.
-        all_rain: rain including the steps that :meth:`select` excluded; None without a selection.
-        dew_point: dew point of the air (degC); None if it was not measured.
-        radiation: solar radiation (W/m2); None if it was not measured.
-        wind: wind speed (km/h); None if it was not measured.
     """
 
     source: Path
@@ -59,17 +52,10 @@ class StepRecord:
     pumped: Values
     runoff: Values | None
     level: Values | None
-    temperature: Values | None = None
     last_decimal: float = 0.0
-    cistern: Values | None = None
-    command: Values | None = None
     reference_column: str = ""
     notes: tuple[str, ...] = ()
     contents: tuple[str, ...] = ()
-    all_rain: Values | None = None
-    dew_point: Values | None = None
-    radiation: Values | None = None
-    wind: Values | None = None
 
     @property
     def steps(self) -> int:
@@ -113,7 +99,7 @@ class StepRecord:
         """Return the record with NaN for rain, runoff and level outside the given steps."""
         series = {"rain": self.rain, **self.measured}
         there = {name: np.where(steps, values, np.nan) for name, values in series.items()}
-        return replace(self, all_rain=self.rain, **there)  # type: ignore[arg-type]
+        return replace(self, **there)  # type: ignore[arg-type]
 
     @property
     def complete(self) -> Steps:

@@ -219,19 +219,15 @@ def _read(
             raise table.refuse(f"is also the name of the building in line {ids[name]}", ID, row)
         ids[name] = line
         if cells:
-            places.append(_find_cell(table, row, cells))
+            cell = table.cell(row, CELL)
+            if cell not in cells:
+                raise table.refuse(f"must be one of the cells {', '.join(cells)}", CELL, row)
+            places.append(cells.index(cell))
         lines.append(line)
         for column in columns:
             values[column].append(_read_value(table, row, column))
     cell_of = np.array(places if cells else [0] * len(ids), dtype=np.intp)
     return [*ids], cell_of, lines, dict(values)
-
-
-def _find_cell(table: Table, row: Row, cells: Sequence[str]) -> int:
-    name = table.cell(row, CELL)
-    if name not in cells:
-        raise table.refuse(f"must be one of the cells {', '.join(cells)}", CELL, row)
-    return cells.index(name)
 
 
 def _read_value(table: Table, row: Row, column: str) -> Any:

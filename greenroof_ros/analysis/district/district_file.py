@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import glob
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
-from greenroof_ros.base.files import YamlMapping, is_there, shared_directory
+from greenroof_ros.base.files import YamlMapping, find_matches, shared_directory
 from greenroof_ros.base.parameter import Parameter, entry, find, read_record
 from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.onoff import LEVEL
@@ -237,11 +236,8 @@ class District:
             ConfigurationError: if there is no such file.
         """
         everywhere = [self.path.parent, *places, shared_directory() / "config"]
-        for place in everywhere:
-            if is_there(place / name):
-                return [place / name]
-            if found := sorted(glob.glob(str(place / name))):  # noqa: PTH207
-                return [Path(file) for file in found]
+        if found := find_matches(name, everywhere):
+            return found
         raise self.refuse(
             key, f"there is no such file in {', '.join(str(place) for place in everywhere)}", name
         )

@@ -13,12 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.analysis.district.buildings import Buildings, Values
-from greenroof_ros.analysis.district.district_file import (
-    NONE,
-    ORIFICE,
-    District,
-    is_of_policy,
-)
+from greenroof_ros.analysis.district.district_file import NONE, ORIFICE, District, is_of_policy
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.controllers.onoff import LEVEL
 from greenroof_ros.controllers.registry import find_controller

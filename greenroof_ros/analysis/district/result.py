@@ -19,26 +19,10 @@ from greenroof_ros.analysis.district import page, swmm
 from greenroof_ros.analysis.district.district_file import code_share
 from greenroof_ros.analysis.district.run import DistrictRun
 from greenroof_ros.analysis.district.totals import Flow, Totals
-from greenroof_ros.base.errors import ConfigurationError
-from greenroof_ros.base.files import replace_file, replace_text
+from greenroof_ros.base.files import claim_directory, replace_file, replace_text
 from greenroof_ros.base.text import number_of
 
 PAGE = "page.html"
-
-
-def make_directory(directory: Path) -> None:
-    """Create the directory of the results.
-
-    Raises:
-        ConfigurationError: if the directory is not empty.
-        OSError: if the directory cannot be written to.
-    """
-    directory.mkdir(parents=True, exist_ok=True)
-    if any(directory.iterdir()):
-        raise ConfigurationError(
-            "exists and is not empty; choose a new or empty directory", key="--output",
-            value=str(directory),
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +96,7 @@ class DistrictResult:
             OSError: if writing fails, for instance because the disk is full.
         """
         directory = Path(directory)
-        make_directory(directory)
+        claim_directory(directory)
         shutil.copyfile(self.run.district.path, directory / "district.yaml")
         replace_text(directory / "results.csv", self.table.write_csv())
         replace_text(directory / "buildings.csv", self.buildings.write_csv())

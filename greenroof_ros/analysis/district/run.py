@@ -13,18 +13,8 @@ import numpy as np
 
 from greenroof_ros.analysis.district.adoption import Adoption
 from greenroof_ros.analysis.district.buildings import Buildings, make_buildings
-from greenroof_ros.analysis.district.district_file import (
-    NONE,
-    OUTLETS,
-    District,
-    read_district,
-)
-from greenroof_ros.analysis.district.parts import (
-    SITE_FILE,
-    Part,
-    simulate_part,
-    weather_file,
-)
+from greenroof_ros.analysis.district.district_file import NONE, OUTLETS, District, read_district
+from greenroof_ros.analysis.district.parts import SITE_FILE, Part, simulate_part, weather_file
 from greenroof_ros.analysis.district.totals import Totals
 from greenroof_ros.analysis.workers.input_files import write_inputs
 from greenroof_ros.analysis.workers.processes import Workers

@@ -143,11 +143,6 @@ class Totals:
         """Return the number of groups that have a green roof."""
         return sum(share <= flow.adoption for share in self.adoption.shares)
 
-    @property
-    def _has_mains(self) -> bool:
-        """Whether the cisterns have mains water."""
-        return not np.isnan(self.metrics[NONE]["mains_m3"]).all()
-
     def rows(self) -> list[dict[str, Any]]:
         """Return the results, one row per entry of :attr:`flows`; the names include the units."""
         reference = self._row(AS_IS, {})
@@ -186,7 +181,7 @@ class Totals:
             }
         for name in _ADDED:
             row[name] = float(self.values(flow, name).sum())
-        if self._has_mains:
+        if not np.isnan(self.metrics[NONE]["mains_m3"]).all():  # the cisterns have mains water
             pumped, met = (self.values(flow, name) for name in ("pumped_m3", "demand_met_share"))
             row["mains_m3"] = float(self.values(flow, "mains_m3").sum())
             # A building that pumps nothing has no share, and no part in that of all.

@@ -138,27 +138,26 @@ def distinguish_series(name: str, values: list[str]) -> dict[str, Any]:
 
     Without series there is no legend, because the size of an empty legend is NaN in Vega.
     """
-    legend = alt.Legend(symbolSize=600, symbolType="stroke") if values else None
-    return {
-        "color": alt.Color(
-            f"{name}:N", title=None, scale=cycle_choices(COLOURS, values), legend=legend
-        ),
-        "strokeDash": alt.StrokeDash(
-            f"{name}:N", title=None, scale=cycle_choices(_DASHES, values), legend=legend
-        ),
-    }
+    legend = alt.Legend(symbolSize=600, symbolType="stroke")
+    channels = {"color": (alt.Color, COLOURS), "strokeDash": (alt.StrokeDash, _DASHES)}
+    return _distinguish(name, values, channels, legend)
 
 
 def distinguish_points(name: str, values: list[str]) -> dict[str, Any]:
     """Distinguish the points of a field by colour and shape; see :func:`cycle_choices`."""
-    legend = alt.Legend(symbolSize=60) if values else None
+    channels = {"color": (alt.Color, COLOURS), "shape": (alt.Shape, _SHAPES)}
+    return _distinguish(name, values, channels, alt.Legend(symbolSize=60))
+
+
+def _distinguish(
+    name: str, values: list[str], channels: dict[str, tuple[Any, Any]], legend: alt.Legend
+) -> dict[str, Any]:
     return {
-        "color": alt.Color(
-            f"{name}:N", title=None, scale=cycle_choices(COLOURS, values), legend=legend
-        ),
-        "shape": alt.Shape(
-            f"{name}:N", title=None, scale=cycle_choices(_SHAPES, values), legend=legend
-        ),
+        key: channel(
+            f"{name}:N", title=None, scale=cycle_choices(choices, values),
+            legend=legend if values else None,
+        )
+        for key, (channel, choices) in channels.items()
     }
 
 

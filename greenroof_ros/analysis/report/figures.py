@@ -21,12 +21,8 @@ from greenroof_ros.analysis.report.drawing import (
     round_value,
     value_scale,
 )
-from greenroof_ros.analysis.report.groups import TOTAL, CaseRuns, Report
-from greenroof_ros.analysis.report.trajectories import (
-    Drawn,
-    figures_over_time,
-    select_curves,
-)
+from greenroof_ros.analysis.report.groups import TOTAL, CaseRuns, Item, Report
+from greenroof_ros.analysis.report.trajectories import Drawn, figures_over_time, select_curves
 from greenroof_ros.results.table import EventRow
 
 # With more lines than this in one panel, every controller has its own figures.
@@ -68,12 +64,8 @@ def _over_time(place: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
             continue
         curves = select_curves(case.runs[0].site, trajectory)
         lines.setdefault(case.row["controller"], {})[case.label] = curves
-    together = {label: run for own in lines.values() for label, run in own.items()}
-    if 0 < len(together) <= _MAX_LINES:
-        yield from figures_over_time(together, name, f" {title}")
-    else:
-        for controller, own in lines.items():
-            yield from figures_over_time(own, f"{name}-{controller}", f", {controller}, {title}")
+    for end, of, runs in _split(lines):
+        yield from figures_over_time(runs, f"{name}{end}", f"{of} {title}")
 
 
 def _of_events(place: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
@@ -85,12 +77,24 @@ def _of_events(place: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
         whole = [event for run in case.runs for event in run.events() if event["complete"]]
         if whole:
             events.setdefault(case.row["controller"], {})[case.label] = whole
-    together = {label: whole for own in events.values() for label, whole in own.items()}
+    for end, of, cases in _split(events):
+        yield draw_events(cases, f"events-{name}{end}", f"{of} {title}")
+
+
+def _split(
+    by_controller: Mapping[str, Mapping[str, Item]]
+) -> Iterator[tuple[str, str, Mapping[str, Item]]]:
+    """Yield all cases together or, if they are too many, those of each controller.
+
+    Yields:
+        Ends of a figure's name and of the first words of its title, and the cases by their labels.
+    """
+    together = {label: case for own in by_controller.values() for label, case in own.items()}
     if 0 < len(together) <= _MAX_LINES:
-        yield draw_events(together, f"events-{name}", f" {title}")
+        yield "", "", together
     else:
-        for controller, own in events.items():
-            yield draw_events(own, f"events-{name}-{controller}", f", {controller}, {title}")
+        for controller, own in by_controller.items():
+            yield f"-{controller}", f", {controller},", own
 
 
 # --- discharge and mains water --------------------------------------------------------------------

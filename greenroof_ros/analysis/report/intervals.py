@@ -35,17 +35,6 @@ class Ratio(NamedTuple):
     high: float
 
 
-def worst_tenth(totals: Array) -> float:
-    """Return the mean of the largest tenth of some deviations.
-
-    The value at the edge of the tenth is counted in part. A tenth is at least one whole value: with
-    fewer than ten values, it is the largest value.
-    """
-    count = max(1.0, totals.size / 10)
-    weights = np.clip(count - np.arange(totals.size), 0, 1)
-    return float(weights @ np.sort(totals)[::-1] / count)
-
-
 class SeasonComparison(NamedTuple):
     """A controller compared with another in the same years."""
 

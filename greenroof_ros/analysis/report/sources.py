@@ -19,12 +19,7 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import read_text
 from greenroof_ros.physics.sensor_and_pump import PARAMETERS
 from greenroof_ros.results.metrics import METRICS
-from greenroof_ros.results.table import (
-    EVENTS,
-    find_differing_keys,
-    format_exactly,
-    row_parameters,
-)
+from greenroof_ros.results.table import EVENTS, find_differing_keys, format_exactly, row_parameters
 from greenroof_ros.results.trajectory import TRAJECTORY
 from greenroof_ros.site.file import read_site
 

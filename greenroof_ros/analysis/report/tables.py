@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from greenroof_ros.analysis.report.groups import TOTAL, CaseRuns, Report
-from greenroof_ros.analysis.report.intervals import SeasonComparison, worst_tenth
+from greenroof_ros.analysis.report.intervals import SeasonComparison
 from greenroof_ros.results.metrics import METRICS
 
 Table = list[dict[str, str]]
@@ -136,7 +136,6 @@ def _spread(report: Report, case: CaseRuns) -> dict[str, str]:
     cells = {
         "runs": str(every.size) + f", {lacking} failed ⚠" * bool(lacking),
         "mean (m³)": f"{case.row[TOTAL]:.2f}",
-        "worst tenth (m³)": f"{worst_tenth(every):.2f}",
         "worst run (m³)": f"{every.max():.2f}",
     }
     if case.row["season"]:

@@ -157,7 +157,12 @@ def make_designs(
     topped_up = _add_mains(site, notes)
     designs = []
     for outlet in outlets:
-        valved = _add_valve(topped_up, notes) if outlet != NONE else _without_outlet(topped_up)
+        if outlet == NONE:
+            valved = replace(
+                topped_up, low_outlet_level=None, low_outlet_radius=None, **WITHOUT_VALVE
+            )
+        else:
+            valved = _add_valve(topped_up, notes)
         for target, volume in itertools.product(targets, volumes):
             designs.append(_make_design(valved, volume, target, outlet))
     return designs, list(dict.fromkeys(notes))
@@ -193,10 +198,6 @@ def _add_mains(site: Site, notes: list[str]) -> Site:
         f"in at {3600 * flow:.3g} m³/h, which is {_MAINS_MM_PER_H:g} mm/h over the roof."
     )
     return replace(site, mains_level=level, mains_flow=flow)
-
-
-def _without_outlet(site: Site) -> Site:
-    return replace(site, low_outlet_level=None, low_outlet_radius=None, **WITHOUT_VALVE)
 
 
 def _add_valve(site: Site, notes: list[str]) -> Site:

@@ -12,19 +12,22 @@ from greenroof_ros.analysis.sizing import designs as plans
 from greenroof_ros.analysis.sizing.choice import KNEE, Prices
 from greenroof_ros.analysis.sizing.columns import COST, KEPT
 from greenroof_ros.analysis.sizing.seasons import find_seasons, list_notes, read_window
-from greenroof_ros.analysis.sizing.simulation import HALF, Case, simulate_cases
 from greenroof_ros.analysis.sizing.sizes import Sizes
 from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.parameter import make_record, parameters_of
 from greenroof_ros.base.ranges import Range
 from greenroof_ros.base.text import number_of
 from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.results.metrics import METRICS
 from greenroof_ros.simulation.inputs import make_inputs
+from greenroof_ros.simulation.season import Case, simulate_season
 from greenroof_ros.weather.summary import as_lines, summarize
 
 PRICES = {parameter.name: parameter for parameter in parameters_of(Prices)}
 KNEE_RANGE = Range(0.0, 1e6, "m3")
 JOBS = Range(1, 1024, whole=True)
+# Share of the cistern that is full when a season begins.
+_HALF = 0.5
 
 _OF_RUN = ("site", "weather", "evapotranspiration", "gaps")
 _OWN = ("volumes", "targets", "outlets", "season", "knee", "jobs", *PRICES)
@@ -55,7 +58,8 @@ def size_site(
     outlets = plans.read_outlets(values.get("outlets"))
     knee = KNEE_RANGE.read(values.get("knee", KNEE), key="knee")
     jobs = int(JOBS.read(values.get("jobs", 1), key="jobs"))
-    prices = _read_prices({name: values[name] for name in PRICES if name in values})
+    priced = {name: values[name] for name in PRICES if name in values}
+    prices = make_record(Prices, priced) if priced else None
     if "weather" not in values:
         raise ConfigurationError(
             "is missing; specify records that cover at least one season", key="weather"
@@ -82,12 +86,18 @@ def size_site(
     # Every second cistern of one target and outlet is also run from other initial states.
     outlet = plans.choose_outlet(site, outlets)
     tried = [one for one in designs if (one.target, one.outlet) == (middle, outlet)][::-2]
-    cases = [
-        Case(design, season, filled)
-        for group, filled in ((designs, HALF), (tried, 0.0), (tried, 1.0))
-        for design in group for season in range(len(runs))
-    ]
-    results = simulate_cases(cases, [*runs.values()], jobs, lambda share: progress(text, share))
+    made, _ = simulate_season([
+        Case(
+            design.site, design.parameters, season, filled * design.volume, design.site.x2_star,
+            with_forecast=False,
+        )
+        for group, filled in ((designs, _HALF), (tried, 0.0), (tried, 1.0))
+        for design in group for season in runs.values()
+    ], progress=lambda share: progress(text, share), threads=jobs)
+    results = {
+        metric.name: np.array([own.get(metric.name, np.nan) for (own, *_), _ in made])
+        for metric in METRICS
+    }
     metrics = {name: series[: math.prod(shape)].reshape(shape) for name, series in results.items()}
     starts = {
         name: np.ma.masked_invalid(
@@ -107,21 +117,3 @@ def size_site(
         site, designs, list(runs), f"{window}", 24.0 * window.days, metrics, incomplete,
         [*notes, *as_lines(summary), *list_notes(runs, site)], prices, knee, tried, starts,
     )
-
-
-def _read_prices(given: Mapping[str, Any]) -> Prices | None:
-    """Return the prices, or None if no price is given.
-
-    Raises:
-        ConfigurationError: if a price is out of range, or if only some of the prices are given.
-    """
-    if not given:
-        return None
-    for name in PRICES:
-        if name not in given:
-            raise ConfigurationError(
-                "is missing: to compute costs, set the years and all prices (0 for anything that "
-                "costs nothing)",
-                key=name,
-            )
-    return make_record(Prices, given)

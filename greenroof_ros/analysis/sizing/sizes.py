@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import itertools
 import os
 import re
@@ -14,9 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from greenroof_ros.analysis.sizing.choice import MAX_STRESS, Prices, find_knee, find_target
+from greenroof_ros.analysis.sizing.choice import MAX_STRESS, Prices, Values, find_knee, find_target
 from greenroof_ros.analysis.sizing.columns import (
     COLUMNS,
     COST,
@@ -31,8 +28,9 @@ from greenroof_ros.base.errors import require_extra
 from greenroof_ros.base.files import add_path_to_errors
 from greenroof_ros.base.text import number_of
 from greenroof_ros.controllers.outlet import PLAN
-from greenroof_ros.results.forked_polars import refuse_forked_polars
+from greenroof_ros.results.forked_polars import make_frame
 from greenroof_ros.results.metrics import METRICS
+from greenroof_ros.results.table import format_csv
 from greenroof_ros.site.site import Site
 
 if TYPE_CHECKING:
@@ -40,8 +38,6 @@ if TYPE_CHECKING:
     import polars
 
     from greenroof_ros.analysis.report.drawing import Figure
-
-Values = NDArray[np.float64]
 
 PAGE, TABLE = "sizes.html", "sizes.csv"
 _FIGURE = re.compile(r"sizes-[\d.]+mm\.(svg|png)")
@@ -292,7 +288,7 @@ class Sizes:
         Raises:
             ConfigurationError: if polars is not installed.
         """
-        return _frame([self._row(design) for design in self.designs])
+        return make_frame([self._row(design) for design in self.designs])
 
     def _row(self, design: Design) -> dict[str, Any]:
         return {
@@ -310,7 +306,7 @@ class Sizes:
         Raises:
             ConfigurationError: if polars is not installed.
         """
-        return _frame(self._rows())
+        return make_frame(self._rows())
 
     def _rows(self) -> list[dict[str, Any]]:
         return [
@@ -374,16 +370,10 @@ class Sizes:
 
     def to_csv(self) -> str:
         """Return all results of all seasons as CSV, with the assumptions as comments."""
-        text = io.StringIO()
-        for note in self.list_remarks():
-            text.write(f"# {note}\n")
         rows = self._rows()
-        writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(
+        return "".join(f"# {note}\n" for note in self.list_remarks()) + format_csv(rows[0], (
             {name: "" if value != value else value for name, value in row.items()} for row in rows
-        )
-        return text.getvalue()
+        ))
 
     def list_remarks(self) -> list[str]:
         """Return :attr:`notes`, and a remark about every season that was left out.
@@ -407,9 +397,3 @@ def _share(spread: Spread) -> str:
     mean, low, high = map(format_share, spread)
     return f"{mean} %" if low == high else f"{mean} % ({low} to {high})"
 
-
-def _frame(rows: Sequence[Mapping[str, Any]]) -> polars.DataFrame:
-    refuse_forked_polars()
-    with require_extra("study"):
-        import polars
-    return polars.DataFrame(rows)

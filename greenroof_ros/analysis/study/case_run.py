@@ -62,12 +62,12 @@ def _build(directory: Path, case: Case) -> Run:
     return replace(inputs, weather=weather).build()
 
 
-def bound_case(directory: Path, case: Case) -> float:
-    """Return the minimum total deviation achievable by a controller with commands up to 1 (m3).
+def bound_case(directory: Path, case: Case) -> dict[str, float]:
+    """Return the column of the minimum total deviation of controllers with commands up to 1.
 
     See :func:`greenroof_ros.simulation.bound.clairvoyant_bound`.
     """
-    return bound.clairvoyant_bound(_build(directory, case), case.bound_block)
+    return {"bound_m3": bound.clairvoyant_bound(_build(directory, case), case.bound_block)}
 
 
 def bound_discharge(directory: Path, case: Case) -> dict[str, float]:

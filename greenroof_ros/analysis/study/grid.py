@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import glob
 import itertools
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
@@ -15,7 +14,7 @@ from greenroof_ros.analysis.study.case import Case, InputFile
 from greenroof_ros.base.errors import ConfigurationError, suggest_names
 from greenroof_ros.base.files import (
     YamlMapping,
-    is_there,
+    find_matches,
     read_yaml,
     shared_directory,
     unique_name,
@@ -226,7 +225,8 @@ class _Grid:
         """Yield every forecast under ``forecast:`` with every combination of its options."""
         for block in self._expand(mapping, "forecast", ("model",), OPTIONS):
             model = str(block["model"])
-            if model not in MODELS and (Path(model).suffix or self._is_directory(model)):
+            is_directory = any((place / model).is_dir() for place in self._places)
+            if model not in MODELS and (Path(model).suffix or is_directory):
                 model = str(self._find(block, "model")[0])
             given = {f"forecast_{name}": block[name] for name in OPTIONS if name in block}
             lines = {f"forecast_{name}": line for name, line in block.lines.items()}
@@ -292,9 +292,6 @@ class _Grid:
 
     # --- files ------------------------------------------------------------------------------
 
-    def _is_directory(self, name: str) -> bool:
-        return any((place / name).is_dir() for place in self._places)
-
     def _find(self, mapping: YamlMapping, key: str, name: str | None = None) -> list[Path]:
         """Return the files that match a name or pattern, from the first directory with such files.
 
@@ -307,11 +304,8 @@ class _Grid:
             ConfigurationError: if no directory contains a matching file.
         """
         name = str(mapping[key]) if name is None else name
-        for place in self._places:
-            if is_there(place / name):
-                return [place / name]
-            if found := sorted(glob.glob(str(place / name))):  # noqa: PTH207
-                return [Path(file) for file in found]
+        if found := find_matches(name, self._places):
+            return found
         first, *further, last = self._places
         raise self._refuse(
             mapping, key, f"{name} does not exist" if Path(name).is_absolute() else

@@ -38,7 +38,10 @@ class Names:
         Runs with the same ``window`` and initial state are compared. Among these, runs with the
         same ``case`` differ only in their seeds and, if ``season`` is not empty, in the year.
         """
-        window, name = self._name_window(case), self._name_setting(case)
+        window, values = self._name_window(case), _read_values(case)
+        # All parameters in which the cases differ, also of sensor and pumps, without seeds.
+        shown = (key for key in self._values[case.controller] if key != "noise_seed")
+        name = _add_values(case.controller, {key: values[key] for key in shown})
         return {
             "window": ", ".join(
                 text for key, text in window.items() if text and key in (self._windows or window)
@@ -46,12 +49,6 @@ class Names:
             "case": f"{name}, {_name_forecast(case)}" if self._forecasts else name,
             "season": window["start"] if _find_season(case) in self._seasons else "",
         }
-
-    def _name_setting(self, case: Case) -> str:
-        """Return the controller with all parameters, also of sensor and pumps, without seeds."""
-        values, name = _read_values(case), case.controller
-        shown = (key for key in self._values[name] if key != "noise_seed")
-        return _add_values(name, {key: values[key] for key in shown})
 
     def _name_window(self, case: Case) -> dict[str, str]:
         """Return, in words, the properties shared by a run and the runs compared with it."""

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 import shutil
 from collections.abc import Mapping, Sequence
@@ -22,7 +20,7 @@ from greenroof_ros.base.files import add_path_to_errors, replace_text
 from greenroof_ros.base.processes import LockedError, lock_file
 from greenroof_ros.forecast.skill import REAL, read_skill
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
-from greenroof_ros.results.table import parameter_columns
+from greenroof_ros.results.table import format_csv, parameter_columns
 from greenroof_ros.results.versions import versions
 
 _OUTCOME = "outcome.json"
@@ -41,8 +39,8 @@ class StudyStore:
         outcomes: outcomes of finished runs, without their files, by identity.
         failures: reasons why runs failed, by identity; a run that is neither in ``outcomes`` nor in
             ``failures`` was not run.
-        bounds: known minimum possible total deviations (m3), by bound_identity.
-        discharge_bounds: columns of the known minimum discharges, by discharge_bound_identity.
+        bounds: columns of the known minimum deviations and discharges, by the bound_identity and
+            the discharge_bound_identity of their cases.
     """
 
     def __init__(
@@ -77,7 +75,6 @@ class StudyStore:
         self.cases, self.trajectory_every = cases, trajectory_every
         self._runs = directory / "runs"
         self._bounds = directory / "bounds.json"
-        self._discharge_bounds = directory / "discharge_bounds.json"
         identity = {
             "trajectory_every": trajectory_every,
             "versions": {**versions(), "skill": repr(read_skill(REAL))},
@@ -95,8 +92,7 @@ class StudyStore:
             content = _read(self._runs / case.identity / _OUTCOME)
             if content:
                 self.outcomes[case.identity] = Outcome(**content, files={})
-        self.bounds: dict[str, float] = _read(self._bounds)
-        self.discharge_bounds: dict[str, dict[str, float]] = _read(self._discharge_bounds)
+        self.bounds: dict[str, dict[str, float]] = _read(self._bounds)
 
     def _open(self, grid: Path, identity: dict[str, Any]) -> None:
         configuration = self.directory / "configuration"
@@ -110,7 +106,12 @@ class StudyStore:
                 "exists and is neither empty nor a study, so it was left unchanged",
                 key="--output", value=str(self.directory),
             )
-        self._lock()
+        try:
+            self._held.enter_context(lock_file(self.directory / _LOCK))
+        except LockedError:
+            raise ConfigurationError(
+                "is in use by another process", key="--output", value=str(self.directory)
+            ) from None
         configuration.mkdir(exist_ok=True)
         if file.is_file():
             self._check(file, identity)
@@ -121,15 +122,6 @@ class StudyStore:
         self._runs.mkdir(exist_ok=True)
         for cut_short in self._runs.glob("*.part"):
             shutil.rmtree(cut_short)
-
-    def _lock(self) -> None:
-        """Lock the directory against other processes while this process runs."""
-        try:
-            self._held.enter_context(lock_file(self.directory / _LOCK))
-        except LockedError:
-            raise ConfigurationError(
-                "is in use by another process", key="--output", value=str(self.directory)
-            ) from None
 
     def _check(self, file: Path, identity: dict[str, Any]) -> None:
         """Reject a study that was started with a different identity.
@@ -170,15 +162,10 @@ class StudyStore:
         part.replace(whole)
         self.outcomes[case.identity] = replace(outcome, files={})
 
-    def write_bound(self, case: Case, bound: float) -> None:
-        """Store the minimum possible total deviation of a case (m3)."""
-        self.bounds[case.bound_identity] = bound
+    def write_bound(self, identity: str, columns: dict[str, float]) -> None:
+        """Store the columns of a bound, under its identity."""
+        self.bounds[identity] = columns
         replace_text(self._bounds, _with_digest(self.bounds))
-
-    def write_discharge_bound(self, case: Case, columns: dict[str, float]) -> None:
-        """Store the columns of the minimum discharge of a case."""
-        self.discharge_bounds[case.discharge_bound_identity] = columns
-        replace_text(self._discharge_bounds, _with_digest(self.discharge_bounds))
 
     def write_table(self) -> list[dict[str, Any]]:
         """Write ``results.csv``, and return its rows."""
@@ -188,7 +175,8 @@ class StudyStore:
         for case in self.cases:
             inputs = case.inputs
             error = self.failures.get(case.identity)
-            outcome, bound = self.outcomes.get(case.identity), self.bounds.get(case.bound_identity)
+            outcome = self.outcomes.get(case.identity)
+            bound = self.bounds.get(case.bound_identity, {}).get("bound_m3")
             results = {} if outcome is None else outcome.results
             rows.append({
                 "run": case.identity,
@@ -202,14 +190,10 @@ class StudyStore:
                 "bound_m3": bound,
                 "ratio_to_bound": results["total_deviation_m3"] / bound if results and bound
                 else None,
-                **self.discharge_bounds.get(case.discharge_bound_identity, {}),
+                **self.bounds.get(case.discharge_bound_identity, {}),
             })
-        text = io.StringIO()
-        columns = list(dict.fromkeys(column for row in rows for column in row))
-        writer = csv.DictWriter(text, columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)  # floats keep all their digits
-        replace_text(self.directory / "results.csv", text.getvalue())
+        columns = dict.fromkeys(column for row in rows for column in row)
+        replace_text(self.directory / "results.csv", format_csv(columns, rows))
         return rows
 
 

@@ -9,16 +9,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from greenroof_ros.analysis.verification.scores import Tally
+from greenroof_ros.analysis.verification.scores import Array, Tally
 from greenroof_ros.base.times import to_people
 from greenroof_ros.forecast.issue import read_archive
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.records import HOUR
 from greenroof_ros.weather.series import Weather
-
-Array = NDArray[np.float64]
 
 # How many forecasts are added in one batch.
 _AT_ONCE = 200

@@ -8,12 +8,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 from greenroof_ros.analysis.workers.processes import Workers, processes
-from greenroof_ros.base.command_line import (
-    EXIT_FAILED,
-    EXIT_INTERRUPTED,
-    make_number_type,
-    refuse,
-)
+from greenroof_ros.base.command_line import EXIT_FAILED, EXIT_INTERRUPTED, make_number_type, refuse
 from greenroof_ros.base.processes import Signals, count_cores
 
 

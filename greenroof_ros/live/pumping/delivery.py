@@ -98,7 +98,7 @@ class _Sums(NamedTuple):
     mains: float = 0.0
     """what the mains may have let in (m3)"""
     drained: float = 0.0
-    """what the low outlet may have drawn, according to the site file (m3)"""
+    """what the low outlet may have drawn, unless its valve is closed (m3)"""
 
     def add(self, other: _Sums, share: float = 1.0) -> _Sums:
         return _Sums(*(mine + share * added for mine, added in zip(self, other, strict=True)))
@@ -167,7 +167,8 @@ class DeliveryCheck:
         self._sums = self._sums.add(_Sums(
             dt, min_pumped, max_pumped, retained=self._retained_share * min_pumped,
             mains=(site.mains_flow or 0.0) * dt * may_refill,
-            drained=low_outlet_flow(self._p, site.cistern_volume(highest)) * dt,
+            drained=low_outlet_flow(self._p, site.cistern_volume(highest)) * dt
+                * (not observed.outlet_closed),
         ))
         if cistern_level is None or roof_level is None:
             return None

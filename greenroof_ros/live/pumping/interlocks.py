@@ -38,6 +38,7 @@ class Decision:
         speed: speed that the device reports (share of the rated speed); None if it is unknown.
         flow: flow (m3/s); None if it is unknown.
         request: speed that is requested from the device; None for off.
+        position: share to which a valve is open; None if it is unknown, and for a pump.
     """
 
     active: Mapping[str, Diagnosis]
@@ -47,6 +48,7 @@ class Decision:
     speed: float | None = None
     flow: float | None = None
     request: float | None = None
+    position: float | None = None
 
     @property
     def shown(self) -> ActuatorState:

@@ -5,8 +5,7 @@ Inhibits caused by a limit clear automatically.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from greenroof_ros.base.errors import ConfigurationError
@@ -46,6 +45,7 @@ class Observation:
         speed: speed of the drive, as a share of the rated speed; negative if the pump turns
             backwards.
         flow: flow that a flow meter or, without one, the drive measures (m3/s).
+        outlet_closed: whether the valve of the low outlet is known to be closed.
         reasons: the pump node's own reasons for keeping the pump off, among them the drive's fault.
     """
 
@@ -57,6 +57,7 @@ class Observation:
     time_ns: int = 0
     speed: float | None = None
     flow: float | None = None
+    outlet_closed: bool = False
     reasons: Sequence[Diagnosis] = ()
 
 
@@ -133,6 +134,49 @@ def pump_parameters(site: Site) -> tuple[Parameter, ...]:
     )
 
 
+def find_unknown(known: Mapping[str, float | None]) -> Iterator[Diagnosis]:
+    """Yield a reason for every value that is unknown (None), by its name."""
+    for name, value in known.items():
+        if value is None:
+            yield Diagnosis.of(f"{name}_unknown")
+
+
+class UsageLimits:
+    """The limits of an actuator's time on, and of its volume in 24 h."""
+
+    def __init__(
+        self, state_file: StateFile, max_run: float, max_volume_per_day: float, actuator: str
+    ) -> None:
+        """Set the limits.
+
+        Args:
+            state_file: state file, which counts starts and volumes.
+            max_run: maximum time on without a break of the same length (s).
+            max_volume_per_day: maximum volume in any 24 h (m3).
+            actuator: ``pump`` or ``valve``, for the sentences.
+        """
+        self._state_file, self._actuator = state_file, actuator
+        self._max_run, self._max_volume = max_run, max_volume_per_day
+        self._rests_until = 0.0
+
+    def reasons(self, on: bool) -> Iterator[Diagnosis]:
+        """Yield the current reasons for keeping the actuator off; called at every step.
+
+        Args:
+            on: whether the actuator is on.
+        """
+        stored = self._state_file.state
+        if on and stored.since_start >= self._max_run:
+            self._rests_until = stored.elapsed + self._max_run
+        if (rest := self._rests_until - stored.elapsed) > 0:
+            yield Diagnosis.of("max_run", self._actuator, max=self._max_run, rest=rest)
+        if stored.day_volume >= self._max_volume:
+            yield Diagnosis.of(
+                "daily_volume", self._actuator, volume=stored.day_volume, limit=self._max_volume,
+                again=stored.clears_in(self._max_volume),
+            )
+
+
 class PumpLimits:
     """Limits on time off, starts, run time, volume in 24 h, cistern level, frost and quiet hours.
 
@@ -144,14 +188,11 @@ class PumpLimits:
         self._site = site
         self._settings = settings
         self._state_file = state_file
-        self._off_since, self._rests_until = state_file.state.elapsed, 0.0
+        self._off_since = state_file.state.elapsed
+        self._usage = UsageLimits(
+            state_file, settings.max_run, settings.max_volume_per_day, "pump"
+        )
         self._dry = False
-
-    @property
-    def since_start(self) -> float:
-        """Time since the last start (s)."""
-        stored = self._state_file.state
-        return stored.elapsed - stored.starts[-1] if stored.starts else math.inf
 
     def switch(self, on: bool) -> None:
         """Count a start or a stop."""
@@ -179,16 +220,11 @@ class PumpLimits:
             observed: present observations.
             on: whether the pump is on.
         """
-        settings, stored = self._settings, self._state_file.state
-        for value, code in (
-            (observed.command, "command_unknown"),
-            (observed.cistern_level, "cistern_level_unknown"),
-            (observed.roof_level, "roof_level_unknown"),
-            (observed.frost, "frost_unknown"),
-            (observed.speed, "drive_not_ready"),
-        ):
-            if value is None:
-                yield Diagnosis.of(code)
+        settings = self._settings
+        names = "command", "cistern_level", "roof_level", "frost"
+        yield from find_unknown({name: getattr(observed, name) for name in names})
+        if observed.speed is None:
+            yield Diagnosis.of("drive_not_ready")
         if (level := observed.cistern_level) is not None:
             minimum = self._site.suction_level + settings.level_offset + self._dry * _HYSTERESIS
             self._dry = level <= minimum
@@ -199,15 +235,7 @@ class PumpLimits:
         quiet = self._site.quiet
         if quiet is not None and quiet.quiet_at(observed.time_ns):
             yield Diagnosis.of("quiet_hours", until=f"{quiet.end_after(observed.time_ns):%H:%M}")
-        if on and self.since_start >= settings.max_run:
-            self._rests_until = stored.elapsed + settings.max_run
-        if (rest := self._rests_until - stored.elapsed) > 0:
-            yield Diagnosis.of("max_run", max=settings.max_run, rest=rest)
-        if stored.day_volume >= settings.max_volume_per_day:
-            yield Diagnosis.of(
-                "daily_volume", volume=stored.day_volume, limit=settings.max_volume_per_day,
-                again=stored.clears_in(settings.max_volume_per_day),
-            )
+        yield from self._usage.reasons(on)
 
 
 class Pulses:

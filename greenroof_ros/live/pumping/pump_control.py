@@ -175,7 +175,7 @@ class PumpControl:
         share = pulses.update(command, level, on)
         if command < minimum:
             why = "in pulses, since the command is below the minimum flow"
-        if on and share == 0 and self._limits.since_start < self._settings.min_on:
+        if on and share == 0 and self._state_file.state.since_start < self._settings.min_on:
             share, why = minimum, f"it must stay on for at least {self._settings.min_on:g} s"
         wait, why_wait = self._limits.wait()
         if share == 0 and command == 0:

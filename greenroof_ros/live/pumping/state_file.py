@@ -93,6 +93,7 @@ class StoredState:
         starts: times of the pump's last starts (s, as in ``elapsed``); the file contains the last
             hundred.
         on: whether the pump was on when the state was saved.
+        without_rain: for the valve, time without rain (s), up to when the state was saved.
         boot: identifier of the computer's boot after which the state was saved; empty if unknown.
         boot_s: time from that boot until the state was saved (s).
     """
@@ -107,12 +108,18 @@ class StoredState:
     volumes: tuple[float, ...] = ()
     starts: tuple[float, ...] = ()
     on: bool = False
+    without_rain: float = 0.0
     boot: str = ""
     boot_s: float = 0.0
 
     @property
+    def since_start(self) -> float:
+        """Time since the last start (s); infinite if there was none."""
+        return self.elapsed - self.starts[-1] if self.starts else math.inf
+
+    @property
     def day_volume(self) -> float:
-        """Volume that was pumped in the last 24 h (m3)."""
+        """Volume that was pumped or released in the last 24 h (m3)."""
         return math.fsum(self.volumes)
 
     def clears_in(self, limit: float) -> float:
@@ -133,6 +140,8 @@ class StateFile:
         problem: reason why the file could not be written; empty if it was written. Control
             continues regardless.
         saved: whether the state has been saved since the start.
+        unseen_s: time between the last state of an earlier process and this start (s); infinite if
+            it is unknown.
     """
 
     def __init__(self, file: Path | None, zone: tzinfo = timezone.utc) -> None:
@@ -152,7 +161,7 @@ class StateFile:
         # whether the file was whole when it was read.
         self._latest = self._written = self.state
         self._number, self._whole = 0, False
-        self._unseen_s = 0.0
+        self.unseen_s = 0.0
         self._lock: socket | None = None
         if file is not None:
             try:
@@ -226,7 +235,7 @@ class StateFile:
             flow: maximum flow (m3/s).
         """
         if self.state.on:
-            self.count(0.0, min(self._unseen_s, max_run) * flow)
+            self.count(0.0, min(self.unseen_s, max_run) * flow)
             self.switch(False)
 
     # --- writing ----------------------------------------------------------------------------------
@@ -319,10 +328,10 @@ class StateFile:
             before = f"; before, {state.fault}" if state.fault else ""
             state = replace(state, fault_code="state_unknown", fault=why + before)
         self.state, self._whole = state, noted is not None and not problems
-        self._unseen_s = math.inf
+        self.unseen_s = math.inf
         if state.boot == boot_id():
-            self._unseen_s = boot_time() - state.boot_s
-            self.count(self._unseen_s, 0.0)
+            self.unseen_s = boot_time() - state.boot_s
+            self.count(self.unseen_s, 0.0)
 
 
 def _number_file(file: Path) -> Path:
@@ -370,7 +379,8 @@ def _parse(line: bytes) -> dict[int, StoredState]:
         if content["unknown"]:
             told = [content["unknown"], content["fault"]]
             content |= {"fault": "; ".join(filter(None, told)), "fault_code": "state_unknown"}
-    elif content["version"] != _VERSION:
+    content.setdefault("without_rain", 0.0)
+    if content["version"] not in (1, _VERSION):
         raise ValueError(f"its format is {content['version']}, but this version reads {_VERSION}")
     state = StoredState(**{field.name: content[field.name] for field in fields(StoredState)})
     return {content["sequence"]: replace(

@@ -7,6 +7,7 @@ import contextlib
 import json
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -15,6 +16,8 @@ from greenroof_ros.live.devices.json_path import parse_path
 from greenroof_ros.live.devices.modbus_line import encode, parse_address
 from greenroof_ros.live.devices.sensor_file import ModbusSensor, MqttSensor, Sensors
 from greenroof_ros.live.simulators.server import Server, make_device
+from greenroof_ros.live.simulators.valve import LEAK, SimulatedValve
+from greenroof_ros.physics.parameters import State
 from greenroof_ros.physics.pump import flow_at
 from greenroof_ros.physics.sensor_and_pump import SensorAndPump
 from greenroof_ros.physics.virtual_site import VirtualSite
@@ -45,6 +48,7 @@ class SimulatedSite:
         volumes: tuple[float, float],
         sensors: Sensors,
         speed: Callable[[], float],
+        valve: SimulatedValve | None = None,
     ) -> None:
         """Prepare the sensors without opening ports, lines or connections.
 
@@ -56,11 +60,14 @@ class SimulatedSite:
             volumes: initial volumes of water in the cistern and on the roof (m3).
             sensors: the sensors, with addresses and protocols; a thermometer always reads 15 degC.
             speed: function that returns the current speed of the pump (share of the rated speed).
+            valve: the valve of the low outlet; None at a site without one.
         """
-        self._site, self._speed = site, speed
+        self._site, self._speed, self._valve = site, speed, valve
         self._weather = precipitation, evapotranspiration
-        self.virtual_site = VirtualSite(site, *volumes, 0, SensorAndPump())
-        self.pumped, self._rained, self._flowing = 0.0, 0.0, 0.0
+        # The simulated valve moves by itself.
+        follows = replace(site, valve_moves_per_hour=None)
+        self.virtual_site = VirtualSite(follows, *volumes, 0, SensorAndPump())
+        self.pumped, self._rained, self._flowing, self._opening = 0.0, 0.0, 0.0, 1.0
         self._sensors = sensors.by_section
         modbus = [each for each in self._sensors.values() if isinstance(each, ModbusSensor)]
         lines = {sensor.address: sensor.serial for sensor in modbus}
@@ -102,11 +109,13 @@ class SimulatedSite:
         """Return the true current value of the quantity that a sensor measures."""
         counts = self._sensors[section].counts
         cistern, roof = self.virtual_site.levels()
-        return {
+        switches = {} if self._valve is None else self._valve.switches()
+        values = switches | {
             "cistern": cistern, "roof": roof, "thermometer": _TEMPERATURE,
             "flow_meter": self.pumped if counts else self._flowing,
             "rain_gauge": self._rained if counts else self._present_weather()[0],
-        }[section]
+        }
+        return values.get(section, 0.0)  # a site without a valve has no switches
 
     async def publish(self, section: str, sensor: MqttSensor, ended: asyncio.Event) -> None:
         """Publish the readings of a sensor at regular intervals until the simulator stops.
@@ -142,12 +151,14 @@ class SimulatedSite:
         await asyncio.gather(*publishing)
 
     async def _mean_flow(self, due: float) -> float:
-        """Return the mean flow (m3/s) until a tick ends (s, `time.monotonic`)."""
-        pause, flows = max(self._site.tau / _POLLS, _MIN_PAUSE_S), list[float]()
-        while not flows or time.monotonic() < due:
+        """Return the pump's mean flow (m3/s) until a tick ends (s, `time.monotonic`)."""
+        pause, samples = max(self._site.tau / _POLLS, _MIN_PAUSE_S), list[tuple[float, float]]()
+        while not samples or time.monotonic() < due:
             await asyncio.sleep(max(0.0, min(pause, due - time.monotonic())))
-            flows.append(self.flow(self._speed()))
-        return sum(flows) / len(flows)
+            opening = 1.0 if self._valve is None else self._valve.advance()
+            samples.append((self.flow(self._speed()), opening))
+        self._opening = sum(opening for _, opening in samples) / len(samples)
+        return sum(flow for flow, _ in samples) / len(samples)
 
     def flow(self, speed: float) -> float:
         """Return the pump's flow from the cistern at a speed (m3/s); 0 if it runs dry."""
@@ -164,8 +175,15 @@ class SimulatedSite:
     def step(self, flow: float) -> None:
         """Advance by one tick with a mean flow of the pump out of the cistern (m3/s)."""
         rain, evapotranspiration = self._present_weather()
-        flows = self.virtual_site.act(rain, evapotranspiration, 0.0, pumped=flow)
+        flows = self.virtual_site.act(
+            rain, evapotranspiration, 0.0, pumped=flow, outlet=self._opening
+        )
         self.virtual_site.step()
+        if self._valve is not None and self._valve.has("leak"):
+            x1, x2, layer = self.virtual_site.state
+            kept = self._site.cistern_volume(self._site.min_outlet_level)
+            x1 = max(min(x1, kept), x1 - self._site.tau * LEAK)
+            self.virtual_site.state = State(x1, x2, layer)
         self.pumped += self._site.tau * flows.pump
         self._rained += self._site.tau * rain
         self._flowing = flows.pump

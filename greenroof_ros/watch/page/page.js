@@ -9,14 +9,15 @@ const SILENT = 6000; // ms after which the last state counts as old
 const REPORTED = 3000; // ms after which the state contains the effect of an action
 const LEVELS = { error: "Alarm", warn: "Warning" };
 // Colours of the values, by their state; other states have none.
-const TONES = { good: "ok", running: "ok", starting: "ok", low: "warn", high: "warn", held: "warn", doubtful: "warn", cold: "warn", alarm: "error", fault: "error" };
-// Of each action: its question, the answer that confirms it, and what is unknown if it fails.
+const TONES = { good: "ok", running: "ok", starting: "ok", low: "warn", high: "warn", held: "warn", doubtful: "warn", cold: "warn", open: "ok", opening: "ok", alarm: "error", fault: "error" };
+// Of each action: what is done, and what is unknown if it fails. Those on the valve begin with valve_.
 const ACTIONS = {
-  stop: ["Stop the pump?", "Yes, stop the pump", "the pump will stop"],
-  release: ["Release the pump?", "Yes, release the pump", "the pump was released"],
-  clear: ["Clear the fault?", "Yes, clear the fault", "the fault was cleared"],
-  dose: ["Give a dose?", "Yes, give the dose", "the dose was given"],
+  stop: ["stop the pump", "the pump will stop"], release: ["release the pump", "the pump was released"],
+  clear: ["clear the fault", "the fault was cleared"], dose: ["give a dose", "the dose was given"],
+  valve_close: ["close the outlet valve", "the valve will close"], valve_release: ["release the outlet valve", "the valve was released"],
+  valve_open: ["open the outlet valve for 30 minutes", "the valve was opened"],
 };
+const BUTTONS = Object.keys(ACTIONS).filter((name) => name !== "dose");
 
 const byId = (id) => document.getElementById(id);
 const setText = (id, text) => {
@@ -70,7 +71,7 @@ const showTiles = ({ tiles }) => {
 };
 
 // An advice that is in the box is not repeated; of a hold, the box states more.
-const showAlarms = ({ alarms, advice }) => fill("alarms", alarms.map((alarm) => ({ ...alarm, told: alarm.code === "hold" || advice.includes(alarm.do) })), (alarm) => {
+const showAlarms = ({ alarms, advice }) => fill("alarms", alarms.map((alarm) => ({ ...alarm, told: (alarm.code === "hold" && alarm.role === "pump") || advice.includes(alarm.do) })), (alarm) => {
   const row = element("li", "", element("strong", "", `${LEVELS[alarm.level]}. `), element("span", "", alarm.what), ` since ${alarm.since_text}.`);
   row.dataset.level = alarm.level;
   row.dataset.code = alarm.code;
@@ -82,17 +83,16 @@ const showEvents = ({ events }) => fill("events", events, ({ at_text: at, what }
   element("li", "", element("time", "", at), element("span", "", what))));
 
 const showStop = ({ mode, stop }) => {
-  byId("stop").hidden = !stop.possible && mode !== "live";
+  byId("stop").hidden = !stop.possible && (mode !== "live" || !stop.needed);
   setText("stop-button", stop.label);
-  for (const name of ["release", "clear"]) byId(`${name}-button`).hidden = !(name in stop.actions);
+  for (const name of BUTTONS.slice(1)) byId(`${name}-button`).hidden = !(name in stop.actions);
   byId("dose").hidden = !("dose" in stop.actions);
   const { min, max, refusal } = stop.dose;
-  byId("litres").min = 1000 * (min || 1e-6);
-  byId("litres").max = 1000 * max;
+  Object.assign(byId("litres"), { min: 1000 * (min || 1e-6), max: 1000 * max });
   setText("dose-limits", `${Math.ceil(1000 * min)} to ${1000 * max} L`);
   setText("no-dose", refusal && !stop.hold ? `No dose is possible now: ${refusal}.` : ""); // of a hold the box states more
-  // A question becomes outdated, except the one about a stop.
-  if (byId("ask").open && asked.name !== "stop" && asked.situation !== situation()) {
+  // A question becomes outdated, except one about a stop.
+  if (byId("ask").open && !["stop", "valve_close"].includes(asked.name) && asked.situation !== situation()) {
     byId("ask").close();
     setAnswer("Nothing was done: the situation has changed in the meantime.", true);
   }
@@ -102,8 +102,7 @@ const situation = () => JSON.stringify([Object.keys(state?.stop.actions ?? {}), 
 
 // The one box: the answer to the last action until the state contains its effect, otherwise what to do.
 const showBox = () => {
-  const old = answer && (answer.failed ? answer.situation !== situation() : receivedAt - answer.at > REPORTED);
-  if (old) answer = null;
+  if (answer && (answer.failed ? answer.situation !== situation() : receivedAt - answer.at > REPORTED)) answer = null;
   byId("box").classList.toggle("failed", Boolean(answer?.failed));
   setText("box", answer?.text ?? state?.advice ?? "");
 };
@@ -143,10 +142,10 @@ const headers = () => {
 };
 
 const ask = (name, body = {}) => {
-  const [question, yes] = ACTIONS[name];
+  const what = name === "dose" ? `give a dose of ${byId("litres").value} L` : ACTIONS[name][0];
   asked = { name, body, situation: situation() };
-  setText("question", name === "dose" ? `Give a dose of ${byId("litres").value} L?` : question);
-  setText("yes", yes);
+  setText("question", `${what[0].toUpperCase()}${what.slice(1)}?`);
+  setText("yes", `Yes, ${what}`);
   setText("effect", state?.stop.actions[name] ?? "A stop holds the pump off until someone releases it.");
   byId("ask").showModal();
 };
@@ -154,7 +153,7 @@ const ask = (name, body = {}) => {
 const act = async ({ name, body }) => {
   const button = byId(`${name}-button`);
   button.disabled = true;
-  setAnswer("Asking the pump node ...", false, Infinity);
+  setAnswer("Asking the site ...", false, Infinity);
   try {
     const response = await fetch(`/${name}`, {
       method: "POST", headers: headers(), body: JSON.stringify(body), signal: AbortSignal.timeout(10_000),
@@ -164,13 +163,13 @@ const act = async ({ name, body }) => {
     setAnswer(response.ok ? sentence : `Nothing was done: ${sentence}.`, !ok);
   } catch (error) {
     const how = name === "stop" ? " Try again, or stop it at the pump itself." : "";
-    setAnswer(`It is unknown whether ${ACTIONS[name][2]}: ${error.message}.${how}`, true);
+    setAnswer(`It is unknown whether ${ACTIONS[name][1]}: ${error.message}.${how}`, true);
   } finally {
     button.disabled = false;
   }
 };
 
-for (const name of ["stop", "release", "clear"]) byId(`${name}-button`).addEventListener("click", () => ask(name));
+for (const name of BUTTONS) byId(`${name}-button`).addEventListener("click", () => ask(name));
 byId("dose").addEventListener("submit", (event) => {
   event.preventDefault();
   ask("dose", { volume: byId("litres").valueAsNumber / 1000, asked_at: state.time.now });

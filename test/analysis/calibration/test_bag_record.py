@@ -56,9 +56,6 @@ def test_sums_of_five_minutes(tmp_path: Path) -> None:
     assert record.level == pytest.approx(0.02 + 300e-6 * np.arange(6))
     # Nothing states that it was computed, so the site's crop coefficient is not applied.
     assert record.reference == pytest.approx(np.full(6, 0.03))
-    assert record.cistern == pytest.approx(np.full(6, 2.0))
-    # The command counts while something is delivered; no pump follows a command of 1.5.
-    assert record.command == pytest.approx([0.4, 0.5, np.nan, 0.5, 0.5, 0.5], nan_ok=True)
 
 
 @pytest.mark.parametrize(

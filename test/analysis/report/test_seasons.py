@@ -13,7 +13,7 @@ from studies import record, run_here
 
 from greenroof_ros.analysis.report.figures import make_figures
 from greenroof_ros.analysis.report.groups import TOTAL, CaseRuns, Report
-from greenroof_ros.analysis.report.intervals import Array, SeasonComparison, compare, worst_tenth
+from greenroof_ros.analysis.report.intervals import Array, SeasonComparison, compare
 from greenroof_ros.analysis.report.tables import make_notes, make_tables
 
 YEARS = range(2015, 2026)
@@ -52,16 +52,6 @@ def relative_to_onoff(*seeds: dict[int, float]) -> SeasonComparison:
 
 
 # --- statistics ----------------------------------------------------------------------------------
-
-
-def test_a_tenth_regardless_of_the_number_of_values() -> None:
-    """Of 26 runs 2.6, of 260 the same as 26; of five the largest."""
-    runs = np.arange(26.0)
-    for totals, expected in (
-        (runs, (25 + 24 + 0.6 * 23) / 2.6), (np.repeat(runs, 10), (25 + 24 + 0.6 * 23) / 2.6),
-        (np.arange(5.0), 4.0),
-    ):
-        assert worst_tenth(totals) == pytest.approx(expected)
 
 
 def test_ratios_and_what_is_reported_of_them() -> None:
@@ -127,7 +117,7 @@ def case_of(report: Report, controller: str) -> CaseRuns:
 
 
 def test_means_by_hand(tmp_path: Path) -> None:
-    """Over years, in each over its seeds; the worst year; the worst tenth of all runs."""
+    """Over years, in each over its seeds; the worst year."""
     lower = {year: total - 20 for year, total in ONOFF.items()}
     onoff = rows("onoff", None, ONOFF)
     onoff[0]["roof_retention_share"], onoff[1]["roof_retention_share"] = 0.5, 0.75
@@ -142,8 +132,6 @@ def test_means_by_hand(tmp_path: Path) -> None:
     assert case.row["ratio"] == pytest.approx(140 / 50)
     tables = make_tables(report)
     spread = tables["Over seeds and years"][1]
-    # 22 runs: the worst 2.2 are 2025, 2024, and two tenths of the next, 2025 less 20 or 2023.
-    assert spread["worst tenth (m³)"] == f"{(200 + 190 + 0.2 * 180) / 2.2:.2f}"
     assert (spread["runs"], spread["years"]) == ("22", "11")
     assert spread["worst year"] == "2025: 190.00 m³"
     (compared,) = tables["Deviation relative to on/off"]

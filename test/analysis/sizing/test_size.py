@@ -263,7 +263,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"season": "summer"}, "season = 'summer': must be the first and the last day"),
     ({"knee": -1}, "knee = -1: must be"),
     ({"jobs": 0}, "jobs = 0: must be"),
-    ({"mains_price": 2.0}, "storm_water_price: is missing: to compute costs, set"),
+    ({"mains_price": 2.0}, "storm_water_price: is missing: value of 1 m3 of storm"),
     ({"mains_price": -2.0, "storm_water_price": 1, "cistern_price": 1, "cistern_years": 30},
      "mains_price = -2.0: must be"),
     ({"mains_price": 2, "storm_water_price": 1, "cistern_price": 1, "cistern_years": 0},
@@ -294,10 +294,10 @@ def test_a_site_without_its_place(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("options", "message"), [
     (["--volumes", "5,0"], "--volumes: must be a number from 0.05 to 100000, with a decimal"),
     (["--volumes", "5", "5"], "error: --volumes = 5.0: appears twice"),
-    (["--cistern-price", "600"], "error: --mains-price: is missing: to compute costs, set"),
+    (["--cistern-price", "600"], "error: --mains-price: is missing: price of 1 m3 of mains"),
     (["--season", "04-01/10-31"], "does not cover a complete season, 1 April to 31 October"),
     (["--output", "mine"],
-     "error: --output = 'mine': contains letter.txt, which is not the result"),
+     "error: --output = 'mine': exists and is not empty: it contains letter.txt;"),
 ])
 def test_wrong_options(tmp_path: Path, options: list[str], message: str) -> None:
     """Exit code 2, one line, no traceback."""

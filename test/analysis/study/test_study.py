@@ -166,7 +166,7 @@ def test_a_full_disk_is_named(tmp_path: Path, what: str) -> None:
     full.symlink_to("/dev/full")
     write = {
         "outcome": lambda: store.write_outcome(store.cases[0], Outcome({}, {})),
-        "bounds": lambda: store.write_bound(store.cases[0], 1.0),
+        "bounds": lambda: store.write_bound("a bound", {}),
         "results": store.write_table,
     }[what]
     with pytest.raises(OSError, match=re.escape(str(full))):

@@ -1,4 +1,8 @@
-"""Requests to the pump node: ``greenroof hold``, ``release``, ``reset`` and ``dose``."""
+"""Requests to the node of the pump or of the outlet valve.
+
+They are ``greenroof hold``, ``release``, ``reset`` and ``dose``, and those that begin with
+``greenroof outlet``.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NoReturn
 
 from greenroof_ros.base.command_line import (
@@ -18,41 +22,51 @@ from greenroof_ros.base.command_line import (
     make_number_type,
 )
 from greenroof_ros.base.times import parse_time, to_people
-from greenroof_ros.interface.states import PUMP
+from greenroof_ros.interface.states import PUMP, VALVE
 from greenroof_ros.ros.domain import add_namespace
 from greenroof_ros.ros.reports import Reports
 from greenroof_ros.watch.graph_client import (
     DIAGNOSTICS,
     GraphClient,
-    PumpRequestError,
+    RequestError,
     read_message,
 )
 
-# Longest wait for the pump node (s), as its discovery takes seconds.
+# Longest wait for the node (s), as its discovery takes seconds.
 _PATIENCE_S = 20.0
 # How long its reports are awaited (s), before a reset asks for confirmation and during a dose.
 _REPORT_S = 5.0
 _POLL_S = 0.1
-# Longest hold with an end (h): ten years.
-_MAX_HOLD_H = 87_600
+# The number in a duration, at most ten years in hours; and the units (s), hours if there is none.
+_read_number = make_number_type(0.001, 87_600)
+_UNITS = {"s": 1.0, "min": 60.0, "d": 86_400.0, "h": 3600.0, "": 3600.0}
+# The words of each device in a description.
+_WORDS = {
+    PUMP: {"device": "pump", "off": "off", "starts": "starts", "group": "greenroof"},
+    VALVE: {
+        "device": "outlet valve", "off": "closed", "starts": "opens", "group": "greenroof outlet"
+    },
+}
 _QUESTION = (
-    "The pump may start as soon as the fault is cleared. Have you remedied its cause, and made "
-    "sure that no one is working on the pump? [y/N] "
+    "The {0} may start moving as soon as the fault is cleared. Have you remedied its cause, and "
+    "made sure that no one is working on the {0}? [y/N] "
 )
 
 
 @dataclass(frozen=True)
-class PumpRequest:
-    """A command that sends one request to the pump node, and prints the outcome.
+class Request:
+    """A command that sends one request to a node, and prints the outcome.
 
     Attributes:
         name: name of the command.
-        done: state of the pump after a successful request, as worded in the list of exit codes.
-        description: description for the help.
+        done: state of the pump or the valve after a successful request, as worded in the list of
+            exit codes.
+        description: description for the help, in which the words of the device are left open.
         request: function that makes the request, given the command line and the nodes' reports, and
             returns the outcome.
         add_options: function that adds the command's own options.
         examples: examples for the help.
+        role: role of the node.
     """
 
     name: str
@@ -61,13 +75,15 @@ class PumpRequest:
     request: Callable[[GraphClient, argparse.Namespace, Reports], str]
     add_options: Callable[[Parser], object] = lambda parser: None
     examples: str = ""
+    role: str = PUMP
 
     def make_parser(self) -> Parser:
         """Return the command's parser."""
+        prog = f"greenroof {self.name}"
         parser = Parser(
-            prog=f"greenroof {self.name}", description=self.description,
-            epilog=f"{self.examples}exit codes: 0 {self.done}, 1 not {self.done}, or not "
-            "confirmed, 2 bad usage",
+            prog=prog, description=self.description.format(**_WORDS[self.role]),
+            epilog=f"{self.examples.format(prog=prog)}exit codes: 0 {self.done}, "
+            f"1 not {self.done}, or not confirmed, 2 bad usage",
         )
         self.add_options(parser)
         add_namespace(parser)
@@ -78,7 +94,7 @@ class PumpRequest:
         command(self._run)()
 
     def _run(self) -> int:
-        arguments = self.make_parser().parse_args()
+        arguments = self.make_parser().parse_args(namespace=argparse.Namespace(role=self.role))
         reports = Reports(arguments.namespace)
 
         def receive(name: str, message: bytes, *_: Any) -> None:
@@ -88,7 +104,7 @@ class PumpRequest:
         try:
             with closing(GraphClient(arguments.namespace, receive)) as client:
                 print(self.request(client, arguments, reports))
-        except PumpRequestError as failure:
+        except RequestError as failure:
             print(f"error: {failure}", file=sys.stderr)
             return EXIT_FAILED
         return EXIT_DONE
@@ -102,8 +118,8 @@ def _add_hold_options(parser: Parser) -> None:
         "time without a UTC offset is this machine's local time (default: no end)",
     )
     end.add_argument(
-        "--for", dest="hours", type=make_number_type(0.001, _MAX_HOLD_H), metavar="HOURS",
-        help="end the hold after this time (h; default: no end)",
+        "--for", dest="seconds", type=_parse_duration, metavar="TIME",
+        help="end the hold after this time, such as 30min, 48h or 48 (hours; default: no end)",
     )
     parser.add_argument(
         "--reason", default="", metavar="TEXT",
@@ -130,18 +146,40 @@ def _parse_future_time(text: str) -> float:
 _parse_future_time.__name__ = "TIME"  # argparse and the documentation show this
 
 
+def _parse_duration(text: str) -> float:
+    """Return a duration (s) such as ``30min``; a number without a unit is in hours."""
+    unit = next(unit for unit in _UNITS if text.endswith(unit))
+    return _read_number(text.removesuffix(unit)) * _UNITS[unit]
+
+
+_parse_duration.__name__ = "TIME"
+
+
 def _hold(client: GraphClient, arguments: argparse.Namespace, _: Reports) -> str:
     until = arguments.until
-    if arguments.hours is not None:
-        until = time.time() + arguments.hours * 3600
+    if arguments.seconds is not None:
+        until = time.time() + arguments.seconds
     end = {} if until is None else {"until": until}
     return client.request(
-        "stop", _PATIENCE_S, owner="the command line", reason=arguments.reason, **end
+        "stop", _PATIENCE_S, arguments.role, owner="the command line", reason=arguments.reason,
+        **end,
     )
 
 
-def _release(client: GraphClient, _: argparse.Namespace, __: Reports) -> str:
-    return client.request("release", _PATIENCE_S)
+def _release(client: GraphClient, arguments: argparse.Namespace, _: Reports) -> str:
+    return client.request("release", _PATIENCE_S, arguments.role)
+
+
+def _add_open_options(parser: Parser) -> None:
+    parser.add_argument(
+        "--for", dest="seconds", type=_parse_duration, required=True, metavar="TIME",
+        help="open the valve for this time, such as 30min or 2h",
+    )
+
+
+def _open(client: GraphClient, arguments: argparse.Namespace, _: Reports) -> str:
+    until = time.time() + arguments.seconds
+    return client.request("open", _PATIENCE_S, VALVE, owner="the command line", until=until)
 
 
 def _add_dose_options(parser: Parser) -> None:
@@ -162,7 +200,7 @@ def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Reports) 
         client.receive()
         now, pump = time.monotonic(), reports.node(PUMP)
         if now - max(accepted, pump.received_at if pump else 0.0) > _REPORT_S:
-            raise PumpRequestError(
+            raise RequestError(
                 "it is unknown whether the dose continues: the pump node is silent"
             )
         dose = None if pump is None else pump.values.get("dose")
@@ -171,11 +209,11 @@ def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Reports) 
             if dose.get("over") == "done":
                 return sentence
             if dose.get("over"):
-                raise PumpRequestError(sentence)
+                raise RequestError(sentence)
             if sentence != before:
                 print(sentence, flush=True)
         elif sentence or now > accepted + _REPORT_S:
-            raise PumpRequestError("the pump node was restarted, which ended the dose")
+            raise RequestError("the pump node was restarted, which ended the dose")
 
 
 def _add_reset_options(parser: Parser) -> None:
@@ -187,54 +225,64 @@ def _add_reset_options(parser: Parser) -> None:
 def _reset(client: GraphClient, arguments: argparse.Namespace, reports: Reports) -> str:
     if not arguments.yes:
         until = time.monotonic() + _REPORT_S
-        while (pump := reports.node(PUMP)) is None and time.monotonic() < until:
+        while (node := reports.node(arguments.role)) is None and time.monotonic() < until:
             time.sleep(_POLL_S)
             client.receive()
-        if pump is not None and (fault := pump.values.get("fault")):
+        if node is not None and (fault := node.values.get("fault")):
             print(f"The fault: {fault}", file=sys.stderr)
-        if not _ask_to_confirm():
-            raise PumpRequestError("not cleared: the request was not confirmed")
-    return client.request("reset", _PATIENCE_S)
+        if not _ask_to_confirm(arguments.role):
+            raise RequestError("not cleared: the request was not confirmed")
+    return client.request("reset", _PATIENCE_S, arguments.role)
 
 
-def _ask_to_confirm() -> bool:
+def _ask_to_confirm(role: str) -> bool:
     """Ask for confirmation on the terminal; treat a missing answer as no."""
     try:
-        return input(_QUESTION).strip().lower() in ("y", "yes")
+        return input(_QUESTION.format(role)).strip().lower() in ("y", "yes")
     except EOFError:
         print(file=sys.stderr)
         return False
 
 
-HOLD = PumpRequest(
+HOLD = Request(
     "hold", "held",
-    "Keep the pump off, regardless of its command and even after a restart, until 'greenroof "
+    "Keep the {device} {off}, regardless of its command and even after a restart, until '{group} "
     "release' or a given time. There is only one hold at a time: a new hold replaces the owner "
     "and the reason of the earlier hold, but never ends before the earlier hold would have ended.",
     _hold, _add_hold_options,
-    "examples:\n  greenroof hold --reason 'the roof is being repaired'\n"
-    "  greenroof hold --until 2026-12-24T08:00\n  greenroof hold --for 48\n\n",
+    "examples:\n  {prog} --reason 'the roof is being repaired'\n"
+    "  {prog} --until 2026-12-24T08:00\n  {prog} --for 48h\n\n",
 )
-RELEASE = PumpRequest(
+RELEASE = Request(
     "release", "released",
-    "End the hold of the pump, whoever requested it. The pump then starts automatically when the "
-    "controller requires it and nothing else keeps it off. A fault is not cleared.",
+    "End the hold of the {device}, whoever requested it. The {device} then {starts} automatically "
+    "when the controller requires it and nothing else keeps it {off}. A fault is not cleared.",
     _release,
 )
-RESET = PumpRequest(
+RESET = Request(
     "reset", "cleared",
-    "Clear a latched fault of the pump, in the pump node and in the drive, once the cause of the "
-    "fault has been remedied. The command is intended for a person standing at the pump, and asks "
-    "for confirmation first. A hold stays in force until 'greenroof release'. After a reset, the "
-    "pump starts when the controller requires it and nothing else keeps it off.",
+    "Clear a latched fault of the {device}, in its node and in its drive or relay, once the cause "
+    "of the fault has been remedied. The command is intended for a person standing at the "
+    "{device}, and asks for confirmation first. A hold stays in force until '{group} release'. "
+    "After a reset, the {device} {starts} when the controller requires it and nothing else keeps "
+    "it {off}.",
     _reset, _add_reset_options,
 )
-DOSE = PumpRequest(
+DOSE = Request(
     "dose", "delivered",
     "Deliver a volume now, regardless of the controller's command, if the site file allows "
     "doses (max_dose) and no interlock is active. A dose never fills the roof above its target. "
     "If an interlock becomes active, or if the pump cannot start within a minute, the dose is "
     "abandoned and does not resume. Ctrl-C ends this command but not the dose; to end the dose, "
     "stop the pump.",
-    _dose, _add_dose_options, "example:\n  greenroof dose --litres 200\n\n",
+    _dose, _add_dose_options, "example:\n  {prog} --litres 200\n\n",
 )
+OUTLET_OPEN = Request(
+    "outlet open", "opened",
+    "Open the valve of the cistern's low outlet for a limited time, regardless of its command. It "
+    "closes earlier if an interlock requires that, or by '{group} close'.",
+    _open, _add_open_options, "example:\n  {prog} --for 30min\n\n", VALVE,
+)
+OUTLET_CLOSE = replace(HOLD, name="outlet close", role=VALVE)
+OUTLET_RELEASE = replace(RELEASE, name="outlet release", role=VALVE)
+OUTLET_RESET = replace(RESET, name="outlet reset", role=VALVE)
