@@ -17,6 +17,7 @@ from greenroof_ros.physics.sensor_and_pump import (
     switch_pump,
 )
 from greenroof_ros.physics.tick import OWN_PUMPS, step
+from greenroof_ros.physics.valve import make_valve, move_valve
 from greenroof_ros.site.site import Site
 
 
@@ -28,7 +29,7 @@ class VirtualSite:
         tick: number of the current tick.
         frost: 0 without frost in the current tick; any other value, including NaN, means frost. The
             caller sets this attribute.
-        outlet: opening of the low outlet's valve in the last tick, which frost can close.
+        outlet: command to the low outlet's valve in the last tick; 0 if frost closed the valve.
     """
 
     def __init__(
@@ -51,6 +52,7 @@ class VirtualSite:
         self._start_ns, self._tick_ns = start_ns, round(site.tau * 1e9)
         self._errors = read_errors(sensor_and_pump, ticks).tolist()
         self._switch = [*make_switch(sensor_and_pump, site.tau)]
+        self._valve = [*make_valve(site.valve_moves_per_hour)]
 
     @property
     def time_ns(self) -> int:
@@ -95,7 +97,7 @@ class VirtualSite:
         self.outlet = 0.0 if closed else outlet
         self._after, flows = step(
             self._parameters, self.state, precipitation, evapotranspiration, switched,
-            self.outlet, pumped,
+            move_valve(self._valve, self._parameters.tau, self.outlet), pumped,
         )
         observe_pump(self._switch, flows.pump)
         return flows

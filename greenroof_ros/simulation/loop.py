@@ -56,7 +56,8 @@ class Tick(NamedTuple):
     flows: Flows
     """m3/s; not applied in the last tick, since the run ends in its state"""
     outlet: float
-    """command to the valve of the low outlet, the share to which it is open; 1 without a valve"""
+    """command to the valve of the low outlet (share), to which it is open unless the site limits
+    its moves; 1 without a valve"""
 
 
 class Simulation:

@@ -36,6 +36,7 @@ from greenroof_ros.physics.sensor_and_pump import (
 )
 from greenroof_ros.physics.storm_water import Event, find_wet
 from greenroof_ros.physics.tick import OWN_PUMPS, step
+from greenroof_ros.physics.valve import make_valve, move_valve
 from greenroof_ros.results import sums as s
 from greenroof_ros.results.metrics import Results, end_run, find_new_days
 from greenroof_ros.results.sums import add
@@ -151,6 +152,8 @@ class Sites(NamedTuple):
     """water in cistern, roof and layer (m3), shape (n, 3)"""
     switches: Any
     """switches of the pumps, see :func:`.make_switch`, shape (n, 5)"""
+    valves: Any
+    """valves, see :func:`.make_valve`, shape (n, 3)"""
     sums: Any
     """sums of the runs, shape (n, places)"""
     events: Any
@@ -178,7 +181,7 @@ def run_ticks(
     for row in range(len(sites.state)):
         p, c = sites.parameters[row], sites.controls[row]
         switch, sums, events = sites.switches[row], sites.sums[row], sites.events[row]
-        state, kept = sites.state[row], sites.kept[row]
+        state, kept, valve = sites.state[row], sites.kept[row], sites.valves[row]
         discharged, low = hydrograph[sites.groups[row]]
         to_sewer = 1 - p.drainage_to_cistern
         now, level = State(state[0], state[1], state[2]), float(sites.levels[row])
@@ -194,7 +197,8 @@ def run_ticks(
             outlet = outlet_share(p, c.policy, wet[n], level, cistern)
             if frozen and p.valve_closed_in_frost:
                 outlet = 0.0
-            after, flows = step(p, now, falls, demand, switched, outlet, OWN_PUMPS)
+            opening = move_valve(valve, p.tau, outlet)
+            after, flows = step(p, now, falls, demand, switched, opening, OWN_PUMPS)
             observe_pump(switch, flows.pump)
             if len(kept) > 0 and (k % every == 0 or k == steps):
                 kept[(k + every - 1) // every][:] = (
@@ -350,6 +354,7 @@ class _Season:
             *map(self._as_taken, (
                 np.array([(case.x1, case.x2, case.site.initial_layer) for case in cases]),
                 np.tile(make_switch(run.sensor_and_pump, site.tau), (count, 1)),
+                np.array([make_valve(case.site.valve_moves_per_hour) for case in cases]),
                 np.zeros((count, s.count_places(plants[0]))),
             )),
             np.zeros((count, events, len(Event._fields))), np.zeros((count, kept, len(KEPT))),

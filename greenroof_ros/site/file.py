@@ -20,7 +20,7 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.files import is_there, read_yaml, shared_directory
 from greenroof_ros.base.parameter import Parameter, entry, make_record, parameters_of
 from greenroof_ros.site.clock import standard_offset
-from greenroof_ros.site.site import HIGH, MUCH_RAIN, Site, describe_max_volume
+from greenroof_ros.site.site import HIGH, MUCH_RAIN, VALVE_KEYS, Site, describe_max_volume
 
 LITRES_PER_HOUR = 1 / 3.6e6
 """factor from l/h to m3/s, and from mm/h on 1 m2 to m3/s"""
@@ -63,10 +63,7 @@ _TOGETHER = (
     (("mains_level", "mains_flow"), ()),
     (("low_outlet_level", "low_outlet_radius"), ()),
     (("low_outlet_valve",), ("low_outlet_level",)),
-    *(((key,), ("low_outlet_valve",)) for key in (
-        "valve_closed_in_frost", "valve_moves_per_hour", "valve_travel_time",
-        "valve_without_power",
-    )),
+    *(((key,), ("low_outlet_valve",)) for key in ("valve_closed_in_frost", *VALVE_KEYS)),
     (("initial_cistern", "initial_roof"), ()),
     (("quiet_hours",), ("time_zone",)),
 )

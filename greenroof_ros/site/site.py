@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, fields
 from datetime import timedelta, timezone, tzinfo
 from functools import cached_property
+from typing import Any
 from zoneinfo import ZoneInfo
 
 from greenroof_ros.base.parameter import entry
@@ -119,6 +120,14 @@ class Cistern:
     def cistern_volume(self, level: float) -> float:
         """Return the water volume (m3) for a depth (m) in the cistern."""
         return level * self.a1
+
+
+VALVE_KEYS = ("valve_moves_per_hour", "valve_travel_time", "valve_without_power")
+"""optional keys that only a site with a valve can have, besides ``valve_closed_in_frost``"""
+WITHOUT_VALVE: dict[str, Any] = {
+    "low_outlet_valve": False, "valve_closed_in_frost": False, **dict.fromkeys(VALVE_KEYS),
+}
+"""changes that take the valve from a site"""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -36,6 +36,7 @@ NONE = replace(
     initial_cistern=0.5, mains_level=None, mains_flow=None,
 )
 FROSTY = replace(VALVE, valve_closed_in_frost=True, time_zone="America/Toronto")
+WHOLE = replace(SMALL, valve_moves_per_hour=4.0)
 QUIET = replace(VALVE, time_zone="America/Toronto", quiet_hours=("09:00-15:30",))
 MINUTES = np.random.default_rng(5).choice([0.0, 0.0, 0.05, 12.0], (12, 60))
 MARCH = {"weather": str(DATA / "en_climate_hourly_03-2021.csv"), "start": "2021-03-13T00:00"}
@@ -62,6 +63,9 @@ CASES: dict[str, tuple[Site, dict[str, Any]]] = {
         "weather": weather_of(MINUTES),
         "start": "2021-07-07T00:20Z", "hours": 7,
     }),
+    "whole openings": (replace(WHOLE, tau=7.0), {"outlet": "drain", "hours": 35}),
+    "whole openings, plan": (WHOLE, {"outlet": "plan"}),
+    "whole openings, frost": (replace(FROSTY, valve_moves_per_hour=3.0), MARCH),
     "ticks of an hour": (replace(SMALL, tau=3600.0), {"outlet": "plan"}),
 }
 
@@ -135,6 +139,7 @@ LARGE = replace(VALVE, a2=100.0, x2_star=3.9, z_cap=100.0 / VALVE.a2 * VALVE.z_c
 BATCH = (
     (NONE, {}), (VALVE, {"outlet": "drain"}), (SMALL, {"outlet": "plan"}),
     (LARGE, {"outlet": "plan"}), (QUIET, {"outlet": "open"}), (FROSTY, MARCH),
+    (WHOLE, {"outlet": "drain"}),
 )
 
 
@@ -152,8 +157,8 @@ def test_a_batch_has_the_results_of_its_runs(way: None) -> None:
         kept = of["final_cistern_m3"] + of["final_roof_m3"] + of.get("final_layer_m3", 0.0)
         lost = of["discharge_m3"] + of["evapotranspiration_m3"]
         assert gained == pytest.approx(kept + lost, rel=1e-12)
-    some, of_some = simulate_season(cases_of([runs[row] for row in (4, 0, 2)], (2, 0, 1)))
-    assert [each.metrics for each, _ in some] == [results[row][0].metrics for row in (4, 0, 2)]
+    some, of_some = simulate_season(cases_of([runs[row] for row in (4, 0, 2, 6)], (2, 0, 1, 2)))
+    assert [each.metrics for each, _ in some] == [results[row][0].metrics for row in (4, 0, 2, 6)]
     # The hydrographs of groups add up those of their sites.
     assert hydrograph[0] == pytest.approx(of_some.sum(axis=0), abs=1e-12)
     for group, (discharge, low) in enumerate(hydrograph.sum(axis=2).tolist()):

@@ -25,6 +25,7 @@ from greenroof_ros.physics.sensor_and_pump import (
 )
 from greenroof_ros.physics.storm_water import Event, is_wet, time_without_rain
 from greenroof_ros.physics.tick import OWN_PUMPS, step
+from greenroof_ros.physics.valve import make_valve, move_valve
 from greenroof_ros.results.metrics import compute_metrics, find_new_days
 from greenroof_ros.results.sums import add, count_places, finish
 from greenroof_ros.simulation.loop import Tick
@@ -42,8 +43,8 @@ _TICK, _STEP, _LAST_STEP, _LAST_HOUR, _FIRST_MINUTE = range(5)
 def follow(
     parameters: Any, times: Any, rain: Any, potential: Any, frost: Any, quiet: Any,
     errors: Any, begins: Any, new_days: Any, commands: Any, state: Any, levels: Any, switches: Any,
-    without_rain: Any, days: Any, sums: Any, events: Any, ticks: Any, rewards: Any, first_row: int,
-    last_row: int, first: int, last: int,
+    valves: Any, without_rain: Any, days: Any, sums: Any, events: Any, ticks: Any, rewards: Any,
+    first_row: int, last_row: int, first: int, last: int,
 ) -> None:
     """Simulate sites with constant commands from a tick to another (exclusive).
 
@@ -58,11 +59,12 @@ def follow(
         begins: time of tick 0 since the start of the first hour and of the first step of rain (ns),
             shape (n, 2).
         new_days: first ticks of the days of the site's clock, shape (n, days), ended by -1.
-        commands: command to the pumps (share of the maximum flow) and opening of the valve, 1
-            without a valve, shape (n, 2).
+        commands: command to the pumps (share of the maximum flow) and to the valve, 1 without a
+            valve, shape (n, 2).
         state: water in cistern, roof and layer (m3), shape (n, 3).
         levels: readings of the sensors in the cistern and on the roof (m), shape (n, 2).
         switches: switches of the pumps, see :func:`.make_switch`, shape (n, 5).
+        valves: valves, see :func:`.make_valve`, shape (n, 3).
         without_rain: time without rain until now (s), shape (n,).
         days: number of days that have begun, shape (n,).
         sums: sums of the runs, shape (n, places).
@@ -79,10 +81,10 @@ def follow(
     p, tick_ns, step_ns = parameters[0], times[_TICK], times[_STEP]
     minute = times[_FIRST_MINUTE]
     for row in range(first_row, last_row):
-        switch, own, begin = switches[row], sums[row], begins[row]
+        switch, valve, own, begin = switches[row], valves[row], sums[row], begins[row]
         now = State(state[row][0], state[row][1], state[row][2])
         dry, day, reward = without_rain[row], days[row], 0.0
-        asked, opening, roof = commands[row][0], commands[row][1], levels[row][1]
+        asked, of_valve, roof = commands[row][0], commands[row][1], levels[row][1]
         hour_ends, step_ends, falls, demand, frozen = 0, 0, 0.0, 0.0, False
         for k in range(first, last):
             since, since_step = begin[0] + k * tick_ns, begin[1] + k * tick_ns
@@ -96,11 +98,12 @@ def follow(
             hushed = len(quiet) > 0 and quiet[since // _MINUTE_NS - minute]
             may_run = p.b > 0 and not (frozen or hushed)
             command = asked if may_run else 0.0
-            outlet = 0.0 if frozen and p.valve_closed_in_frost else opening
+            outlet = 0.0 if frozen and p.valve_closed_in_frost else of_valve
+            opening = move_valve(valve, p.tau, outlet)
             dry = time_without_rain(dry, falls, p.tau)
             wet = is_wet(dry, p.tau, p.wet_after_s)
             switched = switch_pump(switch, command, may_run)
-            after, flows = step(p, now, falls, demand, switched, outlet, OWN_PUMPS)
+            after, flows = step(p, now, falls, demand, switched, opening, OWN_PUMPS)
             observe_pump(switch, flows.pump)
             new_day = new_days[row][day] == k
             if new_day:
@@ -198,7 +201,7 @@ class CommandedSites:
 
     Attributes:
         tick: number of the current tick, which is set by the caller after :meth:`follow`.
-        commands: command to the pumps and opening of the valve of each site, shape (n, 2).
+        commands: command to the pumps and to the valve of each site, shape (n, 2).
         levels: readings of the sensors in the cistern and on the roof (m), shape (n, 2).
         without_rain: time without rain until now (s), shape (n,).
         rewards: rewards of the last ticks, see :func:`follow`, shape (n,).
@@ -232,9 +235,11 @@ class CommandedSites:
         if len(surroundings.fixed[-1]):
             roof = np.maximum(0.0, roof + surroundings.fixed[-1][0])
         switch = make_switch(run.sensor_and_pump, site.tau)
-        self.commands, self._state, self.levels, self._switches = map(as_taken, (
+        valve = make_valve(site.valve_moves_per_hour)
+        self.commands, self._state, self.levels, self._switches, self._valves = map(as_taken, (
             np.zeros((count, 2)), np.column_stack((x1, x2, layers)),
             np.column_stack((x1 / site.a1, roof)), np.tile(switch, (count, 1)),
+            np.tile(valve, (count, 1)),
         ))
         self.without_rain, self._days, self.rewards = map(as_taken, (
             np.array([before for before, _ in earlier]), np.zeros(count, np.int64),
@@ -250,8 +255,8 @@ class CommandedSites:
         function: Any = compiled(follow) if self._surroundings.compiles else follow
         function(
             *self._surroundings.fixed, self._begins, self._new_days, self.commands, self._state,
-            self.levels, self._switches, self.without_rain, self._days, self._sums, self._events,
-            self._ticks, self.rewards, first_row, last_row, self.tick, last,
+            self.levels, self._switches, self._valves, self.without_rain, self._days, self._sums,
+            self._events, self._ticks, self.rewards, first_row, last_row, self.tick, last,
         )
 
     def find_weather(self, tick: int) -> Values:

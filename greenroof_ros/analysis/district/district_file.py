@@ -14,7 +14,7 @@ from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.onoff import LEVEL
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.site.file import SITE_KEYS, read_site
-from greenroof_ros.site.site import Site
+from greenroof_ros.site.site import VALVE_KEYS, Site
 from greenroof_ros.weather.series import GAPS, REFUSE
 
 NONE, ORIFICE, DRAIN, PLAN = OUTLETS = ("none", "orifice", outlet.DRAIN, outlet.PLAN)
@@ -26,7 +26,7 @@ _MAX_BUILDINGS = 1_000_000
 _COMMON = {
     "tau", "M", "N", "wet_after", "event_separation", "latitude", "longitude", "elevation",
     "utc_offset", "time_zone", "quiet_hours", "albedo", "k_Rs", "wind_height",
-    "monthly_evapotranspiration", "low_outlet_valve", "valve_closed_in_frost",
+    "monthly_evapotranspiration", "low_outlet_valve", "valve_closed_in_frost", *VALVE_KEYS,
 }
 # Parameters of the pump's controller and of the valve. The district's file sets the kind of outlet.
 _OF_POLICY = {

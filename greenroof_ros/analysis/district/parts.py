@@ -28,7 +28,7 @@ from greenroof_ros.physics.storm_water import connected_area
 from greenroof_ros.simulation.run import Run
 from greenroof_ros.simulation.season import Case, simulate_season
 from greenroof_ros.site.file import SiteFile, check_site
-from greenroof_ros.site.site import Site
+from greenroof_ros.site.site import WITHOUT_VALVE, Site
 
 SITE_FILE = "site.yaml"
 """name of the input file with the site that all buildings have in common"""
@@ -204,7 +204,7 @@ def with_outlet(
         changes = dict.fromkeys(("low_outlet_level", "low_outlet_radius")) if outlet == NONE else {
             name: value for name, value in asdict(district.orifice).items() if value is not None
         }
-        site = replace(site, low_outlet_valve=False, valve_closed_in_frost=False, **changes)
+        site = replace(site, **WITHOUT_VALVE, **changes)
         given = {name: value for name, value in given.items() if name == LEVEL.name}
     else:
         given["outlet"] = outlet

@@ -15,7 +15,7 @@ from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.physics.cistern import EMPTIED_H, find_outlet_radius
 from greenroof_ros.physics.storm_water import connected_area
 from greenroof_ros.site.file import check_site
-from greenroof_ros.site.site import Site
+from greenroof_ros.site.site import WITHOUT_VALVE, Site
 
 NONE = "none"
 OUTLETS = (NONE, DRAIN, PLAN)
@@ -159,8 +159,7 @@ def make_designs(
     for outlet in outlets:
         if outlet == NONE:
             valved = replace(
-                topped_up, low_outlet_level=None, low_outlet_radius=None, low_outlet_valve=False,
-                valve_closed_in_frost=False,
+                topped_up, low_outlet_level=None, low_outlet_radius=None, **WITHOUT_VALVE
             )
         else:
             valved = _add_valve(topped_up, notes)

@@ -5,6 +5,7 @@ Clocks change on 14 March 2021.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from typing import Any
 
@@ -37,6 +38,7 @@ LIMITED: dict[str, Any] = {
     "tau": 60.0, "M": 1,
 }
 VALVE_SITE = gr.read_site(**VALVE, **LIMITED, valve_closed_in_frost=True)
+WHOLE_SITE = replace(VALVE_SITE, valve_moves_per_hour=4.0)
 FIELD_CAPACITY = gr.read_site(CONFIG / "site_neubrandenburg.yaml", **LIMITED)
 IMPERFECT = {
     "roof_noise": 0.002, "roof_offset": -0.001, "noise_seed": 2, "pump_min_on": 300.0,

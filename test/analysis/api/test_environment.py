@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commanded_sites import FIELD_CAPACITY, IMPERFECT, VALVE_SITE, weather
+from commanded_sites import FIELD_CAPACITY, IMPERFECT, VALVE_SITE, WHOLE_SITE, weather
 from paper import VALVE
 from refusals import refusal
 
@@ -139,6 +139,7 @@ class Program:
 @pytest.mark.parametrize("inputs", [
     {"site": VALVE_SITE, "start": "2021-03-13T23:57-05:00", "hours": 40, "initial": "high-high"},
     {"site": FIELD_CAPACITY, "start": "2021-03-12T19:20:30-05:00", "hours": 37, **IMPERFECT},
+    {"site": WHOLE_SITE, "start": "2021-03-13T23:57-05:00", "hours": 40, "initial": "high-high"},
     {"site": gr.read_site(tau=240.0, M=1), "start": "2021-03-13T00:00Z", "hours": 60},
     {"site": replace(VALVE_SITE, irrigation="none"), "start": "2021-03-13T00:00Z", "hours": 30},
 ])

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commanded_sites import FIELD_CAPACITY, IMPERFECT, weather
+from commanded_sites import FIELD_CAPACITY, IMPERFECT, WHOLE_SITE, weather
 from commanded_sites import VALVE_SITE as LIMITED_SITE
 from paper import VALVE
 
@@ -145,7 +145,7 @@ def test_random_starts_in_workers_that_know_nothing(context: str) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
-@pytest.mark.parametrize("site", [VALVE_SITE, LIMITED_SITE, FIELD_CAPACITY])
+@pytest.mark.parametrize("site", [VALVE_SITE, LIMITED_SITE, WHOLE_SITE, FIELD_CAPACITY])
 def test_a_decision_is_the_sum_of_its_ticks(site: Any) -> None:
     """Bit for bit: a function as the reward is asked tick by tick, and the default is not."""
     inputs = {"site": site, "weather": weather(), "initial": "random", "start": "random",

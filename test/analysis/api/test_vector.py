@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import polars
 import pytest
-from commanded_sites import FIELD_CAPACITY, FIRST, IMPERFECT, VALVE_SITE, weather
+from commanded_sites import FIELD_CAPACITY, FIRST, IMPERFECT, VALVE_SITE, WHOLE_SITE, weather
 from places import CONFIG
 from refusals import refusal
 
@@ -28,6 +28,7 @@ CASES: dict[str, dict[str, Any]] = {
     "the paper's site": {"hours": 0.02, "decision_ticks": 7, "initial": "random"},
     "one tick": {"hours": 1 / 3600, "horizon": 0.1},
     "valve, frost, quiet hours": {"site": VALVE_SITE, "weather": weather(), **RANDOM},
+    "whole openings": {"site": WHOLE_SITE, "weather": weather(), **RANDOM},
     "not at a full minute": {
         "site": VALVE_SITE, "weather": weather(), **RANDOM, "start": "2021-03-13T19:20:30-04:00",
         "hours": 17,

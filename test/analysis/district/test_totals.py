@@ -110,7 +110,7 @@ def test_without_mains_water(tmp_path: Path) -> None:
     (tmp_path / "dry.yaml").write_text("".join(
         line for line in (CONFIG / "site_valve.yaml").read_text().splitlines(keepends=True)
         if not line.startswith("mains_")
-    ))
+    ) + "valve_moves_per_hour: 4\n")
     run, totals = simulate_here(tmp_path, edit("site_valve.yaml", "dry.yaml"))
     for row in totals.rows():
         assert "mains_m3" not in row and "demand_met_share" not in row

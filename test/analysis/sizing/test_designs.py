@@ -15,7 +15,7 @@ from greenroof_ros.analysis.sizing.designs import (
 )
 from greenroof_ros.physics.cistern import low_outlet_flow
 from greenroof_ros.physics.parameters import plant_parameters
-from greenroof_ros.site.file import read_site
+from greenroof_ros.site.file import check_site, read_site
 
 VALVE = CONFIG / "site_valve.yaml"
 
@@ -37,7 +37,7 @@ def test_targets_that_the_soil_cannot_keep_are_left_out() -> None:
 
 def test_a_site_with_all_of_it_needs_no_assumption() -> None:
     """Its cisterns have its height and its levels; without an outlet there is no valve."""
-    site = read_site(VALVE)
+    site = read_site(VALVE, {"valve_moves_per_hour": 4.0, "valve_travel_time": 9.0})
     designs, notes = make_designs(site, [5.0, 20.0], [39.0], OUTLETS)
     assert [(design.outlet, design.volume) for design in designs] == [
         (outlet, volume) for outlet in OUTLETS for volume in (5.0, 20.0)
@@ -47,6 +47,9 @@ def test_a_site_with_all_of_it_needs_no_assumption() -> None:
         assert design.site.a1 * design.site.z_o == pytest.approx(design.volume)
         assert design.site.mains_level == site.mains_level
         assert design.site.low_outlet_valve == (design.outlet != "none")
+        assert check_site(design.site).valve_moves_per_hour == (
+            4.0 if design.site.low_outlet_valve else None
+        )
         assert design.parameters.get("outlet", "none") == design.outlet
     assert designs[-1].site.low_outlet_radius == site.low_outlet_radius
 

@@ -118,6 +118,8 @@ YEARS = {
     "storm_water_orifice.yaml": (8, {300}, 8),
     # Five reaches.
     "reach.yaml": (1, {300}, 5),
+    # The valve follows every command, or makes whole openings.
+    "whole_openings.yaml": (2, {60}, 2 * 3),
 }
 GRIDS = {path.name: path for path in (CONFIG / "studies").iterdir()}
 # Grids that need files which the package does not have.
