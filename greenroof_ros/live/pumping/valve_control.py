@@ -21,6 +21,7 @@ from greenroof_ros.physics.cistern import low_outlet_flow
 from greenroof_ros.physics.parameters import plant_parameters
 from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.physics.storm_water import HOUR_S, time_without_rain
+from greenroof_ros.physics.valve import OPENS_AT, REST, SINCE, make_valve, move_valve
 from greenroof_ros.site.site import Site
 
 # Travel time of the valve (s), and maximum number of its moves in an hour, if the site file does
@@ -28,8 +29,6 @@ from greenroof_ros.site.site import Site
 _TRAVEL_S, _MOVES = 30.0, 4.0
 # A restart that is longer than this counts as a time of unknown rain (s).
 _UNSEEN_S = 180.0
-# A command of this share, or more, opens the valve.
-_OPENS = 0.5
 # Averaging time of the cistern's level (s), how long an open valve must have drained (s), and
 # movement of the level that evaporation or the drift of its sensor may cause (m/s).
 _AVERAGING_S, _DRAINS_FOR_S, _DRIFT = 60.0, 600.0, 1e-3 / 3600
@@ -138,8 +137,8 @@ class ValveControl:
         self._usage = UsageLimits(
             state_file, settings.max_run, settings.max_volume_per_day, "valve"
         )
-        stored = state_file.state
-        self._closed_at = stored.elapsed - stored.since_start  # or later
+        self._moves_of = [*make_valve(self._moves)]
+        self._moves_of[SINCE] = state_file.state.since_start  # it closed then, or later
         self.opened_by, self.open_for = "", 0.0
         self._on = False
         # Time until the valve is surely closed (s), if its relay stays off or silent.
@@ -151,12 +150,6 @@ class ValveControl:
         self.stuck: Diagnosis | None = None
         self._against_for = 0.0
         self._begin_balance(None)
-
-    @property
-    def _wait(self) -> float:
-        """Time until the valve may open again (s)."""
-        closed_for = self._state_file.state.elapsed - self._closed_at
-        return max(0.0, 2 * HOUR_S / self._moves - closed_for)
 
     def step(self, dt: float, observed: ValveObservation) -> Decision:
         """Determine the state of the valve for this step.
@@ -184,15 +177,14 @@ class ValveControl:
             *self._limits(observed), *self._check_switches(dt, switches, position),
             *self._check_water(dt, observed, at_rest), *observed.reasons,
         ])
-        before = self._on
+        before, valve = self._on, self._moves_of
         if active:
             self.open_for = 0.0
-        wanted = self.open_for > 0 or (observed.command or 0.0) >= _OPENS
-        may_open = self._on or (at_rest and not self._wait)
-        self._on = wanted and may_open and not active
+        command = 1.0 if self.open_for else observed.command or 0.0
+        may_open = not active and (self._on or at_rest)
+        self._on = move_valve(valve, dt, command if may_open else 0.0) > 0
         if self._on != before:
             file.switch(self._on)
-            self._closed_at = file.state.elapsed
         state, why = "closed", "the command is 0"
         if active:
             state, why = state_of(active)
@@ -202,8 +194,8 @@ class ValveControl:
             is_open = position == 1 if has_switches else file.state.since_start >= self._travel
             state = "open" if is_open else "opening"
             why = f"opened by {self.opened_by}" if self.open_for else "as commanded"
-        elif wanted:
-            again = duration(math.ceil(self._wait))
+        elif command >= OPENS_AT:
+            again = duration(math.ceil(max(0.0, valve[REST] - valve[SINCE])))
             why = f"it may open in {again}: it makes at most {self._moves:g} moves an hour"
         if not self._on and not at_rest:
             lost = observed.on is None
