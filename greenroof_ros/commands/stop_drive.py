@@ -23,7 +23,6 @@ def make_parser() -> Parser:
         "configuration",
     )
     add_drive(parser)
-    parser.set_defaults(pump=None)
     return parser
 
 

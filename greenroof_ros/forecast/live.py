@@ -11,10 +11,9 @@ from greenroof_ros.base.errors import ConfigurationError
 from greenroof_ros.base.times import duration, to_people
 from greenroof_ros.forecast.issue import IssuedForecast, read_forecasts
 from greenroof_ros.forecast.steps import HourForecast, Outlook
-from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.quantities import EVAPOTRANSPIRATION, TEMPERATURE
-from greenroof_ros.weather.records import HOUR
+from greenroof_ros.weather.records import HOUR, Array
 
 _HOUR_S = 3600.0
 
@@ -73,25 +72,21 @@ class LiveForecast:
         issues: the known forecasts, in order of their time of issue, all with evapotranspiration.
     """
 
-    def __init__(
-        self, site: Site, horizon: float, limit: float, all_members: bool,
-        outlet_horizon: float = 0.0,
-    ) -> None:
+    def __init__(self, site: Site, ends: Array, limit: float, all_members: bool) -> None:
         """Set the site and the look-ahead, without any forecast yet.
 
         Args:
             site: site, which provides the tick, the look-ahead, and the bed area used to convert
                 depths to volumes.
-            horizon: length of the forecast in growing steps (h); 0 for the next M ticks, one by
-                one.
+            ends: boundaries of the steps (s from now), starting at 0; see
+                :func:`greenroof_ros.site.horizon.look_ahead_ends`.
             limit: maximum age of the latest forecast (s).
             all_members: whether to return the rain of all members of an ensemble or only of the
                 first member.
-            outlet_horizon: length of the forecast for planning the outlet valve (h); 0 for none.
         """
         self.issues: list[IssuedForecast] = []
         self._site = site
-        self._ends = look_ahead_ends(site, horizon, outlet_horizon)
+        self._ends = ends
         self._limit = timedelta(seconds=limit)
         self._all_members = all_members
 

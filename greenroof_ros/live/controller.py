@@ -126,8 +126,6 @@ class LiveControllerNode(ControllerNode, LiveNode):
             self._learned = self._learned_file.read() if self._learned_file is not None else {}
         with self._controllers_code(_STARTING_S):
             self.make_controller()
-        if self._outlet is None and choice.of_valve:  # it does not need the controller
-            self._make_outlet()
         # When the controller last worked, and had a forecast if it needs one (steady clock, s).
         self._worked_at = time.monotonic()
 
@@ -146,16 +144,13 @@ class LiveControllerNode(ControllerNode, LiveNode):
     def make_controller(self) -> None:
         """Create a new controller with the values that the previous controller had learned."""
         super().make_controller()
-        self._make_outlet()
-        if self._learned and getattr(self.controller, "learned", None) is not None:
-            with self._keeping_learned():
-                self.controller.learned = self._learned
-
-    def _make_outlet(self) -> None:
-        """Make the policy of the outlet valve, whose node alone remembers when it rained."""
+        # The node of the valve alone remembers when it rained.
         self._outlet = self._choice.make_outlet(
             self._site, self._values, self.controller, math.inf
         )
+        if self._learned and getattr(self.controller, "learned", None) is not None:
+            with self._keeping_learned():
+                self.controller.learned = self._learned
 
     def _command_outlet(self, outlet: OutletPolicy) -> float:
         """Return the command to the valve; without a forecast, a plan is made without one.

@@ -61,7 +61,7 @@ class LiveSite:
         self.tau = site.tau
         self.controller, given = read_controller(arguments)
         self.parameters = self.controller.complete_parameters(site, given)
-        drive, valve = read_drive(arguments), read_device(arguments, "valve")
+        drive, valve = read_drive(arguments), read_drive(arguments, "valve")
         self.drive_at = drive.get("address")
         self.drive: Endpoint | None = None
         if drive:
@@ -96,6 +96,8 @@ class LiveSite:
             refuse((is_missing, option, None, "is missing; what nodes of your own publish is "
                     "external, see greenroof live --help"))
         refuse(
+            (drive and arguments.pump, "--pump", EXTERNAL, "assigns the pump to your own node, but "
+             "--drive to the pump node; use only one of them"),
             (not site.irrigated and (drive or arguments.pump), "--drive or --pump",
              arguments.drive or arguments.pump, "does not fit a site without a pump"),
             (valve and not site.low_outlet_valve, "--valve", arguments.valve,
@@ -171,19 +173,7 @@ class LiveSite:
         )
 
 
-def read_drive(arguments: argparse.Namespace) -> dict[str, str]:
-    """Return the pump node's parameters of the drive (CHOICE); empty if there is no drive.
-
-    Raises:
-        ConfigurationError: if the drive file does not exist, or the options are inconsistent.
-    """
-    refuse((arguments.drive and arguments.pump == EXTERNAL, "--pump", EXTERNAL,
-            "assigns the pump to your own node, but --drive to the pump node; use only one of "
-            "them"))
-    return read_device(arguments, "drive")
-
-
-def read_device(arguments: argparse.Namespace, option: str) -> dict[str, str]:
+def read_drive(arguments: argparse.Namespace, option: str = "drive") -> dict[str, str]:
     """Return the parameters (CHOICE) of a drive or a relay; empty if there is none.
 
     Args:
@@ -247,16 +237,9 @@ def make_parser() -> Parser:
     )
     add_graph_arguments(parser)
     add_drive(parser)
-    valve = parser.add_argument_group(
-        "the outlet valve", "A relay over MQTT that opens the valve while it is on."
-    )
-    valve.add_argument(
-        "--valve", default="", metavar="{NAME,FILE}",
-        help="make of the relay: a name in config/drives/, or a relay file",
-    )
-    valve.add_argument(
-        "--valve-at", default="", metavar="ADDRESS", help="its address: mqtt://HOST[:PORT]/DEVICE",
-    )
+    valve = parser.add_argument_group("the outlet valve", "A relay over MQTT: on opens the valve.")
+    for option, parameter in zip(("--valve", "--valve-at"), CHOICE, strict=False):
+        valve.add_argument(option, default="", metavar="RELAY", help=parameter.meaning)
     return parser
 
 

@@ -31,6 +31,7 @@ from greenroof_ros.live.pumping.input_rules import AWAITED
 from greenroof_ros.nodes.weather import WeatherNode
 from greenroof_ros.ros.diagnostics import ERROR, WARN
 from greenroof_ros.ros.parameters import declare, look_ahead_parameters, site_file
+from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
 
 # Interval at which forecasts are fetched (s).
@@ -82,10 +83,8 @@ class LiveWeatherNode(WeatherNode, LiveNode):
         self._reader = DiskThread()
         self._file = ForecastFile(file := Path(values["forecast"])) if values["forecast"] else None
         self._fetcher: Fetcher | None = None
-        self._forecast = LiveForecast(
-            site, values["horizon"], values["issue_limit"], values["all_members"],
-            values["outlet_horizon"],
-        )
+        ends = look_ahead_ends(site, values["horizon"], values["outlet_horizon"])
+        self._forecast = LiveForecast(site, ends, values["issue_limit"], values["all_members"])
         if self._file is not None:
             self._reader.do(self._file.update)
             if values["fetch"]:
@@ -93,7 +92,7 @@ class LiveWeatherNode(WeatherNode, LiveNode):
         self._rain_gauge, self._thermometer = (
             self.subscribe(name, optional=True) for name in _GAUGES
         )
-        self.open_weather(site, values["horizon"], values["outlet_horizon"])
+        self.open_weather(ends)
 
     def _fetch(self, values: dict[str, Any], file: Path) -> None:
         """Start fetching forecasts on a separate thread."""

@@ -23,6 +23,7 @@ from greenroof_ros.ros.parameters import declare, look_ahead_parameters, site_fi
 from greenroof_ros.site.horizon import look_ahead_ends
 from greenroof_ros.site.site import Site
 from greenroof_ros.weather.read import default_weather, find_files, read_weather
+from greenroof_ros.weather.records import Array
 from greenroof_ros.weather.series import GAPS, REFUSE, Hour, WeatherSeries
 
 _FROST = "/weather/frost"
@@ -72,18 +73,15 @@ def parameters(site: Site) -> list[Parameter]:
 class WeatherNode(GraphNode):
     """Node that publishes weather and forecasts; a subclass adds their source and the pace."""
 
-    def open_weather(self, site: Site, horizon: float, outlet_horizon: float = 0.0) -> None:
+    def open_weather(self, ends: Array) -> None:
         """Open the topics.
 
         Args:
-            site: the site.
-            horizon: length of the forecasts (h); 0 for the next M ticks.
-            outlet_horizon: length of the forecasts for planning the outlet valve (h); 0 if the
-                valve is not planned.
+            ends: boundaries of the forecasts' steps (s from now), starting at 0.
         """
         # Prefix of every forecast: the time of its issue (s since 1970), and the ends of its steps
         # (s from now).
-        self._front = array("d", [math.nan, *look_ahead_ends(site, horizon, outlet_horizon)[1:]])
+        self._front = array("d", [math.nan, *ends[1:]])
         self.open_outputs(_FROST, _RAIN, _EVAPOTRANSPIRATION, *_FORECASTS)
 
     def publish_weather(
@@ -142,7 +140,7 @@ class RecordedWeather(WeatherNode, LockstepNode):
         self._start_ns, self._tick_ns = epoch_ns(start), round(site.tau * 1e9)
         self._hour: Hour | None = None
         self.subscribe(CLOCK)
-        self.open_weather(site, values["horizon"], values["outlet_horizon"])
+        self.open_weather(look_ahead_ends(site, values["horizon"], values["outlet_horizon"]))
 
     def on_inputs(self) -> None:
         """Publish the weather of the tick, and the forecasts known at the time of the tick.

@@ -57,24 +57,21 @@ class Cistern:
     )
     valve_closed_in_frost: bool | None = entry(
         "true if the valve stays closed during frost, because it could freeze while open; false "
-        "for a valve below the frost line, which works even during frost; if omitted, false in "
-        "simulations, and true on a live site", default=None,
+        "for a valve below the frost line; if omitted, true on a live site alone", default=None,
     )
     valve_moves_per_hour: float | None = entry(
-        "maximum number of openings and closings of the valve in an hour; the valve is then either "
-        "open or closed: it opens if it is commanded to open by half or more, at the earliest "
-        "2/valve_moves_per_hour h after it has last closed, and otherwise closes at once; if "
-        "omitted, a simulated valve follows every command, and that of a live site makes at most 4 "
-        "moves an hour", 2.0, 3600.0, unit="1/h", default=None,
+        "maximum number of moves in an hour of a valve that is either open or closed; if omitted, "
+        "4 on a live site, while a simulated valve then follows every command", 2.0, 3600.0,
+        unit="1/h", default=None,
     )
     valve_travel_time: float | None = entry(
-        "maximum time that the valve of a live site takes to open or to close; if omitted, 30 s",
-        0.1, 600.0, unit="s", default=None,
+        "maximum time that a live valve takes to open or to close; if omitted, 30 s", 0.1, 600.0,
+        unit="s", default=None,
     )
     valve_without_power: str | None = entry(
-        "what the valve of a live site does if its power fails: closes (a spring or a battery "
-        "closes it), or may_stay_open, which the owner of the site accepts with this entry; if "
-        "omitted, closes", choices=("closes", "may_stay_open"), default=None,
+        "what a live valve does if its power fails: closes (by a spring or a battery), or "
+        "may_stay_open, which the site's owner accepts with this entry; if omitted, closes",
+        choices=("closes", "may_stay_open"), default=None,
     )
     mains_level: float | None = entry(
         "water level in the cistern below which a float valve adds mains water; if omitted, the "

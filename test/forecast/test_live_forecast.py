@@ -42,7 +42,9 @@ def file(tmp_path: Path) -> Path:
 
 def live(path: Path, horizon: float = 0.0, limit: float = 7200.0) -> LiveForecast:
     """Return the forecasts of a file that has been read."""
-    forecasts, file = LiveForecast(PAPER_SITE, horizon, limit, False), ForecastFile(path)
+    forecasts, file = LiveForecast(
+        PAPER_SITE, look_ahead_ends(PAPER_SITE, horizon), limit, False
+    ), ForecastFile(path)
     file.update()
     forecasts.issues = file.issues
     return forecasts
@@ -65,7 +67,7 @@ def test_the_rest_of_the_hour_is_forecast(file: Path, read: float | None) -> Non
         (site, noon + five, 6, [0.4] * 10 + [0.6]),
         (PAPER_SITE, noon + timedelta(minutes=59, seconds=55), 1, [0.8] * 16),
     ):
-        forecasts = LiveForecast(at, 1.0, 7200.0, all_members=True)
+        forecasts = LiveForecast(at, look_ahead_ends(at, 1.0), 7200.0, all_members=True)
         forecasts.issues = [issue]
         outlook = forecasts.at(moment, None if read is None else read / 3.6e6)
         for member, factor in zip(3.6e6 * np.asarray(outlook.rain), (1, 10), strict=True):

@@ -19,7 +19,6 @@ from greenroof_ros.live.pumping.limits import UsageLimits, find_unknown
 from greenroof_ros.live.pumping.state_file import DAY_S, SAVE_EVERY_S, StateFile
 from greenroof_ros.physics.cistern import low_outlet_flow
 from greenroof_ros.physics.parameters import plant_parameters
-from greenroof_ros.physics.pump import maximum_pump_flow
 from greenroof_ros.physics.storm_water import HOUR_S, time_without_rain
 from greenroof_ros.physics.valve import OPENS_AT, REST, SINCE, make_valve, move_valve
 from greenroof_ros.site.site import Site
@@ -127,11 +126,8 @@ class ValveControl:
         self._travel = site.valve_travel_time or _TRAVEL_S
         self._moves = site.valve_moves_per_hour or _MOVES
         self._closes_after = relay_stops_after + self._travel
-        full = self._p.a1 * site.z_o
-        self._max_pumped = maximum_pump_flow(self._p, full)
-        state_file.count_unseen(
-            self._closes_after + SAVE_EVERY_S, low_outlet_flow(self._p, full)
-        )
+        full = low_outlet_flow(self._p, self._p.a1 * site.z_o)
+        state_file.count_unseen(self._closes_after + SAVE_EVERY_S, full)
         if state_file.unseen_s > _UNSEEN_S:
             state_file.change(without_rain=0.0)
         self._usage = UsageLimits(
@@ -220,17 +216,16 @@ class ValveControl:
 
     def _limits(self, observed: ValveObservation) -> Iterator[Diagnosis]:
         site, settings = self._site, self._settings
-        known = {"cistern_level": observed.cistern_level}
-        if not self.open_for:
-            known["command"] = observed.command
-        if site.valve_closed_in_frost is not False:
-            known["frost"] = observed.frost
-        if not settings.opens_in_wet_weather:
-            known["rain"] = observed.rain
-        if settings.has_switches:
-            known["position"] = None if None in (observed.opened, observed.closed) else 0.0
+        switches = (observed.opened, observed.closed) if settings.has_switches else ()
+        known = {
+            "cistern_level": observed.cistern_level,
+            "command": 1.0 if self.open_for else observed.command,
+            "frost": 0.0 if site.valve_closed_in_frost is False else observed.frost,
+            "rain": 0.0 if settings.opens_in_wet_weather else observed.rain,
+            "position": None if None in switches else 0.0,
+        }
         yield from find_unknown(known)
-        if known.get("frost"):
+        if known["frost"]:
             yield Diagnosis.of("frost")
         rest = site.wet_after * HOUR_S - self._state_file.state.without_rain
         if observed.rain is not None and rest > 0 and not settings.opens_in_wet_weather:
@@ -271,13 +266,12 @@ class ValveControl:
         if self._on and self._state_file.state.since_start < self._travel:
             is_open = None
         level, p = observed.cistern_level, self._p
-        if is_open is not self._was_open or level is None:
+        if is_open is not self._was_open or level is None or observed.pumped is None:
             self._begin_balance(is_open)
-        if is_open is None or level is None:
+        if is_open is None or level is None or observed.pumped is None:
             return
-        pumped = self._max_pumped if observed.pumped is None else observed.pumped
         self._elapsed += dt
-        self._drawn += (_PUMPED * pumped + _DRIFT * p.a1) * dt
+        self._drawn += (_PUMPED * observed.pumped + _DRIFT * p.a1) * dt
         self._expected += low_outlet_flow(p, p.a1 * level) * dt
         weight = dt / min(_AVERAGING_S, self._elapsed) if self._elapsed else 1.0
         self._mean = level if math.isnan(self._mean) else (
