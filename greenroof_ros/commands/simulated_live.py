@@ -86,9 +86,8 @@ def main() -> None:
         if site.low_outlet_valve:
             stack.enter_context(_run_broker(directory, broker_port))
             common += ["--valve", _RELAY, "--valve-at", f"mqtt://127.0.0.1:{broker_port}/valve"]
-        if arguments.valve_fault is not None:
+        if arguments.valve_fault:
             simulated += ["--valve-fault", arguments.valve_fault]
-            simulated += ["--valve-fault-after", f"{arguments.valve_fault_after}"]
         devices = stack.enter_context(_run(
             [sys.executable, "-m", "greenroof_ros", "simulators", "site", *common, *simulated],
         ))

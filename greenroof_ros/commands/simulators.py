@@ -10,13 +10,14 @@ from collections.abc import Coroutine
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greenroof_ros.base.command_line import Parser, command, make_number_type, refuse
+from greenroof_ros.base.command_line import Parser, command, refuse
 from greenroof_ros.base.mqtt import parse_topic
 from greenroof_ros.live.devices.drive_file import find_drive_file, read_relay_file
 from greenroof_ros.live.devices.exchange import Endpoint, read_endpoint
 from greenroof_ros.live.devices.modbus_line import check_installed
 from greenroof_ros.live.devices.relay import RelayEndpoint
 from greenroof_ros.live.devices.sensor_file import Sensors, default_sensors, read_sensors
+from greenroof_ros.live.pumping.valve_control import TRAVEL_S
 from greenroof_ros.live.simulators.valve import FAULTS, SimulatedValve
 from greenroof_ros.simulation.options import add_site_arguments, build_run
 
@@ -25,9 +26,6 @@ if TYPE_CHECKING:
 
 # Time without a request after which a simulated relay switches itself off (s).
 _TIMER_S = 5.0
-# The share of the valve's longest travel time that the simulated valve takes.
-_TRAVEL = 1 / 3
-_TRAVEL_S = 30.0
 
 
 def make_parser() -> Parser:
@@ -85,15 +83,11 @@ def make_parser() -> Parser:
 
 
 def add_valve_fault(group: argparse._ActionsContainer) -> None:
-    """Add the options for a fault of the valve."""
+    """Add the option for a fault of the valve."""
     group.add_argument(
-        "--valve-fault", choices=FAULTS,
+        "--valve-fault", choices=FAULTS, default="",
         help="let the valve fail: it does not close any more, does not open any more, leaks 2 "
         "L/min while it is closed, or has an end switch that always reports that it is open",
-    )
-    group.add_argument(
-        "--valve-fault-after", type=make_number_type(0.0, 1e9), metavar="S", default=60.0,
-        help="time after the start at which the fault begins (s; default: %(default)g)",
     )
 
 
@@ -153,9 +147,8 @@ async def _simulate(
         servers.append(drive_server(drive, drive_at.file, drive_at.address))
     if valve_at is not None:
         of_valve = connect(valve_at)
-        travel_s = _TRAVEL * (run.site.valve_travel_time or _TRAVEL_S)
-        fault = arguments.valve_fault or "", began + arguments.valve_fault_after
-        valve = SimulatedValve(lambda: of_valve.on, travel_s, *fault)
+        travel_s = (run.site.valve_travel_time or TRAVEL_S) / 3  # faster than it must be
+        valve = SimulatedValve(lambda: of_valve.on, travel_s, arguments.valve_fault)
     weather = run.series.precipitation, run.series.evapotranspiration
     site = SimulatedSite(run.site, *weather, (run.x1, run.x2), sensors, speed, valve)
     if isinstance(device, SimulatedDrive):

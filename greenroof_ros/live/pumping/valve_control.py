@@ -25,7 +25,7 @@ from greenroof_ros.site.site import Site
 
 # Travel time of the valve (s), and maximum number of its moves in an hour, if the site file does
 # not state them.
-_TRAVEL_S, _MOVES = 30.0, 4.0
+TRAVEL_S, _MOVES = 30.0, 4.0
 # A restart that is longer than this counts as a time of unknown rain (s).
 _UNSEEN_S = 180.0
 # Averaging time of the cistern's level (s), how long an open valve must have drained (s), and
@@ -123,7 +123,7 @@ class ValveControl:
         """
         self._site, self._settings, self._state_file = site, settings, state_file
         self._p = plant_parameters(site)
-        self._travel = site.valve_travel_time or _TRAVEL_S
+        self._travel = site.valve_travel_time or TRAVEL_S
         self._moves = site.valve_moves_per_hour or _MOVES
         self._closes_after = relay_stops_after + self._travel
         full = low_outlet_flow(self._p, self._p.a1 * site.z_o)

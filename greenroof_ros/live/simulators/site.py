@@ -179,7 +179,7 @@ class SimulatedSite:
             rain, evapotranspiration, 0.0, pumped=flow, outlet=self._opening
         )
         self.virtual_site.step()
-        if self._valve is not None and self._valve.has("leak"):
+        if self._valve is not None and self._valve.fault == "leak":
             x1, x2, layer = self.virtual_site.state
             kept = self._site.cistern_volume(self._site.min_outlet_level)
             x1 = max(min(x1, kept), x1 - self._site.tau * LEAK)

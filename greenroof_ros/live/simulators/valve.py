@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 
@@ -18,39 +17,31 @@ class SimulatedValve:
 
     Attributes:
         position: share to which the valve is open, 0 to 1.
-        fault: the fault that it has from `fault_at` on; empty for none.
-        fault_at: when the fault begins (s, `time.monotonic`).
+        fault: the fault that it has; empty for none.
     """
 
-    def __init__(
-        self, on: Callable[[], bool], travel_s: float, fault: str = "", fault_at: float = math.inf
-    ) -> None:
+    def __init__(self, on: Callable[[], bool], travel_s: float, fault: str = "") -> None:
         """Initialize a closed valve.
 
         Args:
             on: function that returns whether the relay is on.
             travel_s: time that the valve takes to open or to close (s).
             fault: one of `FAULTS`; empty for none.
-            fault_at: when the fault begins (s, `time.monotonic`).
         """
         self._on, self._travel_s = on, travel_s
         self.position, self._at = 0.0, time.monotonic()
-        self.fault, self.fault_at = fault, fault_at
-
-    def has(self, fault: str) -> bool:
-        """Return whether the valve has a fault now."""
-        return self.fault == fault and time.monotonic() >= self.fault_at
+        self.fault = fault
 
     def advance(self) -> float:
         """Move the valve until now, and return its position."""
         before, self._at = self._at, time.monotonic()
         opens = self._on()
-        if not self.has("stuck_closed" if opens else "stuck_open"):
+        if self.fault != ("stuck_closed" if opens else "stuck_open"):
             way = (self._at - before) / self._travel_s
             self.position = min(max(self.position + (way if opens else -way), 0.0), 1.0)
         return self.position
 
     def switches(self) -> dict[str, float]:
         """Return the states of the end switches, by their sections of the sensor file."""
-        is_open = self.position >= 1 - _AT_END or self.has("wrong_switch")
+        is_open = self.position >= 1 - _AT_END or self.fault == "wrong_switch"
         return {"open_switch": is_open, "closed_switch": self.position <= _AT_END}

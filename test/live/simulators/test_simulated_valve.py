@@ -65,7 +65,7 @@ def test_it_drains_the_cistern_while_its_relay_is_on(
     with mosquitto(tmp_path) as broker, Talker(broker) as talker, Simulator(
         "simulators site", "--site", str(tmp_path / "site.yaml"), "--hours", "1",
         "--sensors", str(tmp_path / "sensors.yaml"), "--valve-at", f"{broker.address}/valve",
-        *(("--valve-fault", fault, "--valve-fault-after", "0") if fault else ()),
+        *(("--valve-fault", fault) if fault else ()),
     ):
 
         def shows(order: str, shown: tuple[float, float]) -> bool:
