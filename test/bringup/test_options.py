@@ -37,7 +37,7 @@ WRONG = {
     "--weather external --sensors serial.yaml --drive danfoss_fc202 --drive-at /dev/ttyS0,1":
         "--drive-at = '/dev/ttyS0,1': is also the serial line of a sensor",
     f"{' '.join(EXTERNAL)} --site site.yaml":
-        "low_outlet_valve = True: must be false: a live site cannot command the valve yet",
+        "--valve, and --valve-at: is missing",
 }
 
 
