@@ -1,6 +1,6 @@
 """Drawings of who publishes what, made from ``msg_defs/topics.yaml``: one for each way to run.
 
-A column is a node, or a device on Modbus. A row is a topic, from the dot at its publisher to the
+A column is a node, or a device on Modbus or MQTT. A row is a topic, from the dot at its publisher to the
 arrows at its subscribers. A drawing is dark on white, since it cannot know whether the page that
 shows it is light or dark. Columns are narrow, with names from bottom to top, so that a phone shows
 the text large enough.
@@ -29,8 +29,8 @@ class Way:
         nodes: their roles in the interface, from left to right.
         live: whether it runs on the system's clock.
         devices: devices that are not nodes, on the right.
-        exchanges: communication over Modbus: text, from, to.
-        perhaps: nodes that may be absent.
+        exchanges: communication over Modbus or MQTT: text, from, to.
+        perhaps: nodes and devices that may be absent.
     """
 
     name: str
@@ -46,18 +46,23 @@ WAYS = {
     "graph-live": Way(
         "live",
         (
-            "rain_gauge", "thermometer", "weather", "controller", "recorder", "pump",
-            "flow_meter", "cistern_sensor", "roof_sensor",
+            "rain_gauge", "thermometer", "weather", "controller", "recorder", "valve",
+            "open_switch", "closed_switch", "pump", "flow_meter", "cistern_sensor", "roof_sensor",
         ),
         live=True,
-        devices=("drive", "sensors"),
+        devices=("valve relay", "drive", "sensors"),
         exchanges=(
+            ("on, off", "valve", "valve relay"),
+            ("on or off, timer", "valve relay", "valve"),
             ("control word, speed", "pump", "drive"),
             ("status, actual speed, faults", "drive", "pump"),
             ("cistern level", "sensors", "cistern_sensor"),
             ("roof level", "sensors", "roof_sensor"),
         ),
-        perhaps=("rain_gauge", "thermometer", "flow_meter"),
+        perhaps=(
+            "rain_gauge", "thermometer", "flow_meter", "valve", "open_switch", "closed_switch",
+            "valve relay",
+        ),
     ),
 }
 
@@ -76,10 +81,14 @@ def rows(way: Way) -> list[tuple[str, str, list[str], bool]]:
         if source is None or topic.name == "/diagnostics":
             continue
         readers = [role for role in topic.subscribers if role in way.nodes and role != source]
-        perhaps = topic.optional or source in way.perhaps
+        perhaps = topic.optional or topic.of_valve or source in way.perhaps
         unit = f" [{topic.unit}]" if topic.unit else ""
         lines.append((topic.name + unit, source, readers, perhaps))
-    return [*lines, *((text, source, [reader], False) for text, source, reader in way.exchanges)]
+    lines += [
+        (text, source, [reader], source in way.perhaps or reader in way.perhaps)
+        for text, source, reader in way.exchanges
+    ]
+    return lines
 
 
 def drawing(way: Way) -> str:
