@@ -1,10 +1,9 @@
 """Drawings of who publishes what, made from ``msg_defs/topics.yaml``: one for each way to run.
 
 A column is a node, or a device on Modbus or MQTT. A row is a topic, from the dot at its publisher
-to the
-arrows at its subscribers. A drawing is dark on white, since it cannot know whether the page that
-shows it is light or dark. Columns are narrow, with names from bottom to top, so that a phone shows
-the text large enough.
+to the arrows at its subscribers. A drawing is dark on white, since it cannot know whether the page
+that shows it is light or dark. Columns are narrow, with names from bottom to top, so that a phone
+shows the text large enough.
 """
 
 from __future__ import annotations
