@@ -118,9 +118,8 @@ class ValveNode(DriveNode):
 
     def on_inputs(self) -> None:
         """Publish position and flow, which are NaN if they are unknown."""
-        position, flow = self.decision.position, self.decision.flow
-        self.publish(_POSITION, math.nan if position is None else position)
-        self.publish(_OUTFLOW, math.nan if flow is None else flow)
+        for topic, value in (_POSITION, self.decision.position), (_OUTFLOW, self.decision.flow):
+            self.publish(topic, math.nan if value is None else value)
 
     def step(self, dt: float) -> Decision:
         """Decide based on the present observations, and switch the relay."""

@@ -206,7 +206,7 @@ def run_valve(seed: int, file: Path) -> int:
     }
     came_at, faults = dict.fromkeys(rules, -math.inf), dict[str, str]()
     held, latched, rain, dry_for, open_for, opened_at = False, "", 0.0, 0.0, 0.0, -math.inf
-    on, stuck_for, dt, wrong_at = 0, 0.0, 0.0, -math.inf
+    on, stuck_for, dt, wrong_at, unseen_for = 0, 0.0, 0.0, -math.inf, 0.0
     for _ in range(600):
         match rng.randrange(60):
             case 0 | 1:
@@ -242,14 +242,14 @@ def run_valve(seed: int, file: Path) -> int:
                 for _ in range(60):
                     valve.lost_for = max(valve.lost_for, TIMER_S)
                     valve.step(False, rain)
-                now, dry_for, open_for = now + 60.0, 0.0, 0.0
+                now, unseen_for, open_for = now + 60.0, unseen_for + 60.0, 0.0
                 assert control.step(60.0, ValveObservation()).request is None
                 valve.lost_for = -1.0
             case 24:  # a restart
                 assert state_file.close() == ""
                 state_file = StateFile(file)
                 control = ValveControl(VALVE_SITE, settings, state_file, TIMER_S)
-                open_for = 0.0
+                open_for = unseen_for = 0.0
         true, observed, must_not = valve.readings(rain, rng), dict[str, Any](), list[str]()
         for name, rule in rules.items():
             fault, value = faults.get(name, ""), float(true[name])
@@ -266,7 +266,10 @@ def run_valve(seed: int, file: Path) -> int:
             ):
                 must_not.append(name)
         seen = observed["rain"]
-        dry_for = dry_for + dt if seen == 0 else 0.0
+        unseen_for += dt
+        if unseen_for > 180.0 or seen is not None:
+            dry_for = dry_for + dt if seen == 0 and unseen_for <= 180.0 else 0.0
+        unseen_for = unseen_for if seen is None else 0.0
         lost = valve.lost_for >= 2.0
         for name, reason in {
             "held": held, latched: bool(latched), "lost": lost, "frost": observed["frost"],

@@ -26,7 +26,7 @@ from greenroof_ros.site.site import Site
 # Travel time of the valve (s), and maximum number of its moves in an hour, if the site file does
 # not state them.
 TRAVEL_S, _MOVES = 30.0, 4.0
-# A restart that is longer than this counts as a time of unknown rain (s).
+# Rain that is unknown for longer than this, also while the node is not running, counts as rain (s).
 _UNSEEN_S = 180.0
 # Averaging time of the cistern's level (s), how long an open valve must have drained (s), and
 # movement of the level that evaporation or the drift of its sensor may cause (m/s).
@@ -124,16 +124,14 @@ class ValveControl:
         self._site, self._settings, self._state_file = site, settings, state_file
         self._p = plant_parameters(site)
         self._travel = site.valve_travel_time or TRAVEL_S
-        self._moves = site.valve_moves_per_hour or _MOVES
         self._closes_after = relay_stops_after + self._travel
         full = low_outlet_flow(self._p, self._p.a1 * site.z_o)
         state_file.count_unseen(self._closes_after + SAVE_EVERY_S, full)
-        if state_file.unseen_s > _UNSEEN_S:
-            state_file.change(without_rain=0.0)
+        self._unseen_for = state_file.unseen_s  # for how long nobody has seen whether it rains (s)
         self._usage = UsageLimits(
             state_file, settings.max_run, settings.max_volume_per_day, "valve"
         )
-        self._moves_of = [*make_valve(self._moves)]
+        self._moves_of = [*make_valve(site.valve_moves_per_hour or _MOVES)]
         self._moves_of[SINCE] = state_file.state.since_start  # it closed then, or later
         self.opened_by, self.open_for = "", 0.0
         self._on = False
@@ -192,7 +190,7 @@ class ValveControl:
             why = f"opened by {self.opened_by}" if self.open_for else "as commanded"
         elif command >= OPENS_AT:
             again = duration(math.ceil(max(0.0, valve[REST] - valve[SINCE])))
-            why = f"it may open in {again}: it makes at most {self._moves:g} moves an hour"
+            why = f"it may open in {again}, so that it does not move too often"
         if not self._on and not at_rest:
             lost = observed.on is None
             why += "; it is unknown whether it has closed" if lost else "; it is closing"
@@ -206,10 +204,13 @@ class ValveControl:
     # --- limits and faults ------------------------------------------------------------------------
 
     def _note_rain(self, dt: float, rain: float | None) -> None:
-        """Count the time without rain, in which unknown rain counts as rain."""
+        """Count the time without rain, in which a short time of unknown rain does not count."""
         file = self._state_file
-        before = file.state.without_rain
-        dry = time_without_rain(before, math.nan if rain is None else rain, dt)
+        before, is_late = file.state.without_rain, self._unseen_for + dt > _UNSEEN_S
+        self._unseen_for = self._unseen_for + dt if rain is None else 0.0
+        dry = 0.0 if is_late else before
+        if rain is not None and not is_late:
+            dry = time_without_rain(before, rain, dt)
         file.state = replace(file.state, without_rain=dry)
         if (dry == 0) != (before == 0):
             file.save()
