@@ -273,8 +273,9 @@ def read_forecasts(path: Path) -> list[IssuedForecast]:
     and temperature, only the values of member 0 are used. Every other line contains the forecast
     issued at ``issued`` for the hour that starts at ``time`` (both in ISO 8601 format with a UTC
     offset). The hours of every issue and member are consecutive, and the first hour starts at the
-    time of issue. All issues have the members 0, 1, 2 and so on. An empty cell is missing; see
-    :func:`mend_forecast`.
+    time of issue. Instead of an hour, the lines of an issue can be for a part of it, such as ten
+    minutes; the mean of each whole hour is used. All issues have the members 0, 1, 2 and so on. An
+    empty cell is missing; see :func:`mend_forecast`.
 
     Args:
         path: path of the file.
@@ -299,11 +300,15 @@ def _read_issue(table: Table, rows: Iterator[Row]) -> IssuedForecast:
         raise table.refuse("must not be before the time of issue", "available", first)
     columns = {name: column for name, column in _COLUMNS.items() if column in table.header}
     members = defaultdict[float, list[list[float]]](list)
+    step = HOUR
     for row in itertools.chain([first], rows):
         member = table.read_number(row, "member", _MEMBERS) if "member" in table.header else 0.0
-        expected = issued + len(members[member]) * HOUR
         time = table.read_time(row, "time")
-        if time != expected or len(members[member]) == _MAX_HOURS:
+        is_second = member == 0 and len(members[0]) == 1
+        if is_second and issued < time and not HOUR % (time - issued):
+            step = time - issued
+        expected = issued + len(members[member]) * step
+        if time != expected or time >= issued + _MAX_HOURS * HOUR:
             raise table.refuse(
                 f"must be {to_minutes(expected.astimezone(time.tzinfo))}: every forecast must have "
                 f"up to {_MAX_HOURS} consecutive hours, from its time of issue on", "time", row,
@@ -317,9 +322,12 @@ def _read_issue(table: Table, rows: Iterator[Row]) -> IssuedForecast:
             "every issue must have the members 0, 1, 2 and so on, without gaps", "member", first
         )
     # Members that end early are missing (NaN) in the remaining hours.
-    cells = np.full((len(members), max(map(len, members.values())), len(columns)), np.nan)
+    steps, per_hour = max(map(len, members.values())), HOUR // step
+    cells = np.full((len(members), steps, len(columns)), np.nan)
     for member, of_member in members.items():
         cells[int(member), : len(of_member)] = of_member
+    whole = cells[:, : steps - steps % per_hour]
+    cells = whole.reshape(len(members), -1, per_hour, len(columns)).mean(axis=2)
     values = {name: cells[0, :, number] for number, name in enumerate(columns)}
     values[PRECIPITATION] = cells[:, :, 0]
     return mend_forecast(IssuedForecast(issued, available, table.file, first.line, values))
