@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import gzip
 import math
 import os
 import re
@@ -115,6 +116,8 @@ the minute, or a year of hourly forecast runs with one member. So no file exhaus
 def read_lines(path: Path, encoding: str = "utf-8") -> Iterator[str]:
     """Read a text file line by line, without any byte order mark at the beginning.
 
+    A file named ``.gz`` is unpacked as it is read.
+
     An invalid line is rejected as soon as it is read, so an error near the beginning of a large
     file is reported immediately.
 
@@ -131,7 +134,8 @@ def read_lines(path: Path, encoding: str = "utf-8") -> Iterator[str]:
     blank, number = True, 1
     try:
         # Bytes that are not text become surrogates, so that the line of the first one is known.
-        with source.open(encoding=encoding, errors="surrogateescape") as stream:
+        opened = gzip.open if source.suffix == ".gz" else open
+        with opened(source, "rt", encoding=encoding, errors="surrogateescape") as stream:
             size = os.fstat(stream.fileno()).st_size
             if size > MAX_BYTES:
                 raise ConfigurationError(
@@ -147,8 +151,9 @@ def read_lines(path: Path, encoding: str = "utf-8") -> Iterator[str]:
                     line = line.removeprefix("\ufeff")
                 blank = blank and not line.strip()
                 yield line
-    except OSError as error:
-        raise ConfigurationError(f"cannot be read: {error.strerror}", file=path) from error
+    except (OSError, EOFError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise ConfigurationError(f"cannot be read: {why}", file=path) from error
     except UnicodeError:
         raise ConfigurationError(
             f"is not text in {encoding.upper()}: unpack a compressed file, save a table as CSV in "

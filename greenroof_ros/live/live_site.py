@@ -91,7 +91,8 @@ class LiveSite:
                 or (may_stay_open and not has_switches and arguments.sensors != EXTERNAL),
             "--forecast, or a controller without a forecast, such as onoff":
                 lacks_forecast and self.controller.needs_forecast,
-            "--forecast, or a thermometer, which shows frost": lacks_forecast and not sees_frost,
+            "--forecast, or a thermometer, which shows frost": lacks_forecast
+                and site.stops_in_frost and not sees_frost,
         }.items():
             refuse((is_missing, option, None, "is missing; what nodes of your own publish is "
                     "external, see greenroof live --help"))

@@ -78,7 +78,8 @@ class LiveWeatherNode(WeatherNode, LiveNode):
         super().__init__("weather", "weather")
         self._site = site = self.declare_site()
         values = declare(self, parameters(site))
-        self._unknown_frost = 0.0 if values["unknown_frost_may_pump"] else math.nan
+        may_run = values["unknown_frost_may_pump"] or not site.stops_in_frost
+        self._unknown_frost = 0.0 if may_run else math.nan
         # A file with many members, or on a slow disk, takes seconds to read.
         self._reader = DiskThread()
         self._file = ForecastFile(file := Path(values["forecast"])) if values["forecast"] else None
@@ -121,7 +122,8 @@ class LiveWeatherNode(WeatherNode, LiveNode):
             temperature = self._thermometer.value
         frost = self._unknown_frost if math.isnan(temperature) else float(temperature <= 0)
         self.publish_weather(frost, outlook, rain, evapotranspiration)
-        self._diagnose_frost(temperature)
+        if self._site.stops_in_frost:
+            self._diagnose_frost(temperature)
         self._diagnose_gauge("rain gauge", self._rain_gauge)
         self._diagnose_gauge("thermometer", self._thermometer)
         if self._fetcher is not None:

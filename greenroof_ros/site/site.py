@@ -342,6 +342,11 @@ class Site(Place, Pump, Roof, Cistern):
     contact: str | None = entry("whom to call, and where the main switch is", default=None)
 
     @property
+    def stops_in_frost(self) -> bool:
+        """Whether a live site stops in frost: its pumps, or a valve above the frost line."""
+        return self.irrigated or self.valve_closed_in_frost is not False
+
+    @property
     def place(self) -> Place:
         """The place alone, for readers of weather."""
         return Place(**{field.name: getattr(self, field.name) for field in fields(Place)})

@@ -28,7 +28,7 @@ MAX_GAP_H = {
     "station pressure": 24,
 }
 
-_SUFFIXES = ".csv", ".txt", ".json"
+_SUFFIXES = ".csv", ".gz", ".txt", ".json"
 # Offsets from a missing hour to the hours at the same time of day whose mean replaces it.
 _SAME_TIME_OF_DAY = 24 * np.array([-3, -2, -1, 1, 2, 3])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import itertools
 import math
 import os
@@ -16,7 +17,7 @@ from refusals import refusal
 
 from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.base.errors import ConfigurationError, describe_value
-from greenroof_ros.base.files import read_yaml
+from greenroof_ros.base.files import read_text, read_yaml
 from greenroof_ros.live.devices.drive_file import read_drive_file
 from greenroof_ros.live.devices.sensor_file import read_sensors
 from greenroof_ros.site.file import read_site
@@ -33,6 +34,16 @@ def test_plain_values(tmp_path: Path) -> None:
         "a": [16, "3:0", 0.5, 578000.0, 1e-5, -math.inf, 2**63, -math.inf],
         "b": [True, False, True, None, None, "2021-07-07", "1_000", 0x1F, "5", "no"],
     }
+
+
+def test_packed_files(tmp_path: Path) -> None:
+    """A file named .gz is unpacked; one that is cut off, or is not packed, is refused."""
+    file, packed = tmp_path / "a.csv.gz", gzip.compress(b"time,rain [mm]\n")
+    file.write_bytes(packed)
+    assert read_text(file) == "time,rain [mm]\n"
+    for damaged in (packed[:-6], b"time,rain [mm]\n"):
+        file.write_bytes(damaged)
+        assert refusal(read_text, file).startswith(f"{file}: cannot be read: ")
 
 
 def test_lines_and_anchors(tmp_path: Path) -> None:

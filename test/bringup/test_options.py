@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from contextlib import closing
 from pathlib import Path
@@ -51,6 +52,25 @@ def test_what_is_wrong_is_reported(
     Path("serial.yaml").write_text(sensors.replace("tcp://127.0.0.1:5031", "/dev/ttyS0"))
     monkeypatch.setattr(sys, "argv", ["live", *words.split()])
     assert WRONG[words] in refusal(lambda: LiveSite(live_site_parser().parse_args()))
+
+
+def test_a_valve_below_the_frost_line_needs_no_temperature(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Above it, a thermometer or a forecast is asked for, as for a pump."""
+    monkeypatch.chdir(tmp_path)
+    sensors = (CHECKOUT / "config" / "sensors_mqtt.yaml").read_text()
+    sections = {text.partition(":")[0]: text for text in re.split(r"\n\n(?=\w)", sensors)}
+    Path("sensors.yaml").write_text("\n".join(map(sections.get, ("cistern", "rain_gauge"))))
+    words = "--sensors sensors.yaml --valve tasmota --valve-at mqtt://127.0.0.1/valve"
+    monkeypatch.setattr(sys, "argv", ["live", *words.split(), "--site", "site.yaml"])
+    for closed in (True, False):
+        site_file(tmp_path, **VALVE, irrigation="none", valve_closed_in_frost=closed)
+        arguments = live_site_parser().parse_args()
+        if closed:
+            assert refusal(LiveSite, arguments).startswith("--forecast, or a thermometer")
+        else:
+            assert "pump" not in LiveSite(arguments).nodes
 
 
 # --- a file of parameters -------------------------------------------------------------------------

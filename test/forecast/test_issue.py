@@ -108,6 +108,18 @@ def test_own_forecasts(tmp_path: Path) -> None:
     assert [issue.rain.tolist() for issue in again] == [issue.rain.tolist() for issue in issues]
 
 
+def test_steps_of_ten_minutes_are_averaged_to_hours(tmp_path: Path) -> None:
+    """An hour is the mean of its six steps, whichever minute the issue begins at."""
+    file, issued = tmp_path / "own.csv", parse_time("2024-06-01T12:10Z")
+    times = [f"{issued + step * timedelta(minutes=10):%Y-%m-%dT%H:%MZ}" for step in range(15)]
+    file.write_text("\n".join([OWN.splitlines()[0], *(
+        f"{times[0]},{time},{rain}" for rain, time in enumerate(times)
+    )]))
+    (issue,) = read_forecasts(file)
+    assert issue.rain.tolist() == [[2.5, 8.5]]
+    assert issue.end == parse_time("2024-06-01T14:10Z")
+
+
 # --- what is refused ------------------------------------------------------------------------------
 
 
