@@ -198,9 +198,9 @@ def make_parser() -> Parser:
     """Return the parser for the command line of a live site."""
     parser = Parser(
         prog="greenroof live",
-        description="Operate a real site with sensors and a pump in real time; nothing is "
-        "simulated. The command runs until it receives Ctrl-C or SIGTERM; it then stops the pump, "
-        "and then the nodes.",
+        description="Operate a real site with its sensors, pump and outlet valve in real "
+        "time; nothing is simulated. The command runs until it receives Ctrl-C or SIGTERM; it then "
+        "stops the pump, closes the valve, and ends the nodes.",
         epilog="examples:\n"
         "  greenroof live --sensors sensors.yaml --forecast forecast.csv \\\n"
         "    --drive danfoss_fc202 --drive-at /dev/ttyUSB0\n\n"
