@@ -68,7 +68,8 @@ setup(
     # the package's name, would be imported by a Python that starts in the folder above.
     package_dir={"": "."},
     package_data={NAME: ["py.typed"], f"{NAME}.commands": ["new_site.yaml"],
-                  f"{NAME}.analysis.report": ["*.html"], f"{NAME}.watch": ["page/*"],
+                  f"{NAME}.analysis": ["page.html"], f"{NAME}.watch": ["page/*"],
+                  f"{NAME}.analysis.report": ["*.html"],
                   f"{NAME}.analysis.calibration": ["page.html"],
                   f"{NAME}.analysis.sizing": ["page.html"],
                   f"{NAME}.analysis.district": ["page.html"]},

@@ -18,7 +18,7 @@ from greenroof_ros.analysis.calibration.step_record import (
     Values,
     name_time,
 )
-from greenroof_ros.analysis.report.drawing import (
+from greenroof_ros.analysis.figures import (
     Figure,
     Rows,
     make_tooltips,

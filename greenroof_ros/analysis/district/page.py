@@ -13,7 +13,7 @@ from greenroof_ros.analysis.district.adoption import Adoption
 from greenroof_ros.analysis.district.district_file import DRAIN, NONE, ORIFICE, PLAN
 from greenroof_ros.analysis.district.run import DistrictRun
 from greenroof_ros.analysis.district.totals import AS_IS, Flow, Totals
-from greenroof_ros.analysis.report.drawing import (
+from greenroof_ros.analysis.figures import (
     Figure,
     Rows,
     make_tooltips,

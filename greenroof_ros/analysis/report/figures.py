@@ -9,7 +9,7 @@ from typing import Any
 import altair as alt
 import numpy as np
 
-from greenroof_ros.analysis.report.drawing import (
+from greenroof_ros.analysis.figures import (
     COLOURS,
     Chart,
     Figure,

@@ -10,7 +10,7 @@ import jinja2
 import vl_convert
 from markupsafe import Markup
 
-from greenroof_ros.analysis.report.drawing import CONFIG, Figure, Rows
+from greenroof_ros.analysis.figures import CONFIG, Figure, Rows
 from greenroof_ros.analysis.report.groups import Report
 from greenroof_ros.analysis.report.tables import Table, make_notes, make_tables
 from greenroof_ros.base.parameter import parameters_of

@@ -11,7 +11,7 @@ import altair as alt
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.analysis.report.drawing import (
+from greenroof_ros.analysis.figures import (
     CONFIG,
     Figure,
     Panel,

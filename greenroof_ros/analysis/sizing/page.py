@@ -7,7 +7,7 @@ from typing import Any
 
 import altair as alt
 
-from greenroof_ros.analysis.report.drawing import (
+from greenroof_ros.analysis.figures import (
     Figure,
     Panel,
     Rows,

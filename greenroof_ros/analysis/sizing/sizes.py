@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     import altair
     import polars
 
-    from greenroof_ros.analysis.report.drawing import Figure
+    from greenroof_ros.analysis.figures import Figure
 
 PAGE, TABLE = "sizes.html", "sizes.csv"
 _FIGURE = re.compile(r"sizes-[\d.]+mm\.(svg|png)")

@@ -22,7 +22,7 @@ from places import CONFIG
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from greenroof_ros.analysis.report.drawing import Figure
+from greenroof_ros.analysis.figures import Figure
 from greenroof_ros.analysis.report.figures import make_figures
 from greenroof_ros.analysis.report.groups import Report
 from greenroof_ros.analysis.report.page import render

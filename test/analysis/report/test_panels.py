@@ -13,7 +13,7 @@ from paper import PAPER_SITE
 
 from greenroof_ros.analysis.calibration.page import draw_quantity
 from greenroof_ros.analysis.calibration.step_record import StepRecord
-from greenroof_ros.analysis.report.drawing import Figure, value_scale
+from greenroof_ros.analysis.figures import Figure, value_scale
 from greenroof_ros.analysis.report.figures import draw_events
 from greenroof_ros.analysis.report.groups import TOTAL
 from greenroof_ros.analysis.report.page import payload

@@ -118,6 +118,15 @@ class Figure:
         configured: alt.ConcatChart = whole.configure(**CONFIG)
         return configured
 
+    def pictures(self) -> list[str]:
+        """Return each panel as SVG, without scripts."""
+        pictures = []
+        for panel in self.panels:
+            specification = panel.sized().configure(**CONFIG).to_dict()
+            specification.setdefault("datasets", {}).update(self.data)
+            pictures.append(vl_convert.vegalite_to_svg(specification, VEGA_LITE))
+        return pictures
+
     def save(self, directory: Path) -> None:
         """Write the figure as SVG and as PNG."""
         specification = self._concatenate().to_dict()

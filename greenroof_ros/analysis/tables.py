@@ -1,0 +1,87 @@
+"""Tables of results: how each metric is named and written, wherever it is shown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from greenroof_ros.results.metrics import METRICS, Metric
+
+
+class Column(NamedTuple):
+    """The presentation of a result."""
+
+    label: str
+    unit: str
+    """unit, as people write it; empty for a text or a number without a unit"""
+    form: Callable[[Any], str] = str
+
+    @property
+    def heading(self) -> str:
+        """Label and unit, for tables, terminals and axes."""
+        return f"{self.label} ({self.unit})" if self.unit else self.label
+
+
+class Table(NamedTuple):
+    """A table of a page; the first cell of a row is its heading."""
+
+    caption: str
+    columns: Sequence[Column | str]
+    rows: Sequence[Sequence[Any]]
+    """cells: text, or a number that is written as its column says; None for what is unknown"""
+    marked: frozenset[int] = frozenset()
+    """rows that are shown in bold, counted from 0"""
+
+    def headings(self) -> list[str]:
+        """Return the headings of the columns."""
+        return [each if isinstance(each, str) else each.heading for each in self.columns]
+
+    def texts(self) -> list[list[str]]:
+        """Return the cells as texts."""
+        return [
+            [write(value, column) for value, column in zip(row, self.columns, strict=True)]
+            for row in self.rows
+        ]
+
+
+def write(value: Any, column: Column | str) -> str:
+    """Return a value as text; ``none`` for an unknown value."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "none"
+    if isinstance(value, str) or isinstance(column, str):
+        return str(value)
+    return column.form(value)
+
+
+def format_share(share: float) -> str:
+    """Return a share (1) in per cent; only all and nothing are 100 and 0."""
+    text = f"{100 * share:.0f}"
+    if text in ("0", "-0", "100") and share not in (0, 1):
+        return "over 99.9" if (exact := f"{100 * share:.1f}") == "100.0" else exact
+    return text
+
+
+def format_number(value: float) -> str:
+    """Return a volume or another quantity with three digits, but whole numbers in full."""
+    rounded = float(f"{value:.3g}")
+    return f"{value:.0f}" if abs(rounded) >= 100 else f"{rounded:g}"
+
+
+def format_range(mean: float, low: float, high: float, column: Column) -> str:
+    """Return a mean with the lowest and the highest value: ``3.5 (1.2 to 7.9)``."""
+    texts = [write(value, column) for value in (mean, low, high)]
+    return texts[0] if texts[1] == texts[2] else f"{texts[0]} ({texts[1]} to {texts[2]})"
+
+
+def _describe(metric: Metric) -> Column:
+    if metric.form.endswith("%"):
+        return Column(metric.label, "%", format_share)
+    if metric.form == "d":
+        return Column(metric.label, "", lambda value: f"{value:.3g}")  # the mean of whole numbers
+    unit = metric.unit.replace("m3", "m³").replace("m2", "m²")
+    return Column(metric.label, "" if unit == "1" else unit, format_number)
+
+
+COLUMNS = {metric.name: _describe(metric) for metric in METRICS}
+"""the presentation of each metric, by its name"""
